@@ -1,0 +1,1 @@
+"""The `std-curate` command: parses, calls a step, prints."""

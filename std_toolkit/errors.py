@@ -1,0 +1,61 @@
+"""The one error that a user meets: which file, which field, which value, and how to mend it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+
+class ToolkitError(Exception):
+    """Bad input or a failed gate, told in one line.
+
+    Args:
+        problem: what is wrong, as a sentence without the location.
+        path: the file or folder concerned.
+        field: the field inside the file, as `objects[2].material`.
+        value: the offending value; long values are cut.
+        hint: what to do about it.
+    """
+
+    def __init__(
+        self,
+        problem: str,
+        *,
+        path: Path | str | None = None,
+        field: str | None = None,
+        value: Any = None,
+        hint: str | None = None,
+    ) -> None:
+        self.problem = problem
+        self.path = None if path is None else str(path)
+        self.field = field
+        self.value = value
+        self.hint = hint
+        super().__init__(problem, self.path, field, value, hint)
+
+    def __str__(self) -> str:
+        where = [part for part in (self.path, self.field) if part]
+        text = f"{': '.join(where)}: {self.problem}" if where else self.problem
+        if self.value is not None:
+            shown = repr(self.value)
+            text += f" (got {shown if len(shown) <= 120 else shown[:117] + '...'})"
+        if self.hint:
+            text += f"; {self.hint}"
+        # One line, whatever a library put into its message.
+        return " ".join(text.split())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Exceptions with keyword-only arguments do not survive pickling between worker
+        # processes without help.
+        return (_rebuild, (type(self), self.problem, self.path, self.field, self.value, self.hint))
+
+
+def _rebuild(
+    cls: type[ToolkitError],
+    problem: str,
+    path: str | None,
+    field: str | None,
+    value: Any,
+    hint: str | None,
+) -> ToolkitError:
+    return cls(problem, path=path, field=field, value=value, hint=hint)

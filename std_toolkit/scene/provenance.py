@@ -1,0 +1,75 @@
+"""What made a derived file: enough to skip a step that is done and to redo one that is stale."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from std_toolkit import __version__
+from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.scene.model import Document
+
+
+class Record(Document, frozen=True, kw_only=True):
+    """The record of one finished step.
+
+    Attributes:
+        step: name of the step.
+        version: of the toolkit that ran it.
+        digest: of everything that determines the result.
+        outputs: path relative to the scene folder, to digest of the content.
+        parameters: the options of the step, for people.
+    """
+
+    step: str
+    version: str
+    digest: str
+    outputs: dict[str, str]
+    parameters: dict[str, Any]
+
+
+def digest_file(path: Path) -> str:
+    """Hex digest of a file's content."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+
+
+def digest_of(*parts: Any) -> str:
+    """Hex digest of plain values and documents; the toolkit's version is part of it."""
+    encoded = msgspec.json.encode([__version__, *parts], order="sorted")
+    return hashlib.blake2b(encoded, digest_size=16).hexdigest()
+
+
+def record_path(root: Path, step: str) -> Path:
+    return root / ".std" / "records" / f"{step}.json"
+
+
+def is_fresh(root: Path, step: str, digest: str) -> bool:
+    """Whether the step was finished with these inputs and its outputs are still what it wrote."""
+    path = record_path(root, step)
+    if not path.exists():
+        return False
+    record = read_document(path, Record)
+    return record.digest == digest and all(
+        (root / name).is_file() and digest_file(root / name) == content
+        for name, content in record.outputs.items()
+    )
+
+
+def write_record(
+    root: Path, step: str, digest: str, *, outputs: list[Path], parameters: dict[str, Any]
+) -> None:
+    """Record a finished step; call it after its outputs are in place."""
+    write_document(
+        record_path(root, step),
+        Record(
+            step=step,
+            version=__version__,
+            digest=digest,
+            outputs={p.relative_to(root).as_posix(): digest_file(p) for p in sorted(outputs)},
+            parameters=parameters,
+        ),
+    )

@@ -1,0 +1,239 @@
+"""A scene folder: documents read once and validated, images read when asked for."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.images import read_color, read_depth
+from std_toolkit.scene.lock import scene_lock
+from std_toolkit.scene.model import (
+    CameraPoses,
+    Frame,
+    FramePose,
+    Frames,
+    Label,
+    Labels,
+    Model,
+    ObjectTable,
+    SceneInfo,
+    pose_from_list,
+)
+
+if TYPE_CHECKING:
+    import trimesh
+
+
+class Scene:
+    """One recording on disk.
+
+    Documents are immutable; `save_*` writes a new one atomically and replaces the one in memory.
+    """
+
+    def __init__(self, root: Path, info: SceneInfo, frames: Frames, objects: ObjectTable) -> None:
+        self.root = root
+        self.info = info
+        self.frame_table = frames
+        self.objects = objects
+        self._meshes: dict[str, trimesh.Trimesh] = {}
+        for i, frame in enumerate(frames.frames):
+            if frame.camera not in info.cameras:
+                raise ToolkitError(
+                    "no such camera in scene.json",
+                    path=root / "frames.json",
+                    field=f"frames[{i}].camera",
+                    value=frame.camera,
+                )
+
+    @staticmethod
+    def open(root: Path | str) -> Scene:
+        """Open and validate the documents of a scene folder.
+
+        Raises:
+            ToolkitError: no scene there, or a document that breaks its schema.
+        """
+        root = Path(root)
+        if not (root / "scene.json").is_file():
+            raise ToolkitError(
+                "no scene here (scene.json is missing)",
+                path=root,
+                hint="make one with `std-curate import`",
+            )
+        objects_path = root / "objects.json"
+        return Scene(
+            root,
+            read_document(root / "scene.json", SceneInfo),
+            read_document(root / "frames.json", Frames),
+            read_document(objects_path, ObjectTable) if objects_path.exists() else ObjectTable(),
+        )
+
+    @staticmethod
+    def create(
+        root: Path | str, info: SceneInfo, frames: Frames, objects: ObjectTable | None = None
+    ) -> Scene:
+        """Write the documents of a new scene; scene.json comes last, so half a scene is none.
+
+        Raises:
+            ToolkitError: there is a scene already.
+        """
+        root = Path(root)
+        if (root / "scene.json").exists():
+            raise ToolkitError(
+                "there is a scene here already", path=root, hint="choose another --out"
+            )
+        scene = Scene(root, info, frames, objects or ObjectTable())
+        write_document(root / "frames.json", scene.frame_table)
+        write_document(root / "objects.json", scene.objects)
+        write_document(root / "scene.json", info)
+        return scene
+
+    # --- documents -------------------------------------------------------------------------
+
+    @property
+    def frames(self) -> list[Frame]:
+        """Frames in recording order."""
+        return self.frame_table.frames
+
+    @cached_property
+    def poses(self) -> CameraPoses | None:
+        """Camera poses, or None before they were recovered or imported."""
+        path = self.root / "poses.json"
+        if not path.exists():
+            return None
+        poses = read_document(path, CameraPoses)
+        known = {f.id for f in self.frames}
+        for i, pose in enumerate(poses.frames):
+            if pose.frame not in known:
+                raise ToolkitError(
+                    "no such frame in frames.json",
+                    path=path,
+                    field=f"frames[{i}].frame",
+                    value=pose.frame,
+                )
+        return poses
+
+    @cached_property
+    def labels(self) -> Labels:
+        """Labels; empty before the first annotation."""
+        path = self.root / "labels.json"
+        if not path.exists():
+            return Labels()
+        labels = read_document(path, Labels)
+        objects = {o.id for o in self.objects.objects}
+        for i, label in enumerate(labels.labels):
+            if label.object not in objects:
+                raise ToolkitError(
+                    "no such object in objects.json",
+                    path=path,
+                    field=f"labels[{i}].object",
+                    value=label.object,
+                )
+        return labels
+
+    def save_info(self, info: SceneInfo) -> None:
+        write_document(self.root / "scene.json", info)
+        self.info = info
+
+    def save_objects(self, objects: ObjectTable) -> None:
+        write_document(self.root / "objects.json", objects)
+        self.objects = objects
+
+    def save_poses(self, poses: CameraPoses) -> None:
+        write_document(self.root / "poses.json", poses)
+        self.__dict__["poses"] = poses
+        self.__dict__.pop("_pose_by_frame", None)
+
+    def save_labels(self, labels: Labels) -> None:
+        write_document(self.root / "labels.json", labels)
+        self.__dict__["labels"] = labels
+
+    def lock(self) -> AbstractContextManager[None]:
+        """Hold the scene for writing; see `scene_lock`."""
+        return scene_lock(self.root)
+
+    # --- frames ----------------------------------------------------------------------------
+
+    def frame(self, frame_id: int) -> Frame:
+        """The frame of this id.
+
+        Raises:
+            ToolkitError: there is none.
+        """
+        for frame in self.frames:
+            if frame.id == frame_id:
+                return frame
+        raise ToolkitError(
+            "no such frame", path=self.root, value=frame_id, hint="see `std-curate info`"
+        )
+
+    def camera(self, frame: Frame) -> Camera:
+        """Intrinsics of a frame: those refined with the poses, else those of scene.json."""
+        refined = self.poses.cameras if self.poses is not None else {}
+        return refined.get(frame.camera, self.info.cameras[frame.camera]).camera()
+
+    def color_path(self, frame: Frame) -> Path:
+        return self.root / frame.color
+
+    def read_color(self, frame: Frame) -> NDArray[np.uint8]:
+        """(H, W, 3) uint8 RGB."""
+        return read_color(self.color_path(frame), size=self.camera(frame).size)
+
+    def read_depth(self, frame: Frame) -> NDArray[np.float32] | None:
+        """Sensor z-depth (H, W) in metres with the sensor's correction factor; None if absent."""
+        if frame.depth is None:
+            return None
+        depth = read_depth(
+            self.root / frame.depth, scale=self.info.depth_scale, size=self.camera(frame).size
+        )
+        return depth * np.float32(self.info.depth_correction)
+
+    # --- geometry --------------------------------------------------------------------------
+
+    @cached_property
+    def _pose_by_frame(self) -> dict[int, FramePose]:
+        return {} if self.poses is None else {p.frame: p for p in self.poses.frames}
+
+    def T_world_cam(self, frame_id: int) -> SE3 | None:
+        """Camera pose of a frame; None if it is not registered."""
+        pose = self._pose_by_frame.get(frame_id)
+        if pose is None or pose.T_world_cam is None:
+            return None
+        return pose_from_list(pose.T_world_cam)
+
+    def registered_frames(self) -> list[Frame]:
+        """Frames that have a camera pose."""
+        return [f for f in self.frames if self.T_world_cam(f.id) is not None]
+
+    def T_world_obj(self, object_id: int) -> SE3 | None:
+        """Propagated pose of an object; None if it has no label or was not propagated."""
+        label: Label | None = self.labels.of(object_id)
+        if label is None or label.T_world_obj is None:
+            return None
+        return pose_from_list(label.T_world_obj)
+
+    def T_cam_obj(self, frame_id: int, object_id: int) -> SE3 | None:
+        """Pose of an object in a frame's camera; None where either pose is missing."""
+        T_world_cam, T_world_obj = self.T_world_cam(frame_id), self.T_world_obj(object_id)
+        if T_world_cam is None or T_world_obj is None:
+            return None
+        return T_world_cam.inverse() @ T_world_obj
+
+    def mesh_path(self, model: Model) -> Path:
+        return self.root / model.mesh
+
+    def mesh(self, model_id: str) -> trimesh.Trimesh:
+        """Mesh of a model, vertices in metres; read once."""
+        if model_id not in self._meshes:
+            from std_toolkit.geometry.mesh import load_mesh
+
+            self._meshes[model_id] = load_mesh(self.mesh_path(self.objects.model(model_id)))
+        return self._meshes[model_id]
