@@ -1,0 +1,1 @@
+"""Cameras, recordings and simulated sensors."""

@@ -1,0 +1,203 @@
+"""Writes a synthetic recording as a camera would leave it, and its truth beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from sensors.synthetic.camera_image import render_frame
+from sensors.synthetic.shapes import Shape, default_shapes
+from sensors.synthetic.stereo_depth import sensor_depth
+from sensors.synthetic.trajectory import arc
+from sensors.synthetic.world import World
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.se3 import SE3, so3_exp
+from std_toolkit.io.atomic import atomic_path
+from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.images import write_color, write_depth_png16
+from std_toolkit.jobs import JobOptions, run_jobs
+from std_toolkit.scene.model import CATEGORY_CLASS_IDS, MATERIAL_IDS, CameraModel, SymmetryModel
+from std_toolkit.scene.model import ContinuousSymmetry as AxisSymmetry
+
+DEPTH_SCALE = 0.001
+# Mesh frame y up, world z up.
+UPRIGHT = so3_exp([np.pi / 2, 0.0, 0.0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingOptions:
+    """What to record.
+
+    Attributes:
+        frames: number of frames.
+        arc_degrees: angle of the camera's way around the table.
+        width, height: image size; the horizontal field of view is 56 degrees.
+        depth_bias: factor on the sensor's depth.
+        samples: rays per pixel and axis for colour.
+        seed: of places, textures, path and noise.
+    """
+
+    frames: int = 120
+    arc_degrees: float = 120.0
+    width: int = 640
+    height: int = 480
+    radius_m: float = 0.62
+    depth_bias: float = 1.015
+    samples: int = 2
+    seed: int = 0
+
+    def camera(self) -> Camera:
+        f = 0.94 * self.width
+        # A principal point off the middle: a mistake about it must not go unnoticed.
+        return Camera(self.width, self.height, f, f, self.width / 2 + 3.3, self.height / 2 - 2.7)
+
+
+class TrueObject(msgspec.Struct, frozen=True, kw_only=True):
+    """An object of the recording; `mesh` is relative to the recording's folder."""
+
+    name: str
+    category: str
+    class_id: int
+    material: str
+    mesh: str
+    symmetry: SymmetryModel
+    T_world_obj: list[float]
+
+
+class Truth(msgspec.Struct, frozen=True, kw_only=True):
+    """truth.json: what the pipeline has to find. World frame: z up, table top at z = 0."""
+
+    camera: CameraModel
+    depth_scale: float
+    depth_bias: float
+    frames: list[str]
+    T_world_cam: list[list[float]]
+    objects: list[TrueObject]
+
+    def camera_pose(self, index: int) -> SE3:
+        return SE3.from_matrix(self.T_world_cam[index])
+
+    def object_pose(self, name: str) -> SE3:
+        return SE3.from_matrix(next(o.T_world_obj for o in self.objects if o.name == name))
+
+
+def read_truth(recording: Path) -> Truth:
+    """Truth of a recording made by `make_recording`."""
+    return read_document(recording / "truth.json", Truth)
+
+
+def make_recording(
+    out: Path, options: RecordingOptions | None = None, *, jobs: JobOptions | None = None
+) -> Truth:
+    """Write color/, depth/ (16-bit PNG, mm), models/, intrinsics.json and truth.json to `out`.
+
+    Frames that are there already are kept: truth.json tells that a recording is complete.
+    """
+    options = options or RecordingOptions()
+    shapes = default_shapes()
+    truth = _truth(options, shapes)
+    for shape in shapes:
+        _write_mesh(out / f"models/{shape.name}.ply", shape)
+    work = run_jobs(
+        partial(_write_frame, out, options),
+        list(range(options.frames)),
+        name="record",
+        options=jobs,
+    )
+    work.raise_if_failed()
+    camera = options.camera()
+    write_document(
+        out / "intrinsics.json",
+        {"width": camera.width, "height": camera.height, "K": camera.K.tolist()},
+    )
+    write_document(out / "truth.json", truth)
+    return truth
+
+
+def _truth(options: RecordingOptions, shapes: list[Shape]) -> Truth:
+    cameras = arc(
+        options.frames, degrees=options.arc_degrees, radius_m=options.radius_m, seed=options.seed
+    )
+    return Truth(
+        camera=CameraModel.of(options.camera()),
+        depth_scale=DEPTH_SCALE,
+        depth_bias=options.depth_bias,
+        frames=[f"{i:06d}" for i in range(options.frames)],
+        T_world_cam=[T.flat() for T in cameras],
+        objects=[
+            TrueObject(
+                name=s.name,
+                category=s.category,
+                class_id=CATEGORY_CLASS_IDS.get(s.category, 0),
+                material=s.material,
+                mesh=f"models/{s.name}.ply",
+                symmetry=SymmetryModel(
+                    continuous=[
+                        AxisSymmetry(axis=list(a), offset=list(o)) for a, o in s.symmetry.continuous
+                    ]
+                ),
+                T_world_obj=T.flat(),
+            )
+            for s, T in zip(shapes, _places(shapes, options.seed), strict=True)
+        ],
+    )
+
+
+def _places(shapes: list[Shape], seed: int) -> list[SE3]:
+    """Upright on the table, as close together as clutter is, none inside another."""
+    rng = np.random.default_rng(seed + 1)
+    placed: list[tuple[float, float, float]] = []
+    poses = []
+    for shape in shapes:
+        radius = float(np.linalg.norm(shape.mesh.vertices[:, [0, 2]], axis=1).max())
+        reach = 0.10
+        while True:
+            x, y = rng.uniform(-reach, reach, 2)
+            if all(np.hypot(x - a, y - b) > radius + r + 0.008 for a, b, r in placed):
+                break
+            reach *= 1.01
+        placed.append((x, y, radius))
+        turn = so3_exp([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
+        poses.append(SE3(turn @ UPRIGHT, np.array([x, y, shape.mesh.extents[1] / 2])))
+    return poses
+
+
+@cache
+def _world(options: RecordingOptions) -> World:
+    # Textures and acceleration structures are made once per worker process.
+    shapes = default_shapes()
+    return World(shapes, _places(shapes, options.seed), seed=options.seed)
+
+
+def _write_frame(out: Path, options: RecordingOptions, index: int) -> None:
+    depth_path = out / f"depth/{index:06d}.png"
+    if depth_path.exists():
+        return
+    world = _world(options)
+    camera = options.camera()
+    pose = arc(
+        options.frames, degrees=options.arc_degrees, radius_m=options.radius_m, seed=options.seed
+    )[index]
+    rng = np.random.default_rng([options.seed, index])
+    maps = render_frame(world, camera, pose, rng=rng, samples=options.samples)
+    materials = np.array([0, *(max(1, MATERIAL_IDS[s.material]) for s in world.shapes)])
+    depth = sensor_depth(
+        maps.depth,
+        maps.behind,
+        materials[maps.ids],
+        fx=camera.fx,
+        bias=options.depth_bias,
+        rng=rng,
+    )
+    # Colour first: the depth file marks a frame as complete.
+    write_color(out / f"color/{index:06d}.png", maps.color)
+    write_depth_png16(depth_path, np.where(depth < 10, depth, 0), scale=DEPTH_SCALE)
+
+
+def _write_mesh(path: Path, shape: Shape) -> None:
+    with atomic_path(path) as temporary:
+        shape.mesh.export(temporary)
