@@ -1,0 +1,1 @@
+"""Ground truth from labels: z-depth, instance mask, NOCS, normals and visible fractions."""

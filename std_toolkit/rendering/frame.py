@@ -1,0 +1,216 @@
+"""One frame's ground truth: compose, hide, measure, store. Runs in a worker process."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from std_toolkit import __version__
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.rendering import encoding
+from std_toolkit.rendering.choose import get_renderer
+from std_toolkit.rendering.fused import load_occluder
+from std_toolkit.rendering.ground_truth import (
+    FrameTruth,
+    ObjectTruth,
+    Policy,
+    info_path,
+    map_paths,
+)
+from std_toolkit.rendering.maps import Composition, compose, mask_of, surface_maps
+from std_toolkit.rendering.occlusion import hidden_by_depth, occluder_depth
+from std_toolkit.rendering.placements import frame_placements, place_meshes
+from std_toolkit.rendering.protocol import PlacedMesh, Window
+from std_toolkit.rendering.raycast import RaycastRenderer
+from std_toolkit.rendering.silhouette import mask_box
+from std_toolkit.scene.provenance import digest_file, digest_of
+from std_toolkit.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class FrameJob:
+    """What all frames of a run share; small, since every item carries it to its worker.
+
+    Attributes:
+        root: scene folder.
+        documents: digest of the scene's documents, so that a worker notices new ones.
+        renderer: name of the renderer, already chosen.
+        policy: occlusion policy, already resolved.
+        delta_m: tolerance of the policies `sensor` and `fused`.
+        smooth_normals: see `render_scene_maps`.
+        meshes: model id to digest of its mesh file.
+        occluder: fused geometry (path and digest of content) for policy `fused`.
+    """
+
+    root: str
+    documents: str
+    renderer: str
+    policy: Policy
+    delta_m: float
+    smooth_normals: bool
+    meshes: tuple[tuple[str, str], ...]
+    occluder: tuple[str, str] | None
+
+
+def render_frame(frame_id: int, *, job: FrameJob, force: bool) -> Literal["done", "kept"]:
+    """Make a frame's ground truth unless it is there already and fresh.
+
+    Raises:
+        ToolkitError: an input cannot be read, or the frame has no labelled object.
+    """
+    scene = _open_scene(job.root, job.documents)
+    digest = _digest(scene, frame_id, job)
+    if not force and is_finished(scene.root, frame_id, digest):
+        return "kept"
+    frame = scene.frame(frame_id)
+    camera = scene.camera(frame)
+    placed = place_meshes(scene, frame_placements(scene, frame_id))
+    if not placed:
+        raise ToolkitError("no labelled object in this frame", path=scene.root, value=frame_id)
+    sensor = scene.read_depth(frame)
+
+    composition = compose(get_renderer(job.renderer), camera, placed, canvas=3)
+    hidden = _hidden(scene, frame_id, composition, sensor, job)
+    if hidden is not None:
+        composition.depth[hidden] = 0
+        composition.index[hidden] = -1
+        composition.face[hidden] = -1
+    mask = mask_of(composition.index, [p.object_id for p in placed])
+    nocs, normals = surface_maps(camera, placed, composition, smooth_normals=job.smooth_normals)
+    rows = [_object_truth(item, composition, i, sensor) for i, item in enumerate(placed)]
+
+    info = info_path(scene.root, frame_id)
+    info.unlink(missing_ok=True)  # from here to the end the frame is unfinished
+    paths = map_paths(scene.root, frame_id)
+    encoding.write_depth(paths["depth"], composition.depth)
+    encoding.write_mask(paths["mask"], mask)
+    encoding.write_nocs(paths["nocs"], nocs)
+    encoding.write_normals(paths["normals"], normals, mask)
+    write_document(
+        info,
+        FrameTruth(
+            frame=frame_id,
+            policy=job.policy,
+            delta_m=None if job.policy == "models" else job.delta_m,
+            renderer=job.renderer,
+            smooth_normals=job.smooth_normals,
+            objects=rows,
+            version=__version__,
+            digest=digest,
+            outputs={p.relative_to(scene.root).as_posix(): digest_file(p) for p in paths.values()},
+        ),
+    )
+    return "done"
+
+
+def is_finished(root: Path, frame_id: int, digest: str) -> bool:
+    """Whether a frame was rendered from inputs of this digest and its files are as written."""
+    path = info_path(root, frame_id)
+    if not path.is_file():
+        return False
+    try:
+        truth = read_document(path, FrameTruth)
+    except ToolkitError:  # of an older format, or damaged: made anew either way
+        return False
+    return truth.digest == digest and all(
+        (root / name).is_file() and digest_file(root / name) == content
+        for name, content in truth.outputs.items()
+    )
+
+
+@lru_cache(maxsize=2)
+def _open_scene(root: str, documents: str) -> Scene:  # noqa: ARG001 - part of the cache's key
+    return Scene.open(root)
+
+
+@lru_cache(maxsize=1)
+def _caster() -> RaycastRenderer:
+    return RaycastRenderer()
+
+
+def _digest(scene: Scene, frame_id: int, job: FrameJob) -> str:
+    """Digest of everything that determines a frame's files."""
+    frame = scene.frame(frame_id)
+    camera = scene.camera(frame)
+    meshes = dict(job.meshes)
+    placements = frame_placements(scene, frame_id)
+    parts: list[Any] = [
+        [camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy],
+        list(camera.distortion),
+        [
+            [
+                object_id,
+                meshes[scene.objects.object(object_id).model],
+                pose.matrix().ravel().tolist(),
+            ]
+            for object_id, pose in placements.items()
+        ],
+        [job.renderer, job.policy, job.delta_m, job.smooth_normals],
+        job.occluder[1] if job.occluder else None,
+        None if frame.depth is None else digest_file(scene.root / frame.depth),
+        [scene.info.depth_scale, scene.info.depth_correction],
+    ]
+    if job.occluder is not None:
+        T_world_cam = scene.T_world_cam(frame_id)
+        parts.append(None if T_world_cam is None else T_world_cam.matrix().ravel().tolist())
+    return digest_of("render", frame_id, *parts)
+
+
+def _hidden(
+    scene: Scene,
+    frame_id: int,
+    composition: Composition,
+    sensor: np.ndarray | None,
+    job: FrameJob,
+) -> np.ndarray | None:
+    """(H,W) bool: object pixels behind geometry that is not labelled; None for "nothing hides"."""
+    camera = scene.camera(scene.frame(frame_id))
+    if job.policy == "sensor" and sensor is not None:
+        return hidden_by_depth(composition.depth, sensor, camera, delta_m=job.delta_m)
+    T_world_cam = scene.T_world_cam(frame_id)
+    if job.policy == "fused" and job.occluder is not None and T_world_cam is not None:
+        occluder = load_occluder(*job.occluder)
+        if occluder is None:
+            return None
+        front = occluder_depth(
+            _caster(), occluder, T_world_cam.inverse(), camera, where=composition.index >= 0
+        )
+        return hidden_by_depth(composition.depth, front, camera, delta_m=job.delta_m)
+    return None
+
+
+def _object_truth(
+    item: PlacedMesh,
+    composition: Composition,
+    index: int,
+    sensor: np.ndarray | None,
+) -> ObjectTruth:
+    silhouette = composition.silhouettes[index]
+    px_all, px_visible, px_valid = silhouette.px_all, 0, 0
+    visible_box = None
+    if silhouette.image is not None and silhouette.image_window is not None:
+        height, width = composition.index.shape
+        place = silhouette.image_window.slices_in(Window(0, 0, width, height))
+        visible = composition.index[place] == index
+        px_visible = int(np.count_nonzero(visible))
+        visible_box = mask_box(visible, silhouette.image_window)
+        amodal = silhouette.image.depth > 0
+        if sensor is not None:
+            amodal &= sensor[place] > 0
+        px_valid = int(np.count_nonzero(amodal))
+    box = silhouette.box
+    return ObjectTruth(
+        object=item.object_id,
+        T_cam_obj=item.T_cam_obj.matrix().ravel().tolist(),
+        px_all=px_all,
+        px_valid=px_valid,
+        px_visible=px_visible,
+        visible_fraction=px_visible / px_all if px_all else 0.0,
+        bbox_amodal=None if box is None else list(box),
+        bbox_visible=None if visible_box is None else list(visible_box),
+    )

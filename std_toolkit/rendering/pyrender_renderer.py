@@ -1,0 +1,261 @@
+"""Renderer on pyrender (EGL or OSMesa), made exact.
+
+pyrender as it comes is not exact enough for labels: it draws into a four-sample buffer and keeps
+one sample's depth, which is not the pixel centre's; it drops triangles seen from behind; it knows
+an object's colour and not the triangle; and GL counts pixel centres from 0.5. Here:
+
+- its segmentation pass is used, in which multisampling is off, with a fragment shader of our own
+  that writes the triangle's number into the 24 bits of colour;
+- meshes that are not closed get every triangle twice, once in each winding;
+- the principal point is moved by half a pixel, from our grid to GL's;
+- near and far planes hug the object, which leaves the 24-bit depth buffer steps below 0.1 um.
+
+The context lives in the thread that made it and is used again for every window.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import tempfile
+from collections import OrderedDict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.rendering.gl_context import find_gl, loaded_platform
+from std_toolkit.rendering.mesh import RenderMesh
+from std_toolkit.rendering.protocol import NEAR_M, Raster, Window, check_no_distortion
+from std_toolkit.rendering.windows import depth_range
+
+if TYPE_CHECKING:
+    from std_toolkit.geometry.camera import Camera
+    from std_toolkit.geometry.se3 import SE3
+
+_KEPT_MESHES = 64
+_LARGEST_TILE = 2048
+_MAX_FACES = 2**23  # numbered from 1 in 24 bits of colour, each possibly drawn in two windings
+
+_VERTEX = """#version 330 core
+layout(location = 0) in vec3 position;
+uniform mat4 P;
+uniform mat4 V;
+uniform mat4 M;
+void main() { gl_Position = P * (V * (M * vec4(position, 1.0))); }
+"""
+_FRAGMENT = """#version 330 core
+out vec4 frag_color;
+void main()
+{
+    int number = gl_PrimitiveID + 1;
+    frag_color = vec4(number & 255, (number >> 8) & 255, (number >> 16) & 255, 255) / 255.0;
+}
+"""
+_GL_FROM_CV = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+class PyrenderRenderer:
+    """Pinhole renderer on pyrender.
+
+    Raises:
+        ToolkitError: no GL context can be made here.
+    """
+
+    name = "pyrender"
+    handles_distortion = False
+
+    def __init__(self) -> None:
+        platform, reason = find_gl()
+        if platform is None:
+            raise ToolkitError(
+                f"pyrender cannot make a GL context here ({reason})",
+                hint="install libegl1 and libgl1-mesa-dri, or use --renderer raycast",
+            )
+        self._canvas = GlCanvas(platform)
+
+    def draw(self, camera: Camera, mesh: RenderMesh, T_cam_obj: SE3, *, window: Window) -> Raster:
+        """See `Renderer.draw`. Refuses cameras with distortion."""
+        check_no_distortion(self.name, camera)
+        near, far = depth_range(mesh, T_cam_obj)
+        depth = np.zeros((window.height, window.width), np.float32)
+        face = np.full((window.height, window.width), -1, np.int32)
+        if far <= NEAR_M:
+            return Raster(depth, face)
+        near = max(near * 0.999 - 1e-4, NEAR_M)
+        far = max(far * 1.001 + 1e-4, near * 1.01)
+        pose = np.eye(4)
+        pose[:3, :3] = T_cam_obj.R
+        pose[:3, 3] = T_cam_obj.R @ mesh.centre + T_cam_obj.t
+        for y in range(0, window.height, _LARGEST_TILE):
+            for x in range(0, window.width, _LARGEST_TILE):
+                w = min(_LARGEST_TILE, window.width - x)
+                h = min(_LARGEST_TILE, window.height - y)
+                tile = self._canvas.draw(
+                    mesh,
+                    pose,
+                    camera.fx,
+                    camera.fy,
+                    camera.cx - window.x - x,
+                    camera.cy - window.y - y,
+                    w,
+                    h,
+                    near,
+                    far,
+                )
+                depth[y : y + h, x : x + w] = tile.depth
+                face[y : y + h, x : x + w] = tile.face
+        return Raster(depth, face)
+
+
+class GlCanvas:
+    """One off-screen GL context with the meshes uploaded to it.
+
+    Args:
+        platform: `egl` or `osmesa`; must not contradict an OpenGL loaded before.
+    """
+
+    def __init__(self, platform: str) -> None:
+        loaded = loaded_platform()
+        if loaded not in (None, platform):
+            raise ToolkitError(
+                f"OpenGL is bound to {loaded} in this process and cannot change to {platform}",
+                hint="set PYOPENGL_PLATFORM before the first import of OpenGL",
+            )
+        os.environ["PYOPENGL_PLATFORM"] = platform
+        if platform == "osmesa":
+            _complete_osmesa()
+        import pyrender
+
+        self._resizable = platform == "egl"
+        self._flags = pyrender.RenderFlags.SEG
+        self._size = (0, 0)
+        self._renderer: Any = None
+        self._scene = pyrender.Scene()
+        self._camera = pyrender.IntrinsicsCamera(1, 1, 0, 0)
+        self._scene.add(self._camera)
+        self._nodes: OrderedDict[int, tuple[RenderMesh, Any]] = OrderedDict()
+
+    def draw(
+        self,
+        mesh: RenderMesh,
+        pose: np.ndarray,
+        fx: float,
+        fy: float,
+        cx: float,
+        cy: float,
+        width: int,
+        height: int,
+        near: float,
+        far: float,
+    ) -> Raster:
+        """Draw a mesh, its centred vertices placed by the 4x4 `pose` in the OpenCV camera frame."""
+        self._fit(width, height)
+        camera = self._camera
+        # GL counts pixel centres from 0.5, this toolkit from 0.
+        camera.fx, camera.fy, camera.cx, camera.cy = fx, fy, cx + 0.5, cy + 0.5
+        camera.zfar = max(far, camera.znear * 2)  # its setters insist on near < far at all times
+        camera.znear, camera.zfar = near, far
+        node = self._node(mesh)
+        self._scene.set_pose(node, _GL_FROM_CV @ pose)
+        color, depth = self._renderer.render(self._scene, self._flags, {node: (0, 0, 0)})
+        color = color[:height, :width].astype(np.int32)
+        number = color[..., 0] + (color[..., 1] << 8) + (color[..., 2] << 16)
+        face = number - 1
+        drawn = number > 0
+        face[drawn] %= len(mesh.faces)
+        return Raster(np.where(drawn, depth[:height, :width], np.float32(0)), face)
+
+    def _fit(self, width: int, height: int) -> None:
+        """Make the drawing surface at least width x height.
+
+        Surfaces grow in steps, so that windows of about the same size share one. An OSMesa context
+        cannot change its size without being made anew, so there it only ever grows.
+        """
+        w, h = (-(-n // 64) * 64 for n in (width, height))
+        if not self._resizable:
+            w, h = max(w, self._size[0]), max(h, self._size[1])
+        if (w, h) == self._size:
+            return
+        if self._renderer is None:
+            self._renderer = self._make_renderer(w, h)
+        else:
+            self._renderer.viewport_width, self._renderer.viewport_height = w, h
+            if not self._resizable:
+                self._renderer.delete()
+                self._nodes.clear()
+                self._scene.mesh_nodes.copy()
+                for node in list(self._scene.mesh_nodes):
+                    self._scene.remove_node(node)
+                self._renderer = self._make_renderer(w, h)
+        self._size = (w, h)
+
+    @staticmethod
+    def _make_renderer(width: int, height: int) -> Any:
+        import pyrender
+        from pyrender.shader_program import ShaderProgramCache
+
+        renderer = pyrender.OffscreenRenderer(width, height)
+        folder = Path(tempfile.mkdtemp(prefix="std-toolkit-shaders-"))
+        (folder / "segmentation.vert").write_text(_VERTEX)
+        (folder / "segmentation.frag").write_text(_FRAGMENT)
+        renderer._renderer._program_cache = ShaderProgramCache(shader_dir=str(folder))
+        return renderer
+
+    def _node(self, mesh: RenderMesh) -> Any:
+        kept = self._nodes.get(id(mesh))
+        if kept is not None:
+            self._nodes.move_to_end(id(mesh))
+            return kept[1]
+        import pyrender
+
+        if len(mesh.faces) > _MAX_FACES:
+            raise ToolkitError(
+                "mesh has too many faces for the GL renderer",
+                field="faces",
+                value=len(mesh.faces),
+                hint=f"simplify it to at most {_MAX_FACES} faces or use --renderer raycast",
+            )
+        faces = mesh.faces
+        if not mesh.closed:  # pyrender culls back faces in this pass
+            faces = np.concatenate([faces, faces[:, ::-1]])
+        primitive = pyrender.Primitive(
+            positions=mesh.vertices.astype(np.float32), indices=faces.astype(np.uint32), mode=4
+        )
+        node = self._scene.add(pyrender.Mesh([primitive]))
+        self._nodes[id(mesh)] = (mesh, node)
+        while len(self._nodes) > _KEPT_MESHES:
+            _, (_, oldest) = self._nodes.popitem(last=False)
+            self._scene.remove_node(oldest)
+        return node
+
+
+def _complete_osmesa() -> None:
+    """Give PyOpenGL 3.1.0, which pyrender pins, the OSMesa call that pyrender needs.
+
+    Names and numbers are those of Mesa's GL/osmesa.h.
+    """
+    from OpenGL import osmesa
+
+    if hasattr(osmesa, "OSMesaCreateContextAttribs"):
+        return
+    from OpenGL import platform
+
+    library = platform.PLATFORM.OSMesa
+    # PyOpenGL keeps data per context in a dictionary, and its own pointer type cannot be a key.
+    platform.PLATFORM.GetCurrentContext.restype = ctypes.c_void_p
+    create = library.OSMesaCreateContextAttribs
+    create.argtypes = [ctypes.POINTER(ctypes.c_int), ctypes.c_void_p]
+    create.restype = osmesa.OSMesaContext
+
+    def create_context(attributes: Any, shared: Any) -> Any:
+        numbers = [int(n) for n in attributes]
+        return create((ctypes.c_int * len(numbers))(*numbers), shared)
+
+    osmesa.OSMesaCreateContextAttribs = create_context
+    osmesa.OSMESA_DEPTH_BITS = 0x30
+    osmesa.OSMESA_PROFILE = 0x33
+    osmesa.OSMESA_CORE_PROFILE = 0x34
+    osmesa.OSMESA_CONTEXT_MAJOR_VERSION = 0x36
+    osmesa.OSMESA_CONTEXT_MINOR_VERSION = 0x37
