@@ -1,0 +1,285 @@
+"""Intrinsics from flags and from the files that cameras and data sets come with."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera
+
+_LARGEST_FILE = 4 * 1024 * 1024
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+# How far the principal point of an uncropped image may lie from its middle, as a share of the
+# image. Half-size intrinsics put it at a quarter, those of a 4:3 image on 16:9 at two thirds.
+_OFF_CENTRE = 0.15
+_MATRIX_KEYS = ("K", "cam_K", "camera_matrix", "intrinsic_matrix", "intrinsics", "INTRINSICS")
+_SCALAR_KEYS = {
+    "fx": ("fx", "Fx", "fl_x", "focal_x"),
+    "fy": ("fy", "Fy", "fl_y", "focal_y"),
+    "cx": ("cx", "ppx", "PPX", "principal_x"),
+    "cy": ("cy", "ppy", "PPY", "principal_y"),
+}
+_DISTORTION_KEYS = (
+    "distortion", "distortion_coefficients", "coeffs", "Coeffs", "dist_coeffs", "dist", "D",
+)  # fmt: skip
+_SIZE_KEYS = (("width", "w", "xres", "image_width"), ("height", "h", "yres", "image_height"))
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """Intrinsics as read; pixels, centre of the top-left pixel at (0, 0).
+
+    Attributes:
+        size: (width, height) if the source told it.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+    size: tuple[int, int] | None = None
+
+    def camera(self, size: tuple[int, int], *, path: str, off_centre: bool = False) -> Camera:
+        """The camera of images of `size`.
+
+        Raises:
+            ToolkitError: the intrinsics belong to another size.
+        """
+        shown = f"{size[0]}x{size[1]}"
+        if self.size is not None and self.size != size:
+            raise ToolkitError(
+                f"intrinsics are for {self.size[0]}x{self.size[1]} images, these are {shown}",
+                path=path,
+                hint="give the intrinsics of the images' own size",
+            )
+        try:
+            camera = Camera(*size, self.fx, self.fy, self.cx, self.cy, self.distortion)
+        except ToolkitError as error:
+            raise ToolkitError(
+                error.problem, path=path, field=error.field, value=error.value, hint=error.hint
+            ) from error
+        for name, value, extent in (("cx", self.cx, size[0]), ("cy", self.cy, size[1])):
+            if not off_centre and abs((value + 0.5) / extent - 0.5) > _OFF_CENTRE:
+                raise ToolkitError(
+                    f"does not fit {shown} images: the middle is at {(extent - 1) / 2:g}",
+                    path=path,
+                    field=name,
+                    value=value,
+                    hint="intrinsics of another image size? for cropped images give --off-centre",
+                )
+        return camera
+
+
+def read_intrinsics(text: str, *, size: tuple[int, int] | None = None) -> Intrinsics:
+    """Intrinsics from "fx,fy,cx,cy" or from a file.
+
+    Files: JSON with a matrix (`K`, `cam_K`, `camera_matrix`, Open3D's column-major
+    `intrinsic_matrix`) or with `fx fy cx cy` / `fx fy ppx ppy coeffs` (RealSense); YAML of the
+    same keys, flat or as ROS writes it; plain text with 3x3, 3x4, 4x4 or 4 numbers; the output of
+    `rs-enumerate-devices -c` (the colour stream of the images' size is taken).
+
+    Args:
+        text: the flag's value.
+        size: of the images, to choose among several sets.
+
+    Raises:
+        ToolkitError: unreadable or incomplete.
+    """
+    numbers = [p.strip() for p in text.split(",")]
+    if len(numbers) == 4 and all(re.fullmatch(_NUMBER, p) for p in numbers):
+        fx, fy, cx, cy = (float(p) for p in numbers)
+        return Intrinsics(fx, fy, cx, cy)
+    path = Path(text)
+    if not path.is_file():
+        raise ToolkitError(
+            "no such intrinsics file",
+            path=text,
+            hint="give a file, or four numbers: --intrinsics fx,fy,cx,cy",
+        )
+    if path.stat().st_size > _LARGEST_FILE:
+        raise ToolkitError("the intrinsics file is implausibly large", path=path)
+    try:
+        content = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ToolkitError("the intrinsics file is not text", path=path) from error
+    if 'Intrinsic of "' in content:
+        return _from_realsense_dump(content, path, size)
+    if content.lstrip().startswith(("{", "[")):
+        try:
+            data = json.loads(content)
+        except (ValueError, RecursionError) as error:
+            raise ToolkitError(f"not valid JSON: {error}", path=path) from error
+        return _from_mapping(data if isinstance(data, dict) else {"K": data}, path)
+    if re.search(r"^\s*[A-Za-z_]\w*\s*:", content, re.MULTILINE):
+        return _from_mapping(_parse_flat_yaml(content), path)
+    plain = [line.split("#")[0].replace(",", " ") for line in content.splitlines()]
+    words = " ".join(plain).split()
+    if words and all(re.fullmatch(_NUMBER + "|nan|inf", w, re.IGNORECASE) for w in words):
+        return _from_matrix([float(w) for w in words], path, "K")
+    raise ToolkitError(
+        "no intrinsics found in the file",
+        path=path,
+        hint="JSON, YAML or plain text with K or fx fy cx cy",
+    )
+
+
+def parse_distortion(text: str) -> tuple[float, ...]:
+    """Coefficients from "k1,k2,p1,p2[,k3[,k4,k5,k6]]".
+
+    Raises:
+        ToolkitError: not numbers.
+    """
+    try:
+        return tuple(float(p) for p in text.split(","))
+    except ValueError as error:
+        raise ToolkitError(
+            "distortion is k1,k2,p1,p2[,k3[,k4,k5,k6]]", field="--distortion", value=text
+        ) from error
+
+
+def _from_mapping(data: dict[str, Any], path: Path) -> Intrinsics:
+    for section in ("color", "colour", "rgb", "intrinsics", "camera", "color_intrinsics"):
+        inner = data.get(section)
+        if isinstance(inner, dict) and not any(k in data for k in ("K", "fx", "cam_K")):
+            return _from_mapping(inner, path)
+    distortion = _distortion(data, path)
+    size = _size(data, path)
+    for key in _MATRIX_KEYS:
+        if key in data:
+            values = _flatten(data[key], path, key)
+            if key == "intrinsic_matrix" and len(values) == 9 and values[2] == values[5] == 0:
+                # Open3D writes its matrix column by column.
+                values = [values[i] for i in (0, 3, 6, 1, 4, 7, 2, 5, 8)]
+            found = _from_matrix(values, path, key)
+            return Intrinsics(found.fx, found.fy, found.cx, found.cy, distortion, size)
+    scalars = []
+    for name, aliases in _SCALAR_KEYS.items():
+        alias = next((a for a in aliases if a in data), None)
+        if alias is None:
+            raise ToolkitError(
+                "intrinsics are incomplete", path=path, field=name, hint="K, or fx fy cx cy"
+            )
+        scalars.append(_number(data[alias], path, alias))
+    fx, fy, cx, cy = scalars
+    return Intrinsics(fx, fy, cx, cy, distortion, size)
+
+
+def _from_matrix(values: list[float], path: Path, field: str) -> Intrinsics:
+    if len(values) == 4:
+        fx, fy, cx, cy = (_number(v, path, field) for v in values)
+        return Intrinsics(fx, fy, cx, cy)
+    width = {9: 3, 12: 4, 16: 4}.get(len(values))
+    if width is None:
+        raise ToolkitError("K needs 9 numbers (3x3)", path=path, field=field, value=len(values))
+    K = [[_number(v, path, field) for v in values[r * width :][:3]] for r in range(3)]
+    if K[2] != [0, 0, 1] or K[1][0] != 0:
+        raise ToolkitError(
+            "this is not a camera matrix (its last row is 0 0 1)", path=path, field=field, value=K
+        )
+    if abs(K[0][1]) > 1e-6 * abs(K[0][0]):
+        raise ToolkitError("a skewed K is not supported", path=path, field=field, value=K[0][1])
+    return Intrinsics(K[0][0], K[1][1], K[0][2], K[1][2])
+
+
+def _distortion(data: dict[str, Any], path: Path) -> tuple[float, ...]:
+    key = next((k for k in _DISTORTION_KEYS if k in data), None)
+    if key is not None:
+        values = _flatten(data[key], path, key)
+    else:
+        named = [data.get(k, 0.0) for k in ("k1", "k2", "p1", "p2", "k3")]
+        values = [_number(v, path, "k1..k3") for v in named]
+    if not any(values):
+        return ()
+    model = str(data.get("model", data.get("distortion_model", ""))).lower()
+    if any(word in model for word in ("inverse", "fisheye", "equidistant", "kannala", "f-theta")):
+        raise ToolkitError(
+            "this distortion model is not OpenCV's",
+            path=path,
+            value=model,
+            hint="undistort the images first, or give --distortion k1,k2,p1,p2,k3",
+        )
+    while len(values) > 5 and len(values) != 8:
+        if values.pop():
+            raise ToolkitError("too many distortion coefficients", path=path, field=key)
+    return tuple(values)
+
+
+def _size(data: dict[str, Any], path: Path) -> tuple[int, int] | None:
+    keys = [next((a for a in aliases if a in data), None) for aliases in _SIZE_KEYS]
+    if keys[0] is None or keys[1] is None:
+        return None
+    width, height = (_number(data[k], path, k) for k in keys if k is not None)
+    return int(width), int(height)
+
+
+def _flatten(value: Any, path: Path, field: str) -> list[float]:
+    if isinstance(value, dict) and "data" in value:
+        value = value["data"]
+    if not isinstance(value, list):
+        raise ToolkitError("must be a list of numbers", path=path, field=field, value=value)
+    flat: list[float] = []
+    for item in value:
+        flat.extend(
+            _flatten(item, path, field) if isinstance(item, list) else [_number(item, path, field)]
+        )
+    return flat
+
+
+def _number(value: Any, path: Path, field: str | None) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ToolkitError("must be a finite number", path=path, field=field, value=value)
+    return float(value)
+
+
+def _parse_flat_yaml(content: str) -> dict[str, Any]:
+    """`key: number`, `key: text` and `key: [numbers]` (also over several lines); a `data:` list
+    belongs to the key of the section it stands in, as in ROS's camera files."""
+    lines = [re.sub(r"\s#.*$|^#.*$", "", line) for line in content.splitlines()]
+    text = "\n".join(lines)
+    found: dict[str, Any] = {}
+    section = ""
+    entry = re.compile(r"^([ \t-]*)([A-Za-z_]\w*)[ \t]*:[ \t]*(\[[^\]]*\]|[^\n]*)", re.MULTILINE)
+    for match in entry.finditer(text):
+        indent, key, value = match.group(1), match.group(2), match.group(3).strip()
+        if not indent:
+            section = key
+        if value.startswith("["):
+            numbers = re.findall(_NUMBER + r"|\.?nan|\.?inf", value, re.IGNORECASE)
+            name = section if key == "data" else key
+            found[name] = [float(n.lstrip(".") if n[-1].isalpha() else n) for n in numbers]
+        elif re.fullmatch(_NUMBER, value):
+            found.setdefault(key, float(value))
+        elif value:
+            found.setdefault(key, value.strip("'\""))
+    return found
+
+
+def _from_realsense_dump(content: str, path: Path, size: tuple[int, int] | None) -> Intrinsics:
+    blocks = re.findall(
+        r'Intrinsic of "Color" / (\d+)x(\d+) /[^\n]*\n(.*?)(?=\n\s*\n|\Z)', content, re.DOTALL
+    )
+    sizes = [(int(w), int(h)) for w, h, _ in blocks]
+    chosen = [body for (w, h, body) in blocks if (int(w), int(h)) == size]
+    if not chosen:
+        raise ToolkitError(
+            "no intrinsics of the colour stream at the images' size",
+            path=path,
+            value=None if size is None else f"{size[0]}x{size[1]}",
+            hint="sizes in the file: " + ", ".join(f"{w}x{h}" for w, h in dict.fromkeys(sizes)),
+        )
+    fields: dict[str, Any] = {}
+    for line in chosen[0].splitlines():
+        key, _, value = line.partition(":")
+        numbers = value.split()
+        if key.strip() == "Distortion":
+            fields["model"] = value.strip()
+        elif numbers and all(re.fullmatch(_NUMBER, n) for n in numbers):
+            plain = [float(n) for n in numbers]
+            fields[key.strip()] = plain if len(plain) > 1 else plain[0]
+    return _from_mapping(fields, path)

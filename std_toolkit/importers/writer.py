@@ -1,0 +1,268 @@
+"""Writes what an importer found as a scene: all of it or nothing."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.importers.depth_source import check_unit, read_foreign_depth
+from std_toolkit.importers.protocol import LinkMode, Recording, SourceFile, SourceFrame
+from std_toolkit.importers.staging import new_folder
+from std_toolkit.io.exr import write_exr
+from std_toolkit.io.images import read_color, read_png, write_png
+from std_toolkit.jobs import JobOptions, run_jobs
+from std_toolkit.log import logger
+from std_toolkit.scene.model import CameraModel, Frame, Frames, ObjectTable, SceneInfo
+from std_toolkit.scene.scene import Scene
+
+# Below this many frames, starting worker processes costs more than it saves.
+_SERIAL_BELOW = 48
+
+
+@dataclass(frozen=True)
+class Written:
+    """What became of one frame: its row, and the median of its measured depth in metres."""
+
+    frame: Frame
+    depth_median_m: float | None
+    has_depth: bool
+
+
+def write_recording(
+    recording: Recording,
+    out: Path,
+    *,
+    name: str,
+    link: LinkMode = "copy",
+    options: JobOptions | None = None,
+) -> Scene:
+    """Make the scene `out` from a recording.
+
+    Args:
+        name: of the scene.
+        link: "copy" images, or "hard"- or "sym"-link those that need no conversion.
+        options: where the frames are read and written.
+
+    Raises:
+        ToolkitError: an image is damaged or of the wrong size, depth is in another unit, or there
+            is something at `out`. Nothing is left behind.
+    """
+    if not recording.frames:
+        raise ToolkitError("the recording holds no frames", path=out)
+    info = SceneInfo(
+        name=name,
+        cameras=recording.cameras,
+        depth_scale=recording.depth_scale,
+        depth_correction=recording.depth_correction,
+        source=recording.source,
+    )
+    if options is None and len(recording.frames) < _SERIAL_BELOW:
+        options = JobOptions(engine="serial")
+    with new_folder(out) as staging:
+        job = partial(
+            _write_frame,
+            root=staging,
+            cameras=recording.cameras,
+            depth_scale=recording.depth_scale,
+            link=link,
+        )
+        report = run_jobs(
+            job, recording.frames, name="import", key=lambda f: f.name, options=options
+        )
+        report.raise_if_failed()
+        _check_depth_unit(recording, list(report.results.values()))
+        _write_models(recording, staging)
+        # An importer's poses and labels are validated against the tables by opening the scene.
+        scene = Scene.create(
+            staging,
+            info,
+            Frames(frames=[w.frame for w in report.results.values()]),
+            ObjectTable(
+                models=[m.model for m in recording.models], objects=list(recording.objects)
+            ),
+        )
+        if recording.poses is not None:
+            scene.save_poses(recording.poses)
+        if recording.labels is not None:
+            scene.save_labels(recording.labels)
+        checked = Scene.open(staging)
+        _ = checked.poses, checked.labels
+    for note in recording.notes:
+        logger.warning("%s", note)
+    return Scene.open(out)
+
+
+def _write_frame(
+    frame: SourceFrame,
+    *,
+    root: Path,
+    cameras: dict[str, CameraModel],
+    depth_scale: float | None,
+    link: LinkMode,
+) -> Written:
+    camera = cameras[frame.camera]
+    size = (camera.width, camera.height)
+    color = _write_color(frame.color, root, size, link)
+    depth = None
+    median: float | None = None
+    if frame.depth is not None:
+        depth, median = _write_depth(frame.depth, root, size, depth_scale, link)
+    for extra in frame.reference:
+        _write_reference(extra, root, size, link)
+    row = Frame(
+        id=frame.id,
+        name=frame.name,
+        color=color,
+        depth=depth,
+        camera=frame.camera,
+        timestamp=frame.timestamp,
+    )
+    return Written(row, median, depth is not None)
+
+
+def _write_color(file: SourceFile, root: Path, size: tuple[int, int], link: LinkMode) -> str:
+    # Decoded once, so that a damaged image is found now and not in the middle of a later step.
+    read_color(file.source, size=size)
+    target = file.target + file.source.suffix.lower()
+    _place(file.source, root / target, link)
+    return target
+
+
+def _write_depth(
+    file: SourceFile,
+    root: Path,
+    size: tuple[int, int],
+    scene_scale: float | None,
+    link: LinkMode,
+) -> tuple[str, float | None]:
+    depth = read_foreign_depth(file.source, size=size)
+    values: Any = depth.values
+    unit = 1.0
+    if values.dtype == np.uint16:
+        if file.depth_scale is None:
+            raise ToolkitError(
+                "16-bit depth needs its unit", path=file.source, hint="give --depth-scale"
+            )
+        unit = file.depth_scale
+    measured = values[values > 0]
+    median = float(np.median(measured)) * unit if measured.size else None
+    if values.dtype == np.uint16 and unit == scene_scale:
+        target = file.target + ".png"
+        if depth.converted:
+            write_png(root / target, values)
+        else:
+            _place(file.source, root / target, link)
+    else:
+        # Another unit than the scene's would have to be rounded to it; EXR keeps it.
+        target = file.target + ".exr"
+        metres = values if unit == 1.0 else values.astype(np.float32) * np.float32(unit)
+        write_exr(root / target, {"Y": metres})
+    return target, median
+
+
+def _write_reference(file: SourceFile, root: Path, size: tuple[int, int], link: LinkMode) -> None:
+    target = root / (file.target + file.source.suffix.lower())
+    if file.kind == "color":
+        _write_color(file, root, size, link)
+    elif file.kind == "depth":
+        own = size if file.same_size else _size_of(file.source)
+        depth = read_foreign_depth(file.source, size=own)
+        metres = depth.values
+        if metres.dtype == np.uint16:
+            metres = metres.astype(np.float32) * np.float32(file.depth_scale or 0.001)
+        write_exr(target.with_suffix(".exr"), {"Y": metres})
+    elif file.kind == "mask":
+        mask = read_mask_source(file.source, size=size if file.same_size else None)
+        if file.background is not None:
+            mask = np.where(mask == file.background, np.zeros((), mask.dtype), mask)
+        write_png(target.with_suffix(".png"), mask)
+    else:
+        if file.source.suffix.lower() == ".png":
+            read_png(file.source, size=size if file.same_size else None)
+        _place(file.source, target, link)
+
+
+def read_mask_source(path: Path, *, size: tuple[int, int] | None) -> np.ndarray:
+    """Instance ids (H, W) uint8 or uint16 of a foreign mask.
+
+    A PNG holds the ids, in one channel or in equal ones; DREDS's EXR holds id/255 as float in
+    channel R. They are rounded: the public loader truncates, which half floats get wrong.
+
+    Raises:
+        ToolkitError: unreadable, of another size, or no mask.
+    """
+    from std_toolkit.importers.depth_source import check_aligned
+    from std_toolkit.io.exr import exr_size, read_exr
+
+    if path.suffix.lower() == ".exr":
+        if size is not None:
+            check_aligned(path, exr_size(path), size)
+        channels = read_exr(path)
+        values = channels.get("R", next(iter(channels.values()))).astype(np.float64) * 255
+        if not np.isfinite(values).all() or values.min() < 0 or values.max() > 255.5:
+            raise ToolkitError("a mask in EXR holds id/255 between 0 and 1", path=path)
+        return np.rint(values).astype(np.uint8)
+    image = read_png(path, size=size)
+    if image.ndim == 3:
+        if not (image == image[..., :1]).all():
+            raise ToolkitError("a mask holds ids in one channel or in equal ones", path=path)
+        image = np.ascontiguousarray(image[..., 0])
+    return image
+
+
+def _size_of(path: Path) -> tuple[int, int]:
+    from std_toolkit.io.images import image_size
+
+    return image_size(path)
+
+
+def _place(source: Path, target: Path, link: LinkMode) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    source = source.resolve()
+    if link == "hard":
+        try:
+            target.hardlink_to(source)
+        except OSError as error:
+            if error.errno not in (errno.EXDEV, errno.EPERM, errno.EMLINK, errno.EACCES):
+                raise
+            target.symlink_to(source)
+    elif link == "sym":
+        target.symlink_to(source)
+    else:
+        shutil.copyfile(source, target)
+        with target.open("rb") as file:
+            os.fsync(file.fileno())
+
+
+def _check_depth_unit(recording: Recording, written: list[Written]) -> None:
+    medians = [w.depth_median_m for w in written if w.depth_median_m is not None]
+    first = next((f.depth.source.parent for f in recording.frames if f.depth is not None), None)
+    if first is None:
+        return
+    if not medians:
+        raise ToolkitError("no depth image holds a single measurement", path=first)
+    check_unit(float(np.median(medians)), path=first, depth_scale=recording.depth_scale)
+    empty = [w.frame.name for w in written if w.has_depth and w.depth_median_m is None]
+    if empty:
+        logger.warning("depth is empty in %d frames: %s", len(empty), ", ".join(empty[:5]))
+
+
+def _write_models(recording: Recording, root: Path) -> None:
+    for model in recording.models:
+        target = root / model.model.mesh
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if model.copy:
+            for path in model.copy:
+                shutil.copyfile(path, target.parent / path.name)
+        else:
+            from std_toolkit.importers.mesh_files import write_mesh
+
+            write_mesh(target, model.load())
