@@ -35,30 +35,56 @@ def render_frame(
 ) -> FrameMaps:
     """Render one frame; colour has samples x samples rays a pixel, depth the centre ray."""
     rays = camera.rays().reshape(-1, 3)
-    eye = np.broadcast_to(T_world_cam.t, rays.shape)
     along = rays @ T_world_cam.R.T
+    eye = np.broadcast_to(T_world_cam.t, along.shape)
     # The ray parameter of a ray with z = 1 is the z-depth.
     hits = world.cast(eye, along)
     behind = world.cast(eye, along, through_glass=True)
     shape = (camera.height, camera.width)
+    ids = np.maximum(hits.entity - 1, 0).reshape(shape)
+    light = world.shade(hits, _unit(along))
+    fine = np.flatnonzero(_needs_samples(ids, hits.entity.reshape(shape)))
+    light[fine] = _supersampled(world, rays[fine], camera, T_world_cam, samples)
     return FrameMaps(
-        _colour(world, camera, T_world_cam, rng, samples),
+        _develop(light.reshape(*shape, 3), rng),
         np.where(np.isfinite(hits.t), hits.t, 0).reshape(shape),
         np.where(np.isfinite(behind.t), behind.t, 0).reshape(shape),
-        np.maximum(hits.entity - 1, 0).reshape(shape),
+        ids,
     )
 
 
-def _colour(
-    world: World, camera: Camera, T_world_cam: SE3, rng: np.random.Generator, samples: int
-) -> NDArray[np.uint8]:
-    # A pixel of the fine grid covers 1/samples of a pixel: `resized` keeps image edges, so the
-    # mean over the block is centred on the pixel centre.
-    fine = camera.resized(camera.width * samples, camera.height * samples)
-    rays = fine.rays().reshape(-1, 3) @ T_world_cam.R.T
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    light = world.radiance(np.broadcast_to(T_world_cam.t, rays.shape), rays)
-    image = np.clip(light, 0, 1).astype(np.float32).reshape(fine.height, fine.width, 3)
-    image = np.asarray(cv2.resize(image, camera.size, interpolation=cv2.INTER_AREA))
-    encoded = image ** (1 / 2.2) + rng.normal(0, 0.008, image.shape)
+def _needs_samples(ids: NDArray[np.int64], entity: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Pixels at the border between two surfaces, where one ray would leave a jagged edge."""
+    surface = (entity + 1).astype(np.uint8)
+    near = np.ones((3, 3), np.uint8)
+    border = cv2.dilate(surface, near) != cv2.erode(surface, near)
+    # Mirrors and glass show borders of other things inside their own.
+    return np.asarray(border | (cv2.dilate((ids > 0).astype(np.uint8), near) > 0))
+
+
+def _supersampled(
+    world: World,
+    rays: NDArray[np.float64],
+    camera: Camera,
+    T_world_cam: SE3,
+    samples: int,
+) -> NDArray[np.float64]:
+    """Mean radiance (N, 3) over samples x samples rays inside each pixel."""
+    offsets = (np.arange(samples) + 0.5) / samples - 0.5
+    total = np.zeros((len(rays), 3))
+    for dx in offsets:
+        for dy in offsets:
+            shifted = rays + np.array([dx / camera.fx, dy / camera.fy, 0.0])
+            along = _unit(shifted @ T_world_cam.R.T)
+            total += world.radiance(np.broadcast_to(T_world_cam.t, along.shape), along)
+    return total / samples**2
+
+
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def _develop(light: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Linear radiance to 8-bit colour, with the camera's noise."""
+    encoded = np.clip(light, 0, 1) ** (1 / 2.2) + rng.normal(0, 0.008, light.shape)
     return np.clip(encoded * 255 + 0.5, 0, 255).astype(np.uint8)

@@ -83,8 +83,8 @@ def tumbler(radius: float, height: float, wall: float = 0.003) -> trimesh.Trimes
             (foot, 0),
             (radius, height),
             (radius - wall, height),
-            (foot - wall, 0.012),
-            (0, 0.012),
+            (foot - wall, base),
+            (0, base),
         ]
     )
 
@@ -103,7 +103,10 @@ def mug(radius: float, height: float, wall: float = 0.004) -> trimesh.Trimesh:
         axis=1,
     )
     arc[[0, -1], 0] = r - 0.5 * wall
-    return _centred(trimesh.util.concatenate(cup, _tube(arc, 0.1 * r + 0.001)))
+    handle = _tube(arc, 0.1 * r + 0.001)
+    vertices = np.concatenate([cup.vertices, handle.vertices])
+    faces = np.concatenate([cup.faces, handle.faces + len(cup.vertices)])
+    return _centred(trimesh.Trimesh(vertices, faces, process=False))
 
 
 # The objects of the default recording: four that a stereo sensor sees, two that it does not.

@@ -48,9 +48,7 @@ def printed_texture(
         elif kind == 2:
             end = (x + int(rng.uniform(-2, 2) * extent), y + int(rng.uniform(-2, 2) * extent))
             thick = max(1, int(extent * 0.15))
-            cv2.line(
-                image, (x, y), (x + int(ends[0]), y + int(ends[1])), colour, thick, cv2.LINE_AA
-            )
+            cv2.line(image, (x, y), end, colour, thick, cv2.LINE_AA)
         else:
             word = _WORDS[rng.integers(len(_WORDS))]
             scale = max(0.3, extent / 22)

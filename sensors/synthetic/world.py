@@ -104,9 +104,10 @@ class World:
 
     def radiance(self, origins: Array, directions: Array, *, bounces: int = 2) -> Array:
         """(N, 3) linear RGB that arrives along unit directions (N, 3) from origins (N, 3)."""
-        return self._shade(self.cast(origins, directions), directions, bounces)
+        return self.shade(self.cast(origins, directions), directions, bounces=bounces)
 
-    def _shade(self, hits: Hits, directions: Array, bounces: int) -> Array:
+    def shade(self, hits: Hits, directions: Array, *, bounces: int = 2) -> Array:
+        """(N, 3) linear RGB of hits, seen along unit directions (N, 3)."""
         colour = _sky(directions)
         hit = hits.entity >= 0
         kinds = np.array([0, 0, *(_KIND[s.material] for s in self.shapes)])
@@ -136,7 +137,7 @@ class World:
         bent = d - (1 - 1 / GLASS_INDEX) * (1 - cosine) * 1.3 * n
         bent /= np.linalg.norm(bent, axis=1, keepdims=True)
         behind = self.cast(hits.points[rows] - 1e-5 * n, bent, through_glass=True)
-        clear = self._shade(behind, bent, 0)
+        clear = self.shade(behind, bent, bounces=0)
         tint = np.array([0.90, 0.95, 0.93]) * (0.45 + 0.55 * np.clip(cosine, 0, 1) ** 0.6)
         return fresnel * mirror + (1 - fresnel) * clear * tint
 
