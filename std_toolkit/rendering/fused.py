@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 OCCLUDER_FILE = "gt/occluders.ply"
 _STEP = "render-occluders"
 _MOST_FRAMES = 48
+_TRUNCATION_VOXELS = 4.0
+_HALF_PIXEL = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 _OUTLINE_MARGIN_PX = 7
 _LARGEST_DEPTH_STEP = 0.03
 _SMALLEST_PIECE_M2 = 4e-4
@@ -124,11 +126,15 @@ def _fuse(
 ) -> tuple[np.ndarray, np.ndarray]:
     import open3d as o3d
 
-    integration = o3d.pipelines.integration
-    volume = integration.ScalableTSDFVolume(
-        voxel_length=options.voxel_m,
-        sdf_trunc=4 * options.voxel_m,
-        color_type=integration.TSDFVolumeColorType.NoColor,
+    core = o3d.core
+    channels: Any = (1, 1)
+    grid = o3d.t.geometry.VoxelBlockGrid(
+        attr_names=("tsdf", "weight"),
+        attr_dtypes=(core.float32, core.float32),
+        attr_channels=channels,
+        voxel_size=options.voxel_m,
+        block_resolution=16,
+        block_count=4000,
     )
     renderer = RaycastRenderer(threads=0)
     for frame_id in frames:
@@ -143,25 +149,30 @@ def _fuse(
             camera = camera.without_distortion()
         placed = place_meshes(scene, frame_placements(scene, frame_id))
         depth, farthest = _trusted_depth(scene, sensor, camera, placed, renderer, options)
-        reading: Any = np.ascontiguousarray(depth, np.float32)
-        colour: Any = np.zeros((*depth.shape, 3), np.uint8)
-        volume.integrate(
-            o3d.geometry.RGBDImage.create_from_color_and_depth(
-                o3d.geometry.Image(colour),
-                o3d.geometry.Image(reading),
-                depth_scale=1.0,
-                depth_trunc=farthest,
-                convert_rgb_to_intensity=False,
-            ),
-            # Open3D projects with pixel centres at integers too.
-            o3d.camera.PinholeCameraIntrinsic(
-                camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
-            ),
-            T_world_cam.inverse().matrix(),
+        reading = o3d.t.geometry.Image(
+            core.Tensor.from_numpy(np.ascontiguousarray(depth, np.float32))
         )
-    mesh = volume.extract_triangle_mesh()
-    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.triangles)
+        # Here Open3D rounds projections down, as if pixel centres lay at 0.5: shift ours there.
+        K = core.Tensor.from_numpy(camera.K + _HALF_PIXEL)
+        pose = core.Tensor.from_numpy(T_world_cam.inverse().matrix())
+        view = (reading, K, pose, 1.0, farthest, _TRUNCATION_VOXELS)
+        grid.integrate(grid.compute_unique_block_coordinates(*view), *view)
+    mesh = grid.extract_triangle_mesh(weight_threshold=min(3.0, len(frames) / 4))
+    if len(mesh.vertex) == 0 or len(mesh.triangle) == 0:
+        return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+    vertices, faces = _in_order(
+        mesh.vertex.positions.numpy().astype(np.float64), mesh.triangle.indices.numpy()
+    )
     return _cut(scene, vertices, faces, options)
+
+
+def _in_order(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same mesh in an order that does not depend on how threads took turns."""
+    vertices, renumbered = np.unique(vertices, axis=0, return_inverse=True)
+    faces = renumbered.reshape(-1)[faces]
+    first = faces.argmin(axis=1)[:, None]
+    faces = np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1)
+    return vertices, np.unique(faces, axis=0)
 
 
 def _undistorted(depth: np.ndarray, camera: Camera) -> np.ndarray:
