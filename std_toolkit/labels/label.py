@@ -1,0 +1,231 @@
+"""Objects of a scene and their annotated poses: what the command line and a GUI both call."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import get_args
+
+import msgspec
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.mesh import load_mesh, mesh_bounds, mesh_diameter
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.meshfiles import plan_mesh_copy, write_mesh_copy
+from std_toolkit.labels.posefile import check_in_front
+from std_toolkit.scene.model import (
+    CATEGORY_CLASS_IDS,
+    Label,
+    Labels,
+    Material,
+    Model,
+    Object,
+    ObjectTable,
+    SymmetryModel,
+)
+from std_toolkit.scene.names import check_name, safe_name
+from std_toolkit.scene.scene import Scene
+
+MATERIALS: tuple[str, ...] = get_args(Material)
+
+
+def add_model(
+    scene: Scene,
+    mesh: Path | str,
+    *,
+    mesh_unit: str = "m",
+    category: str = "other",
+    symmetry: SymmetryModel | None = None,
+    model_id: str | None = None,
+) -> Model:
+    """Copy a mesh with its textures into the scene and enter it in objects.json.
+
+    The caller holds the scene's lock.
+
+    Args:
+        mesh: file to copy to `models/<id>/`; stored in metres.
+        mesh_unit: unit of the file: "m", "cm" or "mm".
+        category: such as "mug".
+        symmetry: in the mesh frame, metres.
+        model_id: default: from the file's name.
+
+    Returns:
+        The model, with its size and diameter. A model of the same id is returned as it is when
+        its mesh is the same; its category and symmetry are then brought up to date.
+
+    Raises:
+        ToolkitError: an unreadable mesh, one of implausible size (a wrong unit), or a model of
+            this id with another mesh.
+    """
+    source = Path(mesh)
+    model_id = check_name(model_id or safe_name(source.stem), field="model")
+    check_name(category, field="category")
+    files = plan_mesh_copy(source, unit=mesh_unit)
+    folder = scene.root / "models" / model_id
+    relative = f"models/{model_id}/{next(iter(files))}"
+    known = next((m for m in scene.objects.models if m.id == model_id), None)
+    if known is not None and not _same_mesh(scene, known, relative, files):
+        raise ToolkitError(
+            "there is a model of this id with another mesh",
+            path=source,
+            value=model_id,
+            hint="choose another --model",
+        )
+    path = write_mesh_copy(folder, files)
+    loaded = load_mesh(path)
+    low, high = mesh_bounds(loaded)
+    model = Model(
+        id=model_id,
+        mesh=relative,
+        category=category,
+        class_id=CATEGORY_CLASS_IDS.get(category, 0),
+        # A flat mesh (a printed sheet) has an extent of zero; the document asks for a size.
+        size_m=[float(max(x, 1e-9)) for x in high - low],
+        diameter_m=mesh_diameter(loaded),
+        symmetry=symmetry or (known.symmetry if known is not None else SymmetryModel()),
+    )
+    models = [m for m in scene.objects.models if m.id != model_id]
+    scene.save_objects(
+        ObjectTable(
+            models=sorted([*models, model], key=lambda m: m.id), objects=scene.objects.objects
+        )
+    )
+    return model
+
+
+def add_object(
+    scene: Scene,
+    name: str,
+    *,
+    model: str,
+    material: str = "diffuse",
+    object_id: int | None = None,
+) -> Object:
+    """Enter a physical object in objects.json, or change the material of one that is there.
+
+    The caller holds the scene's lock.
+
+    Args:
+        name: unique in the scene.
+        model: id of a model of the scene.
+        material: decides which evidence may be trusted: "raw", "diffuse", "specular",
+            "transparent".
+        object_id: 1..254; default: the smallest free one.
+
+    Raises:
+        ToolkitError: unknown model or material, or the name belongs to an object of another
+            model.
+    """
+    check_name(name, field="object")
+    scene.objects.model(model)
+    if material not in MATERIALS:
+        raise ToolkitError(
+            "unknown material", value=material, hint=f"one of {', '.join(MATERIALS)}"
+        )
+    table = scene.objects.objects
+    known = next((o for o in table if o.name == name), None)
+    if known is not None and known.model != model:
+        raise ToolkitError(
+            f"this object is of model {known.model}",
+            field="object",
+            value=name,
+            hint="choose another name",
+        )
+    taken = {o.id for o in table}
+    number = known.id if known is not None else object_id
+    if number is None:
+        number = next((i for i in range(1, 255) if i not in taken), None)
+    if number is None or not 1 <= number <= 254 or (known is None and number in taken):
+        raise ToolkitError(
+            "no such free object id", field="object_id", value=number, hint="ids are 1 to 254"
+        )
+    thing = Object(id=number, name=name, model=model, material=material)  # type: ignore[arg-type]
+    others = [o for o in table if o.id != number]
+    scene.save_objects(
+        ObjectTable(
+            models=scene.objects.models, objects=sorted([*others, thing], key=lambda o: o.id)
+        )
+    )
+    return thing
+
+
+def set_pose(
+    scene: Scene,
+    object_name: str,
+    frame: int,
+    T_cam_obj: SE3,
+    *,
+    method: str = "file",
+    annotator: str = "",
+    as_view: bool = False,
+) -> Label:
+    """Annotate an object's pose in one frame.
+
+    What was derived from an earlier annotation (world pose, refinement, covariance) is dropped:
+    propagate again. The caller holds the scene's lock.
+
+    Args:
+        object_name: name of an object of the scene.
+        frame: id of the annotated frame; it need not be registered (yet).
+        T_cam_obj: mesh frame to that frame's camera, metres.
+        method: how it was found: "file", "pnp", "import:bop", "gui".
+        annotator: who did it.
+        as_view: keep the label's frame and add this one as a further annotated view. Without it
+            the annotation replaces all of the object's earlier ones.
+
+    Raises:
+        ToolkitError: unknown object or frame, or a pose behind the camera or out of reach.
+    """
+    target = scene.objects.object_named(object_name)
+    scene.frame(frame)
+    check_in_front(T_cam_obj)
+    old = scene.labels.of(target.id)
+    if as_view and old is not None and old.frame != frame:
+        views = {**old.views, str(frame): T_cam_obj.flat()}
+        label = Label(
+            object=target.id,
+            frame=old.frame,
+            T_cam_obj=old.T_cam_obj,
+            method=old.method,
+            annotator=old.annotator,
+            views=dict(sorted(views.items(), key=lambda kv: int(kv[0]))),
+        )
+    else:
+        kept = old.views if as_view and old is not None else {}
+        label = Label(
+            object=target.id,
+            frame=frame,
+            T_cam_obj=T_cam_obj.flat(),
+            method=method,
+            annotator=annotator,
+            views=kept,
+        )
+    scene.save_labels(scene.labels.with_label(label))
+    return label
+
+
+def remove_label(scene: Scene, object_name: str) -> None:
+    """Drop an object's label; the object stays. The caller holds the scene's lock."""
+    target = scene.objects.object_named(object_name)
+    scene.save_labels(Labels(labels=[x for x in scene.labels.labels if x.object != target.id]))
+
+
+def annotated_views(label: Label) -> dict[int, SE3]:
+    """T_cam_obj by frame id of every frame in which the object was annotated, the first first."""
+    views = {label.frame: SE3.from_matrix(label.T_cam_obj)}
+    for key, T in label.views.items():
+        views.setdefault(int(key), SE3.from_matrix(T))
+    return views
+
+
+def _same_mesh(scene: Scene, known: Model, relative: str, files: dict[str, bytes]) -> bool:
+    if known.mesh != relative:
+        return False
+    path = scene.mesh_path(known)
+    return path.is_file() and path.read_bytes() == next(iter(files.values()))
+
+
+def without_derived(label: Label) -> Label:
+    """The label as annotated: what propagation and refinement added is dropped."""
+    return msgspec.structs.replace(
+        label, T_world_obj=None, refined=False, covariance=None, weak_direction=""
+    )

@@ -1,0 +1,1 @@
+"""Joint refinement of object poses against several images."""
