@@ -37,17 +37,28 @@ class ToolkitError(Exception):
         where = [part for part in (self.path, self.field) if part]
         text = f"{': '.join(where)}: {self.problem}" if where else self.problem
         if self.value is not None:
-            shown = repr(self.value)
+            shown = repr(_plain(self.value))
             text += f" (got {shown if len(shown) <= 120 else shown[:117] + '...'})"
         if self.hint:
             text += f"; {self.hint}"
-        # One line, whatever a library put into its message.
-        return " ".join(text.split())
+        # One line of printable text, whatever a library or a file name put into it: control
+        # characters could rewrite the terminal.
+        text = " ".join(text.split())
+        return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Exceptions with keyword-only arguments do not survive pickling between worker
         # processes without help.
         return (_rebuild, (type(self), self.problem, self.path, self.field, self.value, self.hint))
+
+
+def _plain(value: Any) -> Any:
+    """Numbers and arrays of numpy as Python ones, whose text a user can read."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if type(value) in (list, tuple):
+        return type(value)(_plain(item) for item in value)
+    return value
 
 
 def _rebuild(

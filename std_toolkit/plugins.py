@@ -63,7 +63,7 @@ class Registry(Generic[T]):
     def _loaded(self, load: Callable[[], Any], target: str) -> T:
         try:
             return load()
-        except (ImportError, AttributeError, ValueError) as error:
+        except Exception as error:  # importing foreign code can raise anything
             raise ToolkitError(
                 f"cannot import plug-in for {self.group}: {error}", value=target
             ) from error

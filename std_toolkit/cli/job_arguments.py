@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 
 from std_toolkit.jobs import JobOptions
-
-ENGINES = ("local", "serial", "ray")
+from std_toolkit.jobs.runner import ENGINES
 
 
 def add_job_arguments(parser: argparse.ArgumentParser) -> None:

@@ -66,6 +66,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         where = f"{error.filename}: " if error.filename else ""
         print(f"error: {where}{error.strerror or error}", file=sys.stderr)
         return 1
+    except Exception as error:  # a defect of ours: still one line, and how to tell us more
+        if args.debug:
+            raise
+        shown = ToolkitError(
+            f"unexpected {type(error).__name__}: {error}",
+            hint="a defect of std-toolkit; `std-curate --debug ...` shows where",
+        )
+        print(f"error: {shown}", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         print("interrupted; run the same command again to go on", file=sys.stderr)
         return 130

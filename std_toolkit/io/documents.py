@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import math
+import re
+import stat
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,51 +17,109 @@ from std_toolkit.io.atomic import write_bytes_atomic
 T = TypeVar("T")
 # The largest real document (poses with covariances of 100,000 frames) is below 200 MB.
 LARGEST_DOCUMENT_BYTES = 512 * 1024 * 1024
+# Raw line breaks occur only between tokens of JSON, so this never matches inside a string.
+_NUMBER_LIST = re.compile(r"\[\n\s*((?:-?[\d.eE+-]+,\n\s*)*-?[\d.eE+-]+)\n\s*\]")
+
+
+class InvalidDocument(ToolkitError, ValueError):
+    """A `ToolkitError` of a document's own checks.
+
+    It is a ValueError too, because msgspec tells the place in the document only for those.
+    """
 
 
 def read_document(path: Path | str, type_: type[T]) -> T:
     """Read and validate a JSON file as `type_` (a msgspec Struct or any type msgspec knows).
 
     Raises:
-        ToolkitError: not found, not JSON, or a field of the wrong type, named by its path.
+        ToolkitError: not found, not JSON, a key given twice, or a field of the wrong type or
+            value, named by its path.
     """
     path = Path(path)
     try:
-        if path.stat().st_size > LARGEST_DOCUMENT_BYTES:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            raise ToolkitError("the document is not a regular file", path=path)
+        if status.st_size > LARGEST_DOCUMENT_BYTES:
             raise ToolkitError("the document is implausibly large", path=path)
         data = path.read_bytes()
     except OSError as error:
         raise ToolkitError(f"cannot read the document: {error.strerror}", path=path) from error
+    return decode_document(data, type_, path=path)
+
+
+def decode_document(data: bytes, type_: type[T], *, path: Path | str | None = None) -> T:
+    """As `read_document`, of bytes already read."""
     try:
-        return msgspec.json.decode(data, type=type_)
+        document = msgspec.json.decode(data, type=type_)
+        json.loads(data, object_pairs_hook=_refuse_twice)
     except msgspec.ValidationError as error:
-        problem, _, at = str(error).partition(" - at `$")
-        raise ToolkitError(problem, path=path, field=at.strip("`.") or None) from error
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ToolkitError(f"not valid JSON: {error}", path=path) from error
+        problem, _, at = str(error).partition(" - at `")
+        place = at.strip("`").removeprefix("$").removeprefix(".")
+        cause = error.__cause__
+        if isinstance(cause, ToolkitError):
+            field = ".".join(part for part in (place, cause.field) if part)
+            raise ToolkitError(
+                cause.problem, path=path, field=field or None, value=cause.value, hint=cause.hint
+            ) from error
+        raise ToolkitError(problem, path=path, field=place or None) from error
     except ToolkitError as error:
         raise ToolkitError(
             error.problem, path=path, field=error.field, value=error.value, hint=error.hint
         ) from error
+    except (ValueError, RecursionError) as error:  # also msgspec.DecodeError, UnicodeDecodeError
+        raise ToolkitError(f"not valid JSON: {error}", path=path) from error
+    return document
 
 
-def document_bytes(document: Any) -> bytes:
-    """Deterministic, human-readable JSON of a document: indented, long number lists on one line."""
-    text = msgspec.json.format(msgspec.json.encode(document), indent=2).decode()
+def document_bytes(document: Any, *, path: Path | str | None = None) -> bytes:
+    """Deterministic, human-readable JSON of a document: indented, long number lists on one line.
+
+    Raises:
+        ToolkitError: a number is not finite (JSON has no NaN; it would silently become null), a
+            value has a type that JSON lacks, or the document would not pass its own validation.
+    """
+    _refuse_not_finite(msgspec.to_builtins(document, enc_hook=_plain_number), path, "")
+    encoded = msgspec.json.encode(document, enc_hook=_plain_number)
+    if isinstance(document, msgspec.Struct):
+        # Structs are not checked when they are made; what is written must be readable.
+        decode_document(encoded, type(document), path=path)
+    text = msgspec.json.format(encoded, indent=2).decode()
     return (_join_number_lists(text) + "\n").encode()
 
 
 def write_document(path: Path | str, document: Any) -> None:
-    """Write a document atomically as JSON."""
-    write_bytes_atomic(path, document_bytes(document))
+    """Write a document atomically as JSON; errors as in `document_bytes`."""
+    write_bytes_atomic(path, document_bytes(document, path=path))
 
 
 def _join_number_lists(text: str) -> str:
     """Put lists of plain numbers on one line: a pose as 16 lines cannot be read."""
-    import re
+    return _NUMBER_LIST.sub(lambda m: "[" + " ".join(m.group(1).split()) + "]", text)
 
-    return re.sub(
-        r"\[\s+((?:-?[\d.eE+-]+,\s+)*-?[\d.eE+-]+)\s+\]",
-        lambda m: "[" + ", ".join(part.strip() for part in m.group(1).split(",")) + "]",
-        text,
+
+def _refuse_twice(pairs: list[tuple[str, Any]]) -> None:
+    keys = [key for key, _ in pairs]
+    if len(set(keys)) != len(keys):
+        key = next(k for i, k in enumerate(keys) if k in keys[:i])
+        raise ToolkitError("a key appears twice in one object", field=key)
+
+
+def _plain_number(value: Any) -> Any:
+    if getattr(value, "shape", None) == ():  # a number of numpy
+        return value.item()
+    raise ToolkitError(
+        f"cannot be written as JSON: {type(value).__name__}", value=value, hint="use plain numbers"
     )
+
+
+def _refuse_not_finite(value: Any, path: Path | str | None, field: str) -> None:
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise ToolkitError("is not finite", path=path, field=field.lstrip("."), value=value)
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            _refuse_not_finite(item, path, f"{field}.{key}")
+    elif isinstance(value, list):
+        for index, item in enumerate(value):
+            _refuse_not_finite(item, path, f"{field}[{index}]")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +9,12 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import atomic_path
+from std_toolkit.io.exr_header import check_whole_exr, read_exr_header
+from std_toolkit.io.image_header import open_regular
 
-# "ZIPS" compresses single scan lines; with level 1 it is as fast as no compression on sparse maps.
+# "zips" compresses single scan lines; with level 1 it is as fast as no compression on sparse maps.
 COMPRESSIONS = ("none", "zips", "zip", "piz")
-_LARGEST_SIDE = 32768
-# A compressed file of a few kilobytes can claim gigapixels; no camera of this field does.
-LARGEST_PIXEL_COUNT = 64_000_000
+_DTYPES = (np.float16, np.float32, np.uint32)
 
 
 def exr_size(path: Path | str) -> tuple[int, int]:
@@ -24,35 +23,22 @@ def exr_size(path: Path | str) -> tuple[int, int]:
     Raises:
         ToolkitError: not found, not an EXR, or of an implausible size.
     """
-    path = Path(path)
-    try:
-        with path.open("rb") as file:
-            head = file.read(65536)
-    except OSError as error:
-        raise ToolkitError("image file not found", path=path) from error
-    key = b"dataWindow\x00box2i\x00"
-    at = head.find(key)
-    if head[:4] != b"\x76\x2f\x31\x01" or at < 0 or len(head) < at + len(key) + 20:
-        raise ToolkitError("not a readable EXR file (empty, truncated or mislabelled?)", path=path)
-    x0, y0, x1, y1 = struct.unpack_from("<4i", head, at + len(key) + 4)
-    width, height = x1 - x0 + 1, y1 - y0 + 1
-    plausible = 0 < width <= _LARGEST_SIDE and 0 < height <= _LARGEST_SIDE
-    if not plausible or width * height > LARGEST_PIXEL_COUNT:
-        raise ToolkitError(
-            "the image claims an implausible size", path=path, value=f"{width}x{height}"
-        )
-    return width, height
+    header = read_exr_header(Path(path))
+    return header.width, header.height
 
 
 def read_exr(path: Path | str) -> dict[str, NDArray[np.generic]]:
     """All channels of an EXR, each (H, W) in its stored type (float16, float32 or uint32).
 
     Raises:
-        ToolkitError: unreadable or truncated.
+        ToolkitError: unreadable, truncated or damaged.
     """
     import OpenEXR
 
-    exr_size(path)
+    path = Path(path)
+    header = read_exr_header(path)
+    with open_regular(path) as whole:
+        check_whole_exr(path, header, whole.read())
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
@@ -61,26 +47,53 @@ def read_exr(path: Path | str) -> dict[str, NDArray[np.generic]]:
 
 
 def read_exr_depth(path: Path | str) -> NDArray[np.float32]:
-    """The depth channel of an EXR (Y, Z, or R of equal channels) as stored, (H, W) float32.
+    """The depth channel of an EXR as stored, (H, W) float32.
+
+    It is the channel Y, Z or V, the only channel, or R where G and B hold the same (how tools
+    without single-channel EXR save depth).
 
     Raises:
-        ToolkitError: unreadable, or no channel that could be depth.
+        ToolkitError: unreadable, no channel that could be depth, R, G and B that differ (a
+            picture or normals), or integers (whose unit nobody knows).
     """
     channels = read_exr(path)
-    for name in ("Y", "Z", "R", "V"):
-        if name in channels:
-            return channels[name].astype(np.float32)
-    if len(channels) == 1:
-        return next(iter(channels.values())).astype(np.float32)
-    raise ToolkitError(
-        "the EXR file holds no depth channel (Y, Z or R)", path=path, value=sorted(channels)
-    )
+    name: str | None = next((n for n in ("Y", "Z", "V") if n in channels), None)
+    if name is None and len(channels) == 1:
+        name = next(iter(channels))
+    if name is None and "R" in channels:
+        name = "R"
+        for other in ("G", "B"):
+            if other not in channels or not np.array_equal(
+                channels["R"], channels[other], equal_nan=True
+            ):
+                raise ToolkitError(
+                    "depth has one channel, or three equal ones; here R, G and B differ",
+                    path=path,
+                    hint="is this a picture or a normal map?",
+                )
+    if name is None:
+        raise ToolkitError(
+            "the EXR file holds no depth channel (Y, Z or R)", path=path, value=sorted(channels)
+        )
+    if channels[name].dtype == np.uint32:
+        raise ToolkitError(
+            "EXR depth must be float16 or float32, in metres", path=path, field=name, value="uint32"
+        )
+    return channels[name].astype(np.float32)
 
 
 def write_exr(
     path: Path | str, channels: dict[str, NDArray[np.generic]], *, compression: str = "zips"
 ) -> None:
-    """Write channels of shape (H, W), float16 or float32, atomically and deterministically."""
+    """Write channels of equal shape (H, W), atomically and deterministically.
+
+    Args:
+        channels: by name; float16, float32 or uint32.
+        compression: one of `COMPRESSIONS`.
+
+    Raises:
+        ToolkitError: no channels, unequal shapes, another type, or an unknown compression.
+    """
     import OpenEXR
 
     kinds = {
@@ -89,7 +102,18 @@ def write_exr(
         "zip": OpenEXR.ZIP_COMPRESSION,
         "piz": OpenEXR.PIZ_COMPRESSION,
     }
-    header = {"compression": kinds[compression], "type": OpenEXR.scanlineimage}
+    if compression not in kinds:
+        raise ToolkitError(
+            "unknown EXR compression", path=path, value=compression, hint=f"one of {COMPRESSIONS}"
+        )
     pixels = {name: np.ascontiguousarray(value) for name, value in channels.items()}
+    shapes = {value.shape for value in pixels.values()}
+    if len(shapes) != 1 or any(v.ndim != 2 or v.dtype not in _DTYPES for v in pixels.values()):
+        raise ToolkitError(
+            "EXR channels must be (H, W) of one size and float16, float32 or uint32",
+            path=path,
+            value={name: f"{v.dtype} {v.shape}" for name, v in pixels.items()},
+        )
+    header = {"compression": kinds[compression], "type": OpenEXR.scanlineimage}
     with atomic_path(path) as temporary, OpenEXR.File(header, pixels) as file:
         file.write(str(temporary))

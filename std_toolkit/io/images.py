@@ -1,4 +1,6 @@
-"""Image files: 8-bit colour, 16-bit depth, masks. Sizes are checked before pixels are decoded."""
+"""Image files: 8-bit colour, 16-bit depth, masks. Everything that can be refused by the header is
+refused before pixels are decoded.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +9,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
-from std_toolkit.io.exr import LARGEST_PIXEL_COUNT, exr_size, read_exr_depth
+from std_toolkit.io.exr import exr_size, read_exr_depth
+from std_toolkit.io.image_header import ImageHeader, check_whole, open_regular, read_header
 
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 
@@ -20,42 +22,39 @@ def image_size(path: Path | str) -> tuple[int, int]:
     """(width, height) from the file's header, without decoding the pixels.
 
     Raises:
-        ToolkitError: not found, not an image, or of an implausible size.
+        ToolkitError: not found, not a PNG, JPEG or EXR image, or of an implausible size.
     """
     path = Path(path)
-    if not path.is_file():
-        raise ToolkitError("image file not found", path=path)
     if path.suffix.lower() == ".exr":
         return exr_size(path)
-    try:
-        # Pillow's own bomb check would only warn at this size; ours below refuses.
-        with Image.open(path) as header:
-            size = header.size
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError, EOFError) as error:
-        raise ToolkitError(
-            "not a readable image (empty, truncated or mislabelled?)", path=path
-        ) from error
-    except Image.DecompressionBombError as error:
-        raise ToolkitError("the image claims an implausible size", path=path) from error
-    if size[0] * size[1] > LARGEST_PIXEL_COUNT:
-        raise ToolkitError(
-            "the image claims an implausible size", path=path, value=f"{size[0]}x{size[1]}"
-        )
-    return size
+    header = read_header(path)
+    return header.width, header.height
 
 
 def read_color(path: Path | str, *, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
-    """RGB image (H, W, 3) uint8 from PNG or JPEG; an alpha channel is dropped.
+    """RGB image (H, W, 3) uint8 from an 8-bit PNG or JPEG.
+
+    Grey is copied to three channels, a palette looked up and an alpha channel dropped. An
+    orientation in the file's metadata is ignored: intrinsics belong to the stored pixels.
 
     Args:
         size: expected (width, height).
 
     Raises:
-        ToolkitError: unreadable, truncated, not 8-bit, or of another size.
+        ToolkitError: unreadable, truncated, not 8-bit, CMYK, or of another size.
     """
-    image = _decode(Path(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION, size)
-    if image.dtype != np.uint8:
-        raise ToolkitError("colour must be 8-bit", path=path, value=str(image.dtype))
+    path = Path(path)
+    header = read_header(path)
+    if header.bits > 8:
+        raise ToolkitError(
+            "colour must be 8-bit",
+            path=path,
+            value=f"{header.bits} bits",
+            hint="convert it; is this a depth image?",
+        )
+    if header.format == "jpeg" and header.channels not in (1, 3):
+        raise ToolkitError("colour must be RGB or grey", path=path, value=f"{header.channels} inks")
+    image = _decode(path, header, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION, size)
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)  # type: ignore[arg-type, return-value]
 
 
@@ -92,17 +91,18 @@ def read_depth(
                 hint="missing depth is 0; import the recording again",
             )
         return depth
-    raw = _decode(path, cv2.IMREAD_UNCHANGED, size)
-    if raw.dtype != np.uint16 or raw.ndim != 2:
+    header = _png_header(path, "depth must be a single-channel 16-bit PNG or an EXR")
+    if header.bits != 16 or header.channels != 1:
         raise ToolkitError(
             "depth must be a single-channel 16-bit PNG or an EXR",
             path=path,
-            value=f"{raw.dtype} {raw.shape}",
+            value=f"{header.channels} channels of {header.bits} bits",
         )
     if scale is None or not np.isfinite(scale) or scale <= 0:
         raise ToolkitError(
             "a 16-bit depth image needs its scale (metres per unit)", path=path, value=scale
         )
+    raw = _decode(path, header, cv2.IMREAD_UNCHANGED, size)
     return raw.astype(np.float32) * np.float32(scale)
 
 
@@ -117,7 +117,7 @@ def write_depth_png16(path: Path | str, depth: NDArray[np.floating], *, scale: f
         raise ToolkitError(
             f"depth does not fit a 16-bit PNG at {scale} m per unit",
             path=path,
-            value=float(np.nanmax(depth)),
+            value=f"{np.min(depth):.6g} to {np.max(depth):.6g} m",
             hint="use a coarser scale",
         )
     write_png(path, units.astype(np.uint16))
@@ -131,43 +131,61 @@ def read_mask(
     Raises:
         ToolkitError: unreadable, of another size or with several channels.
     """
-    mask = _decode(Path(path), cv2.IMREAD_UNCHANGED, size)
-    if mask.ndim != 2 or mask.dtype not in (np.uint8, np.uint16):
+    path = Path(path)
+    header = _png_header(path, "a mask must be a PNG")
+    if header.channels != 1 or header.bits not in (8, 16):
         raise ToolkitError(
             "a mask must be a single-channel 8- or 16-bit PNG",
             path=path,
-            value=f"{mask.dtype} {mask.shape}",
+            value=f"{header.channels} channels of {header.bits} bits",
         )
-    return mask  # type: ignore[return-value]
+    return _decode(path, header, cv2.IMREAD_UNCHANGED, size)  # type: ignore[return-value]
 
 
 def read_png(path: Path | str, *, size: tuple[int, int] | None = None) -> NDArray[np.generic]:
-    """Any PNG as stored: (H, W) or (H, W, 3) in RGB order, uint8 or uint16."""
-    image = _decode(Path(path), cv2.IMREAD_UNCHANGED, size)
+    """Any PNG as stored: (H, W) or (H, W, 3) in RGB order, uint8 or uint16; alpha is dropped.
+
+    Raises:
+        ToolkitError: unreadable, damaged, not a PNG or of another size.
+    """
+    path = Path(path)
+    image = _decode(path, _png_header(path, "must be a PNG"), cv2.IMREAD_UNCHANGED, size)
     return image if image.ndim == 2 else np.ascontiguousarray(image[..., 2::-1])
 
 
 def write_png(path: Path | str, image: NDArray[np.generic], *, compression: int = 1) -> None:
     """Write (H, W) or RGB (H, W, 3), uint8 or uint16, losslessly and byte-deterministically."""
+    if image.dtype not in (np.uint8, np.uint16) or image.shape[2:] not in ((), (3,)):
+        raise ToolkitError(
+            "a PNG holds (H, W) or (H, W, 3) of uint8 or uint16",
+            path=path,
+            value=f"{image.dtype} {image.shape}",
+        )
     pixels = image if image.ndim == 2 else np.ascontiguousarray(image[..., ::-1])
     _encode(path, pixels, [cv2.IMWRITE_PNG_COMPRESSION, compression])
 
 
-def _decode(path: Path, flags: int, size: tuple[int, int] | None) -> NDArray[np.generic]:
-    _check_size(path, image_size(path), size)
-    data = np.fromfile(path, dtype=np.uint8)
-    if data[:2].tobytes() == b"\xff\xd8" and b"\xff\xd9" not in data[-64:].tobytes():
-        # OpenCV fills the missing part of a truncated JPEG with grey and says nothing.
-        raise ToolkitError("the JPEG file is truncated", path=path)
-    if data[:4].tobytes() == b"\x89PNG" and b"IEND" not in data[-64:].tobytes():
-        raise ToolkitError("the PNG file is truncated", path=path)
+def _png_header(path: Path, requirement: str) -> ImageHeader:
+    header = read_header(path)
+    if header.format != "png":
+        raise ToolkitError(requirement, path=path, value=header.format)
+    return header
+
+
+def _decode(
+    path: Path, header: ImageHeader, flags: int, size: tuple[int, int] | None
+) -> NDArray[np.generic]:
+    _check_size(path, (header.width, header.height), size)
+    with open_regular(path) as file:
+        data = file.read()
+    check_whole(path, data, header)
     try:
-        image = cv2.imdecode(data, flags)
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
     except cv2.error as error:
         raise ToolkitError(f"cannot decode the image: {error.err}", path=path) from error
-    if image is None:
+    if image is None or image.shape[:2] != (header.height, header.width):
         raise ToolkitError("cannot decode the image", path=path, hint="the file is damaged")
-    return image  # type: ignore[return-value]
+    return image
 
 
 def _check_size(path: Path, actual: tuple[int, int], expected: tuple[int, int] | None) -> None:
@@ -181,7 +199,12 @@ def _check_size(path: Path, actual: tuple[int, int], expected: tuple[int, int] |
 
 
 def _encode(path: Path | str, image: NDArray[np.generic], parameters: list[int]) -> None:
-    done, data = cv2.imencode(Path(path).suffix, image, parameters)  # type: ignore[arg-type]
+    suffix = Path(path).suffix.lower()
+    if suffix not in COLOR_SUFFIXES:
+        raise ToolkitError(
+            "not an image format that is written", path=path, hint=f"one of {COLOR_SUFFIXES}"
+        )
+    done, data = cv2.imencode(suffix, image, parameters)  # type: ignore[arg-type]
     if not done:
         raise ToolkitError("cannot encode the image", path=path)
     write_bytes_atomic(path, data.data)

@@ -22,9 +22,12 @@ def scene_lock(root: Path) -> Iterator[None]:
             read-only.
     """
     path = root / ".std" / "lock"
+    if path.parent.is_symlink():
+        raise ToolkitError("the scene's .std folder must not be a symbolic link", path=root)
     try:
         path.parent.mkdir(exist_ok=True)
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        # The owner's name is written into the file: never through a link to another file.
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
     except OSError as error:
         raise ToolkitError(f"cannot write to the scene: {error.strerror}", path=root) from error
     try:
@@ -36,6 +39,12 @@ def scene_lock(root: Path) -> Iterator[None]:
                 f"another process is writing to this scene: {owner or 'unknown owner'}",
                 path=root,
                 hint="wait for it or end it",
+            ) from error
+        except OSError as error:
+            raise ToolkitError(
+                f"cannot lock the scene: {error.strerror}",
+                path=root,
+                hint="its file system must support locks (flock)",
             ) from error
         os.ftruncate(descriptor, 0)
         owner = f"{_user()}@{socket.gethostname()} pid {os.getpid()}\n"

@@ -6,24 +6,69 @@ that names the field. Poses are 16 numbers, row-major.
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import msgspec
-import numpy as np
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.se3 import SE3
 from std_toolkit.geometry.symmetry import Symmetry
+from std_toolkit.scene.camera_model import CameraModel
+from std_toolkit.scene.document import (
+    Count,
+    Covariance36,
+    Document,
+    NonNegative,
+    Pose16,
+    Positive,
+    Vector3,
+    check_pose,
+    check_unique,
+    find_row,
+    pose_from_list,
+)
 from std_toolkit.scene.names import check_name, check_relative
+from std_toolkit.scene.pose_model import (
+    CameraPoses,
+    FramePose,
+    Gate,
+    ScaleEstimate,
+    ScaleReport,
+)
 
-Positive = Annotated[float, msgspec.Meta(gt=0)]
-NonNegative = Annotated[float, msgspec.Meta(ge=0)]
-Count = Annotated[int, msgspec.Meta(ge=0)]
-Pose16 = Annotated[list[float], msgspec.Meta(min_length=16, max_length=16)]
-Covariance36 = Annotated[list[float], msgspec.Meta(min_length=36, max_length=36)]
-Vector3 = Annotated[list[float], msgspec.Meta(min_length=3, max_length=3)]
+__all__ = [
+    "CATEGORY_CLASS_IDS",
+    "DIFFUSE_MATERIALS",
+    "MATERIAL_IDS",
+    "CameraModel",
+    "CameraPoses",
+    "ContinuousSymmetry",
+    "Count",
+    "Covariance36",
+    "Document",
+    "Frame",
+    "FramePose",
+    "Frames",
+    "Gate",
+    "Label",
+    "Labels",
+    "Material",
+    "Model",
+    "NonNegative",
+    "Object",
+    "ObjectId",
+    "ObjectTable",
+    "Pose16",
+    "Positive",
+    "ScaleEstimate",
+    "ScaleReport",
+    "SceneInfo",
+    "SymmetryModel",
+    "Vector3",
+    "pose_from_list",
+]
+
 ObjectId = Annotated[int, msgspec.Meta(ge=1, le=254)]
 Material = Literal["raw", "diffuse", "transparent", "specular"]
 
@@ -40,46 +85,10 @@ CATEGORY_CLASS_IDS = {
 }
 # Material ids of the STD and DREDS meta files.
 MATERIAL_IDS: dict[str, int] = {"raw": 0, "diffuse": 1, "transparent": 2, "specular": 3}
+# A frame id without leading zeros, so that no frame has two keys.
+_FRAME_KEY = re.compile(r"0|[1-9][0-9]{0,17}")
 # Materials that an active stereo sensor measures rightly.
 DIFFUSE_MATERIALS = ("raw", "diffuse")
-
-
-class Document(
-    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=False
-):
-    """Base of all documents."""
-
-
-class CameraModel(Document, frozen=True, kw_only=True):
-    """Intrinsics of one image stream; see `geometry.Camera`."""
-
-    width: Annotated[int, msgspec.Meta(gt=0)]
-    height: Annotated[int, msgspec.Meta(gt=0)]
-    fx: Positive
-    fy: Positive
-    cx: float
-    cy: float
-    distortion: list[float] = []
-
-    def __post_init__(self) -> None:
-        self.camera()
-
-    def camera(self) -> Camera:
-        return Camera(
-            self.width, self.height, self.fx, self.fy, self.cx, self.cy, tuple(self.distortion)
-        )
-
-    @staticmethod
-    def of(camera: Camera) -> CameraModel:
-        return CameraModel(
-            width=camera.width,
-            height=camera.height,
-            fx=camera.fx,
-            fy=camera.fy,
-            cx=camera.cx,
-            cy=camera.cy,
-            distortion=list(camera.distortion),
-        )
 
 
 class SceneInfo(Document, frozen=True, kw_only=True):
@@ -100,7 +109,7 @@ class SceneInfo(Document, frozen=True, kw_only=True):
     depth_correction: Annotated[float, msgspec.Meta(gt=0.8, lt=1.25)] = 1.0
     source: str = ""
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
         check_name(self.name)
         if not self.cameras:
             raise ToolkitError("a scene needs at least one camera", field="cameras")
@@ -127,7 +136,7 @@ class Frame(Document, frozen=True, kw_only=True):
     camera: str = "color"
     timestamp: float | None = None
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
         check_name(self.name)
         check_relative(self.color, field="color")
         if self.depth is not None:
@@ -139,11 +148,11 @@ class Frames(Document, frozen=True, kw_only=True):
 
     frames: list[Frame]
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
         ids = [f.id for f in self.frames]
         if any(b <= a for a, b in pairwise(ids)):
             raise ToolkitError("frame ids must be unique and rising", field="frames")
-        _unique([f.name for f in self.frames], "frames", "name")
+        check_unique([f.name for f in self.frames], "frames", "name")
 
 
 class ContinuousSymmetry(Document, frozen=True, kw_only=True):
@@ -156,10 +165,10 @@ class ContinuousSymmetry(Document, frozen=True, kw_only=True):
 class SymmetryModel(Document, frozen=True, kw_only=True):
     """Symmetries of a model in its mesh frame; see `geometry.Symmetry`."""
 
-    discrete: list[Pose16] = []
-    continuous: list[ContinuousSymmetry] = []
+    discrete: list[Pose16] = msgspec.field(default_factory=list)
+    continuous: list[ContinuousSymmetry] = msgspec.field(default_factory=list)
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
         self.symmetry()
 
     def symmetry(self) -> Symmetry:
@@ -191,7 +200,7 @@ class Model(Document, frozen=True, kw_only=True):
     diameter_m: Positive
     symmetry: SymmetryModel = SymmetryModel()
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
         check_name(self.id, field="id")
         check_name(self.category, field="category")
         check_relative(self.mesh, field="mesh")
@@ -210,20 +219,20 @@ class Object(Document, frozen=True, kw_only=True):
     model: str
     material: Material
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
         check_name(self.name)
 
 
 class ObjectTable(Document, frozen=True, kw_only=True):
     """objects.json: models and their instances in this scene."""
 
-    models: list[Model] = []
-    objects: list[Object] = []
+    models: list[Model] = msgspec.field(default_factory=list)
+    objects: list[Object] = msgspec.field(default_factory=list)
 
-    def __post_init__(self) -> None:
-        _unique([m.id for m in self.models], "models", "id")
-        _unique([str(o.id) for o in self.objects], "objects", "id")
-        _unique([o.name for o in self.objects], "objects", "name")
+    def check(self) -> None:
+        check_unique([m.id for m in self.models], "models", "id")
+        check_unique([str(o.id) for o in self.objects], "objects", "id")
+        check_unique([o.name for o in self.objects], "objects", "name")
         known = {m.id for m in self.models}
         for i, o in enumerate(self.objects):
             if o.model not in known:
@@ -232,113 +241,16 @@ class ObjectTable(Document, frozen=True, kw_only=True):
                 )
 
     def model(self, model_id: str) -> Model:
-        return _find(self.models, "id", model_id, "model")
+        return find_row(self.models, "id", model_id, "model")
 
     def object(self, object_id: int) -> Object:
-        return _find(self.objects, "id", object_id, "object")
+        return find_row(self.objects, "id", object_id, "object")
 
     def object_named(self, name: str) -> Object:
-        return _find(self.objects, "name", name, "object")
+        return find_row(self.objects, "name", name, "object")
 
     def model_of(self, object_id: int) -> Model:
         return self.model(self.object(object_id).model)
-
-
-class FramePose(Document, frozen=True, kw_only=True):
-    """Camera pose of one frame.
-
-    Attributes:
-        status: "registered", or "unregistered" (then there is no pose: poses are never guessed).
-        T_world_cam: camera to world, metres.
-        reprojection_px: mean reprojection error of the frame's inliers.
-        points: number of inliers.
-        covariance: 6x6 row-major of a right perturbation `T @ SE3.exp(xi)`,
-            xi = (rho, phi) in metres and radians.
-    """
-
-    frame: Count
-    status: Literal["registered", "unregistered"]
-    T_world_cam: Pose16 | None = None
-    reprojection_px: NonNegative | None = None
-    points: Count = 0
-    covariance: Covariance36 | None = None
-
-    def __post_init__(self) -> None:
-        if (self.T_world_cam is not None) != (self.status == "registered"):
-            raise ToolkitError(
-                "a registered frame has a pose, an unregistered one has none",
-                field="T_world_cam",
-                value=self.status,
-            )
-        if self.T_world_cam is not None:
-            SE3.from_matrix(self.T_world_cam)
-
-
-class ScaleEstimate(Document, frozen=True, kw_only=True):
-    """What one source says about the metres of a reconstruction.
-
-    Attributes:
-        source: plug-in name: "depth", "cad", "board".
-        factor: metres per unit of the reconstruction before scaling.
-        spread: interquartile range of the single estimates, relative to the factor.
-        standard_error: of the factor, relative to it.
-        count: number of single estimates.
-        note: what it was measured on.
-    """
-
-    source: str
-    factor: Positive
-    spread: NonNegative
-    standard_error: NonNegative
-    count: Count
-    note: str = ""
-
-
-class ScaleReport(Document, frozen=True, kw_only=True):
-    """Where the metres come from.
-
-    Attributes:
-        unit: "metre", or "unknown" when poses were asked for without any scale source.
-        chosen: the source that was used; "given" for poses imported in metres.
-        disagreement: largest relative difference between two sources.
-    """
-
-    unit: Literal["metre", "unknown"]
-    chosen: str
-    estimates: list[ScaleEstimate] = []
-    disagreement: NonNegative = 0.0
-
-
-class Gate(Document, frozen=True, kw_only=True):
-    """One quality gate: a measured value against its limit."""
-
-    name: str
-    value: float
-    limit: float
-    passed: bool
-    advice: str = ""
-
-
-class CameraPoses(Document, frozen=True, kw_only=True):
-    """poses.json: camera poses of all frames.
-
-    Attributes:
-        cameras: intrinsics that were refined together with the poses; they replace those of
-            scene.json for everything that uses these poses. Empty if fixed.
-        scale: null only for imported poses that were metric from the start.
-        gates: the quality gates and their outcome.
-        source: "sfm" or how the poses were imported.
-    """
-
-    frames: list[FramePose]
-    cameras: dict[str, CameraModel] = {}
-    scale: ScaleReport | None = None
-    gates: list[Gate] = []
-    source: str = "sfm"
-    notes: list[str] = []
-
-    def __post_init__(self) -> None:
-        _unique([str(f.frame) for f in self.frames], "frames", "frame")
 
 
 class Label(Document, frozen=True, kw_only=True):
@@ -366,25 +278,24 @@ class Label(Document, frozen=True, kw_only=True):
     weak_direction: str = ""
     method: str = "file"
     annotator: str = ""
-    views: dict[str, Pose16] = {}
+    views: dict[str, Pose16] = msgspec.field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        SE3.from_matrix(self.T_cam_obj)
-        if self.T_world_obj is not None:
-            SE3.from_matrix(self.T_world_obj)
+    def check(self) -> None:
+        check_pose(self.T_cam_obj, "T_cam_obj")
+        check_pose(self.T_world_obj, "T_world_obj")
         for key, T in self.views.items():
-            if not key.isdigit():
+            if not _FRAME_KEY.fullmatch(key):
                 raise ToolkitError("views are keyed by frame id", field="views", value=key)
-            SE3.from_matrix(T)
+            check_pose(T, f"views.{key}")
 
 
 class Labels(Document, frozen=True, kw_only=True):
     """labels.json: at most one label per object."""
 
-    labels: list[Label] = []
+    labels: list[Label] = msgspec.field(default_factory=list)
 
-    def __post_init__(self) -> None:
-        _unique([str(x.object) for x in self.labels], "labels", "object")
+    def check(self) -> None:
+        check_unique([str(x.object) for x in self.labels], "labels", "object")
 
     def of(self, object_id: int) -> Label | None:
         return next((x for x in self.labels if x.object == object_id), None)
@@ -393,28 +304,3 @@ class Labels(Document, frozen=True, kw_only=True):
         """A copy in which `label` replaces or joins the others, sorted by object id."""
         others = [x for x in self.labels if x.object != label.object]
         return Labels(labels=sorted([*others, label], key=lambda x: x.object))
-
-
-def pose_from_list(numbers: list[float]) -> SE3:
-    """SE3 of 16 numbers already validated by a document."""
-    M = np.asarray(numbers, dtype=np.float64).reshape(4, 4)
-    return SE3(M[:3, :3].copy(), M[:3, 3].copy())
-
-
-def _unique(values: list[str], table: str, field: str) -> None:
-    seen: set[str] = set()
-    for i, value in enumerate(values):
-        if value in seen:
-            raise ToolkitError("appears twice", field=f"{table}[{i}].{field}", value=value)
-        seen.add(value)
-
-
-def _find(table: list[Any], key: str, value: object, kind: str) -> Any:
-    for row in table:
-        if getattr(row, key) == value:
-            return row
-    raise ToolkitError(
-        f"no such {kind}",
-        value=value,
-        hint=f"known: {', '.join(str(getattr(r, key)) for r in table) or 'none'}",
-    )

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from std_toolkit.errors import ToolkitError
 
-_SAFE = re.compile(r"^[A-Za-z0-9][A-Za-z0-9._+-]{0,127}$")
+_SAFE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,127}")
+_LONGEST_PATH = 512
 
 
 def check_name(name: str, *, path: Path | str | None = None, field: str = "name") -> str:
@@ -16,7 +17,7 @@ def check_name(name: str, *, path: Path | str | None = None, field: str = "name"
     Raises:
         ToolkitError: it holds a separator, starts with a dot, is empty or too long.
     """
-    if not _SAFE.match(name):
+    if not _SAFE.fullmatch(name):
         raise ToolkitError(
             "not a safe name",
             path=path,
@@ -37,10 +38,11 @@ def check_relative(text: str, *, path: Path | str | None = None, field: str = "p
     """Return `text` if it is a relative path that stays inside its folder.
 
     Raises:
-        ToolkitError: absolute, with '..' or a part that is no safe name.
+        ToolkitError: absolute, too long, with '..' or a part that is no safe name.
     """
-    parts = PurePosixPath(text).parts
-    if not parts or text.startswith("/") or "\\" in text or not all(_SAFE.match(p) for p in parts):
+    # Splitting by hand: a path library would forgive "a//b" and "./a", and two spellings of one
+    # file make duplicates that nobody sees.
+    if len(text) > _LONGEST_PATH or not all(_SAFE.fullmatch(part) for part in text.split("/")):
         raise ToolkitError(
             "not a relative path inside the scene folder",
             path=path,

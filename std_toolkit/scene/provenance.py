@@ -9,8 +9,10 @@ from typing import Any
 import msgspec
 
 from std_toolkit import __version__
+from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import read_document, write_document
-from std_toolkit.scene.model import Document
+from std_toolkit.log import logger
+from std_toolkit.scene.document import Document
 
 
 class Record(Document, frozen=True, kw_only=True):
@@ -38,7 +40,10 @@ def digest_file(path: Path) -> str:
 
 
 def digest_of(*parts: Any) -> str:
-    """Hex digest of plain values and documents; the toolkit's version is part of it."""
+    """Hex digest of plain values and documents; the toolkit's version is part of it.
+
+    Numbers must be finite: JSON would make null of NaN, and two different inputs would look alike.
+    """
     encoded = msgspec.json.encode([__version__, *parts], order="sorted")
     return hashlib.blake2b(encoded, digest_size=16).hexdigest()
 
@@ -52,7 +57,12 @@ def is_fresh(root: Path, step: str, digest: str) -> bool:
     path = record_path(root, step)
     if not path.exists():
         return False
-    record = read_document(path, Record)
+    try:
+        record = read_document(path, Record)
+    except ToolkitError as error:
+        # A record is a cache: redoing the step is always right, stopping here never helps.
+        logger.warning("%s; the step is done again", error)
+        return False
     return record.digest == digest and all(
         (root / name).is_file() and digest_file(root / name) == content
         for name, content in record.outputs.items()

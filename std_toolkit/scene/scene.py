@@ -33,6 +33,11 @@ if TYPE_CHECKING:
     import trimesh
 
 
+# What a camera in front of a table or in a room can see.
+SMALLEST_MEDIAN_DEPTH_M = 0.03
+LARGEST_MEDIAN_DEPTH_M = 30.0
+
+
 class Scene:
     """One recording on disk.
 
@@ -45,14 +50,7 @@ class Scene:
         self.frame_table = frames
         self.objects = objects
         self._meshes: dict[str, trimesh.Trimesh] = {}
-        for i, frame in enumerate(frames.frames):
-            if frame.camera not in info.cameras:
-                raise ToolkitError(
-                    "no such camera in scene.json",
-                    path=root / "frames.json",
-                    field=f"frames[{i}].camera",
-                    value=frame.camera,
-                )
+        _check_cameras(root, info, frames)
 
     @staticmethod
     def open(root: Path | str) -> Scene:
@@ -109,17 +107,7 @@ class Scene:
         path = self.root / "poses.json"
         if not path.exists():
             return None
-        poses = read_document(path, CameraPoses)
-        known = {f.id for f in self.frames}
-        for i, pose in enumerate(poses.frames):
-            if pose.frame not in known:
-                raise ToolkitError(
-                    "no such frame in frames.json",
-                    path=path,
-                    field=f"frames[{i}].frame",
-                    value=pose.frame,
-                )
-        return poses
+        return self._checked_poses(read_document(path, CameraPoses))
 
     @cached_property
     def labels(self) -> Labels:
@@ -127,7 +115,55 @@ class Scene:
         path = self.root / "labels.json"
         if not path.exists():
             return Labels()
-        labels = read_document(path, Labels)
+        return self._checked_labels(read_document(path, Labels))
+
+    def save_info(self, info: SceneInfo) -> None:
+        _check_cameras(self.root, info, self.frame_table)
+        write_document(self.root / "scene.json", info)
+        self.info = info
+
+    def save_objects(self, objects: ObjectTable) -> None:
+        write_document(self.root / "objects.json", objects)
+        self.objects = objects
+
+    def save_poses(self, poses: CameraPoses) -> None:
+        """Raises ToolkitError for poses of frames or cameras that the scene does not have."""
+        write_document(self.root / "poses.json", self._checked_poses(poses))
+        self.__dict__["poses"] = poses
+        self.__dict__.pop("_pose_by_frame", None)
+
+    def save_labels(self, labels: Labels) -> None:
+        """Raises ToolkitError for labels of objects or frames that the scene does not have."""
+        write_document(self.root / "labels.json", self._checked_labels(labels))
+        self.__dict__["labels"] = labels
+
+    def _checked_poses(self, poses: CameraPoses) -> CameraPoses:
+        path = self.root / "poses.json"
+        for i, pose in enumerate(poses.frames):
+            if pose.frame not in self._frame_by_id:
+                raise ToolkitError(
+                    "no such frame in frames.json",
+                    path=path,
+                    field=f"frames[{i}].frame",
+                    value=pose.frame,
+                )
+        for key, camera in poses.cameras.items():
+            recorded = self.info.cameras.get(key)
+            if recorded is None:
+                raise ToolkitError(
+                    "no such camera in scene.json", path=path, field="cameras", value=key
+                )
+            if (camera.width, camera.height) != (recorded.width, recorded.height):
+                raise ToolkitError(
+                    f"refined for another image size than {recorded.width}x{recorded.height}",
+                    path=path,
+                    field=f"cameras.{key}",
+                    value=f"{camera.width}x{camera.height}",
+                )
+        return poses
+
+    def _checked_labels(self, labels: Labels) -> Labels:
+        path = self.root / "labels.json"
         objects = {o.id for o in self.objects.objects}
         for i, label in enumerate(labels.labels):
             if label.object not in objects:
@@ -137,24 +173,15 @@ class Scene:
                     field=f"labels[{i}].object",
                     value=label.object,
                 )
+            for field, frame in [("frame", label.frame), *(("views", int(k)) for k in label.views)]:
+                if frame not in self._frame_by_id:
+                    raise ToolkitError(
+                        "no such frame in frames.json",
+                        path=path,
+                        field=f"labels[{i}].{field}",
+                        value=frame,
+                    )
         return labels
-
-    def save_info(self, info: SceneInfo) -> None:
-        write_document(self.root / "scene.json", info)
-        self.info = info
-
-    def save_objects(self, objects: ObjectTable) -> None:
-        write_document(self.root / "objects.json", objects)
-        self.objects = objects
-
-    def save_poses(self, poses: CameraPoses) -> None:
-        write_document(self.root / "poses.json", poses)
-        self.__dict__["poses"] = poses
-        self.__dict__.pop("_pose_by_frame", None)
-
-    def save_labels(self, labels: Labels) -> None:
-        write_document(self.root / "labels.json", labels)
-        self.__dict__["labels"] = labels
 
     def lock(self) -> AbstractContextManager[None]:
         """Hold the scene for writing; see `scene_lock`."""
@@ -162,15 +189,18 @@ class Scene:
 
     # --- frames ----------------------------------------------------------------------------
 
+    @cached_property
+    def _frame_by_id(self) -> dict[int, Frame]:
+        return {f.id: f for f in self.frames}
+
     def frame(self, frame_id: int) -> Frame:
         """The frame of this id.
 
         Raises:
             ToolkitError: there is none.
         """
-        for frame in self.frames:
-            if frame.id == frame_id:
-                return frame
+        if frame_id in self._frame_by_id:
+            return self._frame_by_id[frame_id]
         raise ToolkitError(
             "no such frame", path=self.root, value=frame_id, hint="see `std-curate info`"
         )
@@ -188,12 +218,16 @@ class Scene:
         return read_color(self.color_path(frame), size=self.camera(frame).size)
 
     def read_depth(self, frame: Frame) -> NDArray[np.float32] | None:
-        """Sensor z-depth (H, W) in metres with the sensor's correction factor; None if absent."""
+        """Sensor z-depth (H, W) in metres with the sensor's correction factor; None if absent.
+
+        Raises:
+            ToolkitError: unreadable, of another size, or evidently in another unit.
+        """
         if frame.depth is None:
             return None
-        depth = read_depth(
-            self.root / frame.depth, scale=self.info.depth_scale, size=self.camera(frame).size
-        )
+        path = self.root / frame.depth
+        depth = read_depth(path, scale=self.info.depth_scale, size=self.camera(frame).size)
+        _check_depth_unit(path, depth, self.info.depth_scale)
         return depth * np.float32(self.info.depth_correction)
 
     # --- geometry --------------------------------------------------------------------------
@@ -237,3 +271,30 @@ class Scene:
 
             self._meshes[model_id] = load_mesh(self.mesh_path(self.objects.model(model_id)))
         return self._meshes[model_id]
+
+
+def _check_cameras(root: Path, info: SceneInfo, frames: Frames) -> None:
+    for i, frame in enumerate(frames.frames):
+        if frame.camera not in info.cameras:
+            raise ToolkitError(
+                "no such camera in scene.json",
+                path=root / "frames.json",
+                field=f"frames[{i}].camera",
+                value=frame.camera,
+            )
+
+
+def _check_depth_unit(path: Path, depth: NDArray[np.float32], scale: float | None) -> None:
+    # A robust middle: sensors see single pixels at 60 m, a table-top scene is never there.
+    measured = depth[::4, ::4]
+    measured = measured[measured > 0]
+    if len(measured) < 100:
+        return
+    middle = float(np.median(measured))
+    if not SMALLEST_MEDIAN_DEPTH_M <= middle <= LARGEST_MEDIAN_DEPTH_M:
+        raise ToolkitError(
+            "the median depth is implausible in metres",
+            path=path,
+            value=f"{middle:.4g} m",
+            hint=f"is the unit right? depth_scale in scene.json is {scale}",
+        )
