@@ -7,6 +7,7 @@ active stereo sensor's noise, bias and holes. It is quick (a few seconds) rather
 from sensors.synthetic.annotation import annotate_first_frame
 from sensors.synthetic.recording import RecordingOptions, Truth, make_recording, read_truth
 from sensors.synthetic.score import LabelErrors, label_errors
+from sensors.synthetic.truth_scene import scene_from_truth
 
 __all__ = [
     "LabelErrors",
@@ -16,4 +17,5 @@ __all__ = [
     "label_errors",
     "make_recording",
     "read_truth",
+    "scene_from_truth",
 ]

@@ -20,7 +20,13 @@ from std_toolkit.io.atomic import atomic_path
 from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.io.images import write_color, write_depth_png16
 from std_toolkit.jobs import JobOptions, run_jobs
-from std_toolkit.scene.model import CATEGORY_CLASS_IDS, MATERIAL_IDS, CameraModel, SymmetryModel
+from std_toolkit.scene.model import (
+    CATEGORY_CLASS_IDS,
+    MATERIAL_IDS,
+    CameraModel,
+    Material,
+    SymmetryModel,
+)
 from std_toolkit.scene.model import ContinuousSymmetry as AxisSymmetry
 
 DEPTH_SCALE = 0.001
@@ -62,7 +68,7 @@ class TrueObject(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     category: str
     class_id: int
-    material: str
+    material: Material
     mesh: str
     symmetry: SymmetryModel
     T_world_obj: list[float]

@@ -32,6 +32,24 @@ class LabelErrors:
         """Percentile of the MSSD over all objects and frames, millimetres."""
         return 1000 * float(np.percentile(np.concatenate(list(self.mssd_m.values())), q))
 
+    def table(self) -> str:
+        """One row per object and one for all, as text."""
+        head = ("frames", 7), ("median mm", 11), ("p95 mm", 9), ("shift mm", 10), ("turn deg", 10)
+        rows = [f"{'object':<14}" + "".join(f"{name:>{width}}" for name, width in head)]
+        for name, values in self.mssd_m.items():
+            mm = 1000 * np.asarray(values)
+            shift = 1000 * np.median(self.translation_m[name])
+            turn = np.degrees(np.median(self.rotation_rad[name]))
+            rows.append(
+                f"{name:<14}{len(mm):>7}{np.median(mm):>11.2f}{np.percentile(mm, 95):>9.2f}"
+                f"{shift:>10.2f}{turn:>10.2f}"
+            )
+        count = sum(len(v) for v in self.mssd_m.values())
+        rows.append(
+            f"{'all':<14}{count:>7}{self.percentile_mm(50):>11.2f}{self.percentile_mm(95):>9.2f}"
+        )
+        return "\n".join(rows)
+
 
 def label_errors(scene: Scene, recording: Path) -> LabelErrors:
     """Errors of a scene's propagated labels; in camera frames, so that no alignment is needed.

@@ -11,6 +11,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from std_toolkit.geometry.symmetry import Symmetry
+from std_toolkit.scene.model import Material
 
 SECTIONS = 96
 TURN = Symmetry(continuous=(((0.0, 1.0, 0.0), (0.0, 0.0, 0.0)),))
@@ -30,7 +31,7 @@ class Shape:
 
     name: str
     category: str
-    material: str
+    material: Material
     mesh: trimesh.Trimesh
     symmetry: Symmetry
 
@@ -110,7 +111,7 @@ def mug(radius: float, height: float, wall: float = 0.004) -> trimesh.Trimesh:
 
 
 # The objects of the default recording: four that a stereo sensor sees, two that it does not.
-DEFAULT_SHAPES: tuple[tuple[str, str, str, Callable[[], trimesh.Trimesh], Symmetry], ...] = (
+DEFAULT_SHAPES: tuple[tuple[str, str, Material, Callable[[], trimesh.Trimesh], Symmetry], ...] = (
     ("cereal_box", "other", "diffuse", lambda: box(0.11, 0.16, 0.05), Symmetry()),
     ("soup_can", "can", "diffuse", lambda: can(0.034, 0.102), TURN),
     ("mug", "mug", "diffuse", lambda: mug(0.042, 0.095), Symmetry()),

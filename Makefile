@@ -1,0 +1,47 @@
+# Everything a user types. `make demo` and `make test` set up all they need by themselves.
+SHELL := /bin/bash
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+DEMO ?= build/demo
+
+.PHONY: help env demo test test-quick lint format perf schemas clean
+
+help:
+	@echo "make demo   record a synthetic scene, curate it, show the label error, the report, the exports"
+	@echo "make test   all tests (make test-quick: without the slow ones)"
+	@echo "make lint   ruff and mypy"
+	@echo "make perf   tables of timings and ratios"
+	@echo "make env    the environment in $(VENV) alone"
+
+env: $(VENV)/.complete
+
+$(VENV)/.complete: pyproject.toml constraints.txt tools/make-env tools/system-libraries
+	@tools/make-env "$(PYTHON)" "$(VENV)"
+
+demo: env
+	@$(BIN)/python -m sensors.synthetic demo "$(DEMO)"
+
+test: env
+	@$(BIN)/python -m pytest
+
+test-quick: env
+	@$(BIN)/python -m pytest -m "not slow"
+
+lint: env
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+
+format: env
+	@$(BIN)/ruff check --fix .
+	@$(BIN)/ruff format .
+
+perf: env
+	@for script in perf/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+
+schemas: env
+	@$(BIN)/std-curate schema --out schemas
+
+clean:
+	rm -rf build $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis *.egg-info

@@ -1,0 +1,62 @@
+"""`python -m sensors.synthetic`: make a synthetic recording, score labels, run the demo."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.log import log_to_stderr
+
+
+def main() -> int:
+    """Parse, call, print. Exit status: 0 done, 1 a failure."""
+    parser = argparse.ArgumentParser(prog="python -m sensors.synthetic", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    record = commands.add_parser("record", help="write a recording and its truth")
+    record.add_argument("out", type=Path)
+    record.add_argument("--frames", type=int, default=120)
+    record.add_argument("--arc", type=float, default=120.0, help="degrees around the table")
+    record.add_argument("--size", type=int, nargs=2, default=(640, 480), metavar=("W", "H"))
+    record.add_argument("--seed", type=int, default=0)
+    score = commands.add_parser("score", help="label error of a scene against the truth")
+    score.add_argument("scene", type=Path)
+    score.add_argument("recording", type=Path)
+    demo = commands.add_parser("demo", help="record, curate, score")
+    demo.add_argument("out", type=Path)
+    args = parser.parse_args()
+    log_to_stderr()
+    try:
+        return _run(args)
+    except ToolkitError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+
+
+def _run(args: argparse.Namespace) -> int:
+    if args.command == "record":
+        from sensors.synthetic.recording import RecordingOptions, make_recording
+
+        options = RecordingOptions(
+            frames=args.frames,
+            arc_degrees=args.arc,
+            width=args.size[0],
+            height=args.size[1],
+            seed=args.seed,
+        )
+        make_recording(args.out, options)
+        return 0
+    if args.command == "score":
+        from sensors.synthetic.score import label_errors
+        from std_toolkit.scene.scene import Scene
+
+        print(label_errors(Scene.open(args.scene), args.recording).table())
+        return 0
+    from sensors.synthetic.demo import run_demo
+
+    return run_demo(args.out)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
