@@ -1,7 +1,8 @@
-"""The synthetic recording must be exact where it claims truth, and sensor-like where it does not."""
+"""The synthetic recording is exact where it claims truth, sensor-like where it does not."""
 
 from __future__ import annotations
 
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -65,20 +66,14 @@ def test_objects_are_centred_and_stand_y_up(shape) -> None:
 def test_objects_rest_on_the_table_and_keep_apart(recording: Path) -> None:
     truth = read_truth(recording)
     shapes = {s.name: s.mesh for s in default_shapes()}
-    placed = {
-        o.name: SE3.from_matrix(o.T_world_obj) @ shapes[o.name].vertices for o in truth.objects
-    }
-    for points in placed.values():
+    placed = {o.name: SE3.from_matrix(o.T_world_obj) for o in truth.objects}
+    reach = {}
+    for name, pose in placed.items():
+        points = pose @ shapes[name].vertices
         assert points[:, 2].min() == pytest.approx(0, abs=1e-9)
-    names = list(placed)
-    for i, a in enumerate(names):
-        for b in names[:i]:
-            centres = [truth.object_pose(n).t[:2] for n in (a, b)]
-            reach = [
-                np.linalg.norm(placed[n][:, :2] - truth.object_pose(n).t[:2], axis=1).max()
-                for n in (a, b)
-            ]
-            assert np.linalg.norm(centres[0] - centres[1]) > sum(reach)
+        reach[name] = np.linalg.norm(points[:, :2] - pose.t[:2], axis=1).max()
+    for a, b in combinations(placed, 2):
+        assert np.linalg.norm(placed[a].t[:2] - placed[b].t[:2]) > reach[a] + reach[b]
 
 
 def test_sensor_depth_is_biased_noisy_and_blind_on_glass() -> None:
