@@ -1,0 +1,220 @@
+"""Mapping of the keyframes with COLMAP: verified matches, poses and points, bundle adjustment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pycolmap
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import Camera
+from std_toolkit.log import logger
+from std_toolkit.poses.colmap import quiet_colmap, to_colmap_camera, to_colmap_pixels
+from std_toolkit.poses.features import Features
+from std_toolkit.poses.options import Mapper, PoseOptions, Refinement
+
+# A point is kept while its reprojection error is below this; moving people are far above.
+MAX_POINT_ERROR_PX = 3.0
+MIN_TRIANGULATION_DEG = 1.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class MappingImage:
+    """One keyframe to map.
+
+    Attributes:
+        image_id: COLMAP image id, at least 1.
+        name: unique.
+        camera: key of its camera.
+        features: its features.
+    """
+
+    image_id: int
+    name: str
+    camera: str
+    features: Features
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """The outcome of mapping.
+
+    Attributes:
+        model: largest pycolmap.Reconstruction.
+        camera_ids: camera key to COLMAP camera id.
+        other_sizes: number of images in each smaller model, falling.
+    """
+
+    model: Any
+    camera_ids: dict[str, int]
+    other_sizes: list[int] = field(default_factory=list)
+
+
+def map_keyframes(
+    images: Sequence[MappingImage],
+    pairs: Sequence[tuple[int, int]],
+    cameras: dict[str, Camera],
+    work: Path,
+    *,
+    options: PoseOptions,
+) -> Mapping:
+    """Match the pairs of keyframes, verify them geometrically and map.
+
+    Args:
+        images: the keyframes in recording order.
+        pairs: indices into `images`.
+        cameras: intrinsics by key.
+        work: empty folder for the database; the caller removes it.
+        options: of the step.
+
+    Raises:
+        ToolkitError: no two keyframes could be put together.
+    """
+    threads = -1 if options.threads is None else options.threads
+    camera_ids = {key: i for i, key in enumerate(sorted(cameras), start=1)}
+    distorted = options.refine is Refinement.DISTORTION
+    database = work / "database.db"
+    with quiet_colmap():
+        pycolmap.set_random_seed(options.seed)
+        _write_database(database, images, cameras, camera_ids, distorted=distorted)
+        _match(database, images, pairs, work, threads=threads, seed=options.seed)
+        models = _map(database, work, options, threads)
+    ranked = sorted(models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()))
+    if not ranked or ranked[-1].num_reg_images() < 2:
+        raise ToolkitError(
+            "structure from motion found no two keyframes that fit together",
+            hint="record with more overlap, more texture in view and less motion blur",
+        )
+    others = [m.num_reg_images() for m in ranked[-2::-1]]
+    if others:
+        logger.warning(
+            "the keyframes fall into %d models; the largest has %d images, the others %s",
+            len(ranked),
+            ranked[-1].num_reg_images(),
+            others,
+        )
+    return Mapping(ranked[-1], camera_ids, others)
+
+
+def adjust(model: Any, *, refine: Refinement, threads: int | None, rounds: int = 2) -> None:
+    """Bundle adjustment of a whole model, alternating with the removal of bad observations.
+
+    Args:
+        model: pycolmap.Reconstruction; changed in place.
+        refine: intrinsics to adjust.
+        threads: of the solver.
+        rounds: number of adjustments.
+    """
+    options = pycolmap.BundleAdjustmentOptions()
+    options.refine_focal_length = refine is not Refinement.NONE
+    options.refine_principal_point = refine in (Refinement.INTRINSICS, Refinement.DISTORTION)
+    options.refine_extra_params = refine is Refinement.DISTORTION
+    options.print_summary = False
+    # Huber: exact least squares for good observations, no leverage for what slipped through.
+    options.ceres.loss_function_type = pycolmap.LossFunctionType.HUBER
+    options.ceres.loss_function_scale = 1.5
+    options.ceres.use_gpu = False
+    options.ceres.solver_options.max_num_iterations = 30
+    options.ceres.solver_options.function_tolerance = 1e-6
+    options.ceres.solver_options.num_threads = -1 if threads is None else threads
+    with quiet_colmap():
+        for _ in range(rounds):
+            pycolmap.bundle_adjustment(model, options)
+            manager = pycolmap.ObservationManager(model)
+            manager.filter_all_points3D(MAX_POINT_ERROR_PX, MIN_TRIANGULATION_DEG)
+        model.update_point_3d_errors()
+
+
+def _write_database(
+    path: Path,
+    images: Sequence[MappingImage],
+    cameras: dict[str, Camera],
+    camera_ids: dict[str, int],
+    *,
+    distorted: bool,
+) -> None:
+    with pycolmap.Database.open(path) as database:
+        for key in sorted(cameras):
+            camera = to_colmap_camera(cameras[key], camera_ids[key], distorted=distorted)
+            database.write_camera(camera, use_camera_id=True)
+            rig = pycolmap.Rig(rig_id=camera_ids[key])
+            rig.add_ref_sensor(camera.sensor_id)
+            database.write_rig(rig, use_rig_id=True)
+        for image in images:
+            camera_id = camera_ids[image.camera]
+            entry = pycolmap.Image(
+                name=image.name, camera_id=camera_id, image_id=image.image_id
+            )
+            frame = pycolmap.Frame(frame_id=image.image_id, rig_id=camera_id)
+            frame.add_data_id(entry.data_id)
+            database.write_frame(frame, use_frame_id=True)
+            entry.frame_id = image.image_id
+            database.write_image(entry, use_image_id=True)
+            keypoints = image.features.keypoints.copy()
+            keypoints[:, :2] = to_colmap_pixels(keypoints[:, :2])
+            database.write_keypoints(image.image_id, keypoints)
+            database.write_descriptors(
+                image.image_id,
+                pycolmap.FeatureDescriptors(
+                    pycolmap.FeatureExtractorType.SIFT, image.features.descriptors
+                ),
+            )
+
+
+def _match(
+    database: Path,
+    images: Sequence[MappingImage],
+    pairs: Sequence[tuple[int, int]],
+    work: Path,
+    *,
+    threads: int,
+    seed: int,
+) -> None:
+    listed = work / "pairs.txt"
+    listed.write_text("".join(f"{images[i].name} {images[j].name}\n" for i, j in pairs))
+    matching = pycolmap.FeatureMatchingOptions()
+    matching.use_gpu = False
+    matching.num_threads = threads
+    pairing = pycolmap.ImportedPairingOptions()
+    pairing.match_list_path = listed
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = seed
+    # People who walk in a moving camera's picture never stand still in it, a spot on the lens does.
+    verification.filter_stationary_matches = False
+    pycolmap.match_image_pairs(
+        database, matching, pairing, verification, device=pycolmap.Device.cpu
+    )
+
+
+def _map(database: Path, work: Path, options: PoseOptions, threads: int) -> dict[int, Any]:
+    output = work / "models"
+    output.mkdir()
+    if options.mapper is Mapper.GLOBAL:
+        pipeline = pycolmap.GlobalPipelineOptions()
+        pipeline.num_threads = threads
+        pipeline.random_seed = options.seed
+        pipeline.mapper.num_threads = threads
+        pipeline.mapper.random_seed = options.seed
+        adjustment = pipeline.mapper.bundle_adjustment
+        adjustment.refine_focal_length = False
+        adjustment.refine_extra_params = options.refine is Refinement.DISTORTION
+        adjustment.ceres.use_gpu = False
+        pipeline.mapper.global_positioning.use_gpu = False
+        return dict(pycolmap.global_mapping(database, work, output, pipeline))
+    pipeline = pycolmap.IncrementalPipelineOptions()
+    pipeline.num_threads = threads
+    pipeline.random_seed = options.seed
+    # The given intrinsics hold the model together while it is small; they are adjusted when the
+    # whole path constrains them. Distortion is the exception: without it points are thrown away.
+    distortion = options.refine is Refinement.DISTORTION
+    pipeline.ba_refine_focal_length = False
+    pipeline.ba_refine_principal_point = False
+    pipeline.ba_refine_extra_params = distortion
+    pipeline.mapper.abs_pose_refine_focal_length = False
+    pipeline.mapper.abs_pose_refine_extra_params = distortion
+    pipeline.min_model_size = 3
+    pipeline.extract_colors = False
+    return dict(pycolmap.incremental_mapping(database, work, output, pipeline))

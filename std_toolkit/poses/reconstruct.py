@@ -1,0 +1,313 @@
+"""From images to a model of all frames in an unknown unit: the expensive half, kept in a cache."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pycolmap
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import Camera
+from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.jobs import JobOptions
+from std_toolkit.log import logger
+from std_toolkit.poses.colmap import from_colmap_camera, quiet_colmap
+from std_toolkit.poses.features import FeatureJob, extract_features, feature_path, load_features
+from std_toolkit.poses.keyframes import choose_keyframes, measure_frames
+from std_toolkit.poses.mapping import MappingImage, adjust, map_keyframes
+from std_toolkit.poses.matching import choose_pairs, describe_image, train_vocabulary
+from std_toolkit.poses.model import add_image
+from std_toolkit.poses.options import PoseOptions
+from std_toolkit.poses.register import (
+    Registration,
+    RegistrationJob,
+    build_index,
+    register_frames,
+)
+from std_toolkit.scene import CameraModel, Frame, Scene
+from std_toolkit.scene.model import Document
+from std_toolkit.scene.provenance import digest_file, digest_of
+
+# Options that change the model; the rest only judges or scales it.
+_MODEL_OPTIONS = (
+    "keyframe_motion",
+    "max_keyframe_gap",
+    "max_features",
+    "fine_keyframes",
+    "overlap",
+    "loops",
+    "mapper",
+    "refine",
+    "min_points",
+    "seed",
+    "threads",
+)
+
+
+class Reconstruction(Document, frozen=True, kw_only=True):
+    """What there is to know about a cached model beside the model itself.
+
+    Attributes:
+        keyframes: frame ids.
+        camera_ids: camera key to COLMAP camera id.
+        other_sizes: images in each smaller model that was dropped.
+    """
+
+    keyframes: list[int]
+    camera_ids: dict[str, int]
+    other_sizes: list[int] = msgspec.field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Reconstructed:
+    """A model of all registered frames.
+
+    Attributes:
+        model: pycolmap.Reconstruction; image id = frame id + 1.
+        about: see `Reconstruction`.
+    """
+
+    model: Any
+    about: Reconstruction
+
+    def image_ids(self, frames: Sequence[Frame]) -> dict[int, int]:
+        """Frame id to COLMAP image id, of the registered frames, rising."""
+        ids = {f.id: image_id_of(f) for f in frames}
+        return {
+            f: i
+            for f, i in ids.items()
+            if self.model.exists_image(i) and self.model.image(i).has_pose
+        }
+
+    def cameras(self) -> dict[str, Camera]:
+        """Intrinsics by camera key, as adjusted."""
+        return {
+            key: from_colmap_camera(self.model.camera(number))
+            for key, number in self.about.camera_ids.items()
+            if self.model.exists_camera(number)
+        }
+
+
+def image_id_of(frame: Frame) -> int:
+    """COLMAP image id of a frame; COLMAP counts from 1."""
+    return frame.id + 1
+
+
+def model_digest(scene: Scene, digests: dict[int, str], options: PoseOptions) -> str:
+    """Digest of everything that determines the model.
+
+    Args:
+        digests: of the colour image, by frame id.
+    """
+    frames = [[f.id, f.name, f.color, f.camera, digests[f.id]] for f in scene.frames]
+    chosen = {name: getattr(options, name) for name in _MODEL_OPTIONS}
+    return digest_of("model", frames, scene.info.cameras, chosen)
+
+
+def image_digests(scene: Scene) -> dict[int, str]:
+    """Digest of the colour image of every frame.
+
+    Raises:
+        ToolkitError: a missing image.
+    """
+    paths = {f.id: scene.color_path(f) for f in scene.frames}
+    for path in paths.values():
+        if not path.is_file():
+            raise ToolkitError("image file not found", path=path)
+    return {frame: digest_file(path) for frame, path in paths.items()}
+
+
+def reconstruct(
+    scene: Scene, cache: Path, work: Path, *, options: PoseOptions, jobs: JobOptions
+) -> Reconstructed:
+    """Model of all frames, from the cache if nothing changed.
+
+    Args:
+        scene: the recording.
+        cache: folder that keeps features and the last model between runs.
+        work: empty folder for intermediate files, on the same disk as `cache`.
+        options: of the step.
+        jobs: where the work runs.
+
+    Raises:
+        ToolkitError: unreadable images, or nothing to build a model from.
+    """
+    if len(scene.frames) < 3:
+        raise ToolkitError(
+            "structure from motion needs at least 3 frames",
+            path=scene.root / "frames.json",
+            value=len(scene.frames),
+        )
+    digests = image_digests(scene)
+    key = model_digest(scene, digests, options)
+    stored = cache / f"model-{key}"
+    if not (stored / "about.json").is_file():
+        model, about = _build(scene, digests, cache / "features", work, options, jobs)
+        fresh = work / "finished"
+        (fresh / "sparse").mkdir(parents=True)
+        model.write(fresh / "sparse")
+        write_document(fresh / "about.json", about)
+        for old in cache.glob("model-*"):
+            shutil.rmtree(old)
+        fresh.replace(stored)
+    else:
+        logger.info("camera poses: using the model of the last run (nothing it rests on changed)")
+    with quiet_colmap():
+        model = pycolmap.Reconstruction(stored / "sparse")
+    return Reconstructed(model, read_document(stored / "about.json", Reconstruction))
+
+
+def _build(
+    scene: Scene,
+    digests: dict[int, str],
+    features: Path,
+    work: Path,
+    options: PoseOptions,
+    jobs: JobOptions,
+) -> tuple[Any, Reconstruction]:
+    frames = scene.frames
+    cameras = {f.camera: scene.info.cameras[f.camera].camera() for f in frames}
+    measures = measure_frames([scene.color_path(f) for f in frames])
+    chosen = choose_keyframes(
+        measures, motion=options.keyframe_motion, max_gap=options.max_keyframe_gap
+    )
+    is_key = set(chosen)
+    logger.info("camera poses: %d keyframes of %d frames", len(chosen), len(frames))
+    names = {
+        f.id: _feature_name(f, digests[f.id], i in is_key and options.fine_keyframes, options)
+        for i, f in enumerate(frames)
+    }
+    wanted = [
+        FeatureJob(
+            names[f.id],
+            scene.color_path(f),
+            cameras[f.camera].size,
+            i in is_key and options.fine_keyframes,
+        )
+        for i, f in enumerate(frames)
+    ]
+    extract_features(wanted, features, max_features=options.max_features, options=jobs)
+    _forget_others(features, set(names.values()))
+
+    keyframes = [frames[i] for i in chosen]
+    loaded = {f.id: load_features(features, names[f.id]) for f in keyframes}
+    _check_texture(loaded, keyframes, options)
+    vocabulary = train_vocabulary([x.descriptors for x in loaded.values()], seed=options.seed)
+    vectors = {f.id: describe_image(loaded[f.id].descriptors, vocabulary) for f in keyframes}
+    pairs = choose_pairs(
+        [vectors[f.id] for f in keyframes], overlap=options.overlap, loops=options.loops
+    )
+    logger.info("camera poses: mapping keyframes, %d image pairs", len(pairs))
+    mapping = map_keyframes(
+        [
+            MappingImage(
+                image_id=image_id_of(f), name=f.color, camera=f.camera, features=loaded[f.id]
+            )
+            for f in keyframes
+        ],
+        pairs,
+        cameras,
+        work,
+        options=options,
+    )
+    model = mapping.model
+    adjust(model, refine=options.refine, threads=options.threads)
+    intrinsics = {
+        key: from_colmap_camera(model.camera(i))
+        for key, i in mapping.camera_ids.items()
+        if model.exists_camera(i)
+    }
+    index = build_index(
+        model,
+        [(image_id_of(f), names[f.id], i) for i, f in zip(chosen, keyframes, strict=True)],
+        {image_id_of(f): vectors[f.id] for f in keyframes},
+        vocabulary,
+    )
+    index.save(work / "index.npz")
+    registered = {image_id_of(f): f for f in keyframes if _has_pose(model, f)}
+    rest = [f for f in frames if image_id_of(f) not in registered and f.camera in intrinsics]
+    logger.info("camera poses: registering %d further frames", len(rest))
+    report = register_frames(
+        [
+            RegistrationJob(names[f.id], order, intrinsics[f.camera])
+            for order, f in enumerate(frames)
+            if f in rest
+        ],
+        work / "index.npz",
+        features,
+        min_points=options.min_points,
+        seed=options.seed,
+        options=jobs,
+    )
+    report.raise_if_failed()
+    for frame in rest:
+        found: Registration | None = report.results[names[frame.id]]
+        if found is None:
+            continue
+        _drop(model, frame)
+        add_image(
+            model,
+            image_id=image_id_of(frame),
+            name=frame.color,
+            camera_id=mapping.camera_ids[frame.camera],
+            T_cam_world=found.T_cam_world,
+            uv=load_features(features, names[frame.id]).uv[found.keypoint],
+            point_ids=found.point_ids,
+        )
+    adjust(model, refine=options.refine, threads=options.threads)
+    about = Reconstruction(
+        keyframes=[f.id for f in keyframes],
+        camera_ids=mapping.camera_ids,
+        other_sizes=mapping.other_sizes,
+    )
+    return model, about
+
+
+def _has_pose(model: Any, frame: Frame) -> bool:
+    number = image_id_of(frame)
+    return bool(model.exists_image(number) and model.image(number).has_pose)
+
+
+def _drop(model: Any, frame: Frame) -> None:
+    """Make room for a keyframe that mapping left out and registration found a pose for."""
+    number = image_id_of(frame)
+    if model.exists_image(number):
+        raise ToolkitError("image is in the model without a pose", value=frame.color)
+
+
+def _feature_name(frame: Frame, digest: str, fine: bool, options: PoseOptions) -> str:
+    key = digest_of("sift", digest, fine, options.max_features)
+    return f"{frame.name}-{key[:16]}"
+
+
+def _forget_others(folder: Path, names: set[str]) -> None:
+    wanted = {feature_path(folder, name).name for name in names}
+    for path in folder.glob("*.npz"):
+        if path.name not in wanted:
+            path.unlink()
+
+
+def _check_texture(
+    loaded: dict[int, Any], keyframes: Sequence[Frame], options: PoseOptions
+) -> None:
+    counts = np.array([len(loaded[f.id].keypoints) for f in keyframes])
+    if np.median(counts) < 3 * options.min_points:
+        raise ToolkitError(
+            f"the images have almost no features (median {np.median(counts):.0f} per keyframe)",
+            hint="put textured things into view (a printed cloth is enough), focus, add light",
+        )
+
+
+def adjusted_cameras(scene: Scene, done: Reconstructed) -> dict[str, CameraModel]:
+    """Intrinsics that differ from those of scene.json."""
+    changed = {}
+    for key, camera in done.cameras().items():
+        if camera != scene.info.cameras[key].camera():
+            changed[key] = CameraModel.of(camera)
+    return changed
