@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+import os
+import socket
+from collections.abc import Callable, Generator, Sequence
 from typing import Any
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.jobs.runner import JobOptions, Outcome
+from std_toolkit.jobs.runner import ATTEMPTS, JobOptions, Outcome, error_of, worker_died
+
+_CONNECT_SECONDS = 5.0
 
 
 def run_on_ray(
     call: Callable[[Any], Outcome[Any]], items: Sequence[Any], options: JobOptions
-) -> Iterator[tuple[int, Outcome[Any]]]:
+) -> Generator[tuple[int, Outcome[Any]]]:
     """See `runner.EngineRunner`. Scene folders must lie on a file system that all nodes share.
 
     Raises:
@@ -20,7 +24,7 @@ def run_on_ray(
     """
     try:
         import ray
-        from ray.exceptions import RayError
+        from ray.exceptions import RayError, RayTaskError, WorkerCrashedError
     except ImportError as error:
         raise ToolkitError(
             "Ray is not installed", hint="pip install 'std-toolkit[cluster]'"
@@ -28,39 +32,84 @@ def run_on_ray(
 
     started_here = not ray.is_initialized()
     if started_here:
-        try:
-            ray.init(
-                address=options.ray_address,
-                num_cpus=None if options.ray_address else options.worker_count,
-                include_dashboard=False if options.ray_address is None else None,
-                log_to_driver=False,
-                logging_level=logging.WARNING,
-            )
-        except (ConnectionError, RuntimeError, ValueError) as error:
-            raise ToolkitError(
-                f"cannot connect to Ray: {error}", field="--ray-address", value=options.ray_address
-            ) from error
+        _connect(options)
     # Ray retries tasks whose worker died; exceptions of the function itself come as outcomes.
-    remote = ray.remote(num_cpus=1, max_retries=2)(_call)
-    shared = ray.put(call)
+    remote = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(_call)
+    running: dict[Any, int] = {}
     try:
-        queue = iter(enumerate(items))
-        running: dict[Any, int] = {}
+        shared = ray.put(call)
+        width = options.workers or int(ray.cluster_resources().get("CPU", 1))
+        queue = iter(range(len(items)))
         while True:
-            while len(running) < 2 * options.worker_count and (entry := next(queue, None)):
-                running[remote.remote(shared, entry[1])] = entry[0]
+            # A few more than what runs, so that no node waits for the next item to be sent.
+            while len(running) < 2 * width and (index := next(queue, None)) is not None:
+                running[remote.remote(shared, items[index])] = index
             if not running:
                 break
             done, _ = ray.wait(list(running), num_returns=1)
             for reference in done:
                 index = running.pop(reference)
                 try:
-                    yield index, ray.get(reference)
+                    outcome = ray.get(reference)
+                except WorkerCrashedError:
+                    outcome = worker_died()
+                except RayTaskError as error:  # before our function was reached
+                    outcome = Outcome(error=_last_line(error))
                 except RayError as error:
-                    yield index, Outcome(error=f"Ray: {' '.join(str(error).split())[:300]}")
+                    outcome = error_of(error)
+                yield index, outcome
     finally:
+        for reference in running:  # interrupted
+            ray.cancel(reference, force=True)
         if started_here:
             ray.shutdown()
+
+
+def _connect(options: JobOptions) -> None:
+    import ray
+
+    # A cluster that we start on the user's behalf reports to nobody.
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    address = options.ray_address
+    if address is not None:
+        _check_reachable(address)
+    try:
+        ray.init(
+            address=address,
+            # No local cluster is started when an address is given, here or in RAY_ADDRESS.
+            num_cpus=None if address or os.environ.get("RAY_ADDRESS") else options.worker_count,
+            include_dashboard=None if address else False,
+            log_to_driver=False,
+            logging_level=logging.ERROR,
+        )
+    except (ConnectionError, RuntimeError, ValueError) as error:
+        raise ToolkitError(
+            f"cannot connect to Ray: {error}", field="--ray-address", value=address
+        ) from error
+
+
+def _check_reachable(address: str) -> None:
+    # Ray itself tries for minutes and then ends the process without an exception.
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if address in ("auto", "local"):
+        return
+    try:
+        if not host or not port.isdecimal():
+            raise ValueError("an address is host:port")
+        with socket.create_connection((host, int(port)), timeout=_CONNECT_SECONDS):
+            pass
+    except (OSError, ValueError, OverflowError) as error:
+        raise ToolkitError(
+            f"no Ray cluster answers there: {error}",
+            field="--ray-address",
+            value=address,
+            hint="start one with `ray start --head` and give its host:port",
+        ) from error
+
+
+def _last_line(error: Exception) -> str:
+    # The text is a coloured traceback from the node; its last line tells the cause.
+    return f"{str(error).splitlines()[-1].strip()} (is the same version installed on every node?)"
 
 
 def _call(call: Callable[[Any], Outcome[Any]], item: Any) -> Outcome[Any]:

@@ -7,7 +7,8 @@ again after any interruption goes on where it stopped.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, Protocol, TypeVar
 
@@ -18,6 +19,8 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 Engine = Literal["local", "serial", "ray"]
 ENGINES: tuple[Engine, ...] = ("local", "serial", "ray")
+# An item whose worker dies (killed, out of memory, abort in a library) is tried this often.
+ATTEMPTS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +58,18 @@ class Outcome(Generic[Result]):
     error: str | None = None
 
 
+def worker_died() -> Outcome[Any]:
+    """The outcome of an item that killed its worker process every time."""
+    return Outcome(error=f"its worker process died {ATTEMPTS} times (killed, or out of memory?)")
+
+
+def error_of(error: BaseException) -> Outcome[Any]:
+    """The outcome of an item that raised `error`."""
+    if isinstance(error, ToolkitError):
+        return Outcome(error=str(error))
+    return Outcome(error=f"{type(error).__name__}: {' '.join(str(error).split())[:500]}")
+
+
 @dataclass
 class JobReport(Generic[Result]):
     """Summary of a job.
@@ -87,7 +102,7 @@ class EngineRunner(Protocol):
 
     def __call__(
         self, call: Callable[[Any], Outcome[Any]], items: Sequence[Any], options: JobOptions
-    ) -> Iterator[tuple[int, Outcome[Any]]]: ...
+    ) -> Generator[tuple[int, Outcome[Any]]]: ...
 
 
 def run_jobs(
@@ -109,25 +124,38 @@ def run_jobs(
 
     Returns:
         Results in item order, and the failures. The caller decides whether failures are fatal.
+
+    Raises:
+        ToolkitError: two items have one key, or the engine cannot be started.
+        KeyboardInterrupt: at once; items that were running are killed, not waited for.
     """
     from tqdm import tqdm
 
     options = options or JobOptions()
+    keys = [key(item) for item in items]
+    if len(set(keys)) != len(keys):
+        twice = next(k for i, k in enumerate(keys) if k in keys[:i])
+        raise ToolkitError(f"{name}: two items have the same name", value=twice)
     outcomes: dict[int, Outcome[Result]] = {}
     call = _Guarded(fn)
     shown = None if options.progress else True  # None: only on a terminal
-    with tqdm(total=len(items), desc=name, unit="item", disable=shown) as bar:
-        for index, outcome in _engine(options, len(items))(call, items, options):
+    engine = _engine(options, len(items))
+    with (
+        tqdm(total=len(items), desc=name, unit="item", disable=shown) as bar,
+        # Closed at once when interrupted: the traceback would keep the workers alive.
+        closing(engine(call, items, options)) as stream,
+    ):
+        for index, outcome in stream:
             outcomes[index] = outcome
             bar.update()
     report: JobReport[Result] = JobReport(name)
-    for index, item in enumerate(items):
+    for index, item_key in enumerate(keys):
         outcome = outcomes[index]
         if outcome.error is not None:
-            report.failed[key(item)] = outcome.error
-            logger.error("%s: %s: %s", name, key(item), outcome.error)
+            report.failed[item_key] = outcome.error
+            logger.error("%s: %s: %s", name, item_key, outcome.error)
         else:
-            report.results[key(item)] = outcome.result  # type: ignore[assignment]
+            report.results[item_key] = outcome.result  # type: ignore[assignment]
     return report
 
 
@@ -140,11 +168,13 @@ class _Guarded(Generic[Item, Result]):
     def __call__(self, item: Item) -> Outcome[Result]:
         try:
             return Outcome(result=self.fn(item))
-        except ToolkitError as error:
-            return Outcome(error=str(error))
-        except Exception as error:  # the job layer is where one item's failure is handled
+        except (KeyboardInterrupt, GeneratorExit):
+            raise
+        except BaseException as error:
+            # The job layer is where one item's failure is handled; a library that calls exit()
+            # or panics fails its item, not the run.
             logger.debug("failed item", exc_info=True)
-            return Outcome(error=f"{type(error).__name__}: {' '.join(str(error).split())}")
+            return error_of(error)
 
 
 def _engine(options: JobOptions, count: int) -> EngineRunner:
@@ -152,7 +182,7 @@ def _engine(options: JobOptions, count: int) -> EngineRunner:
         from std_toolkit.jobs.ray_engine import run_on_ray
 
         return run_on_ray
-    if options.engine == "serial" or options.worker_count == 1 or count <= 1:
+    if options.engine == "serial" or count <= 1:  # one item has no neighbours to protect
         return _run_serially
     from std_toolkit.jobs.local import run_locally
 
@@ -163,6 +193,6 @@ def _run_serially(
     call: Callable[[Any], Outcome[Any]],
     items: Sequence[Any],
     options: JobOptions,  # noqa: ARG001 - part of the protocol
-) -> Iterator[tuple[int, Outcome[Any]]]:
+) -> Generator[tuple[int, Outcome[Any]]]:
     for index, item in enumerate(items):
         yield index, call(item)

@@ -1,0 +1,77 @@
+"""Functions that the job tests run in other processes, where only importable ones arrive."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import write_bytes_atomic
+
+
+def square(x: int) -> int:
+    return x * x
+
+
+def slow_first(x: int) -> int:
+    time.sleep(0.3 if x == 0 else 0)
+    return x
+
+
+def odd_raises(x: int) -> int:
+    if x % 2:
+        raise ToolkitError("odd", path="numbers", value=x)
+    return x
+
+
+def raise_foreign(x: int) -> int:
+    raise RuntimeError("two\nlines of it")
+
+
+def call_exit(x: int) -> int:
+    if x == 1:
+        sys.exit(0)
+    return x
+
+
+def return_unpicklable(x: int) -> object:
+    return (lambda: x) if x == 1 else x
+
+
+def process_id(x: int) -> int:
+    time.sleep(0.05)
+    return os.getpid()
+
+
+def killed_once(job: tuple[int, Path]) -> int:
+    """Item 3 kills its worker the first time."""
+    x, folder = job
+    mark = folder / "was_killed"
+    if x == 3 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return x
+
+
+def three_aborts(x: int) -> int:
+    if x == 3:
+        os.abort()
+    time.sleep(0.02)
+    return x
+
+
+def sleep_long(job: tuple[int, Path]) -> int:
+    x, folder = job
+    (folder / f"started_{x}_{os.getpid()}").touch()
+    time.sleep(120)
+    return x
+
+
+def write_square(job: tuple[int, Path]) -> str:
+    x, folder = job
+    name = f"{x:03d}.txt"
+    write_bytes_atomic(folder / name, f"{x * x}\n".encode() * 1000)
+    return name
