@@ -1,0 +1,123 @@
+"""From which directions an object was seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.geometry.se3 import SE3
+
+Array = NDArray[np.float64]
+
+# Below this angle between the two views farthest apart, depth along the view is poorly fixed: the
+# error along the view is 1 / tan(angle / 2) times the sideways one, 3.7 times at 30 degrees.
+NARROW_DEG = 30.0
+# An object counts as seen in a frame when at least this part of it is visible.
+SEEN_FRACTION = 0.3
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """View directions of one object.
+
+    Attributes:
+        frames: number of frames that see it.
+        azimuth_span_deg: full turn minus the largest gap in azimuth.
+        elevation_min_deg, elevation_max_deg: above the horizontal plane.
+        parallax_deg: largest angle between two view directions.
+        largest_step_deg: largest azimuth step between neighbouring views inside the span.
+    """
+
+    frames: int
+    azimuth_span_deg: float
+    elevation_min_deg: float
+    elevation_max_deg: float
+    parallax_deg: float
+    largest_step_deg: float
+
+
+def scene_up(poses: list[SE3], points: Array | None) -> Array:
+    """Unit vector (3,) that points up in the world, as well as a recording tells.
+
+    The normal of the dominant plane of the points (a table) when it agrees with how the camera
+    was held, else the mean of the cameras' up directions.
+    """
+    if not poses:
+        return np.array([0.0, -1.0, 0.0])
+    held = np.mean([T.R @ [0.0, -1.0, 0.0] for T in poses], axis=0)
+    held = held / max(float(np.linalg.norm(held)), 1e-9)
+    # The normal of a table seen from above lies between the cameras' up and backward directions.
+    back = np.mean([T.R @ [0.0, 0.0, -1.0] for T in poses], axis=0)
+    if points is None or len(points) < 100:
+        return held
+    normal = _plane_normal(points)
+    if normal is None:
+        return held
+    centre = np.median(points, axis=0)
+    towards = np.mean([T.t for T in poses], axis=0) - centre
+    normal = normal if normal @ towards > 0 else -normal
+    expected = held + back / max(float(np.linalg.norm(back)), 1e-9)
+    expected = expected / max(float(np.linalg.norm(expected)), 1e-9)
+    return normal if normal @ expected > np.cos(np.deg2rad(50)) else held
+
+
+def directions(
+    centre: NDArray[np.floating], cameras: NDArray[np.floating], up: Array, ahead: Array
+) -> tuple[Array, Array]:
+    """Azimuth and elevation (N,) in degrees of cameras (N, 3) seen from a point.
+
+    Azimuth is 0 towards `ahead` and rises counter-clockwise seen from above.
+    """
+    x_axis = ahead - (ahead @ up) * up
+    if np.linalg.norm(x_axis) < 1e-9:
+        x_axis = np.cross(up, [1.0, 0.0, 0.0] if abs(up[0]) < 0.9 else [0.0, 1.0, 0.0])
+    x_axis = x_axis / np.linalg.norm(x_axis)
+    y_axis = np.cross(up, x_axis)
+    d = np.asarray(cameras, dtype=np.float64) - centre
+    d = d / np.linalg.norm(d, axis=1, keepdims=True)
+    azimuth = np.degrees(np.arctan2(d @ y_axis, d @ x_axis)) % 360
+    return azimuth, np.degrees(np.arcsin(np.clip(d @ up, -1, 1)))
+
+
+def measure_coverage(azimuth_deg: Array, elevation_deg: Array) -> Coverage | None:
+    """Spans and gaps of view directions (N,); None without any."""
+    if len(azimuth_deg) == 0:
+        return None
+    ordered = np.sort(azimuth_deg)
+    gaps = np.diff(np.concatenate([ordered, [ordered[0] + 360]]))
+    widest = int(gaps.argmax())
+    inner = np.delete(gaps, widest)
+    a, e = np.deg2rad(azimuth_deg), np.deg2rad(elevation_deg)
+    d = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=1)
+    return Coverage(
+        len(azimuth_deg),
+        float(360 - gaps[widest]),
+        float(elevation_deg.min()),
+        float(elevation_deg.max()),
+        float(np.degrees(np.arccos(np.clip((d @ d.T).min(), -1, 1)))),
+        float(inner.max()) if len(inner) else 0.0,
+    )
+
+
+def _plane_normal(points: Array) -> Array | None:
+    """Normal of the plane that holds most points, if it holds at least a fifth of them."""
+    rng = np.random.default_rng(0)
+    sample = points if len(points) <= 4000 else points[rng.choice(len(points), 4000, replace=False)]
+    extent = float(np.median(np.linalg.norm(sample - np.median(sample, axis=0), axis=1)))
+    tolerance = 0.02 * max(extent, 1e-6)
+    best, best_count = None, 0
+    for _ in range(300):
+        a, b, c = sample[rng.choice(len(sample), 3, replace=False)]
+        n = np.cross(b - a, c - a)
+        length = float(np.linalg.norm(n))
+        if length < 1e-12:
+            continue
+        near = np.abs((sample - a) @ (n / length)) < tolerance
+        if near.sum() > best_count:
+            best, best_count = near, int(near.sum())
+    if best is None or best_count < 0.2 * len(sample):
+        return None
+    plane = sample[best]
+    return np.asarray(np.linalg.svd(plane - plane.mean(axis=0), full_matrices=False)[2][2])

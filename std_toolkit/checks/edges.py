@@ -1,0 +1,198 @@
+"""How far a label's contour lies from the edges of the image.
+
+Along the normal of every contour point the image is read as a profile; its edges are the peaks
+of the profile's slope. Two measures come out of the same profiles: the distance to the nearest
+edge (what a person sees, but any texture nearby makes it small), and the one shift of the whole
+contour that fits the edges best (which texture fools far less, as it has no single direction).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.checks.contours import Contour
+
+Array = NDArray[np.float64]
+
+STEP_PX = 0.5
+# Slope in grey levels per pixel below which a peak is noise in any 8-bit image.
+SMALLEST_SLOPE = 1.5
+# A peak below this part of the steepest slope of its profile is texture, not an outline.
+RELATIVE_SLOPE = 0.2
+FEWEST_POINTS = 24
+LARGEST_SAMPLE = 400
+
+
+@dataclass(frozen=True, eq=False)
+class Profiles:
+    """Slope of the image along contour normals.
+
+    Attributes:
+        slope: (P, S) grey levels per pixel, at least 0.
+        offsets: (S,) positions along the normal in px, outwards positive.
+        threshold: (P,) slope above which a peak counts as an edge.
+        normals: (P, 2).
+    """
+
+    slope: Array
+    offsets: Array
+    threshold: Array
+    normals: Array
+
+
+@dataclass(frozen=True)
+class EdgeDistance:
+    """Distances from contour points to the nearest image edge along their normals.
+
+    Attributes:
+        median_px, p90_px: over the points that meet an edge; None if none does.
+        support: share of the points that meet an edge.
+        chance_px: median that contours at random places nearby would have.
+        points: number of contour points looked at.
+    """
+
+    median_px: float | None
+    p90_px: float | None
+    support: float
+    chance_px: float | None
+    points: int
+
+
+@dataclass(frozen=True)
+class Shift:
+    """The shift of the whole contour that fits the image edges best.
+
+    Attributes:
+        x_px, y_px: where the image is, relative to the label.
+        gain: score of the best shift over the mean score of all shifts, minus 1.
+    """
+
+    x_px: float
+    y_px: float
+    gain: float
+
+
+def smooth_image(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """(H, W, 3) float32 image without its pixel noise, as `read_profiles` wants it."""
+    return cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.0)  # type: ignore[return-value]
+
+
+def noise_level(image: NDArray[np.uint8]) -> float:
+    """Standard deviation of the pixel noise in grey levels, 0.3 to 4.
+
+    Source: J. Immerkaer, "Fast noise variance estimation", CVIU 1996 (the kernel), with a median
+    in place of the mean, so that texture counts less.
+    """
+    kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32) / 6
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    spread = float(np.median(np.abs(cv2.filter2D(grey, -1, kernel)))) / 0.6745
+    return float(np.clip(spread, 0.3, 4.0))
+
+
+def read_profiles(
+    smoothed: NDArray[np.float32], contour: Contour, *, reach_px: float, noise: float
+) -> Profiles | None:
+    """Slopes along the normals of the contour points where the object itself ends.
+
+    Args:
+        smoothed: from `smooth_image`.
+        contour: of one object.
+        reach_px: how far to look on both sides.
+        noise: from `noise_level`.
+
+    Returns:
+        The profiles, or None if too few points are left.
+    """
+    index = np.flatnonzero(contour.own)
+    if len(index) < FEWEST_POINTS:
+        return None
+    if len(index) > LARGEST_SAMPLE:
+        index = index[np.linspace(0, len(index) - 1, LARGEST_SAMPLE).round().astype(int)]
+    points, normals = contour.points[index], contour.normals[index]
+    count = round(reach_px / STEP_PX)
+    offsets = np.arange(-count - 1, count + 2) * STEP_PX
+    at = points[:, None, :] + offsets[:, None] * normals[:, None, :]
+    values = cv2.remap(
+        smoothed,
+        at[..., 0].astype(np.float32),
+        at[..., 1].astype(np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    ).astype(np.float64)
+    slope = np.linalg.norm(values[:, 2:] - values[:, :-2], axis=-1) / (2 * STEP_PX * np.sqrt(3))
+    floor = max(SMALLEST_SLOPE, 1.4 * noise)
+    threshold = np.maximum(floor, RELATIVE_SLOPE * slope.max(axis=1))
+    return Profiles(slope, offsets[1:-1].astype(np.float64), threshold, normals)
+
+
+def edge_distance(profiles: Profiles) -> EdgeDistance:
+    """Distance to the nearest edge, and what chance would give on the same profiles."""
+    position = _peaks(profiles)
+    reach = float(profiles.offsets[-1])
+    nearest = np.min(np.abs(position), axis=1)
+    met = np.isfinite(nearest)
+    # The same contour moved along its normals to where no label put it.
+    moved = [np.min(np.abs(position - s), axis=1) for s in np.linspace(-reach / 2, reach / 2, 9)]
+    if not met.any():
+        return EdgeDistance(None, None, 0.0, None, len(nearest))
+    chance = float(np.median(np.stack(moved)[:, met]))
+    return EdgeDistance(
+        float(np.median(nearest[met])),
+        float(np.percentile(nearest[met], 90)),
+        float(met.mean()),
+        chance,
+        len(nearest),
+    )
+
+
+def best_shift(profiles: Profiles, *, largest_px: float) -> Shift | None:
+    """The shift within `largest_px` at which most of the contour lies on strong slopes.
+
+    Slopes are saturated, so that one steep edge does not outvote many faint ones.
+
+    Returns:
+        The shift to about 0.1 px, or None if no shift is much better than the others or the best
+        one lies at the limit of the search.
+    """
+    strength = profiles.slope / (profiles.slope + 3 * profiles.threshold[:, None])
+    grid = np.arange(-largest_px, largest_px + STEP_PX / 2, STEP_PX)
+    dx, dy = np.meshgrid(grid, grid)
+    # Shifts along the contour are free: only the part along the normal moves a point off it.
+    along = profiles.normals @ np.stack([dx.ravel(), dy.ravel()])
+    index = (along - profiles.offsets[0]) / STEP_PX
+    outside = (index < 0) | (index > len(profiles.offsets) - 1)
+    low = np.clip(np.floor(index).astype(int), 0, len(profiles.offsets) - 2)
+    part = index - low
+    row = np.arange(len(low))[:, None]
+    value = (1 - part) * strength[row, low] + part * strength[row, low + 1]
+    value[outside] = 0
+    score = value.mean(axis=0).reshape(dx.shape)
+    y, x = np.unravel_index(int(score.argmax()), score.shape)
+    gain = float(score[y, x] / max(score.mean(), 1e-9) - 1)
+    if gain < 0.15 or not (0 < x < len(grid) - 1 and 0 < y < len(grid) - 1):
+        return None
+    return Shift(
+        float(grid[x] + STEP_PX * _vertex(*score[y, x - 1 : x + 2])),
+        float(grid[y] + STEP_PX * _vertex(*score[y - 1 : y + 2, x])),
+        gain,
+    )
+
+
+def _peaks(profiles: Profiles) -> Array:
+    """(P, S-2) positions of the edges along the normals in px, infinite where there is none."""
+    left, middle, right = (profiles.slope[:, i : i + profiles.slope.shape[1] - 2] for i in range(3))
+    is_peak = (middle > left) & (middle >= right) & (middle > profiles.threshold[:, None])
+    bend = left - 2 * middle + right
+    fine = np.divide(0.5 * (left - right), bend, out=np.zeros_like(bend), where=bend < 0)
+    position = profiles.offsets[1:-1] + STEP_PX * fine
+    return np.where(is_peak, position, np.inf)
+
+
+def _vertex(left: float, middle: float, right: float) -> float:
+    """Where a parabola through three samples peaks, in samples from the middle one."""
+    bend = left - 2 * middle + right
+    return 0.5 * (left - right) / bend if bend < 0 else 0.0

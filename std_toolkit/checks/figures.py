@@ -1,0 +1,361 @@
+"""Figures over frames, directions and materials, as Plotly JSON with one restrained style."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.checks.palette import (
+    BAD,
+    CAMERA,
+    FAINT,
+    GRID,
+    INK,
+    MATERIAL_COLORS,
+    object_color,
+    object_dash,
+)
+from std_toolkit.checks.result import CheckReport, MaterialDepth, ObjectCheck, ObjectFrameCheck
+
+FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
+SKIES_PER_ROW = 4
+
+
+def base_layout(*, height: int, **more: Any) -> dict[str, Any]:
+    """The layout that all figures share."""
+    axis = {
+        "gridcolor": GRID,
+        "zeroline": False,
+        "linecolor": "#cbd2d9",
+        "ticks": "outside",
+        "tickcolor": "#cbd2d9",
+        "ticklen": 4,
+        "title": {"standoff": 10},
+        "automargin": True,
+    }
+    layout: dict[str, Any] = {
+        "height": height,
+        "margin": {"l": 64, "r": 16, "t": 16, "b": 52},
+        "font": {"family": FONT, "size": 13, "color": INK},
+        "paper_bgcolor": "rgba(0,0,0,0)",
+        "plot_bgcolor": "rgba(0,0,0,0)",
+        "hovermode": "closest",
+        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "xanchor": "left"},
+        "xaxis": dict(axis),
+        "yaxis": dict(axis),
+    }
+    for key, value in more.items():
+        layout[key] = layout.get(key, {}) | value if isinstance(value, dict) else value
+    return layout
+
+
+def figure_json(traces: Sequence[Any], layout: dict[str, Any]) -> str:
+    """JSON of a figure: validated by Plotly, without its default theme, safe inside a script."""
+    import plotly.graph_objects as go
+
+    figure = go.Figure(data=list(traces), layout={**layout, "template": go.layout.Template()})
+    return str(figure.to_json()).replace("<", "\\u003c")
+
+
+def registration_figure(report: CheckReport, *, limit_px: float) -> str | None:
+    """Reprojection error per frame; frames without a pose as crosses below the axis."""
+    rows = report.frames
+    if not any(f.status != "no pose" for f in rows):
+        return None
+    there = [f for f in rows if f.status == "registered"]
+    lost = [f for f in rows if f.status == "unregistered"]
+    traces: list[dict[str, Any]] = [
+        {
+            "type": "bar",
+            "name": "registered",
+            "x": [f.frame for f in there],
+            "y": [f.reprojection_px or 0 for f in there],
+            "marker": {"color": CAMERA},
+            "customdata": [[f.name, f.points] for f in there],
+            "hovertemplate": "frame %{x} (%{customdata[0]})<br>%{y:.2f} px, "
+            "%{customdata[1]} points<extra></extra>",
+        }
+    ]
+    if lost:
+        traces.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": "no camera pose",
+                "x": [f.frame for f in lost],
+                "y": [0.0] * len(lost),
+                "marker": {"symbol": "x", "size": 9, "color": BAD},
+                "cliponaxis": False,
+                "hovertext": [f.name for f in lost],
+                "hovertemplate": "frame %{x} (%{hovertext})<br>no pose<extra></extra>",
+            }
+        )
+    top = max([limit_px * 1.1, *(f.reprojection_px or 0 for f in there)])
+    return figure_json(
+        traces,
+        base_layout(
+            height=260,
+            bargap=0.15,
+            xaxis={"title": {"text": "frame"}},
+            yaxis={"title": {"text": "reprojection error (px)"}, "range": [0, top * 1.05]},
+            showlegend=bool(lost),
+            shapes=[_limit_line(limit_px)],
+        ),
+    )
+
+
+def frames_figure(
+    objects: Sequence[ObjectCheck],
+    value: Callable[[ObjectFrameCheck], float | None],
+    *,
+    title: str,
+    unit: str,
+    limits: Sequence[float] = (),
+    from_zero: bool = True,
+) -> str | None:
+    """One line per object over the frames; None if no object has the value."""
+    ids = [o.object for o in objects]
+    traces: list[dict[str, Any]] = []
+    for item in objects:
+        points = [(f.frame, v) for f in item.frames if (v := value(f)) is not None]
+        if not points:
+            continue
+        traces.append(
+            {
+                "type": "scatter",
+                "mode": "lines+markers",
+                "name": item.name,
+                "x": [p[0] for p in points],
+                "y": [round(p[1], 3) for p in points],
+                "line": {
+                    "color": object_color(ids, item.object),
+                    "dash": object_dash(ids, item.object),
+                    "width": 1.5,
+                },
+                "marker": {"size": 4},
+                "hovertemplate": f"{item.name}<br>frame %{{x}}: %{{y:.2f}} {unit}<extra></extra>",
+            }
+        )
+    if not traces:
+        return None
+    values = [v for t in traces for v in t["y"]]
+    low, high = min([*values, *limits]), max([*values, *limits])
+    # A single frame gone wrong must not press all others flat.
+    high = min(high, max([3 * float(np.percentile(values, 95)), *limits]))
+    pad = 0.08 * max(high - min(low, 0), 1e-3)
+    return figure_json(
+        traces,
+        base_layout(
+            height=320,
+            xaxis={"title": {"text": "frame"}},
+            yaxis={
+                "title": {"text": f"{title} ({unit})"},
+                "range": [0 if from_zero else low - pad, high + pad],
+            },
+            shapes=[_limit_line(x) for x in limits],
+            showlegend=True,
+        ),
+    )
+
+
+def visibility_figure(objects: Sequence[ObjectCheck]) -> str | None:
+    """Visible fraction as a map of objects over frames."""
+    rows = [o for o in objects if o.frames]
+    if not rows:
+        return None
+    frames = sorted({f.frame for o in rows for f in o.frames})
+    table: list[list[float | None]] = []
+    for item in rows:
+        seen = {f.frame: f.visible_fraction for f in item.frames}
+        table.append([seen.get(f) for f in frames])
+    trace = {
+        "type": "heatmap",
+        "x": frames,
+        "y": [o.name for o in rows],
+        "z": table,
+        "zmin": 0,
+        "zmax": 1,
+        "colorscale": [[0, "#f1f3f5"], [0.5, "#8fb8d8"], [1, "#0b4a7a"]],
+        "colorbar": {
+            "title": {"text": "visible", "side": "right"},
+            "tickformat": ".0%",
+            "thickness": 12,
+            "outlinewidth": 0,
+        },
+        "xgap": 0,
+        "ygap": 2,
+        "hovertemplate": "%{y}<br>frame %{x}: %{z:.0%} visible<extra></extra>",
+    }
+    return figure_json(
+        [trace],
+        base_layout(
+            height=110 + 30 * len(rows),
+            xaxis={"title": {"text": "frame"}, "showgrid": False},
+            yaxis={"autorange": "reversed", "showgrid": False, "ticks": ""},
+        ),
+    )
+
+
+def sky_figure(
+    views: dict[int, tuple[NDArray[np.float64], NDArray[np.float64], list[ObjectFrameCheck]]],
+    objects: Sequence[ObjectCheck],
+) -> str | None:
+    """View directions of every object on a half sky: centre = from above, rim = level.
+
+    Args:
+        views: by object id: azimuth, elevation (N,) in degrees, and the frames they belong to.
+        objects: all objects, for names and colours.
+    """
+    shown = [o for o in objects if o.object in views]
+    if not shown:
+        return None
+    ids = [o.object for o in objects]
+    columns = min(SKIES_PER_ROW, len(shown))
+    rows = -(-len(shown) // columns)
+    height = 60 + 290 * rows
+    traces: list[dict[str, Any]] = []
+    layout = base_layout(
+        height=height, showlegend=False, margin={"l": 10, "r": 10, "t": 10, "b": 10}
+    )
+    del layout["xaxis"], layout["yaxis"]
+    notes = []
+    for place, item in enumerate(shown):
+        azimuth, elevation, frames = views[item.object]
+        name = "polar" if place == 0 else f"polar{place + 1}"
+        row, column = divmod(place, columns)
+        x0, x1 = (column + 0.08) / columns, (column + 0.92) / columns
+        y1 = 1 - (row + 0.22) / rows
+        y0 = 1 - (row + 0.92) / rows
+        deepest = max(90.0, 90 - float(elevation.min()))
+        layout[name] = {
+            "domain": {"x": [x0, x1], "y": [max(y0, 0), y1]},
+            "bgcolor": "rgba(0,0,0,0)",
+            "radialaxis": {
+                "range": [0, deepest],
+                "tickvals": [0, 30, 60, 90],
+                "ticktext": ["", "60°", "30°", "0°"],
+                "angle": 45,
+                "tickangle": 45,
+                "gridcolor": GRID,
+                "linecolor": GRID,
+                "tickfont": {"size": 10, "color": FAINT},
+                "ticks": "",
+            },
+            "angularaxis": {
+                "tickvals": list(range(0, 360, 45)),
+                "direction": "counterclockwise",
+                "rotation": -90,
+                "gridcolor": GRID,
+                "linecolor": "#cbd2d9",
+                "tickfont": {"size": 10, "color": FAINT},
+                "ticks": "",
+            },
+        }
+        color = object_color(ids, item.object)
+        annotated = [f.frame == item.annotated_frame for f in frames]
+        traces.append(
+            {
+                "type": "scatterpolar",
+                "subplot": name,
+                "mode": "markers",
+                "theta": [round(float(a), 1) for a in azimuth],
+                "r": [round(90 - float(e), 1) for e in elevation],
+                "marker": {
+                    "color": color,
+                    "size": [13 if a else 7 for a in annotated],
+                    "symbol": ["star" if a else "circle" for a in annotated],
+                    "opacity": [round(0.25 + 0.75 * f.visible_fraction, 2) for f in frames],
+                    "line": {"width": 0.5, "color": "white"},
+                },
+                "customdata": [
+                    [f.frame, round(float(e), 1), f.visible_fraction]
+                    for f, e in zip(frames, elevation, strict=True)
+                ],
+                "hovertemplate": f"{item.name}<br>frame %{{customdata[0]}}<br>azimuth %{{theta}}°, "
+                "elevation %{customdata[1]}°<br>%{customdata[2]:.0%} visible<extra></extra>",
+            }
+        )
+        span = f"{item.azimuth_span_deg:.0f}°" if item.azimuth_span_deg is not None else "–"
+        notes.append(
+            {
+                "text": f"<b>{item.name}</b><br>{len(frames)} views over {span}",
+                "x": (x0 + x1) / 2,
+                "y": 1 - row / rows,
+                "xref": "paper",
+                "yref": "paper",
+                "xanchor": "center",
+                "yanchor": "top",
+                "showarrow": False,
+                "font": {"size": 13},
+            }
+        )
+    layout["annotations"] = notes
+    return figure_json(traces, layout)
+
+
+def error_figure(materials: Sequence[MaterialDepth]) -> str | None:
+    """Distribution of raw minus ground-truth depth per material."""
+    rows = [m for m in materials if m.histogram_mm]
+    if not rows:
+        return None
+    traces: list[dict[str, Any]] = [
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "name": m.material,
+            "x": m.histogram_mm,
+            "y": [100 * s for s in m.histogram_share],
+            "line": {"color": MATERIAL_COLORS[m.material], "width": 2, "shape": "hvh"},
+            "fill": "tozeroy",
+            "fillcolor": _translucent(MATERIAL_COLORS[m.material]),
+            "hovertemplate": f"{m.material}<br>%{{x}} mm: %{{y:.2f}} % of the readings"
+            "<extra></extra>",
+        }
+        for m in rows
+    ]
+    limit = max(abs(x) for x in rows[0].histogram_mm)
+    return figure_json(
+        traces,
+        base_layout(
+            height=340,
+            showlegend=True,
+            xaxis={
+                "title": {
+                    "text": "raw minus ground-truth depth (mm); outermost bins hold the rest"
+                },
+                "range": [-limit - 2, limit + 2],
+            },
+            yaxis={"title": {"text": "readings per 2 mm (%)"}, "rangemode": "tozero"},
+            shapes=[
+                {
+                    "type": "line",
+                    "x0": 0,
+                    "x1": 0,
+                    "yref": "paper",
+                    "y0": 0,
+                    "y1": 1,
+                    "line": {"color": FAINT, "width": 1, "dash": "dot"},
+                }
+            ],
+        ),
+    )
+
+
+def _limit_line(y: float) -> dict[str, Any]:
+    return {
+        "type": "line",
+        "xref": "paper",
+        "x0": 0,
+        "x1": 1,
+        "y0": y,
+        "y1": y,
+        "line": {"color": BAD, "width": 1, "dash": "dash"},
+    }
+
+
+def _translucent(color: str) -> str:
+    r, g, b = (int(color[i : i + 2], 16) for i in (1, 3, 5))
+    return f"rgba({r},{g},{b},0.12)"

@@ -1,0 +1,195 @@
+"""Warnings, ranked: what a person should look at, and what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from std_toolkit.checks.coverage import NARROW_DEG
+from std_toolkit.checks.gates import has_edges, is_uninformative
+from std_toolkit.checks.options import CheckOptions
+from std_toolkit.checks.result import (
+    CheckGate,
+    CheckWarning,
+    FrameCheck,
+    MaterialDepth,
+    ObjectCheck,
+    SceneSummary,
+    Severity,
+)
+from std_toolkit.scene.model import DIFFUSE_MATERIALS
+
+_ORDER: dict[Severity, int] = {"high": 0, "medium": 1, "low": 2}
+_LARGE_OFFSET_MM = 3.0
+_LOW_VISIBILITY = 0.5
+_LARGE_BIAS = 0.004
+_LARGE_STEP_DEG = 30.0
+_GOOD_COMPLETENESS = 0.8
+
+
+def find_warnings(
+    summary: SceneSummary,
+    gates: Sequence[CheckGate],
+    objects: Sequence[ObjectCheck],
+    frames: Sequence[FrameCheck],
+    materials: Sequence[MaterialDepth],
+    options: CheckOptions,
+) -> list[CheckWarning]:
+    """All warnings, the severest first; failed gates come before everything else."""
+    found = [
+        CheckWarning(
+            severity="high",
+            about=gate.detail.split(";")[0] or "scene",
+            problem=f"gate failed: {gate.title}: {gate.value:g} {gate.unit}".rstrip()
+            + f", must be {gate.rule} {gate.limit:g} {gate.unit}".rstrip(),
+            advice=gate.advice,
+        )
+        for gate in gates
+        if gate.status == "fail"
+    ]
+    rest = [
+        *_frame_warnings(frames),
+        *(w for item in objects for w in _object_warnings(item, options)),
+        *_depth_warnings(summary, materials),
+    ]
+    return found + sorted(rest, key=lambda w: _ORDER[w.severity])
+
+
+def _frame_warnings(frames: Sequence[FrameCheck]) -> list[CheckWarning]:
+    found = [
+        CheckWarning(
+            severity="high",
+            about=f"frame {f.name}",
+            problem=f"could not be looked at: {f.problem}",
+            advice="restore the file or import the recording again",
+        )
+        for f in frames
+        if f.problem
+    ]
+    lost = [f for f in frames if f.status == "unregistered"]
+    if lost:
+        found.append(
+            CheckWarning(
+                severity="medium" if len(lost) > 0.05 * len(frames) else "low",
+                about=f"{len(lost)} frames",
+                problem=f"have no camera pose: {_ranges([f.frame for f in lost])}",
+                advice="they get no labels; record again there if they matter",
+            )
+        )
+    stale = [f for f in frames if f.truth == "stale"]
+    if stale:
+        found.append(
+            CheckWarning(
+                severity="high",
+                about=f"{len(stale)} frames",
+                problem="ground truth was rendered from other labels or camera poses: "
+                f"{_ranges([f.frame for f in stale])}",
+                advice="run `std-curate render`",
+            )
+        )
+    return found
+
+
+def _object_warnings(item: ObjectCheck, options: CheckOptions) -> list[CheckWarning]:
+    found: list[CheckWarning] = []
+
+    def warn(severity: Severity, problem: str, advice: str) -> None:
+        found.append(
+            CheckWarning(severity=severity, about=item.name, problem=problem, advice=advice)
+        )
+
+    if item.label == "annotated":
+        warn("medium", "is annotated but not propagated", "run `std-curate propagate`")
+    if item.label not in ("propagated", "refined"):
+        return found
+    if item.frames_seen == 0:
+        warn("high", "is in view in no frame looked at", "check its label and mesh")
+        return found
+    if not has_edges(item, options):
+        share = 100 * (item.edge_support or 0)
+        warn(
+            "medium",
+            f"only {share:.0f} % of its contour meets an image edge: the image hardly confirms "
+            "the label",
+            "look at its close-ups; annotate it in a frame with more contrast",
+        )
+    elif is_uninformative(item):
+        warn(
+            "low",
+            f"edge distance {item.edge_px:.1f} px is little better than chance "
+            f"({item.edge_chance_px:.1f} px) among so much texture",
+            "trust the close-ups and the shift rather than the edge distance",
+        )
+    if (item.offset_norm_mm or 0) > _LARGE_OFFSET_MM and has_edges(item, options):
+        warn(
+            "medium",
+            f"all frames together see it {item.offset_norm_mm:.1f} mm from its label",
+            "run `std-curate propagate --refine`",
+        )
+    if item.parallax_deg is not None and item.parallax_deg < NARROW_DEG:
+        warn(
+            "medium",
+            f"was seen over {item.parallax_deg:.0f} degrees only: its depth is weakly determined",
+            "record a wider sweep around it",
+        )
+    if (item.largest_step_deg or 0) > _LARGE_STEP_DEG:
+        warn(
+            "low",
+            f"a gap of {item.largest_step_deg:.0f} degrees lies between its views",
+            "record the missing directions, or accept that they are not in the data",
+        )
+    if (item.visible_fraction or 1) < _LOW_VISIBILITY:
+        warn(
+            "low",
+            f"is half hidden in most frames (visible {100 * (item.visible_fraction or 0):.0f} %)",
+            "move it or its neighbours if it matters in this scene",
+        )
+    if item.weak_direction:
+        warn("low", item.weak_direction, "annotate it from a view across that direction")
+    return found
+
+
+def _depth_warnings(
+    summary: SceneSummary, materials: Sequence[MaterialDepth]
+) -> list[CheckWarning]:
+    found = []
+    if summary.depth_bias is not None and abs(summary.depth_bias) > _LARGE_BIAS:
+        word = "short" if summary.depth_bias > 0 else "long"
+        found.append(
+            CheckWarning(
+                severity="low",
+                about="sensor depth",
+                problem=f"reads {100 * abs(summary.depth_bias):.2f} % {word} of the labels on all "
+                "diffuse objects alike: a bias of the sensor, or of the scale",
+                advice="if the scale comes from a CAD model or a board, multiply depth_correction "
+                f"in scene.json by {1 + summary.depth_bias:.4f}",
+            )
+        )
+    holey = {
+        m.material: 100 * (1 - m.completeness)
+        for m in materials
+        if m.material in DIFFUSE_MATERIALS
+        and m.completeness is not None
+        and m.completeness < _GOOD_COMPLETENESS
+    }
+    return found + [
+        CheckWarning(
+            severity="low",
+            about="sensor depth",
+            problem=f"is missing on {share:.0f} % of the {material} objects, which a sensor should "
+            "measure",
+            advice="check the distance, the exposure and the projector",
+        )
+        for material, share in holey.items()
+    ]
+
+
+def _ranges(ids: Sequence[int], limit: int = 8) -> str:
+    """Ids as ranges, such as "3-7, 12"."""
+    runs: list[list[int]] = []
+    for i in ids:
+        if runs and i == runs[-1][1] + 1:
+            runs[-1][1] = i
+        else:
+            runs.append([i, i])
+    text = ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in runs[:limit])
+    return text + (f" and {len(runs) - limit} more" if len(runs) > limit else "")

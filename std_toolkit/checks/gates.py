@@ -1,0 +1,296 @@
+"""What a scene must reach, as gates with a value, a limit and advice; the verdict per object."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import msgspec
+
+from std_toolkit.checks.options import CheckOptions
+from std_toolkit.checks.result import CheckGate, FrameCheck, Number, ObjectCheck, SceneSummary
+from std_toolkit.scene import CameraPoses
+from std_toolkit.scene.model import ScaleReport
+
+# Sensors of this class are biased by 1 to 2 percent; a larger common residual is no sensor bias.
+LARGEST_DEPTH_BIAS = 0.025
+# Fewer frames with a shift cannot tell drift from a mismatch.
+FEWEST_DRIFT_FRAMES = 5
+SMALLEST_INFORMATION = 0.6
+
+
+def scale_share(summary: SceneSummary) -> float:
+    """Part of a depth that the scale leaves open: what sources of metres, or the sensor, may err.
+
+    The largest of: the standard error of the scale, the disagreement of its sources, and the bias
+    that all diffuse objects share (if a sensor can have it).
+    """
+    share = 0.0
+    if summary.scale is not None:
+        share = max(share, summary.scale.disagreement)
+        chosen = [e for e in summary.scale.estimates if e.source == summary.scale.chosen]
+        share = max([share, *(e.standard_error for e in chosen)])
+    bias = abs(summary.depth_bias or 0.0)
+    return max(share, bias if bias <= LARGEST_DEPTH_BIAS else 0.0)
+
+
+def depth_excess_mm(item: ObjectCheck, share: float) -> Number:
+    """How much of an object's depth residual the scale does not explain, in mm."""
+    if item.depth_mm is None or item.distance_m is None:
+        return None
+    return round(max(0.0, abs(item.depth_mm) - 1000 * share * item.distance_m), 2)
+
+
+def has_edges(item: ObjectCheck, options: CheckOptions) -> bool:
+    """Whether the image tells where the object's outline is."""
+    return item.edge_px is not None and (item.edge_support or 0) >= options.min_edge_support
+
+
+def judge_gates(
+    summary: SceneSummary,
+    objects: Sequence[ObjectCheck],
+    frames: Sequence[FrameCheck],
+    poses: CameraPoses | None,
+    options: CheckOptions,
+) -> list[CheckGate]:
+    """All gates; those without a value are open."""
+    return [
+        *_pose_gates(summary, poses, options),
+        *_label_gates(summary, objects, options),
+        _gate(
+            "frames",
+            "frames that could not be looked at",
+            float(sum(bool(f.problem) for f in frames)) if summary.looked_at or frames else None,
+            0.0,
+            detail=_names([f.name for f in frames if f.problem]),
+            advice="restore the files named in the warnings, or import the recording again",
+        ),
+    ]
+
+
+def judge_object(item: ObjectCheck, share: float, options: CheckOptions) -> ObjectCheck:
+    """The object with its verdict."""
+    excess = depth_excess_mm(item, share)
+    bad = (
+        (has_edges(item, options) and (item.edge_px or 0) > options.max_edge_px)
+        or (excess is not None and excess > options.max_depth_mm)
+        or (_drift(item, options) or 0) > options.max_drift_px
+        or (item.label_std_mm or 0) > options.max_label_std_mm
+    )
+    verdict: Literal["good", "doubtful", "bad", "open"]
+    if bad:
+        verdict = "bad"
+    elif not has_edges(item, options) and excess is None:
+        verdict = "open"
+    elif not has_edges(item, options) or is_uninformative(item):
+        verdict = "doubtful"
+    else:
+        verdict = "good"
+    return msgspec.structs.replace(item, verdict=verdict)
+
+
+def is_uninformative(item: ObjectCheck) -> bool:
+    """Whether a contour anywhere nearby would lie as close to image edges as the label does."""
+    return (
+        item.edge_px is not None
+        and item.edge_chance_px is not None
+        and item.edge_px > SMALLEST_INFORMATION * item.edge_chance_px
+    )
+
+
+def _pose_gates(
+    summary: SceneSummary, poses: CameraPoses | None, options: CheckOptions
+) -> list[CheckGate]:
+    share = 100 * summary.registered / summary.frames if summary.frames else None
+    scale = summary.scale
+    several = scale is not None and len(scale.estimates) >= 2
+    gates = [
+        _gate(
+            "registered",
+            "frames with a camera pose",
+            share,
+            100 * options.min_registered,
+            rule="at least",
+            unit="%",
+            detail=f"{summary.registered} of {summary.frames} frames",
+            advice="run `std-curate poses`; if it was run, record again with slower motion and "
+            "more texture in view",
+        ),
+        _gate(
+            "reprojection",
+            "mean reprojection error of the camera poses",
+            summary.reprojection_px,
+            options.max_reprojection_px,
+            unit="px",
+            advice="check the intrinsics, or let `std-curate poses` refine them with distortion",
+        ),
+        _gate(
+            "scale",
+            "disagreement of the sources of metres",
+            100 * scale.disagreement if scale is not None and several else None,
+            100 * options.max_scale_disagreement,
+            unit="%",
+            detail=_scale_detail(scale),
+            advice="name the source to trust (`std-curate poses --scale ...`), or correct the "
+            "sensor's depth factor in scene.json",
+        ),
+    ]
+    if scale is not None and scale.unit == "unknown":
+        gates.append(
+            _gate(
+                "metres",
+                "poses without a metric scale",
+                1.0,
+                0.0,
+                advice="give a source of metres: sensor depth, a CAD model in two keyframes or a "
+                "board",
+            )
+        )
+    failed = [g for g in poses.gates if not g.passed] if poses else []
+    if poses is not None and poses.gates:
+        gates.append(
+            _gate(
+                "poses",
+                "quality gates of the camera poses that failed",
+                float(len(failed)),
+                0.0,
+                detail="; ".join(f"{g.name}: {g.value:.4g}, limit {g.limit:.4g}" for g in failed),
+                advice="; ".join(g.advice for g in failed if g.advice) or "see `std-curate poses`",
+            )
+        )
+    return gates
+
+
+def _label_gates(
+    summary: SceneSummary, objects: Sequence[ObjectCheck], options: CheckOptions
+) -> list[CheckGate]:
+    labelled = [o for o in objects if o.label in ("propagated", "refined")]
+    unlabelled = [o.name for o in objects if o not in labelled]
+    share = scale_share(summary)
+    seen = [o for o in labelled if o.frames_seen]
+    edges = {o.name: o.edge_px for o in seen if has_edges(o, options)}
+    depth = {o.name: depth_excess_mm(o, share) for o in seen}
+    drift = {o.name: _drift(o, options) for o in seen}
+    spread = {o.name: o.label_std_mm for o in labelled}
+    # Clear glass may have no edge that an image shows; that is a warning, not a failure.
+    blind = [
+        o.name
+        for o in seen
+        if o.material != "transparent" and not has_edges(o, options) and depth[o.name] is None
+    ]
+    return [
+        _gate(
+            "labelled",
+            "objects without a propagated label",
+            float(len(unlabelled)) if objects else None,
+            0.0,
+            detail=_names(unlabelled),
+            advice="annotate them (`std-curate label`), then run `std-curate propagate`",
+        ),
+        _gate(
+            "edges",
+            "distance from label contour to image edge, worst object",
+            _worst(edges),
+            options.max_edge_px,
+            unit="px",
+            detail=_worst_name(edges),
+            advice="look at the overlays; run `std-curate propagate --refine`, or annotate the "
+            "object again",
+        ),
+        _gate(
+            "depth",
+            "depth residual beyond the scale's part, worst diffuse object",
+            _worst(depth),
+            options.max_depth_mm,
+            unit="mm",
+            detail=_worst_name(depth)
+            + (f"; scale's part {100 * share:.2f} % of depth" if share else ""),
+            advice="the label stands off along the view: refine it with depth, or annotate it in a "
+            "second frame from the side; check the mesh's size",
+        ),
+        _gate(
+            "drift",
+            "movement of the image against the label that no pose explains, worst object",
+            _worst(drift),
+            options.max_drift_px,
+            unit="px",
+            detail=_worst_name(drift),
+            advice="the label fits some frames only: check the scale's sources and the camera "
+            "poses, and that the object was not moved",
+        ),
+        _gate(
+            "covariance",
+            "standard deviation of a label, weakest direction, worst object",
+            _worst(spread),
+            options.max_label_std_mm,
+            unit="mm",
+            detail=_worst_name(spread),
+            advice="annotate it in a further frame from another side, or record a wider sweep",
+        ),
+        _gate(
+            "evidence",
+            "labels that neither image edges nor depth can confirm",
+            float(len(blind)) if seen else None,
+            0.0,
+            detail=_names(blind),
+            advice="look at their overlays: a label far off its object meets no edge",
+        ),
+    ]
+
+
+def _gate(
+    key: str,
+    title: str,
+    value: float | None,
+    limit: float,
+    *,
+    rule: Literal["at least", "at most"] = "at most",
+    unit: str = "",
+    detail: str = "",
+    advice: str = "",
+) -> CheckGate:
+    status: Literal["pass", "fail", "open"] = "open"
+    if value is not None:
+        # Compare what is shown, so that "3.00 px, limit 3 px" is never a failure.
+        value = round(value, 3)
+        met = value >= limit - 1e-9 if rule == "at least" else value <= limit + 1e-9
+        status = "pass" if met else "fail"
+    return CheckGate(
+        key=key,
+        title=title,
+        value=value,
+        limit=round(limit, 4),
+        rule=rule,
+        unit=unit,
+        status=status,
+        detail=detail,
+        advice=advice,
+    )
+
+
+def _drift(item: ObjectCheck, options: CheckOptions) -> Number:
+    told = item.drift_frames >= FEWEST_DRIFT_FRAMES and has_edges(item, options)
+    return item.drift_px if told and item.material != "transparent" else None
+
+
+def _worst(values: dict[str, Number]) -> Number:
+    known = [v for v in values.values() if v is not None]
+    return max(known) if known else None
+
+
+def _worst_name(values: dict[str, Number]) -> str:
+    worst = _worst(values)
+    return "" if worst is None else next(k for k, v in values.items() if v == worst)
+
+
+def _names(names: Sequence[str]) -> str:
+    shown = ", ".join(names[:6])
+    return shown + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+
+
+def _scale_detail(scale: ScaleReport | None) -> str:
+    if scale is None:
+        return "no source of metres is reported"
+    if len(scale.estimates) < 2:
+        return f"one source only ({scale.chosen}): nothing to compare with"
+    return f"used: {scale.chosen}; known: {', '.join(e.source for e in scale.estimates)}"

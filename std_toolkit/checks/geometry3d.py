@@ -1,0 +1,108 @@
+"""Geometry for the report's 3D view: few enough points and triangles for a web page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.checks.caster import mesh_problem
+from std_toolkit.geometry.depth import unproject_depth
+from std_toolkit.scene import Frame, Scene
+
+MOST_POINTS = 12000
+MOST_FACES = 900
+FUSED_FRAMES = 5
+FUSED_STRIDE = 6
+FARTHEST_M = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points of the world: xyz (N, 3) metres, rgb (N, 3) uint8."""
+
+    xyz: NDArray[np.float32]
+    rgb: NDArray[np.uint8]
+
+
+def sparse_cloud(scene: Scene) -> Cloud | None:
+    """The points of the reconstruction (poses/points.ply); None if there are none."""
+    path = scene.root / "poses" / "points.ply"
+    if not path.is_file():
+        return None
+    import open3d as o3d
+
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+        cloud = o3d.io.read_point_cloud(path)
+    xyz = np.asarray(cloud.points)
+    if len(xyz) == 0:
+        return None
+    rgb = np.asarray(cloud.colors)
+    colors = (255 * rgb).round().astype(np.uint8) if len(rgb) == len(xyz) else _grey(len(xyz))
+    good = np.isfinite(xyz).all(axis=1)
+    return _thinned(xyz[good], colors[good])
+
+
+def fused_cloud(scene: Scene, frames: list[Frame]) -> Cloud | None:
+    """Sensor depth of some spread frames in the world; None without depth."""
+    usable = [f for f in frames if f.depth is not None]
+    if not usable:
+        return None
+    chosen = np.unique(np.linspace(0, len(usable) - 1, FUSED_FRAMES).round().astype(int))
+    points, colors = [], []
+    for frame in (usable[i] for i in chosen):
+        depth, T_world_cam = scene.read_depth(frame), scene.T_world_cam(frame.id)
+        if depth is None or T_world_cam is None:
+            continue
+        part = np.s_[::FUSED_STRIDE, ::FUSED_STRIDE]
+        xyz = unproject_depth(depth, scene.camera(frame))[part]
+        use = (depth[part] > 0) & (depth[part] < FARTHEST_M)
+        points.append(T_world_cam @ xyz[use])
+        colors.append(scene.read_color(frame)[part][use])
+    if not points:
+        return None
+    xyz, rgb = np.concatenate(points), np.concatenate(colors)
+    return _thinned(xyz, rgb) if len(xyz) else None
+
+
+def labelled_mesh(
+    scene: Scene, object_id: int
+) -> tuple[NDArray[np.float32], NDArray[np.int32]] | None:
+    """Vertices (V, 3) in the world and faces (F, 3) of an object, decimated.
+
+    None without a label, or without a mesh that can be read.
+    """
+    T_world_obj = scene.T_world_obj(object_id)
+    if T_world_obj is None or mesh_problem(scene, scene.objects.object(object_id).model):
+        return None
+    import open3d as o3d
+
+    source = scene.mesh(scene.objects.object(object_id).model)
+    mesh = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(np.asarray(source.vertices, dtype=np.float64)),
+        o3d.utility.Vector3iVector(np.asarray(source.faces, dtype=np.int32)),
+    )
+    # Texture seams split vertices; decimation would tear the surface there.
+    mesh.remove_duplicated_vertices()
+    mesh.remove_degenerate_triangles()
+    if len(mesh.triangles) > MOST_FACES:
+        mesh = mesh.simplify_quadric_decimation(MOST_FACES)
+    vertices = T_world_obj @ np.asarray(mesh.vertices)
+    return vertices.astype(np.float32), np.asarray(mesh.triangles, dtype=np.int32)
+
+
+def _thinned(xyz: NDArray[np.floating], rgb: NDArray[np.uint8]) -> Cloud:
+    """At most `MOST_POINTS` points, far outliers left out, always the same ones."""
+    middle = np.median(xyz, axis=0)
+    distance = np.linalg.norm(xyz - middle, axis=1)
+    near = distance <= 6 * max(float(np.median(distance)), 1e-6)
+    xyz, rgb = xyz[near], rgb[near]
+    if len(xyz) > MOST_POINTS:
+        keep = np.sort(np.random.default_rng(0).choice(len(xyz), MOST_POINTS, replace=False))
+        xyz, rgb = xyz[keep], rgb[keep]
+    return Cloud(xyz.astype(np.float32), rgb)
+
+
+def _grey(count: int) -> NDArray[np.uint8]:
+    return np.full((count, 3), 120, dtype=np.uint8)

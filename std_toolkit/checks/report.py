@@ -1,0 +1,412 @@
+"""The page: one HTML file that needs nothing but itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+from std_toolkit import __version__
+from std_toolkit.checks import figures, markup
+from std_toolkit.checks.gates import depth_excess_mm, scale_share
+from std_toolkit.checks.markup import Cell, amount, number, percent, tag, text
+from std_toolkit.checks.options import CheckOptions
+from std_toolkit.checks.overlay import FramePictures
+from std_toolkit.checks.palette import MATERIAL_COLORS, object_color
+from std_toolkit.checks.result import CheckGate, CheckReport, ObjectCheck
+from std_toolkit.checks.style import CSS, SCRIPT
+
+
+@dataclass(frozen=True)
+class PageParts:
+    """What the page shows besides the numbers of the report.
+
+    Attributes:
+        view3d: figure JSON of the 3D view.
+        sky: figure JSON of the view directions.
+        pictures: per frame, in order.
+    """
+
+    view3d: str | None
+    sky: str | None
+    pictures: Sequence[FramePictures]
+
+
+def render_page(report: CheckReport, parts: PageParts, options: CheckOptions) -> str:
+    """The report as HTML."""
+    from plotly.offline import get_plotlyjs
+
+    sections = [
+        ("gates", "Gates", _gates(report)),
+        ("warnings", "Warnings", _warnings(report)),
+        ("labels", "Labels", _labels(report, options)),
+        ("overlays", "Overlays", _overlays(report, parts)),
+        ("scene", "Scene", _scene(report, parts, options)),
+        ("coverage", "Coverage", _coverage(report, parts)),
+        ("depth", "Sensor depth", _depth(report, parts)),
+        ("missing", "Not in this report", _missing(report)),
+    ]
+    links = "".join(f'<a href="#{k}">{t}</a>' for k, t, body in sections if body)
+    state = "pass" if report.passed else "fail"
+    word, _, rest = report.verdict.partition(": ")
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        f"<title>{escape(report.scene)}: {escape(word)}</title>"
+        '<link rel="icon" href="data:,">'
+        f"<style>{CSS}</style></head><body>"
+        f'<header><div class="inner"><div class="kind">Label check</div>'
+        f"<h1>{escape(report.scene)}</h1>"
+        f'<div class="verdict {state}"><b>{escape(word)}</b><span>{escape(rest)}</span></div>'
+        f"{_facts(report)}</div></header>"
+        f'<nav><div class="inner">{links}<label title="key: o">'
+        '<input type="checkbox" id="outlines" checked> outlines</label></div></nav>'
+        f"<main>{''.join(markup.section(k, t, body) for k, t, body in sections)}"
+        f"<footer>std-toolkit {__version__}, std-curate check. The same numbers: report.json, "
+        "report.csv (objects), frames.csv (frames).</footer></main>"
+        '<dialog id="large"></dialog>'
+        f"<script>{get_plotlyjs()}</script><script>{SCRIPT}</script></body></html>\n"
+    )
+
+
+def _facts(report: CheckReport) -> str:
+    s = report.summary
+    edges = [o.edge_px for o in report.objects if o.edge_px is not None]
+    gates = [g for g in report.gates if g.status != "open"]
+    rows = [
+        ("gates passed", f"{len(gates) - len(report.failed_gates())} of {len(gates)}", ""),
+        ("frames registered", f"{s.registered} of {s.frames}", f"{s.looked_at} looked at"),
+        (
+            "reprojection",
+            f"{number(s.reprojection_px, 2)} px" if s.reprojection_px is not None else "–",
+            "",
+        ),
+        ("objects labelled", f"{s.labelled} of {s.objects}", ""),
+        (
+            "contour to edge",
+            f"{sorted(edges)[len(edges) // 2]:.2f} px" if edges else "–",
+            f"worst {max(edges):.2f} px" if edges else "",
+        ),
+        ("metres from", _scale_name(report), _scale_note(report)),
+    ]
+    return (
+        '<div class="facts">'
+        + "".join(
+            f"<div><span>{escape(a)}</span><b>{b}</b><i>{escape(c)}</i></div>" for a, b, c in rows
+        )
+        + "</div>"
+    )
+
+
+def _gates(report: CheckReport) -> str:
+    rows = [
+        [
+            tag(g.status, {"open": "not measured"}.get(g.status, g.status)),
+            text(g.title, small=g.detail),
+            Cell(_with_unit(g, g.value), numeric=True, over=g.status == "fail"),
+            Cell(f"{g.rule} {_with_unit(g, g.limit)}", numeric=True),
+            text(g.advice if g.status == "fail" else ""),
+        ]
+        for g in report.gates
+    ]
+    for row, gate in zip(rows, report.gates, strict=True):
+        if gate.status != "fail":
+            row[4] = Cell("")
+    heads = [("", ""), ("gate", ""), ("measured", ""), ("limit", ""), ("what to do", "")]
+    return markup.table(heads, rows)
+
+
+def _warnings(report: CheckReport) -> str:
+    if not report.warnings:
+        return markup.paragraph("None.")
+    rows = [
+        [tag(w.severity), text(w.about), text(w.problem), text(w.advice)] for w in report.warnings
+    ]
+    return markup.table([("", ""), ("about", ""), ("what", ""), ("what to do", "")], rows)
+
+
+def _labels(report: CheckReport, options: CheckOptions) -> str:
+    if not report.objects:
+        return markup.paragraph("The scene has no objects (objects.json).")
+    heads = [
+        ("object", ""), ("verdict", ""), ("edge distance", "px, median"), ("p90", "px, frames"),
+        ("on an edge", "of contour"), ("depth residual", "mm, ± MAD"), ("without bias", "mm"),
+        ("seems off by", "mm"), ("drift", "px"), ("drift", "mm"), ("label std", "mm"),
+        ("visible", "median"),
+    ]  # fmt: skip
+    share = scale_share(report.summary)
+    body = ""
+    if any(o.frames_seen for o in report.objects):
+        body += markup.table(heads, [_label_row(report, o, share, options) for o in report.objects])
+        body += markup.paragraph(
+            "Edge distance: from the contour of the label along its normal to the nearest edge of "
+            "the image. Depth residual: label minus sensor, on diffuse objects; positive where the "
+            "label lies behind the measured surface. Without bias: after what all diffuse objects "
+            "share is taken out. Seems off by: the one shift in the world that best moves all "
+            "contours onto the edges. Drift: what is left in the single frames after it, which no "
+            "pose of the object can mend: camera poses, scale, or an object that moved."
+        )
+    else:
+        rows = [[_name(report, o), tag(o.verdict), text(o.label)] for o in report.objects]
+        body += markup.table([("object", ""), ("verdict", ""), ("label", "")], rows)
+    over_frames = [
+        ("edges", "Edge distance over frames", figures.frames_figure(
+            report.objects, lambda f: f.edge_px, title="contour to edge", unit="px",
+            limits=[options.max_edge_px])),
+        ("shifts", "Best shift of the contour over frames", figures.frames_figure(
+            report.objects,
+            lambda f: None if f.shift_px is None else (f.shift_px[0]**2 + f.shift_px[1]**2) ** 0.5,
+            title="shift", unit="px")),
+        ("residuals", "Depth residual over frames, diffuse objects", figures.frames_figure(
+            report.objects, lambda f: f.depth_mm, title="label minus sensor", unit="mm",
+            limits=[-options.max_depth_mm, options.max_depth_mm], from_zero=False)),
+        ("visible", "Visible part over frames", figures.visibility_figure(report.objects)),
+    ]  # fmt: skip
+    for key, title, figure in over_frames:
+        if figure is not None:
+            body += f"<h3>{escape(title)}</h3>" + markup.plot(key, figure)
+    return body
+
+
+def _label_row(
+    report: CheckReport, item: ObjectCheck, share: float, options: CheckOptions
+) -> list[Cell]:
+    excess = depth_excess_mm(item, share)
+    residual = number(item.depth_mm, 1, sign=True)
+    if item.depth_mad_mm is not None:
+        residual += f" ± {item.depth_mad_mm:.1f}"
+    return [
+        _name(report, item),
+        tag(item.verdict),
+        amount(item.edge_px, 2, over=(item.edge_px or 0) > options.max_edge_px),
+        amount(item.edge_p90_px, 2),
+        percent(item.edge_support),
+        Cell(residual, numeric=True, over=(excess or 0) > options.max_depth_mm),
+        amount(item.depth_unscaled_mm, 1, sign=True),
+        amount(item.offset_norm_mm, 1),
+        amount(item.drift_px, 2, over=(item.drift_px or 0) > options.max_drift_px),
+        amount(item.drift_mm, 1),
+        amount(item.label_std_mm, 1, over=(item.label_std_mm or 0) > options.max_label_std_mm),
+        percent(item.visible_fraction),
+    ]
+
+
+def _overlays(report: CheckReport, parts: PageParts) -> str:
+    colors = _colors(report)
+    shown = [p for p in parts.pictures if p.overview is not None]
+    if not shown:
+        return ""
+    names = {f.frame: f.name for f in report.frames}
+    body = markup.paragraph(
+        "Outlines of the labels over the image; where the label is right the line runs along the "
+        "object's edge. Click a picture to enlarge it; the key o hides the outlines."
+    )
+    labelled = [o for o in report.objects if o.label in ("propagated", "refined")]
+    body += (
+        '<div class="legend">'
+        + "".join(markup.chip(colors[o.object], o.name) for o in labelled)
+        + "</div>"
+    )
+    cards = [
+        markup.picture(p.overview, colors, f"frame {p.frame} ({escape(names[p.frame])})")
+        for p in shown
+        if p.overview is not None
+    ]
+    body += f'<div class="gallery wide">{"".join(cards)}</div>'
+    for item in labelled:
+        rows = {f.frame: f for f in item.frames}
+        cards = []
+        for p in parts.pictures:
+            if item.object in p.closeups:
+                edge = rows[p.frame].edge_px if p.frame in rows else None
+                notes = [f"frame {p.frame}"]
+                if p.frame == item.annotated_frame:
+                    notes.append("annotated here")
+                if edge is not None:
+                    notes.append(f"edge {edge:.2f} px")
+                caption = escape(", ".join(notes))
+                cards.append(markup.picture(p.closeups[item.object], colors, caption))
+        if cards:
+            body += f"<h3>{markup.chip(colors[item.object], item.name)}</h3>"
+            body += f'<div class="gallery small">{"".join(cards)}</div>'
+    return body
+
+
+def _scene(report: CheckReport, parts: PageParts, options: CheckOptions) -> str:
+    body = ""
+    if parts.view3d is not None:
+        body += markup.paragraph(
+            "Drag to turn, scroll to zoom, click a name to hide it. The view is turned upright; "
+            "lengths are metres."
+        )
+        body += markup.plot("scene", parts.view3d)
+    scale = report.summary.scale
+    if scale is not None and scale.estimates:
+        rows = [
+            [
+                text(e.source, small="used" if e.source == scale.chosen else ""),
+                amount(e.factor, 5),
+                amount(100 * (e.factor / _chosen_factor(report) - 1), 2, sign=True),
+                amount(100 * e.spread, 2),
+                amount(100 * e.standard_error, 3),
+                amount(e.count, 0),
+                text(e.note),
+            ]
+            for e in scale.estimates
+        ]
+        body += "<h3>Sources of metres</h3>" + markup.table(
+            [("source", ""), ("factor", "m per unit"), ("against the used one", "%"),
+             ("spread", "%, IQR"), ("standard error", "%"), ("measurements", ""), ("", "")],
+            rows,
+        )  # fmt: skip
+    figure = figures.registration_figure(report, limit_px=options.max_reprojection_px)
+    if figure is not None:
+        body += "<h3>Camera poses over frames</h3>" + markup.plot("registration", figure)
+    return body
+
+
+def _coverage(report: CheckReport, parts: PageParts) -> str:
+    if parts.sky is None:
+        return ""
+    rows = [
+        [
+            _name(report, o),
+            amount(o.frames_seen, 0),
+            amount(o.azimuth_span_deg, 0),
+            Cell(
+                f"{number(o.elevation_deg[0], 0)} to {number(o.elevation_deg[1], 0)}"
+                if o.elevation_deg
+                else markup.DASH,
+                numeric=True,
+            ),
+            amount(o.parallax_deg, 0),
+            amount(o.largest_step_deg, 0),
+            text(o.weak_direction),
+        ]
+        for o in report.objects
+        if o.azimuth_span_deg is not None
+    ]
+    heads = [
+        ("object", ""), ("views", "frames"), ("azimuth span", "degrees"),
+        ("elevation", "degrees"), ("widest pair", "degrees"), ("largest step", "degrees"),
+        ("weak direction of the label", ""),
+    ]  # fmt: skip
+    return (
+        markup.paragraph(
+            "Each dot is a frame that sees the object: the centre is straight from above, the rim "
+            "level with it, and the angle the side it was seen from, 0 degrees being the side of "
+            "the first frame. Paler dots see less of it; the star is the annotated frame."
+        )
+        + markup.plot("sky", parts.sky)
+        + markup.table(heads, rows)
+    )
+
+
+def _depth(report: CheckReport, parts: PageParts) -> str:
+    if not report.materials:
+        return ""
+    source = {
+        "rendered maps": "the rendered ground truth",
+        "labels cast here": "the labels themselves (no rendered ground truth is there)",
+    }.get(report.summary.truth_source, "the labels")
+    rows = [
+        [
+            Cell(markup.chip(MATERIAL_COLORS[m.material], m.material)),
+            amount(m.objects, 0),
+            percent(m.completeness, 1),
+            percent(m.within_10mm, 1),
+            amount(m.median_mm, 1, sign=True),
+            amount(m.mae_mm, 1),
+            amount(m.rmse_mm, 1),
+            Cell(f"{number(m.p05_mm, 0)} to {number(m.p95_mm, 0)}", numeric=True),
+        ]
+        for m in report.materials
+    ]
+    heads = [
+        ("material", ""), ("objects", ""), ("measured", "of the pixels"),
+        ("within 10 mm", "of the pixels"), ("median", "mm"), ("MAE", "mm"), ("RMSE", "mm"),
+        ("5 % to 95 %", "mm"),
+    ]  # fmt: skip
+    body = markup.paragraph(
+        f"Raw sensor depth minus {source}: negative where the sensor reads in front of the object, "
+        "positive where it reads behind it, through glass for instance. Errors are over the pixels "
+        "that have a reading."
+    )
+    body += markup.table(heads, rows) + markup.plot(
+        "errors", figures.error_figure(report.materials)
+    )
+    panels = [p for p in parts.pictures if p.depth is not None]
+    if panels:
+        body += (
+            '<h3>Where it is missing or wrong</h3><div class="scalebar">'
+            '<span>raw minus truth:</span><span>−20 mm</span><i style="background:linear-gradient('
+            '90deg,#2166ac,#92c5de,#fafafa,#f4a582,#b2182b)"></i><span>+20 mm</span>'
+            '<i class="chip" style="background:#3a3a40;width:12px"></i>'
+            "<span>no reading</span></div>"
+        )
+    for p in panels:
+        assert p.depth is not None
+        near, far = p.depth.near_m, p.depth.far_m
+        body += (
+            '<div class="gallery three">'
+            + "".join(
+                markup.picture(image, {}, escape(caption))
+                for image, caption in (
+                    (
+                        p.depth.sensor,
+                        f"frame {p.frame}: sensor, {near:.2f} m (bright) to {far:.2f} m",
+                    ),
+                    (p.depth.truth, "labels"),
+                    (p.depth.error, "raw minus truth"),
+                )
+            )
+            + "</div>"
+        )
+    return body
+
+
+def _missing(report: CheckReport) -> str:
+    if not report.missing:
+        return ""
+    return (
+        '<ul class="missing">' + "".join(f"<li>{escape(m)}</li>" for m in report.missing) + "</ul>"
+    )
+
+
+def _name(report: CheckReport, item: ObjectCheck) -> Cell:
+    color = _colors(report)[item.object]
+    note = f"<small>{escape(item.material)}, {escape(item.label)}</small>"
+    return Cell(markup.chip(color, item.name) + note)
+
+
+def _colors(report: CheckReport) -> dict[int, str]:
+    ids = [o.object for o in report.objects]
+    return {i: object_color(ids, i) for i in ids}
+
+
+def _with_unit(gate: CheckGate, value: float | None) -> str:
+    if value is None:
+        return markup.DASH
+    return f"{value:.4g} {gate.unit}".rstrip().replace("-", markup.MINUS)
+
+
+def _chosen_factor(report: CheckReport) -> float:
+    scale = report.summary.scale
+    assert scale is not None
+    return next(
+        (e.factor for e in scale.estimates if e.source == scale.chosen), scale.estimates[0].factor
+    )
+
+
+def _scale_name(report: CheckReport) -> str:
+    scale = report.summary.scale
+    if scale is None:
+        return "given" if report.summary.registered else "–"
+    return "unknown" if scale.unit == "unknown" else escape(scale.chosen)
+
+
+def _scale_note(report: CheckReport) -> str:
+    scale = report.summary.scale
+    if scale is None or len(scale.estimates) < 2:
+        return ""
+    return f"{len(scale.estimates)} sources, differ by {100 * scale.disagreement:.2f} %"

@@ -1,0 +1,284 @@
+"""What one frame says about the labels: the work of one job item."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.checks.caster import NOTHING, LabelCaster
+from std_toolkit.checks.consistency import shift_jacobian
+from std_toolkit.checks.contours import Contour, trace_contour
+from std_toolkit.checks.depth import DepthResidual, ErrorTally, depth_residual
+from std_toolkit.checks.edges import (
+    EdgeDistance,
+    Shift,
+    best_shift,
+    edge_distance,
+    noise_level,
+    read_profiles,
+    smooth_image,
+)
+from std_toolkit.checks.options import CheckOptions
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.rendering.ground_truth import (
+    GroundTruth,
+    info_path,
+    read_ground_truth,
+)
+from std_toolkit.scene import Frame, Scene
+from std_toolkit.scene.model import DIFFUSE_MATERIALS
+
+# Ground truth was rendered from these labels when its poses agree to this.
+_SAME_POSE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectObservation:
+    """One object in one frame.
+
+    Attributes:
+        visible_px, silhouette_px: pixels seen, and pixels inside the image without occlusion.
+        visible_fraction: from the ground truth where there is some, else of these two.
+        edges, shift, residual: None where the frame does not tell.
+        jacobian: (2, 3) px per metre in the world of the object's centre.
+        metres_per_px: size of a pixel at the object.
+    """
+
+    visible_px: int
+    silhouette_px: int
+    visible_fraction: float
+    edges: EdgeDistance | None = None
+    shift: Shift | None = None
+    residual: DepthResidual | None = None
+    jacobian: NDArray[np.float64] | None = None
+    metres_per_px: float | None = None
+
+
+@dataclass(eq=False)
+class FrameObservation:
+    """One frame.
+
+    Attributes:
+        frame: frame id.
+        objects: by object id, those in view.
+        tallies: raw depth against ground truth, by object id.
+        has_depth: the frame has sensor depth.
+        truth: "current" ground truth was used, "stale" is older than the labels, or "none".
+        depth_valid: share of pixels with a sensor reading.
+    """
+
+    frame: int
+    objects: dict[int, ObjectObservation] = field(default_factory=dict)
+    tallies: dict[int, ErrorTally] = field(default_factory=dict)
+    has_depth: bool = False
+    truth: str = "none"
+    depth_valid: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A frame with its labels cast: what measuring and drawing both start from.
+
+    Attributes:
+        object_id: (H, W) nearest labelled object.
+        depth: (H, W) its z-depth, metres.
+        truth: current ground truth, if any.
+        truth_state: see `FrameObservation.truth`.
+    """
+
+    frame: Frame
+    camera: Camera
+    T_world_cam: SE3
+    caster: LabelCaster
+    object_id: NDArray[np.int32]
+    depth: NDArray[np.float32]
+    truth: GroundTruth | None
+    truth_state: str
+
+    def mask(self, object_id: int) -> NDArray[np.bool_]:
+        """(H, W) pixels that show the object."""
+        return self.object_id == object_id
+
+    @property
+    def hides(self) -> bool:
+        """Whether the ground truth knows of things in front that no label covers.
+
+        The policy "sensor" hides every part of a label that lies behind what the sensor measured,
+        which would spare a wrong label its residual.
+        """
+        return self.truth is not None and self.truth.info.policy != "sensor"
+
+    def contour(self, object_id: int) -> Contour | None:
+        """The visible outline of an object."""
+        window = self.caster.window(object_id, self.camera, self.T_world_cam)
+        if window is None:
+            return None
+        x0, y0, x1, y1 = window
+        part = np.s_[y0:y1, x0:x1]
+        shown = self.truth.mask[part] == object_id if self.truth and self.hides else None
+        return trace_contour(
+            self.caster,
+            self.camera,
+            self.T_world_cam,
+            object_id,
+            self.mask(object_id)[part],
+            origin=(x0, y0),
+            shown=shown,
+        )
+
+
+@lru_cache(maxsize=2)
+def open_for_work(root: Path, fingerprint: str) -> tuple[Scene, LabelCaster]:
+    """The scene and its caster, made once per worker process.
+
+    Args:
+        root: of the scene.
+        fingerprint: of the documents, so that a changed scene is opened anew.
+    """
+    del fingerprint
+    scene = Scene.open(root)
+    return scene, LabelCaster.of_scene(scene)
+
+
+def look(scene: Scene, caster: LabelCaster, frame: Frame) -> View:
+    """Cast the labels into a registered frame.
+
+    Raises:
+        ToolkitError: damaged ground truth.
+    """
+    camera = scene.camera(frame)
+    T_world_cam = scene.T_world_cam(frame.id)
+    assert T_world_cam is not None, "only registered frames are looked at"
+    ids = np.zeros((camera.height, camera.width), np.int32)
+    depth = np.zeros((camera.height, camera.width), np.float32)
+    windows = [caster.window(i, camera, T_world_cam) for i in caster.object_ids]
+    present = np.array([w for w in windows if w is not None])
+    if len(present):
+        x0, y0 = present[:, :2].min(axis=0)
+        x1, y1 = present[:, 2:].max(axis=0)
+        hits = caster.cast(camera, T_world_cam, _grid(x0, y0, x1, y1))
+        ids[y0:y1, x0:x1] = hits.object_id
+        depth[y0:y1, x0:x1] = hits.depth
+    truth = None
+    state = "none"
+    if info_path(scene.root, frame.id).is_file():
+        truth = read_ground_truth(scene, frame.id)
+        state = "current" if _is_current(scene, frame, truth) else "stale"
+    return View(
+        frame,
+        camera,
+        T_world_cam,
+        caster,
+        ids,
+        depth,
+        truth if state == "current" else None,
+        state,
+    )
+
+
+def observe_frame(
+    frame_id: int, *, root: Path, fingerprint: str, options: CheckOptions
+) -> FrameObservation:
+    """Measure all labels of one frame.
+
+    Args:
+        frame_id: of a registered frame.
+        root, fingerprint: see `open_for_work`.
+        options: search ranges.
+
+    Raises:
+        ToolkitError: a file of the frame is missing or damaged.
+    """
+    scene, caster = open_for_work(root, fingerprint)
+    frame = scene.frame(frame_id)
+    view = look(scene, caster, frame)
+    image = scene.read_color(frame)
+    smoothed, noise = smooth_image(image), noise_level(image)
+    sensor = scene.read_depth(frame)
+    result = FrameObservation(frame_id, truth=view.truth_state, has_depth=sensor is not None)
+    if sensor is not None:
+        result.depth_valid = float((sensor > 0).mean())
+    for object_id in caster.object_ids:
+        seen = _observe_object(scene, view, object_id, smoothed, noise, sensor, options)
+        if seen is not None:
+            result.objects[object_id] = seen
+    if sensor is not None:
+        truth_mask = view.truth.mask if view.truth else view.object_id
+        truth_depth = view.truth.depth if view.truth else view.depth
+        for object_id in caster.object_ids:
+            inside = (truth_mask == object_id) & (truth_depth > 0)
+            if inside.any():
+                tally = ErrorTally()
+                tally.add(sensor[inside], truth_depth[inside])
+                result.tallies[object_id] = tally
+    return result
+
+
+def _observe_object(
+    scene: Scene,
+    view: View,
+    object_id: int,
+    smoothed: NDArray[np.float32],
+    noise: float,
+    sensor: NDArray[np.float32] | None,
+    options: CheckOptions,
+) -> ObjectObservation | None:
+    window = view.caster.window(object_id, view.camera, view.T_world_cam)
+    if window is None:
+        return None
+    alone = view.caster.cast(view.camera, view.T_world_cam, _grid(*window), only=object_id)
+    silhouette_px = int((alone.object_id != NOTHING).sum())
+    if silhouette_px == 0:
+        return None
+    mask = view.mask(object_id)
+    visible_px = int(mask.sum())
+    fraction = visible_px / silhouette_px
+    if view.truth is not None:
+        rows = {row.object: row for row in view.truth.info.objects}
+        if object_id in rows:
+            fraction = rows[object_id].visible_fraction
+    contour = view.contour(object_id)
+    if contour is None:
+        return ObjectObservation(visible_px, silhouette_px, fraction)
+    profiles = read_profiles(smoothed, contour, reach_px=options.search_px, noise=noise)
+    edges = edge_distance(profiles) if profiles else None
+    shift = best_shift(profiles, largest_px=options.shift_px) if profiles else None
+    residual = None
+    if sensor is not None and scene.objects.object(object_id).material in DIFFUSE_MATERIALS:
+        trusted = mask & (view.truth.mask == object_id) if view.truth and view.hides else mask
+        residual = depth_residual(view.depth, sensor, trusted)
+    centre = view.caster.corners[object_id].mean(axis=0)
+    jacobian, z = shift_jacobian(view.camera, view.T_world_cam, centre)
+    return ObjectObservation(
+        visible_px,
+        silhouette_px,
+        fraction,
+        edges,
+        shift,
+        residual,
+        jacobian,
+        2 * z / (view.camera.fx + view.camera.fy),
+    )
+
+
+def _grid(x0: int, y0: int, x1: int, y1: int) -> NDArray[np.float64]:
+    v, u = np.mgrid[y0:y1, x0:x1]
+    return np.stack([u, v], axis=-1).astype(np.float64)
+
+
+def _is_current(scene: Scene, frame: Frame, truth: GroundTruth) -> bool:
+    """Whether the ground truth was rendered from the labels and poses of now."""
+    rows = {row.object: row for row in truth.info.objects}
+    for label in scene.labels.labels:
+        now = scene.T_cam_obj(frame.id, label.object)
+        if now is None:
+            continue
+        row = rows.get(label.object)
+        if row is None or not np.allclose(row.T_cam_obj, now.flat(), atol=_SAME_POSE):
+            return False
+    return True

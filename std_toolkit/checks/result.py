@@ -1,0 +1,261 @@
+"""check/report.json: everything the report shows, as numbers."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+from std_toolkit.scene.model import Count, Document, ObjectId, ScaleReport
+
+Severity = Literal["high", "medium", "low"]
+Number = float | None
+
+
+class CheckGate(Document, frozen=True, kw_only=True):
+    """One gate of the check.
+
+    Attributes:
+        key: stable name, such as "edges".
+        title: what is measured, in words.
+        value: null when it could not be measured; then `status` is "open".
+        limit: in the same unit.
+        rule: "at least" or "at most" the limit.
+        unit: "", "px", "mm", "%" (value and limit are then in percent).
+        status: "pass", "fail", or "open" (not measured; does not fail the check).
+        detail: where the value comes from.
+        advice: what to do when it fails.
+    """
+
+    key: str
+    title: str
+    value: Number
+    limit: float
+    rule: Literal["at least", "at most"]
+    unit: str = ""
+    status: Literal["pass", "fail", "open"]
+    detail: str = ""
+    advice: str = ""
+
+
+class CheckWarning(Document, frozen=True, kw_only=True):
+    """Something a person should look at.
+
+    Attributes:
+        severity: "high" spoils labels, "medium" may, "low" is good to know.
+        about: object name, frame name or part of the scene.
+        problem: what is wrong.
+        advice: what to do.
+    """
+
+    severity: Severity
+    about: str
+    problem: str
+    advice: str
+
+
+class ObjectFrameCheck(Document, frozen=True, kw_only=True):
+    """One object in one frame; null where the frame does not tell.
+
+    Attributes:
+        frame: frame id.
+        visible_fraction: 0..1.
+        edge_px: median distance of the contour to the nearest image edge.
+        edge_support: share of the contour that meets an edge.
+        shift_px: [x, y] from the label to the image.
+        depth_mm: median of rendered minus sensor depth.
+    """
+
+    frame: Count
+    visible_fraction: float
+    edge_px: Number = None
+    edge_support: Number = None
+    shift_px: list[float] | None = None
+    depth_mm: Number = None
+
+
+class ObjectCheck(Document, frozen=True, kw_only=True):
+    """One object over all frames looked at. Lengths in mm where the name says so.
+
+    Attributes:
+        object, name, model, category, material: from objects.json.
+        label: "none", "annotated" (not propagated), "propagated" or "refined".
+        annotated_frame: frame id of the annotation.
+        frames_seen: frames in which it is visible.
+        visible_fraction: median over these.
+        edge_px: median over frames of the frame's median edge distance.
+        edge_p90_px: 90th percentile over frames of the frame's median.
+        edge_tail_px: median over frames of the frame's 90th percentile along the contour.
+        edge_support: median share of the contour that meets an edge.
+        edge_chance_px: what contours at random places nearby would have.
+        depth_mm, depth_mad_mm: rendered minus sensor depth, diffuse objects only: median over
+            frames of the frame's median, and of its median absolute deviation.
+        depth_unscaled_mm: `depth_mm` after the bias common to all diffuse objects is taken out.
+        distance_m: median distance of the surface from the camera.
+        shift_spread_px: median distance of the frames' shifts from their median.
+        offset_mm: [x, y, z] in the world: the correction that explains the shifts best.
+        offset_norm_mm: its length.
+        drift_px, drift_mm: what no correction explains, median over frames.
+        drift_frames: number of frames with a shift.
+        label_std_mm: standard deviation along the weakest direction, from the label's covariance.
+        label_std_deg: the same for the rotation.
+        weak_direction: sentence from the label.
+        azimuth_span_deg, elevation_deg, parallax_deg, largest_step_deg: view directions.
+        completeness: share of the ground-truth pixels with a sensor reading.
+        raw_median_mm, raw_mae_mm, raw_rmse_mm: raw minus ground-truth depth.
+        verdict: "good", "doubtful", "bad" or "open" (nothing to judge by).
+        frames: the single frames.
+    """
+
+    object: ObjectId
+    name: str
+    model: str
+    category: str
+    material: str
+    label: Literal["none", "annotated", "propagated", "refined"]
+    annotated_frame: Count | None = None
+    frames_seen: Count = 0
+    visible_fraction: Number = None
+    edge_px: Number = None
+    edge_p90_px: Number = None
+    edge_tail_px: Number = None
+    edge_support: Number = None
+    edge_chance_px: Number = None
+    depth_mm: Number = None
+    depth_mad_mm: Number = None
+    depth_unscaled_mm: Number = None
+    distance_m: Number = None
+    shift_spread_px: Number = None
+    offset_mm: list[float] | None = None
+    offset_norm_mm: Number = None
+    drift_px: Number = None
+    drift_mm: Number = None
+    drift_frames: Count = 0
+    label_std_mm: Number = None
+    label_std_deg: Number = None
+    weak_direction: str = ""
+    azimuth_span_deg: Number = None
+    elevation_deg: list[float] | None = None
+    parallax_deg: Number = None
+    largest_step_deg: Number = None
+    completeness: Number = None
+    raw_median_mm: Number = None
+    raw_mae_mm: Number = None
+    raw_rmse_mm: Number = None
+    verdict: Literal["good", "doubtful", "bad", "open"] = "open"
+    frames: list[ObjectFrameCheck] = msgspec.field(default_factory=list)
+
+
+class FrameCheck(Document, frozen=True, kw_only=True):
+    """One frame.
+
+    Attributes:
+        frame, name, status, reprojection_px, points: from the poses.
+        pose_std_mm: standard deviation of the camera position along its weakest direction.
+        looked_at: the labels were measured in it.
+        objects_visible: number of objects that are visible.
+        edge_px: median over the objects.
+        depth_valid: share of pixels with a sensor reading.
+        truth: "current", "stale" or "none".
+        problem: why the frame could not be looked at, or "".
+    """
+
+    frame: Count
+    name: str
+    status: Literal["registered", "unregistered", "no pose"]
+    reprojection_px: Number = None
+    points: Count = 0
+    pose_std_mm: Number = None
+    looked_at: bool = False
+    objects_visible: Count = 0
+    edge_px: Number = None
+    depth_valid: Number = None
+    truth: Literal["current", "stale", "none"] = "none"
+    problem: str = ""
+
+
+class MaterialDepth(Document, frozen=True, kw_only=True):
+    """Raw sensor depth against ground truth on one material.
+
+    Attributes:
+        material: from objects.json.
+        objects: number of objects.
+        pixels: ground-truth pixels over the frames looked at.
+        completeness: share of them with a sensor reading.
+        median_mm, p05_mm, p95_mm, mae_mm, rmse_mm: of raw minus ground truth, over the readings.
+        within_10mm: share of the ground-truth pixels read to better than 10 mm.
+        histogram_mm, histogram_share: centres of 2 mm bins and the share of the readings in each;
+            the outermost bins hold everything beyond.
+    """
+
+    material: str
+    objects: Count
+    pixels: Count
+    completeness: Number = None
+    median_mm: Number = None
+    p05_mm: Number = None
+    p95_mm: Number = None
+    mae_mm: Number = None
+    rmse_mm: Number = None
+    within_10mm: Number = None
+    histogram_mm: list[float] = msgspec.field(default_factory=list)
+    histogram_share: list[float] = msgspec.field(default_factory=list)
+
+
+class SceneSummary(Document, frozen=True, kw_only=True):
+    """The scene as a whole.
+
+    Attributes:
+        frames, registered, looked_at: numbers of frames.
+        reprojection_px: mean over the registered frames.
+        objects, labelled: numbers of objects; labelled ones have a pose in the world.
+        depth_frames: frames with sensor depth.
+        truth_frames: frames looked at with current ground truth.
+        truth_source: where ground-truth depth comes from: "rendered maps", "labels cast here"
+            or "none".
+        depth_bias: rendered over sensor depth minus 1, common to all diffuse objects.
+        scale: from the poses.
+        poses_source: from the poses.
+    """
+
+    frames: Count
+    registered: Count
+    looked_at: Count
+    reprojection_px: Number = None
+    objects: Count
+    labelled: Count
+    depth_frames: Count
+    truth_frames: Count
+    truth_source: Literal["rendered maps", "labels cast here", "none"] = "none"
+    depth_bias: Number = None
+    scale: ScaleReport | None = None
+    poses_source: str = ""
+
+
+class CheckReport(Document, frozen=True, kw_only=True):
+    """check/report.json.
+
+    Attributes:
+        passed: no gate failed.
+        verdict: one line.
+        missing: what the scene lacks, one sentence each.
+        limits: the options of the check.
+    """
+
+    format: Literal["std-toolkit-check"] = "std-toolkit-check"
+    version: Literal[1] = 1
+    scene: str
+    passed: bool
+    verdict: str
+    summary: SceneSummary
+    gates: list[CheckGate]
+    warnings: list[CheckWarning]
+    missing: list[str]
+    objects: list[ObjectCheck]
+    frames: list[FrameCheck]
+    materials: list[MaterialDepth]
+    limits: dict[str, float]
+
+    def failed_gates(self) -> list[CheckGate]:
+        """The gates that failed, in order."""
+        return [g for g in self.gates if g.status == "fail"]

@@ -1,0 +1,122 @@
+"""Style sheet and script of the report. Nothing in them is loaded from anywhere."""
+
+from __future__ import annotations
+
+CSS = """
+:root { --ink:#1f2933; --soft:#52606d; --faint:#7b8794; --rule:#e4e7eb; --wash:#f7f8fa;
+  --good:#2b7a4b; --mid:#b7791f; --bad:#b42318; --link:#0b4a7a; }
+* { box-sizing:border-box; }
+html { scroll-behavior:smooth; scroll-padding-top:3.2rem; }
+body { margin:0; color:var(--ink); background:#fff; line-height:1.5; font-size:15px;
+  font-family:system-ui,-apple-system,"Segoe UI",Roboto,"Helvetica Neue",Arial,sans-serif; }
+main, header .inner, nav .inner { max-width:1200px; margin:0 auto; padding:0 24px; }
+header { padding:28px 0 20px; }
+header .kind { color:var(--faint); font-size:13px; letter-spacing:.02em; }
+h1 { font-size:28px; line-height:1.2; margin:2px 0 16px; font-weight:650; }
+h2 { font-size:20px; font-weight:650; margin:0 0 4px; }
+h3 { font-size:15px; font-weight:650; margin:28px 0 6px; }
+section { padding:36px 0 8px; border-top:1px solid var(--rule); margin-top:28px; }
+p { margin:6px 0 12px; max-width:78ch; color:var(--soft); }
+a { color:var(--link); }
+.verdict { display:flex; align-items:baseline; gap:14px; padding:14px 18px; border-radius:8px;
+  background:var(--wash); border-left:6px solid var(--faint); font-size:17px; }
+.verdict b { font-size:19px; white-space:nowrap; }
+.verdict.pass { border-color:var(--good); background:#f0f8f3; }
+.verdict.pass b { color:var(--good); }
+.verdict.fail { border-color:var(--bad); background:#fdf3f2; }
+.verdict.fail b { color:var(--bad); }
+.facts { display:grid; grid-template-columns:repeat(auto-fit,minmax(150px,1fr)); gap:18px 24px;
+  margin:22px 0 6px; }
+.facts div span { display:block; color:var(--faint); font-size:13px; }
+.facts div b { font-size:21px; font-weight:600; font-variant-numeric:tabular-nums; }
+.facts div i { font-style:normal; color:var(--soft); font-size:13px; display:block; }
+nav { position:sticky; top:0; background:rgba(255,255,255,.96); z-index:5;
+  border-bottom:1px solid var(--rule); font-size:14px; }
+nav .inner { display:flex; gap:20px; align-items:center; overflow-x:auto; height:44px; }
+nav a { color:var(--soft); text-decoration:none; white-space:nowrap; }
+nav a:hover { color:var(--ink); }
+nav label { margin-left:auto; white-space:nowrap; color:var(--soft); cursor:pointer; }
+.scroll { overflow-x:auto; }
+table { border-collapse:collapse; width:100%; font-size:14px; font-variant-numeric:tabular-nums; }
+th { text-align:left; font-weight:600; color:var(--soft); font-size:13px; vertical-align:bottom;
+  padding:6px 12px 6px 0; border-bottom:1px solid #cbd2d9; }
+th small { display:block; font-weight:400; color:var(--faint); }
+td { padding:7px 12px 7px 0; border-bottom:1px solid var(--rule); vertical-align:top; }
+th.n, td.n { text-align:right; white-space:nowrap; }
+td.over { color:var(--bad); font-weight:600; }
+td small { color:var(--faint); display:block; }
+.tag { display:inline-block; min-width:58px; text-align:center; font-size:12.5px; font-weight:600;
+  border-radius:4px; padding:1px 8px; background:#eef0f3; color:var(--soft); }
+.tag.pass, .tag.good { background:#e3f3ea; color:var(--good); }
+.tag.fail, .tag.bad, .tag.high { background:#fde5e2; color:var(--bad); }
+.tag.medium, .tag.doubtful { background:#fdf0d9; color:#8a5a10; }
+.chip { display:inline-block; width:11px; height:11px; border-radius:3px; margin-right:7px;
+  vertical-align:-1px; }
+.plot { width:100%; margin:6px 0 4px; }
+.gallery { display:grid; gap:16px; margin:12px 0; }
+.gallery.wide { grid-template-columns:repeat(auto-fill,minmax(420px,1fr)); }
+.gallery.small { grid-template-columns:repeat(auto-fill,minmax(250px,1fr)); }
+.gallery.three { grid-template-columns:repeat(3,minmax(0,1fr)); gap:10px; }
+figure { margin:0; }
+figcaption { font-size:13px; color:var(--soft); margin-top:4px; font-variant-numeric:tabular-nums; }
+.picture { position:relative; display:block; cursor:zoom-in; background:var(--wash);
+  border-radius:4px; overflow:hidden; }
+.picture img { display:block; width:100%; height:auto; }
+.picture svg { position:absolute; inset:0; width:100%; height:100%; pointer-events:none; }
+.picture path { fill:none; stroke-linejoin:round; vector-effect:non-scaling-stroke; }
+.picture .halo { stroke:#fff; stroke-opacity:.6; stroke-width:3.2px; }
+.picture .line { stroke-width:1.6px; }
+body.plain .picture svg { display:none; }
+.legend { display:flex; flex-wrap:wrap; gap:4px 18px; font-size:14px; color:var(--soft);
+  margin:8px 0; }
+.scalebar { display:flex; align-items:center; gap:10px; font-size:13px; color:var(--soft);
+  flex-wrap:wrap; margin:8px 0; }
+.scalebar i { display:inline-block; width:180px; height:12px; border-radius:2px; }
+dialog { border:0; padding:0; width:96vw; height:94vh; max-width:none; max-height:none;
+  background:#111; border-radius:6px; overflow:hidden; }
+dialog::backdrop { background:rgba(15,20,25,.75); }
+dialog .picture { width:100%; height:100%; cursor:zoom-out; background:#111; display:flex;
+  align-items:center; justify-content:center; }
+dialog .frame { position:relative; }
+dialog .frame img { width:100%; height:100%; }
+.none { color:var(--faint); }
+ul.missing { margin:6px 0 12px; padding-left:20px; color:var(--soft); }
+footer { color:var(--faint); font-size:13px; padding:28px 0 40px; }
+@media (max-width:700px) { main, header .inner, nav .inner { padding:0 14px; }
+  .gallery.wide { grid-template-columns:1fr; } .gallery.three { grid-template-columns:1fr; } }
+@media print { nav { display:none; } section { break-inside:avoid; } }
+"""
+
+SCRIPT = """
+(function () {
+  'use strict';
+  var settings = {responsive: true, displaylogo: false,
+    modeBarButtonsToRemove: ['lasso2d', 'select2d', 'autoScale2d', 'toImage']};
+  document.querySelectorAll('script[type="application/json"][data-plot]').forEach(function (s) {
+    var figure = JSON.parse(s.textContent);
+    Plotly.newPlot(s.dataset.plot, figure.data, figure.layout, settings);
+  });
+  var box = document.getElementById('outlines');
+  function apply() { document.body.classList.toggle('plain', !box.checked); }
+  box.addEventListener('change', apply);
+  document.addEventListener('keydown', function (e) {
+    if (e.key !== 'o' || e.ctrlKey || e.metaKey || e.altKey) { return; }
+    box.checked = !box.checked; apply();
+  });
+  var dialog = document.getElementById('large');
+  function fit(frame, w, h) {
+    var k = Math.min(dialog.clientWidth / w, dialog.clientHeight / h);
+    frame.style.width = w * k + 'px'; frame.style.height = h * k + 'px';
+  }
+  document.querySelectorAll('main .picture').forEach(function (p) {
+    p.addEventListener('click', function () {
+      var holder = document.createElement('div'), frame = document.createElement('div');
+      holder.className = 'picture'; frame.className = 'frame';
+      frame.innerHTML = p.innerHTML; holder.appendChild(frame);
+      dialog.replaceChildren(holder); dialog.showModal();
+      fit(frame, +p.dataset.w, +p.dataset.h);
+    });
+  });
+  dialog.addEventListener('click', function () { dialog.close(); });
+})();
+"""

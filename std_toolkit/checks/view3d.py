@@ -1,0 +1,209 @@
+"""The interactive 3D view: cameras, points and labelled objects, turned upright."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.checks.figures import base_layout, figure_json
+from std_toolkit.checks.geometry3d import Cloud, fused_cloud, labelled_mesh, sparse_cloud
+from std_toolkit.checks.palette import CAMERA, GRID, object_color
+from std_toolkit.scene import Frame, Scene
+
+Array = NDArray[np.float64]
+
+MOST_FRUSTA = 60
+
+
+def scene_figure(scene: Scene, up: Array, readable: list[Frame], notes: list[str]) -> str | None:
+    """Cameras as frusta, points and meshes; None without camera poses.
+
+    Args:
+        scene: the scene.
+        up: unit vector that points up in the world.
+        readable: registered frames whose files can be read.
+        notes: takes a sentence per thing that is not there.
+    """
+    frames = scene.registered_frames()
+    if not frames:
+        return None
+    sparse = sparse_cloud(scene)
+    fused = fused_cloud(scene, readable)
+    ids = [o.id for o in scene.objects.objects]
+    meshes = {i: m for i in ids if (m := labelled_mesh(scene, i)) is not None}
+    if sparse is None:
+        notes.append("no point cloud of the reconstruction (poses/points.ply)")
+    centre = _middle(scene, meshes, sparse or fused)
+    turn = _upright(up, scene, frames[0], centre)
+
+    traces: list[dict[str, Any]] = []
+    if fused is not None:
+        traces.append(_points(fused, "sensor depth", turn, centre, size=1.6, shown=True))
+    if sparse is not None:
+        # With depth to look at, sparse points are for those who ask for them.
+        traces.append(
+            _points(sparse, "reconstructed points", turn, centre, size=1.8, shown=fused is None)
+        )
+    for item in scene.objects.objects:
+        if item.id in meshes:
+            vertices, faces = meshes[item.id]
+            xyz = ((vertices - centre) @ turn.T).astype(np.float32)
+            traces.append(
+                {
+                    "type": "mesh3d",
+                    "name": item.name,
+                    "x": xyz[:, 0],
+                    "y": xyz[:, 1],
+                    "z": xyz[:, 2],
+                    "i": faces[:, 0],
+                    "j": faces[:, 1],
+                    "k": faces[:, 2],
+                    "color": object_color(ids, item.id),
+                    "opacity": 0.9,
+                    "flatshading": True,
+                    "lighting": {"ambient": 0.65, "diffuse": 0.6, "specular": 0.1},
+                    "showlegend": True,
+                    "hoverinfo": "name",
+                }
+            )
+    traces += _cameras(scene, frames, turn, centre)
+    layout = base_layout(
+        height=620,
+        margin={"l": 0, "r": 0, "t": 0, "b": 0},
+        legend={
+            "orientation": "v",
+            "x": 0.01,
+            "y": 0.99,
+            "yanchor": "top",
+            "xanchor": "left",
+            "bgcolor": "rgba(255,255,255,0.85)",
+            "bordercolor": GRID,
+            "borderwidth": 1,
+            "itemsizing": "constant",
+        },
+        scene={
+            "aspectmode": "data",
+            "xaxis": _axis("x (m)"),
+            "yaxis": _axis("y (m)"),
+            "zaxis": _axis("up (m)"),
+            "camera": {
+                "eye": {"x": 1.15, "y": -0.95, "z": 0.75},
+                "up": {"x": 0, "y": 0, "z": 1},
+                "center": {"x": 0, "y": 0, "z": -0.1},
+            },
+            "dragmode": "orbit",
+        },
+        showlegend=True,
+    )
+    del layout["xaxis"], layout["yaxis"]
+    return figure_json(traces, layout)
+
+
+def _cameras(scene: Scene, frames: list[Frame], turn: Array, centre: Array) -> list[dict[str, Any]]:
+    """The path through all cameras, and frusta of some spread ones as one line trace."""
+    positions, names = [], []
+    for frame in frames:
+        T = scene.T_world_cam(frame.id)
+        assert T is not None
+        positions.append(turn @ (T.t - centre))
+        names.append(f"frame {frame.id} ({frame.name})")
+    path = np.array(positions, dtype=np.float32)
+    reach = float(np.linalg.norm(np.ptp(path, axis=0)))
+    distance = float(np.median(np.linalg.norm(path, axis=1)))
+    size = np.clip(0.05 * max(reach, distance), 0.01, 0.2)
+    chosen = np.unique(np.linspace(0, len(frames) - 1, MOST_FRUSTA).round().astype(int))
+    lines: list[Array] = []
+    gap = np.full((1, 3), np.nan)
+    for index in chosen:
+        frame = frames[index]
+        camera, T = scene.camera(frame), scene.T_world_cam(frame.id)
+        assert T is not None
+        w, h = camera.width - 0.5, camera.height - 0.5
+        corners = camera.without_distortion().unproject(
+            np.array([[-0.5, -0.5], [w, -0.5], [w, h], [-0.5, h]]), 1.0
+        )
+        c = ((T @ (corners * size)) - centre) @ turn.T
+        apex = (turn @ (T.t - centre))[None]
+        lines += [c, c[:1], gap]
+        for corner in c:
+            lines += [apex, corner[None], gap]
+    frusta = np.concatenate(lines).astype(np.float32)
+    return [
+        {
+            "type": "scatter3d",
+            "mode": "lines",
+            "name": "cameras",
+            "x": frusta[:, 0],
+            "y": frusta[:, 1],
+            "z": frusta[:, 2],
+            "line": {"color": CAMERA, "width": 1.5},
+            "hoverinfo": "skip",
+        },
+        {
+            "type": "scatter3d",
+            "mode": "lines+markers",
+            "name": "camera path",
+            "x": path[:, 0],
+            "y": path[:, 1],
+            "z": path[:, 2],
+            "line": {"color": "#9aa5b1", "width": 3},
+            "marker": {"size": 2.5, "color": CAMERA},
+            "text": names,
+            "hovertemplate": "%{text}<extra></extra>",
+        },
+    ]
+
+
+def _points(
+    cloud: Cloud, name: str, turn: Array, centre: Array, *, size: float, shown: bool
+) -> dict[str, Any]:
+    xyz = ((cloud.xyz - centre) @ turn.T).astype(np.float32)
+    return {
+        "type": "scatter3d",
+        "mode": "markers",
+        "name": name,
+        "x": xyz[:, 0],
+        "y": xyz[:, 1],
+        "z": xyz[:, 2],
+        "marker": {"size": size, "color": [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in cloud.rgb]},
+        "hoverinfo": "skip",
+        "visible": True if shown else "legendonly",
+    }
+
+
+def _axis(title: str) -> dict[str, Any]:
+    return {
+        "title": {"text": title},
+        "gridcolor": GRID,
+        "zeroline": False,
+        "showbackground": False,
+        "showspikes": False,
+    }
+
+
+def _middle(
+    scene: Scene,
+    meshes: dict[int, tuple[NDArray[np.float32], NDArray[np.int32]]],
+    cloud: Cloud | None,
+) -> Array:
+    """The point the view turns about: the objects, else the points, else the cameras."""
+    if meshes:
+        return np.mean([v.mean(axis=0) for v, _ in meshes.values()], axis=0).astype(np.float64)
+    if cloud is not None:
+        return np.median(cloud.xyz, axis=0).astype(np.float64)
+    poses = [scene.T_world_cam(f.id) for f in scene.registered_frames()]
+    return np.mean([T.t for T in poses if T is not None], axis=0)
+
+
+def _upright(up: Array, scene: Scene, first: Frame, centre: Array) -> Array:
+    """Rotation whose third row is up and whose second row points away from the first camera."""
+    T = scene.T_world_cam(first.id)
+    assert T is not None
+    away = centre - T.t
+    away = away - (away @ up) * up
+    if np.linalg.norm(away) < 1e-6:
+        away = np.cross(up, [1.0, 0.0, 0.0] if abs(up[0]) < 0.9 else [0.0, 1.0, 0.0])
+    away = away / np.linalg.norm(away)
+    return np.stack([np.cross(away, up), away, up])
