@@ -20,7 +20,9 @@ def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
         ToolkitError: its size is implausible in metres.
     """
     check_mesh_size(mesh, path=path)
-    write_bytes_atomic(path, mesh.export(file_type=path.suffix.lower().lstrip(".")))
+    data = mesh.export(file_type=path.suffix.lower().lstrip("."))
+    assert isinstance(data, bytes)  # both formats are binary
+    write_bytes_atomic(path, data)
 
 
 def model_of_mesh(

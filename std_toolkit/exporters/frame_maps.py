@@ -1,0 +1,181 @@
+"""The maps of one frame as a layout's camera sees them.
+
+The layouts know pinhole cameras only, and STD's labels have half the colour image's size. Where
+that camera is the scene's own, the rendered ground truth is taken as it is. Else it is rendered
+anew: picking pixels out of maps of another grid would shift depth and NOCS by up to half a pixel
+(0.4 mm at 0.7 m), while a new rendering is exact. What hides objects besides each other
+(policies "sensor" and "fused") is then taken over from the ground truth, to its pixel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera, undistort_image
+from std_toolkit.geometry.se3 import rotation_angle
+from std_toolkit.rendering.choose import choose_renderer, get_renderer
+from std_toolkit.rendering.ground_truth import (
+    FrameTruth,
+    GroundTruth,
+    ObjectTruth,
+    read_ground_truth,
+)
+from std_toolkit.rendering.maps import Composition, compose, mask_of, surface_maps
+from std_toolkit.rendering.placements import frame_placements, place_meshes
+from std_toolkit.rendering.silhouette import mask_box
+from std_toolkit.rendering.windows import image_window
+from std_toolkit.scene.model import Frame
+from std_toolkit.scene.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class FrameMaps:
+    """Ground truth of one frame in one pinhole camera.
+
+    Attributes:
+        truth: numbers of this camera's maps.
+        depth: (H, W) float32 metres, 0 = background.
+        mask: (H, W) uint8 object ids, 0 = background.
+        nocs: (H, W, 3) float32 in 0..1, not flipped, 0 in the background.
+    """
+
+    truth: FrameTruth
+    depth: NDArray[np.float32]
+    mask: NDArray[np.uint8]
+    nocs: NDArray[np.float32]
+
+
+def color_camera(scene: Scene, frame: Frame) -> Camera:
+    """The pinhole camera of a frame's exported colour image."""
+    return scene.camera(frame).without_distortion()
+
+
+def read_color(scene: Scene, frame: Frame) -> NDArray[np.uint8]:
+    """Colour (H, W, 3) as the pinhole sees it."""
+    return undistort_image(scene.read_color(frame), scene.camera(frame))  # type: ignore[return-value]
+
+
+def read_sensor_depth(scene: Scene, frame: Frame) -> NDArray[np.float32] | None:
+    """Sensor depth (H, W) metres as the pinhole sees it, the correction factor applied."""
+    depth = scene.read_depth(frame)
+    if depth is None:
+        return None
+    return undistort_image(  # type: ignore[return-value]
+        depth, scene.camera(frame), interpolation=cv2.INTER_NEAREST
+    )
+
+
+def check_fresh(scene: Scene, truth: FrameTruth) -> None:
+    """Refuse ground truth that belongs to other poses than the scene's labels tell now.
+
+    Raises:
+        ToolkitError: a label or camera pose changed after rendering.
+    """
+    now = frame_placements(scene, truth.frame)
+    then = {row.object: row.pose for row in truth.objects}
+    moved = set(now) != set(then) or any(
+        np.abs(now[i].t - then[i].t).max() > 1e-6 or rotation_angle(now[i].R.T @ then[i].R) > 1e-6
+        for i in now
+    )
+    if moved:
+        raise ToolkitError(
+            "the ground truth is older than the labels",
+            path=scene.root,
+            field=f"frame {truth.frame}",
+            hint="run `std-curate render` again",
+        )
+
+
+def frame_maps(scene: Scene, frame: Frame, camera: Camera) -> FrameMaps:
+    """Ground truth of a frame in `camera`, a pinhole over the same field of view.
+
+    Raises:
+        ToolkitError: the frame was not rendered, or its ground truth is stale or damaged.
+    """
+    found = read_ground_truth(scene, frame.id)
+    check_fresh(scene, found.info)
+    if camera == scene.camera(frame):
+        return FrameMaps(found.info, found.depth, found.mask, found.nocs)
+    return _rendered(scene, frame, camera, found)
+
+
+def _rendered(scene: Scene, frame: Frame, camera: Camera, found: GroundTruth) -> FrameMaps:
+    placed = place_meshes(scene, frame_placements(scene, frame.id))
+    renderer = get_renderer(choose_renderer(found.info.renderer, cameras=[camera]))
+    composition = compose(renderer, camera, placed, canvas=3)
+    ids = [p.object_id for p in placed]
+    if found.info.policy != "models":
+        hidden = _hidden(composition, ids, scene.camera(frame), camera, found.mask)
+        composition.depth[hidden] = 0
+        composition.index[hidden] = -1
+        composition.face[hidden] = -1
+    nocs, _ = surface_maps(camera, placed, composition, smooth_normals=False)
+    sensor = read_sensor_depth(scene, frame)
+    if sensor is not None and camera.size != color_camera(scene, frame).size:
+        sensor = cv2.resize(sensor, camera.size, interpolation=cv2.INTER_NEAREST_EXACT)  # type: ignore[assignment]
+    old = {row.object: row for row in found.info.objects}
+    rows = [_row(old[i], composition, k, camera, sensor) for k, i in enumerate(ids)]
+    truth = FrameTruth(
+        frame=frame.id,
+        policy=found.info.policy,
+        delta_m=found.info.delta_m,
+        renderer=found.info.renderer,
+        smooth_normals=found.info.smooth_normals,
+        objects=rows,
+        version=found.info.version,
+        digest=found.info.digest,
+        outputs={},
+    )
+    mask = mask_of(composition.index, ids)
+    return FrameMaps(truth, composition.depth, mask, nocs)
+
+
+def _hidden(
+    composition: Composition,
+    ids: list[int],
+    source: Camera,
+    camera: Camera,
+    mask: NDArray[np.uint8],
+) -> NDArray[np.bool_]:
+    """Pixels whose object the ground truth shows nowhere in the 2x2 pixels around their place."""
+    shown = np.array([*ids, 0], np.uint8)[composition.index]
+    uv = source.project(camera.rays())
+    column, row = np.floor(uv[..., 0]).astype(np.intp), np.floor(uv[..., 1]).astype(np.intp)
+    seen = np.zeros(shown.shape, bool)
+    for dy in (0, 1):
+        for dx in (0, 1):
+            y = np.clip(row + dy, 0, source.height - 1)
+            x = np.clip(column + dx, 0, source.width - 1)
+            seen |= mask[y, x] == shown
+    return (shown > 0) & ~seen
+
+
+def _row(
+    old: ObjectTruth,
+    composition: Composition,
+    index: int,
+    camera: Camera,
+    sensor: NDArray[np.float32] | None,
+) -> ObjectTruth:
+    silhouette = composition.silhouettes[index]
+    visible = composition.index == index
+    amodal = silhouette.image_mask(camera)
+    valid = amodal if sensor is None else amodal & (sensor > 0)
+    px_visible = int(np.count_nonzero(visible))
+    box = silhouette.box
+    visible_box = mask_box(visible, image_window(camera))
+    return ObjectTruth(
+        object=old.object,
+        T_cam_obj=old.T_cam_obj,
+        px_all=silhouette.px_all,
+        px_valid=int(np.count_nonzero(valid)),
+        px_visible=px_visible,
+        visible_fraction=px_visible / silhouette.px_all if silhouette.px_all else 0.0,
+        bbox_amodal=None if box is None else list(box),
+        bbox_visible=None if visible_box is None else list(visible_box),
+    )

@@ -1,0 +1,162 @@
+"""The staging area of an export: beside its place, kept when a run is interrupted.
+
+The export is written to `.NAME.partial` and renamed to `NAME` when it is whole. A run that was
+killed leaves `.NAME.partial`; the next run of the same export goes on there. A lock tells the
+staging area of a process that is at work from one that was left.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.exporters.protocol import FrameRow
+from std_toolkit.exporters.sidecar import SIDECAR_NAME, Sidecar
+from std_toolkit.io.atomic import sweep_temporaries
+from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.scene.provenance import digest_file
+
+PROGRESS = ".progress"
+
+
+class Progress(msgspec.Struct, frozen=True, kw_only=True):
+    """A finished frame in the staging area."""
+
+    digest: str
+    outputs: dict[str, str]
+    row: FrameRow
+
+
+def state_of(out: Path, digest: str) -> Literal["vacant", "same", "other"]:
+    """What is at `out`: nothing, this very export complete, or something else."""
+    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+        return "vacant"
+    path = out / SIDECAR_NAME
+    if not out.is_dir() or not path.is_file():
+        return "other"
+    try:
+        sidecar = read_document(path, Sidecar)
+    except ToolkitError:
+        return "other"
+    whole = sidecar.digest == digest and all(
+        (out / name).is_file() and digest_file(out / name) == content
+        for name, content in sidecar.files.items()
+    )
+    return "same" if whole else "other"
+
+
+@contextmanager
+def staging_area(out: Path, *, overwrite: bool) -> Iterator[Path]:
+    """The staging folder, moved to `out` when the block ends without an error.
+
+    When the block raises, it stays: the work in it is resumed by the next run.
+
+    Raises:
+        ToolkitError: something else is at `out`, or another process exports to it now.
+    """
+    out = out.absolute()
+    if out.is_symlink() or (out.exists() and not out.is_dir()):
+        raise ToolkitError("there is a file here already", path=out, hint="choose another --out")
+    if out.is_dir() and any(out.iterdir()) and not overwrite:
+        raise ToolkitError(
+            "the folder is not empty and no complete export of this scene",
+            path=out,
+            hint="choose another --out, or give --overwrite to replace an earlier export",
+        )
+    if overwrite and out.is_dir() and any(out.iterdir()) and not (out / SIDECAR_NAME).is_file():
+        raise ToolkitError(
+            "--overwrite replaces earlier exports only, and this is none",
+            path=out,
+            hint="choose another --out",
+        )
+    staging = out.with_name(f".{out.name}.partial")
+    try:
+        staging.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ToolkitError(f"cannot write here: {error.strerror}", path=out.parent) from error
+    descriptor = os.open(staging, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise ToolkitError("another process exports to this place", path=out) from error
+        sweep_temporaries(staging)
+        yield staging
+        _put_in_place(staging, out)
+    finally:
+        os.close(descriptor)
+
+
+def finished_row(staging: Path, key: str, digest: str) -> FrameRow | None:
+    """The row of a frame that an earlier run finished from the same inputs, else None."""
+    path = staging / PROGRESS / f"{key}.json"
+    if not path.is_file():
+        return None
+    try:
+        progress = read_document(path, Progress)
+    except ToolkitError:  # of another version: the frame is written anew
+        return None
+    whole = progress.digest == digest and all(
+        (staging / name).is_file() and digest_file(staging / name) == content
+        for name, content in progress.outputs.items()
+    )
+    return progress.row if whole else None
+
+
+def record_row(staging: Path, key: str, digest: str, row: FrameRow) -> None:
+    """Remember a finished frame."""
+    outputs = {name: digest_file(staging / name) for name in row.outputs}
+    write_document(
+        staging / PROGRESS / f"{key}.json", Progress(digest=digest, outputs=outputs, row=row)
+    )
+
+
+def drop_strangers(staging: Path, expected: set[str]) -> None:
+    """Remove files that an earlier run with other inputs left, and empty folders."""
+    for path in sorted(staging.rglob("*"), reverse=True):
+        if path.is_dir() and not path.is_symlink():
+            if not any(path.iterdir()):
+                path.rmdir()
+        elif path.relative_to(staging).as_posix() not in expected:
+            path.unlink()
+
+
+def file_digests(staging: Path) -> dict[str, str]:
+    """Digest of every file below the staging area but its own records, by relative path."""
+    files = (p for p in staging.rglob("*") if p.is_file())
+    names = sorted(p.relative_to(staging).as_posix() for p in files)
+    return {
+        n: digest_file(staging / n)
+        for n in names
+        if not n.startswith(f"{PROGRESS}/") and n != SIDECAR_NAME
+    }
+
+
+def plain(value: Any) -> Any:
+    """A document as plain JSON values."""
+    return msgspec.to_builtins(value)
+
+
+def _put_in_place(staging: Path, out: Path) -> None:
+    shutil.rmtree(staging / PROGRESS, ignore_errors=True)
+    old = None
+    if out.is_dir() and any(out.iterdir()):
+        old = out.with_name(f".{out.name}.replaced")
+        shutil.rmtree(old, ignore_errors=True)
+        out.rename(old)
+    staging.rename(out)
+    if old is not None:
+        shutil.rmtree(old, ignore_errors=True)
+    descriptor = os.open(out.parent, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
