@@ -64,24 +64,20 @@ def umeyama(
         weights: (N,) non-negative weights.
 
     Raises:
-        ToolkitError: fewer than three points, values that are not finite, or points on a line
-            (the rotation about it is then free).
+        ToolkitError: fewer than three points, values that are not finite, useless weights, or
+            points on a line (the rotation about it is then free).
     """
-    p = np.asarray(src, dtype=np.float64)
-    q = np.asarray(dst, dtype=np.float64)
-    if p.shape != q.shape or p.ndim != 2 or p.shape[1] != 3 or len(p) < 3:
-        raise ToolkitError(
-            "a similarity needs two equal sets of at least 3 points of shape (N, 3)",
-            value=(p.shape, q.shape),
-        )
-    if not (np.isfinite(p).all() and np.isfinite(q).all()):
-        raise ToolkitError("points for a similarity hold numbers that are not finite")
+    p, q = _point_sets(src, dst)
     w = np.ones(len(p)) if weights is None else np.asarray(weights, dtype=np.float64)
+    if w.shape != (len(p),) or not (np.isfinite(w).all() and (w >= 0).all() and w.sum() > 0):
+        raise ToolkitError("weights must be (N,), finite, not negative, and not all zero")
     w = w / w.sum()
     mean_p, mean_q = w @ p, w @ q
     dp, dq = p - mean_p, q - mean_q
     U, S, Vt = np.linalg.svd((dq * w[:, None]).T @ dp)
-    if S[1] <= 1e-12 * max(S[0], 1e-300):
+    # The rounding of far-away coordinates must not pass for an extent.
+    rounding = 1e-15 * float(np.abs(p).max() * np.abs(q).max())
+    if S[1] <= max(1e-12 * S[0], rounding):
         raise ToolkitError("points for a similarity lie on a line: the rotation about it is free")
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
     R = (U * sign) @ Vt
@@ -118,16 +114,11 @@ def ransac_similarity(
         The similarity refitted to all inliers, and the (N,) inlier mask.
 
     Raises:
-        ToolkitError: fewer than three points, or no similarity with three inliers.
+        ToolkitError: fewer than three points, values that are not finite, or no similarity with
+            three inliers that are not on a line.
     """
-    p = np.asarray(src, dtype=np.float64)
-    q = np.asarray(dst, dtype=np.float64)
-    if p.shape != q.shape or p.ndim != 2 or p.shape[1] != 3 or len(p) < 3:
-        raise ToolkitError(
-            "a similarity needs two equal sets of at least 3 points of shape (N, 3)",
-            value=(p.shape, q.shape),
-        )
-    if threshold_m <= 0:
+    p, q = _point_sets(src, dst)
+    if not threshold_m > 0:
         raise ToolkitError("must be positive", field="threshold_m", value=threshold_m)
     rng = np.random.default_rng(seed)
     best = np.zeros(len(p), dtype=bool)
@@ -156,9 +147,22 @@ def ransac_similarity(
         model = umeyama(p[best], q[best], with_scale=with_scale)
         refined = _residuals(model, p, q) < threshold_m
         if refined.sum() < 3 or (refined == best).all():
-            break
+            return model, best
         best = refined
-    return model, best
+    return umeyama(p[best], q[best], with_scale=with_scale), best
+
+
+def _point_sets(src: NDArray[np.floating], dst: NDArray[np.floating]) -> tuple[Array, Array]:
+    p = np.asarray(src, dtype=np.float64)
+    q = np.asarray(dst, dtype=np.float64)
+    if p.shape != q.shape or p.ndim != 2 or p.shape[1] != 3 or len(p) < 3:
+        raise ToolkitError(
+            "a similarity needs two equal sets of at least 3 points of shape (N, 3)",
+            value=(p.shape, q.shape),
+        )
+    if not (np.isfinite(p).all() and np.isfinite(q).all()):
+        raise ToolkitError("points for a similarity hold numbers that are not finite")
+    return p, q
 
 
 def _residuals(model: Similarity, p: Array, q: Array) -> Array:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import operator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -11,6 +13,8 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 
 Array = NDArray[np.float64]
+# Smallest distance of the principal point from an edge, as a share of the image.
+NEAREST_TO_EDGE = 0.38
 
 
 @dataclass(frozen=True)
@@ -36,15 +40,14 @@ class Camera:
     distortion: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
+        _check_numbers(self)
         hint = "are these the intrinsics of another image size?"
         size = f"{self.width}x{self.height}"
-        for name in ("width", "height", "fx", "fy"):
-            value = getattr(self, name)
-            if not np.isfinite(value) or value <= 0:
-                raise ToolkitError("must be positive", field=name, value=value)
         for name, extent in (("cx", self.width), ("cy", self.height)):
             value = getattr(self, name)
-            if not 0.2 * extent <= value <= 0.8 * extent:
+            # Real lenses are within a few percent of the middle. Intrinsics of an image 1.25 or
+            # more times as large or small (640 for 848 wide, 1280 for 960) fall outside.
+            if not NEAREST_TO_EDGE * extent <= value <= (1 - NEAREST_TO_EDGE) * extent:
                 raise ToolkitError(
                     f"lies far from the middle of a {size} image",
                     field=name,
@@ -58,14 +61,6 @@ class Camera:
                 raise ToolkitError(
                     f"does not fit a {size} image", field=name, value=value, hint=hint
                 )
-        if len(self.distortion) not in (0, 4, 5, 8):
-            raise ToolkitError(
-                "distortion has 0, 4, 5 or 8 coefficients (k1 k2 p1 p2 [k3 [k4 k5 k6]])",
-                field="distortion",
-                value=len(self.distortion),
-            )
-        if not all(np.isfinite(self.distortion)):
-            raise ToolkitError("is not finite", field="distortion", value=self.distortion)
 
     @property
     def K(self) -> Array:
@@ -82,23 +77,31 @@ class Camera:
         return any(self.distortion)
 
     def project(self, points: NDArray[np.floating]) -> Array:
-        """Pixels (..., 2) of camera-frame points (..., 3). Points with z <= 0 give NaN."""
+        """Pixels (..., 2) of camera-frame points (..., 3).
+
+        Points with z <= 0 give NaN, and so do points so far outside the view that the distortion
+        polynomial has turned back: it would put them inside the image again.
+        """
         p = np.asarray(points, dtype=np.float64)
         z = np.where(p[..., 2] > 0, p[..., 2], np.nan)
         x, y = p[..., 0] / z, p[..., 1] / z
         if self.is_distorted:
-            x, y = self._distort(x, y)
+            valid = x * x + y * y < _largest_radius2(self.distortion)
+            x, y = self._distort(np.where(valid, x, np.nan), y)
         return np.stack([self.fx * x + self.cx, self.fy * y + self.cy], axis=-1)
 
     def unproject(self, uv: NDArray[np.floating], z: NDArray[np.floating] | float = 1.0) -> Array:
-        """Camera-frame points (..., 3) at z-depth `z` metres behind the pixels uv (..., 2)."""
+        """Camera-frame points (..., 3) at z-depth `z` metres behind the pixels uv (..., 2).
+
+        Pixels that no ray reaches through the lens (far outside the image) give NaN.
+        """
         xy = self._normalised(np.asarray(uv, dtype=np.float64))
         depth = np.broadcast_to(np.asarray(z, dtype=np.float64), xy.shape[:-1])
         return np.concatenate([xy * depth[..., None], depth[..., None]], axis=-1)
 
     def rays(self) -> Array:
         """(H, W, 3) camera-frame points at z = 1 behind every pixel centre."""
-        return self.unproject(self.pixel_grid())
+        return pixel_rays(self).copy()
 
     def pixel_grid(self) -> Array:
         """(H, W, 2) pixel coordinates (u, v) of every pixel centre."""
@@ -132,7 +135,12 @@ class Camera:
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-12)
         flat = np.ascontiguousarray(uv.reshape(-1, 1, 2))
         out = cv2.undistortPoints(flat, self.K, np.array(self.distortion), criteria=criteria)
-        return np.asarray(out, dtype=np.float64).reshape(uv.shape)
+        xy = np.asarray(out, dtype=np.float64).reshape(uv.shape)
+        # The iteration may end anywhere where there is no solution.
+        x, y = self._distort(xy[..., 0], xy[..., 1])
+        error = np.hypot(self.fx * x + self.cx - uv[..., 0], self.fy * y + self.cy - uv[..., 1])
+        wrong = ~(error < 1e-6) | ((xy**2).sum(axis=-1) >= _largest_radius2(self.distortion))
+        return np.where(wrong[..., None], np.nan, xy)
 
     def _distort(self, x: Array, y: Array) -> tuple[Array, Array]:
         k1, k2, p1, p2, k3, k4, k5, k6 = (*self.distortion, *([0.0] * (8 - len(self.distortion))))
@@ -148,8 +156,60 @@ class Crop(Camera):
     """A window of a camera's image: its principal point may lie anywhere."""
 
     def __post_init__(self) -> None:
-        if self.width <= 0 or self.height <= 0:
-            raise ToolkitError("a crop needs a positive size", value=(self.width, self.height))
+        _check_numbers(self)
+
+
+def _check_numbers(camera: Camera) -> None:
+    """What holds for every camera, whole or cropped; numbers of numpy become Python's."""
+    for name in ("width", "height"):
+        value = getattr(camera, name)
+        try:
+            object.__setattr__(camera, name, operator.index(value))
+        except TypeError:
+            raise ToolkitError("must be a whole number", field=name, value=value) from None
+    for name in ("fx", "fy", "cx", "cy"):
+        value = float(getattr(camera, name))
+        object.__setattr__(camera, name, value)
+        if not np.isfinite(value):
+            raise ToolkitError("is not finite", field=name, value=value)
+    for name in ("width", "height", "fx", "fy"):
+        if getattr(camera, name) <= 0:
+            raise ToolkitError("must be positive", field=name, value=getattr(camera, name))
+    distortion = tuple(float(k) for k in camera.distortion)
+    object.__setattr__(camera, "distortion", distortion)
+    if len(distortion) not in (0, 4, 5, 8):
+        raise ToolkitError(
+            "distortion has 0, 4, 5 or 8 coefficients (k1 k2 p1 p2 [k3 [k4 k5 k6]])",
+            field="distortion",
+            value=len(distortion),
+        )
+    if not all(np.isfinite(distortion)):
+        raise ToolkitError("is not finite", field="distortion", value=distortion)
+
+
+@lru_cache(maxsize=2)
+def pixel_rays(camera: Camera) -> Array:
+    """`camera.rays()`, read-only and kept: every frame of a recording needs the same."""
+    rays = camera.unproject(camera.pixel_grid())
+    rays.flags.writeable = False
+    return rays
+
+
+@lru_cache(maxsize=64)
+def _largest_radius2(distortion: tuple[float, ...]) -> float:
+    """Squared normalised radius below which the radial distortion rises, hence can be inverted.
+
+    r (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3) with s = r^2 rises until the first
+    zero of the numerator of its derivative, or until its denominator vanishes.
+    """
+    k1, k2, _, _, k3, k4, k5, k6 = (*distortion, *([0.0] * (8 - len(distortion))))
+    s = np.polynomial.Polynomial([0, 1])
+    top = 1 + k1 * s + k2 * s**2 + k3 * s**3
+    bottom = 1 + k4 * s + k5 * s**2 + k6 * s**3
+    slope = top * bottom + 2 * s * (top.deriv() * bottom - top * bottom.deriv())
+    zeros = np.concatenate([p.trim().roots() for p in (slope, bottom)])
+    real = zeros.real[np.abs(zeros.imag) < 1e-9 * np.maximum(1, np.abs(zeros.real))]
+    return float(real[real > 0].min(initial=np.inf))
 
 
 def undistort_image(
@@ -168,7 +228,10 @@ def undistort_image(
             value=image.shape[:2],
         )
     if not camera.is_distorted:
-        return image
+        return image.copy()
+    if image.dtype == bool:
+        numbers = undistort_image(image.astype(np.uint8), camera, interpolation=interpolation)
+        return numbers.astype(bool)
     # cv2.undistort keeps K and, like this module, puts pixel centres at integers.
     maps = cv2.initUndistortRectifyMap(
         camera.K, np.array(camera.distortion), np.eye(3), camera.K, camera.size, cv2.CV_32FC1

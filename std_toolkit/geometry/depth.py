@@ -5,14 +5,33 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.geometry.camera import Camera
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera, pixel_rays
 
 
 def unproject_depth(depth: NDArray[np.floating], camera: Camera) -> NDArray[np.float64]:
-    """Camera-frame points (H, W, 3) in metres behind every pixel; (0, 0, 0) where depth is 0."""
-    return camera.rays() * np.asarray(depth, dtype=np.float64)[..., None]
+    """Camera-frame points (H, W, 3) in metres behind every pixel; (0, 0, 0) where depth is 0.
+
+    Raises:
+        ToolkitError: the map has another size than the camera.
+    """
+    _check_size(depth, camera)
+    return pixel_rays(camera) * np.asarray(depth, dtype=np.float64)[..., None]
 
 
 def z_to_distance(depth: NDArray[np.floating], camera: Camera) -> NDArray[np.float64]:
-    """Distance from the camera centre (H, W), metres, of a z-depth map. 0 stays 0."""
-    return np.asarray(depth, dtype=np.float64) * np.linalg.norm(camera.rays(), axis=-1)
+    """Distance from the camera centre (H, W), metres, of a z-depth map. 0 stays 0.
+
+    Raises:
+        ToolkitError: the map has another size than the camera.
+    """
+    _check_size(depth, camera)
+    return np.asarray(depth, dtype=np.float64) * np.linalg.norm(pixel_rays(camera), axis=-1)
+
+
+def _check_size(depth: NDArray[np.floating], camera: Camera) -> None:
+    if np.shape(depth) != (camera.height, camera.width):
+        raise ToolkitError(
+            f"the depth map is not of the camera's size {camera.width}x{camera.height}",
+            value=np.shape(depth)[::-1],
+        )

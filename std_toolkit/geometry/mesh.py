@@ -50,6 +50,12 @@ def load_mesh(path: Path | str, *, unit: str = "m") -> trimesh.Trimesh:
         raise ToolkitError(f"cannot read the mesh: {error}", path=path) from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise ToolkitError("the mesh holds no faces", path=path)
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise ToolkitError(
+            "the mesh has faces of vertices that do not exist",
+            path=path,
+            value=int(mesh.faces.max()),
+        )
     if not np.isfinite(mesh.vertices).all():
         raise ToolkitError("the mesh holds vertices that are not finite", path=path)
     if unit != "m":
@@ -95,21 +101,30 @@ def mesh_extents(mesh: trimesh.Trimesh) -> NDArray[np.float64]:
 
 
 def hull_vertices(mesh: trimesh.Trimesh) -> NDArray[np.float64]:
-    """(H, 3) vertices of the convex hull; all vertices where the mesh is flat."""
+    """(H, 3) vertices of the convex hull; those of the outline where the mesh is flat."""
     from scipy.spatial import ConvexHull, QhullError
 
     used = np.asarray(mesh.vertices[np.unique(mesh.faces)], dtype=np.float64)
+    # A flat mesh (a board, a picture) has its hull in the plane or line that it fills.
+    _, extent, axes = np.linalg.svd(used - used.mean(axis=0), full_matrices=False)
+    rank = int((extent > 1e-9 * extent[0]).sum())
+    along = (used - used.mean(axis=0)) @ axes[:rank].T
+    if rank == 1:
+        return used[[int(along.argmin()), int(along.argmax())]]
     try:
-        return used[ConvexHull(used).vertices]
+        return used[ConvexHull(along if rank < 3 else used).vertices]
     except QhullError:
         return used
 
 
 def mesh_diameter(mesh: trimesh.Trimesh) -> float:
     """Largest distance between two vertices, metres (BOP's diameter). Exact, by the convex hull."""
-    from scipy.spatial.distance import pdist
+    from scipy.spatial.distance import cdist
 
-    return float(pdist(hull_vertices(mesh)).max())
+    hull = hull_vertices(mesh)
+    # In blocks: all pairs of a finely meshed ball, whose hull holds every vertex, fill the memory.
+    blocks = range(0, len(hull), 512)
+    return max(float(cdist(hull[i : i + 512], hull[i:]).max()) for i in blocks)
 
 
 def nocs_frame(mesh: trimesh.Trimesh) -> tuple[NDArray[np.float64], float]:

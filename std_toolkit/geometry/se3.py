@@ -20,13 +20,27 @@ ROTATION_TOLERANCE = 1e-4
 class SE3:
     """A rigid transform: `p_a = T_a_b @ p_b` for points of shape (..., 3).
 
+    Numbers from outside come in through `from_matrix` or `from_quat`, which check that they are a
+    rotation; the constructor is for results of our own and checks the shapes only.
+
     Attributes:
         R: (3, 3) rotation, float64.
         t: (3,) translation in metres, float64.
+
+    Raises:
+        ToolkitError: R or t of another shape.
     """
 
     R: Array
     t: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "R", np.asarray(self.R, dtype=np.float64))
+        object.__setattr__(self, "t", np.asarray(self.t, dtype=np.float64))
+        if self.R.shape != (3, 3) or self.t.shape != (3,):
+            raise ToolkitError(
+                "a pose has a 3x3 rotation and 3 translations", value=(self.R.shape, self.t.shape)
+            )
 
     @staticmethod
     def identity() -> SE3:
@@ -42,9 +56,9 @@ class SE3:
             ToolkitError: the entries are not finite, the upper-left part is no rotation to 1e-4,
                 or the last row is not 0 0 0 1.
         """
-        M = np.asarray(T, dtype=np.float64)
-        if M.size not in (12, 16):
-            raise ToolkitError("a pose needs 16 (or 12) numbers", value=M.size)
+        M = _numbers(T)
+        if M.shape not in ((4, 4), (3, 4), (16,), (12,)):
+            raise ToolkitError("a pose needs 16 (or 12) numbers, row-major", value=M.shape)
         M = M.reshape(-1, 4)
         if not np.isfinite(M).all():
             raise ToolkitError("a pose holds a number that is not finite", value=M.tolist())
@@ -59,7 +73,12 @@ class SE3:
         Raises:
             ToolkitError: a number is not finite or the quaternion is far from unit length.
         """
-        q = np.asarray(wxyz, dtype=np.float64).reshape(4)
+        q, translation = _numbers(wxyz), _numbers(t)
+        if q.shape != (4,) or translation.shape != (3,):
+            raise ToolkitError(
+                "a pose needs 4 quaternion and 3 translation numbers",
+                value=(q.shape, translation.shape),
+            )
         norm = float(np.linalg.norm(q))
         if not np.isfinite(norm) or abs(norm - 1) > 1e-2:
             raise ToolkitError(
@@ -73,7 +92,6 @@ class SE3:
                 [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
             ]
         )
-        translation = np.asarray(t, dtype=np.float64).reshape(3)
         if not np.isfinite(translation).all():
             raise ToolkitError("a translation is not finite", value=translation.tolist())
         return SE3(R, translation)
@@ -144,7 +162,9 @@ def nearest_rotation(R: ArrayLike) -> Array:
     Raises:
         ToolkitError: R is not a rotation to `ROTATION_TOLERANCE` (mirrored, scaled, sheared).
     """
-    M = np.asarray(R, dtype=np.float64)
+    M = _numbers(R)
+    if M.shape != (3, 3) or not np.isfinite(M).all():
+        raise ToolkitError("a rotation needs 3x3 finite numbers", value=M.tolist())
     if np.linalg.det(M) < 0 or np.abs(M @ M.T - np.eye(3)).max() > ROTATION_TOLERANCE:
         raise ToolkitError(
             "this is not a rotation matrix",
@@ -170,7 +190,7 @@ def so3_exp(phi: ArrayLike) -> Array:
     S = skew(v)
     if angle < 1e-8:
         return np.eye(3) + S + 0.5 * S @ S
-    return np.eye(3) + np.sin(angle) / angle * S + (1 - np.cos(angle)) / angle**2 * S @ S
+    return np.eye(3) + np.sin(angle) / angle * S + _one_minus_cos(angle) * S @ S
 
 
 def so3_log(R: ArrayLike) -> Array:
@@ -190,8 +210,20 @@ def rotation_angle(R: ArrayLike) -> float:
 def _left_jacobian(phi: Array) -> Array:
     angle = float(np.linalg.norm(phi))
     S = skew(phi)
-    if angle < 1e-6:
-        return np.eye(3) + 0.5 * S + S @ S / 6
-    return (
-        np.eye(3) + (1 - np.cos(angle)) / angle**2 * S + (angle - np.sin(angle)) / angle**3 * S @ S
-    )
+    # Near 0 a series: the closed form subtracts nearly equal numbers; the next term is < 1e-15.
+    series = 1 / 6 - angle**2 / 120
+    cubic = series if angle < 1e-3 else (angle - np.sin(angle)) / angle**3
+    half = _one_minus_cos(angle) if angle > 1e-8 else 0.5
+    return np.eye(3) + half * S + cubic * S @ S
+
+
+def _one_minus_cos(angle: float) -> float:
+    """(1 - cos a) / a^2, without subtracting nearly equal numbers."""
+    return float(0.5 * (np.sin(angle / 2) / (angle / 2)) ** 2)
+
+
+def _numbers(values: ArrayLike) -> Array:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ToolkitError("a pose needs numbers", value=values) from error
