@@ -36,9 +36,7 @@ def add_parser(subparsers: Any) -> None:
         default=str(default.refine),
         help="intrinsics to adjust with the poses (default: %(default)s)",
     )
-    parser.add_argument(
-        "--mapper", choices=[str(x) for x in Mapper], default=str(default.mapper)
-    )
+    parser.add_argument("--mapper", choices=[str(x) for x in Mapper], default=str(default.mapper))
     model = parser.add_argument_group("keyframes and matching")
     model.add_argument(
         "--keyframe-motion",
@@ -56,6 +54,7 @@ def add_parser(subparsers: Any) -> None:
     model.add_argument("--overlap", type=int, default=default.overlap)
     model.add_argument("--loops", type=int, default=default.loops)
     model.add_argument("--min-points", type=int, default=default.min_points)
+    model.add_argument("--min-angle-deg", type=float, default=default.min_angle_deg)
     gates = parser.add_argument_group("quality gates")
     gates.add_argument("--min-registered", type=float, default=default.min_registered)
     gates.add_argument("--max-reprojection-px", type=float, default=default.max_reprojection_px)
@@ -80,6 +79,7 @@ def options_of(args: argparse.Namespace) -> PoseOptions:
         loops=args.loops,
         mapper=Mapper(args.mapper),
         refine=Refinement(args.refine),
+        min_angle_deg=args.min_angle_deg,
         min_points=args.min_points,
         scale=args.scale,
         board=args.board,
@@ -110,9 +110,7 @@ def run(args: argparse.Namespace) -> int:
 def summary(poses: Any, names: list[str]) -> list[str]:
     """What a person wants to know, one line each."""
     registered = [p for p in poses.frames if p.status == "registered"]
-    lost = [
-        name for p, name in zip(poses.frames, names, strict=True) if p.status != "registered"
-    ]
+    lost = [name for p, name in zip(poses.frames, names, strict=True) if p.status != "registered"]
     lines = [f"registered {len(registered)} of {len(poses.frames)} frames"]
     if lost:
         shown = ", ".join(lost[:8]) + (" ..." if len(lost) > 8 else "")

@@ -57,9 +57,7 @@ def from_colmap_camera(camera: Any) -> Camera:
     elif name not in ("PINHOLE", "OPENCV", "FULL_OPENCV"):
         raise ToolkitError("cannot convert this COLMAP camera model", value=name)
     fx, fy, cx, cy, *k = p
-    return Camera(
-        camera.width, camera.height, fx, fy, cx - HALF_PIXEL, cy - HALF_PIXEL, tuple(k)
-    )
+    return Camera(camera.width, camera.height, fx, fy, cx - HALF_PIXEL, cy - HALF_PIXEL, tuple(k))
 
 
 def to_colmap_pixels(uv: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -105,15 +105,11 @@ def _stretches(frames: Sequence[Frame], lost: Sequence[str]) -> str:
 
 def _at_least(name: str, value: float, limit: float, advice: str) -> Gate:
     passed = value >= limit
-    return Gate(
-        name=name, value=value, limit=limit, passed=passed, advice="" if passed else advice
-    )
+    return Gate(name=name, value=value, limit=limit, passed=passed, advice="" if passed else advice)
 
 
 def _at_most(name: str, value: float, limit: float, advice: str) -> Gate:
     # JSON has no infinity; a value that could not be measured counts as very bad.
     value = value if np.isfinite(value) else 1e9
     passed = value <= limit
-    return Gate(
-        name=name, value=value, limit=limit, passed=passed, advice="" if passed else advice
-    )
+    return Gate(name=name, value=value, limit=limit, passed=passed, advice="" if passed else advice)

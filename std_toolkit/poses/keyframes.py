@@ -50,9 +50,7 @@ def measure_frames(paths: Sequence[Path]) -> list[FrameMeasure]:
     return measures
 
 
-def choose_keyframes(
-    measures: Sequence[FrameMeasure], *, motion: float, max_gap: int
-) -> list[int]:
+def choose_keyframes(measures: Sequence[FrameMeasure], *, motion: float, max_gap: int) -> list[int]:
     """Indices of the keyframes, rising.
 
     The path is cut where the motion since the last cut adds up to `motion` (or after `max_gap`

@@ -38,10 +38,11 @@ class PoseOptions:
         overlap: neighbours in time that every keyframe is matched with.
         loops: keyframes elsewhere in time that look alike, matched with every keyframe.
         mapper: incremental or global mapping of the keyframes.
-        refine: which intrinsics are adjusted. "focal" (fx, fy) is the default: the factory
-            calibration of a camera is rarely right to a tenth of a per cent, and a wrong focal
-            length bends the whole trajectory. "intrinsics" adds the principal point, "distortion"
-            also k1 k2 p1 p2. "none" trusts the given ones.
+        refine: which intrinsics are adjusted with the poses: "none" trusts the given ones,
+            "focal" adjusts fx and fy, "intrinsics" also cx and cy, "distortion" also k1 k2 p1 p2.
+        min_angle_deg: the final adjustment uses points that are seen under at least this angle
+            (more where an image has too few): the things the camera goes round, not the far
+            background, where people walk.
         min_points: fewest points that register a frame.
         scale: "auto" (all sources that the scene has), "none" (unit unknown), or one source.
         board: description of a fiducial board (JSON); default: `board.json` of the scene, if any.
@@ -61,7 +62,8 @@ class PoseOptions:
     overlap: int = 6
     loops: int = 4
     mapper: Mapper = Mapper.INCREMENTAL
-    refine: Refinement = Refinement.FOCAL
+    refine: Refinement = Refinement.NONE
+    min_angle_deg: float = 20.0
     min_points: int = 20
     scale: str = "auto"
     board: Path | None = None

@@ -44,6 +44,7 @@ _MODEL_OPTIONS = (
     "loops",
     "mapper",
     "refine",
+    "min_angle_deg",
     "min_points",
     "seed",
     "threads",
@@ -260,7 +261,12 @@ def _build(
             uv=load_features(features, names[frame.id]).uv[found.keypoint],
             point_ids=found.point_ids,
         )
-    adjust(model, refine=options.refine, threads=options.threads)
+    adjust(
+        model,
+        refine=options.refine,
+        threads=options.threads,
+        min_angle_deg=options.min_angle_deg,
+    )
     about = Reconstruction(
         keyframes=[f.id for f in keyframes],
         camera_ids=mapping.camera_ids,

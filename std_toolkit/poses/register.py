@@ -220,9 +220,7 @@ def _register(
     return Registration(T_cam_world, keypoint[good], index.point_ids[point[good]])
 
 
-def _candidates(
-    index: MapIndex, order: int, descriptors: NDArray[np.uint8]
-) -> list[int]:
+def _candidates(index: MapIndex, order: int, descriptors: NDArray[np.uint8]) -> list[int]:
     near = np.argsort(np.abs(index.order - order), kind="stable")[:NEAR_KEYFRAMES]
     vector = describe_image(descriptors, index.vocabulary)
     alike = np.argsort(-(index.vectors @ vector), kind="stable")[:ALIKE_KEYFRAMES]

@@ -44,8 +44,8 @@ def estimate_poses(
         The saved poses.
 
     Raises:
-        ToolkitError: unreadable images, no model at all, no source of metres, or sources that
-            contradict each other. Nothing is saved then.
+        ToolkitError: unreadable images, no model at all, or scale sources that contradict each
+            other. Nothing is saved then.
     """
     options = options or PoseOptions()
     jobs = _width(jobs or JobOptions(), options)
@@ -65,6 +65,24 @@ def board_file(scene: Scene, options: PoseOptions) -> Path | None:
         return options.board
     own = scene.root / "board.json"
     return own if own.is_file() else None
+
+
+def require_metres(scene: Scene) -> None:
+    """Refuse poses of unknown unit; for every step that mixes poses with metric things.
+
+    Raises:
+        ToolkitError: the scene's poses come from a run without any source of metres.
+    """
+    poses = scene.poses
+    if poses is not None and poses.scale is not None and poses.scale.unit != "metre":
+        raise ToolkitError(
+            "the unit of these camera poses is unknown",
+            path=scene.root / "poses.json",
+            field="scale.unit",
+            value=poses.scale.unit,
+            hint="run `std-curate poses` with a scale source (sensor depth, --board FILE, or an "
+            "object annotated in two or more frames)",
+        )
 
 
 def failed_gates(poses: CameraPoses) -> list[str]:
@@ -178,9 +196,8 @@ def _publish_model(root: Path, model: Any, work: Path) -> list[Path]:
         model.extract_colors_for_all_images(root)
         model.write(fresh)
         model.export_PLY(work / "points.ply")
-    outputs = []
-    for path in sorted(fresh.iterdir()):
-        outputs.append(_move(path, root / "poses" / "sparse" / path.name))
+    target = root / "poses" / "sparse"
+    outputs = [_move(path, target / path.name) for path in sorted(fresh.iterdir())]
     outputs.append(_move(work / "points.ply", root / "poses" / "points.ply"))
     return outputs
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -141,13 +140,14 @@ class BoardScale:
 
 def detect_board(path: Path | str, *, board: Board) -> BoardDetection:
     """Find the corners of a board in an image file, refined to sub-pixel positions."""
-    grey = cv2.cvtColor(read_color(path), cv2.COLOR_RGB2GRAY)
+    grey = np.asarray(cv2.cvtColor(read_color(path), cv2.COLOR_RGB2GRAY), dtype=np.uint8)
     if board.charuco is not None:
         return _detect_charuco(grey, board)
     known = dict(board.tags)
     corners, ids, _ = _tag_detector(board.dictionary).detectMarkers(grey)
     found = sorted(
-        (int(i), c.reshape(4, 2)) for i, c in zip(_flat(ids), corners, strict=True)
+        (int(i), c.reshape(4, 2))
+        for i, c in zip(_flat(ids), corners, strict=True)
         if int(i) in known
     )
     if not found:
@@ -162,9 +162,7 @@ def detect_board(path: Path | str, *, board: Board) -> BoardDetection:
 def _detect_charuco(grey: NDArray[np.uint8], board: Board) -> BoardDetection:
     assert board.charuco is not None
     nx, ny, square, marker = board.charuco
-    drawn = cv2.aruco.CharucoBoard(
-        (nx, ny), square, marker, _dictionary(board.dictionary, None)
-    )
+    drawn = cv2.aruco.CharucoBoard((nx, ny), square, marker, _dictionary(board.dictionary, None))
     corners, ids, _, _ = cv2.aruco.CharucoDetector(drawn).detectBoard(grey)
     if ids is None or len(ids) == 0:
         return _nothing()
@@ -237,5 +235,3 @@ def _read_charuco(value: object, path: Path) -> Board:
     dictionary = str(value.get("dictionary", "DICT_5X5_100"))
     _dictionary(dictionary, path)
     return Board(dictionary=dictionary, charuco=(int(nx), int(ny), square / 1000, marker / 1000))
-
-

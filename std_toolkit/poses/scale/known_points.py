@@ -166,9 +166,11 @@ def _refit(views: Sequence[KnownView], fit: BodyFit) -> float | None:
 def _folds(views: Sequence[KnownView]) -> list[list[KnownView]]:
     """All views but one group at a time; groups are spread over the recording."""
     count = min(_FOLDS, len(views))
-    return [[v for i, v in enumerate(views) if i % count != k] for k in range(count)] if (
-        len(views) > 2
-    ) else [list(views)]
+    return (
+        [[v for i, v in enumerate(views) if i % count != k] for k in range(count)]
+        if (len(views) > 2)
+        else [list(views)]
+    )
 
 
 def _subsets(views: Sequence[KnownView]) -> list[list[KnownView]]:

@@ -14,7 +14,7 @@ from std_toolkit.scene.model import ScaleEstimate, ScaleReport
 TRUST = ("board", "cad", "depth")
 NO_SCALE_HINT = (
     "give the scene a source of metres: sensor depth, a board (--board FILE), or an object "
-    "annotated in two or more frames; or take poses of unknown unit with --scale none"
+    "annotated in two or more frames (--scale none accepts the unknown unit silently)"
 )
 
 
@@ -29,8 +29,8 @@ def resolve_scale(
         max_disagreement: largest relative difference between two sources in "auto".
 
     Raises:
-        ToolkitError: no source, a named source that fails, or sources that contradict each other
-            while none is named.
+        ToolkitError: a source that fails, or sources that contradict each other while none is
+            named.
     """
     if scale == "none":
         return 1.0, ScaleReport(unit="unknown", chosen="none")
@@ -60,7 +60,12 @@ def resolve_scale(
                 ) from error
             logger.warning("scale source %s (not used): %s", name, error)
     if not estimates:
-        raise ToolkitError("nothing tells the metres of this scene", hint=NO_SCALE_HINT)
+        logger.warning(
+            "nothing tells the metres of this scene: the unit of its poses is UNKNOWN and every "
+            "step that needs metres will refuse them; %s",
+            NO_SCALE_HINT,
+        )
+        return 1.0, ScaleReport(unit="unknown", chosen="none")
     disagreement, worst = _disagreement(estimates)
     if disagreement > max_disagreement and not named:
         a, b = worst
