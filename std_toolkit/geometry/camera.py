@@ -47,7 +47,7 @@ class Camera:
             value = getattr(self, name)
             # Real lenses are within a few percent of the middle. Intrinsics of an image 1.25 or
             # more times as large or small (640 for 848 wide, 1280 for 960) fall outside.
-            if not NEAREST_TO_EDGE * extent <= value <= (1 - NEAREST_TO_EDGE) * extent:
+            if not NEAREST_TO_EDGE <= (value + 0.5) / extent <= 1 - NEAREST_TO_EDGE:
                 raise ToolkitError(
                     f"lies far from the middle of a {size} image",
                     field=name,
@@ -93,7 +93,7 @@ class Camera:
     def unproject(self, uv: NDArray[np.floating], z: NDArray[np.floating] | float = 1.0) -> Array:
         """Camera-frame points (..., 3) at z-depth `z` metres behind the pixels uv (..., 2).
 
-        Pixels that no ray reaches through the lens (far outside the image) give NaN.
+        Pixels that no ray reaches through the lens (far outside the image) have x and y NaN.
         """
         xy = self._normalised(np.asarray(uv, dtype=np.float64))
         depth = np.broadcast_to(np.asarray(z, dtype=np.float64), xy.shape[:-1])

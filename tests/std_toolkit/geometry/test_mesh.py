@@ -1,0 +1,174 @@
+"""Meshes come as they are stored, in metres, or not at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.mesh import (
+    hull_vertices,
+    load_mesh,
+    mesh_diameter,
+    mesh_extents,
+    nocs_frame,
+)
+
+BOX = trimesh.creation.box((0.1, 0.06, 0.03))
+
+
+def saved(mesh: trimesh.Trimesh, path: Path) -> Path:
+    mesh.export(path)
+    return path
+
+
+@pytest.mark.parametrize("suffix", ["ply", "obj", "glb", "off"])
+def test_vertices_and_faces_keep_their_order(tmp_path: Path, suffix: str) -> None:
+    """Keypoints and NOCS tables refer to vertices by number."""
+    mesh = load_mesh(saved(BOX, tmp_path / f"box.{suffix}"))
+    np.testing.assert_allclose(mesh.vertices, BOX.vertices, atol=1e-7)
+    np.testing.assert_array_equal(mesh.faces, BOX.faces)
+    np.testing.assert_allclose(mesh_extents(mesh), [0.1, 0.06, 0.03], atol=1e-7)
+
+
+def test_vertices_that_no_face_uses_are_kept_but_have_no_size(tmp_path: Path) -> None:
+    mesh = trimesh.Trimesh(
+        np.vstack([BOX.vertices, [[9.0, 9, 9]]]), BOX.faces, process=False, validate=False
+    )
+    loaded = load_mesh(saved(mesh, tmp_path / "box.ply"))
+    assert len(loaded.vertices) == 9
+    np.testing.assert_allclose(mesh_extents(loaded), [0.1, 0.06, 0.03], atol=1e-7)
+
+
+def test_an_obj_with_a_texture(tmp_path: Path) -> None:
+    Image.new("RGB", (8, 8), (200, 10, 10)).save(tmp_path / "paint.png")
+    (tmp_path / "box.mtl").write_text("newmtl m\nmap_Kd paint.png\n")
+    (tmp_path / "box.obj").write_text(
+        "mtllib box.mtl\nusemtl m\n"
+        "v 0 0 0\nv 0.1 0 0\nv 0.1 0.1 0\nv 0 0.1 0.02\n"
+        "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3 4/4\n"
+    )
+    mesh = load_mesh(tmp_path / "box.obj")
+    assert len(mesh.faces) == 2  # the quad became two triangles
+    np.testing.assert_allclose(mesh.vertices[1], [0.1, 0, 0])
+    assert mesh.visual.material.image.size == (8, 8)
+
+
+def test_an_obj_whose_texture_is_missing_is_still_a_mesh(tmp_path: Path) -> None:
+    (tmp_path / "box.obj").write_text(
+        "mtllib ../../nowhere.mtl\nv 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n"
+    )
+    assert len(load_mesh(tmp_path / "box.obj").faces) == 1
+
+
+def test_the_parts_of_a_glb_scene_become_one_mesh_in_place(tmp_path: Path) -> None:
+    scene = trimesh.Scene()
+    scene.add_geometry(BOX)
+    scene.add_geometry(BOX, transform=trimesh.transformations.translation_matrix([0.2, 0, 0]))
+    scene.export(tmp_path / "two.glb")
+    mesh = load_mesh(tmp_path / "two.glb")
+    assert len(mesh.faces) == 24
+    np.testing.assert_allclose(mesh_extents(mesh), [0.3, 0.06, 0.03], atol=1e-7)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("mm", 1000), ("cm", 100), ("m", 1)])
+def test_units_are_converted(tmp_path: Path, unit: str, factor: float) -> None:
+    mesh = BOX.copy()
+    mesh.apply_scale(factor)
+    loaded = load_mesh(saved(mesh, tmp_path / "box.ply"), unit=unit)
+    np.testing.assert_allclose(mesh_extents(loaded), [0.1, 0.06, 0.03], atol=1e-7)
+
+
+def test_millimetres_taken_for_metres_are_refused(tmp_path: Path) -> None:
+    mesh = BOX.copy()
+    mesh.apply_scale(1000)
+    with pytest.raises(ToolkitError, match=r"box\.ply: .*implausibly large.*--mesh-unit mm"):
+        load_mesh(saved(mesh, tmp_path / "box.ply"))
+
+
+def test_metres_taken_for_millimetres_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ToolkitError, match="implausibly small"):
+        load_mesh(saved(BOX, tmp_path / "box.ply"), unit="mm")
+
+
+TRIANGLE = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\n"
+DAMAGED = {
+    "empty.obj": b"",
+    "empty.ply": b"",
+    "empty.glb": b"",
+    "points.obj": b"v 0 0 0\nv 1 0 0\n",
+    "no_such_vertex.obj": (TRIANGLE + "f 1 2 9\n").encode(),
+    "not_a_number.obj": b"v nan 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n",
+    "words.obj": b"v a b c\nf 1 2 3\n",
+    "mislabelled.glb": (TRIANGLE + "f 1 2 3\n").encode(),
+    "truncated.ply": b"ply\nformat binary_little_endian 1.0\nelement vertex 8\n"
+    b"property float x\nproperty float y\nproperty float z\nelement face 12\n"
+    b"property list uchar int vertex_indices\nend_header\n\0\0\0\0",
+    "bomb.ply": b"ply\nformat binary_little_endian 1.0\nelement vertex 900000000000\n"
+    b"property float x\nproperty float y\nproperty float z\nelement face 900000000000\n"
+    b"property list uchar int vertex_indices\nend_header\n",
+    "wrong_index.ply": b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\n"
+    b"property float y\nproperty float z\nelement face 1\n"
+    b"property list uchar int vertex_indices\nend_header\n0 0 0\n0.1 0 0\n0 0.1 0\n3 0 1 77\n",
+    "negative_index.ply": b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\n"
+    b"property float y\nproperty float z\nelement face 1\n"
+    b"property list uchar int vertex_indices\nend_header\n0 0 0\n0.1 0 0\n0 0.1 0\n3 0 1 -7\n",
+    "notes.txt": b"a mesh",
+    "nothing": b"",
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_damaged_meshes_are_refused_by_name(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(DAMAGED[name])
+    with pytest.raises(ToolkitError, match=name) as caught:
+        load_mesh(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_mesh_and_an_unknown_unit_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ToolkitError, match="not found"):
+        load_mesh(tmp_path / "box.obj")
+    with pytest.raises(ToolkitError, match="unknown unit"):
+        load_mesh(saved(BOX, tmp_path / "box.ply"), unit="inch")
+
+
+def test_the_diameter_is_the_largest_distance_of_two_vertices() -> None:
+    assert mesh_diameter(BOX) == pytest.approx(np.linalg.norm([0.1, 0.06, 0.03]), rel=1e-12)
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(300, 3)) * 0.03
+    mesh = trimesh.Trimesh(points, rng.integers(0, 300, (400, 3)), process=False)
+    used = points[np.unique(mesh.faces)]
+    exact = np.linalg.norm(used[:, None] - used[None], axis=-1).max()
+    assert mesh_diameter(mesh) == pytest.approx(exact, rel=1e-12)
+
+
+def test_the_diameter_of_a_finely_meshed_ball_needs_little_memory() -> None:
+    """All 10,242 vertices lie on the hull: their 10^8 distances at once are 0.8 GB."""
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.05)
+    assert mesh_diameter(ball) == pytest.approx(0.1, abs=1e-4)
+
+
+def test_flat_and_straight_meshes_have_an_outline() -> None:
+    u, v = np.meshgrid(np.linspace(0, 0.3, 40), np.linspace(0, 0.4, 40))
+    grid = np.stack([u.ravel(), v.ravel(), (u + v).ravel()], axis=1)
+    faces = np.random.default_rng(0).permutation(1600)[:1599].reshape(-1, 3)
+    board = trimesh.Trimesh(grid, np.vstack([faces, [[0, 39, 1599]]]), process=False)
+    assert len(hull_vertices(board)) <= 8
+    assert mesh_diameter(board) == pytest.approx(np.linalg.norm([0.3, 0.4, 0.7]))
+    line = trimesh.Trimesh([[0, 0, 0], [0.1, 0, 0], [0.3, 0, 0]], [[0, 1, 2]], process=False)
+    assert mesh_diameter(line) == pytest.approx(0.3)
+
+
+def test_nocs_is_centred_on_the_box_and_divided_by_its_diagonal() -> None:
+    mesh = BOX.copy()
+    mesh.apply_translation([1, 2, 3])
+    centre, diagonal = nocs_frame(mesh)
+    nocs = (mesh.vertices - centre) / diagonal + 0.5
+    np.testing.assert_allclose((nocs.min(0) + nocs.max(0)) / 2, [0.5] * 3)
+    assert np.linalg.norm(np.ptp(nocs, axis=0)) == pytest.approx(1)
