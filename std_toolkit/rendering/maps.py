@@ -187,18 +187,25 @@ def surface_normals(
         (N,3) float32. Triangles seen from behind (a bowl without thickness, a mesh wound the
         wrong way) have their normal turned, so that it always points to the camera's side.
     """
-    flat = mesh.face_normals[face]
-    camera_centre = (-(T_cam_obj.R.T @ T_cam_obj.t) - mesh.centre).astype(np.float32)
-    behind = np.einsum("ij,ij->i", flat, local - camera_centre) > 0
-    if smooth:
-        rows, first, rise = mesh.interpolation
-        weights = np.einsum("nkj,nj->nk", rows[face][..., :3], local) + rows[face][..., 3]
-        # Depth rounding may put the point a hair outside its triangle.
-        np.clip(weights, 0, 1, out=weights)
-        normal = first[face] + np.einsum("nk,nkj->nj", weights, rise[face])
-    else:
-        normal = flat
-    normal = np.where(behind[:, None], -normal, normal)
+    normal = _interpolated(mesh, face, local) if smooth else mesh.face_normals[face]
+    if not mesh.closed:
+        camera_centre = (-(T_cam_obj.R.T @ T_cam_obj.t) - mesh.centre).astype(np.float32)
+        sight = local - camera_centre
+        behind = np.einsum("ij,ij->i", mesh.face_normals[face], sight) > 0
+        normal[behind] *= -1
+    return normal @ T_cam_obj.R.T.astype(np.float32)
+
+
+def _interpolated(mesh: RenderMesh, face: np.ndarray, local: np.ndarray) -> np.ndarray:
+    """(N,3) float32 unit normals in mesh coordinates, interpolated within the triangles."""
+    table = mesh.interpolation.take(face, axis=0)
+    x, y, z = local[:, 0], local[:, 1], local[:, 2]
+    # Depth rounding may put the point a hair outside its triangle: hence the clip.
+    v, w = (
+        np.clip(table[:, k] * x + table[:, k + 1] * y + table[:, k + 2] * z + table[:, k + 3], 0, 1)
+        for k in (0, 4)
+    )
+    normal = table[:, 8:11] + v[:, None] * table[:, 11:14] + w[:, None] * table[:, 14:17]
     length = np.sqrt(np.einsum("ij,ij->i", normal, normal))
     normal /= np.maximum(length, np.float32(1e-12))[:, None]
-    return normal @ T_cam_obj.R.T.astype(np.float32)
+    return normal

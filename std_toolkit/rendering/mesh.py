@@ -151,26 +151,28 @@ class RenderMesh:
         return smooth.reshape(-1, 3, 3).astype(np.float32)
 
     @cached_property
-    def interpolation(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Per face what turns a centred point into a smooth normal.
+    def interpolation(self) -> np.ndarray:
+        """(F,17) float32: per face what turns a centred point into a smooth normal.
 
-        Returns:
-            (F,2,4) float32 rows that give the second and third barycentric coordinate of
-            (x, y, z, 1); (F,3) the first corner's normal; (F,2,3) what the coordinates multiply.
+        Columns 0-3 and 4-7 times (x, y, z, 1) are the second and third barycentric coordinate;
+        8-10 is the first corner's normal, 11-13 and 14-16 what the two coordinates multiply.
+        One row per face, so that a pixel needs one look-up.
         """
         a, b, c = (self.vertices[self.faces[:, i]] for i in range(3))
         e1, e2 = b - a, c - a
         d11, d12, d22 = (np.einsum("ij,ij->i", x, y) for x, y in ((e1, e1), (e1, e2), (e2, e2)))
         det = d11 * d22 - d12 * d12
         inverse = np.divide(1.0, det, out=np.zeros_like(det), where=det > 0)[:, None]
-        g1 = (e1 * d22[:, None] - e2 * d12[:, None]) * inverse
-        g2 = (e2 * d11[:, None] - e1 * d12[:, None]) * inverse
-        rows = np.empty((len(a), 2, 4), np.float32)
-        for i, g in enumerate((g1, g2)):
-            rows[:, i, :3] = g
-            rows[:, i, 3] = -np.einsum("ij,ij->i", g, a)
+        table = np.empty((len(a), 17), np.float32)
+        for column, (near, far, d) in ((0, (e1, e2, d22)), (4, (e2, e1, d11))):
+            gradient = (near * d[:, None] - far * d12[:, None]) * inverse
+            table[:, column : column + 3] = gradient
+            table[:, column + 3] = -np.einsum("ij,ij->i", gradient, a)
         n = self.corner_normals
-        return rows, n[:, 0].copy(), np.stack([n[:, 1] - n[:, 0], n[:, 2] - n[:, 0]], axis=1)
+        table[:, 8:11] = n[:, 0]
+        table[:, 11:14] = n[:, 1] - n[:, 0]
+        table[:, 14:17] = n[:, 2] - n[:, 0]
+        return table
 
 
 def prepare_mesh(mesh: trimesh.Trimesh | RenderMesh) -> RenderMesh:

@@ -73,9 +73,8 @@ def _normalised_bounds(points: np.ndarray) -> tuple[float, float, float, float] 
         return None
     if not front.all():
         return (-np.inf, -np.inf, np.inf, np.inf)
-    xy = points[:, :2] / points[:, 2:]
-    (x0, y0), (x1, y1) = xy.min(axis=0), xy.max(axis=0)
-    return float(x0), float(y0), float(x1), float(y1)
+    x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
+    return float(x.min()), float(y.min()), float(x.max()), float(y.max())
 
 
 def _distorted_window(camera: Camera, bounds: tuple[float, float, float, float]) -> Window | None:
