@@ -45,6 +45,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="of imported objects whose format does not tell",
     )
     parser.add_argument(
+        "--models", type=Path, metavar="DIR", help="CAD models, where the format keeps them apart"
+    )
+    parser.add_argument(
         "--link",
         nargs="?",
         const="hard",
@@ -78,6 +81,7 @@ def run(args: argparse.Namespace) -> int:
         skip_unpaired=args.skip_unpaired,
         off_centre=args.off_centre,
         material=args.material,
+        models=args.models,
     )
     explicit = args.engine != "local" or args.workers is not None
     scene = import_recording(

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 import msgspec
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.exporters.sidecar import ExportedFrame, ExportedModel
 from std_toolkit.plugins import Registry
 from std_toolkit.rendering.ground_truth import FrameTruth
 from std_toolkit.scene.model import Frame
 
 if TYPE_CHECKING:
-    from std_toolkit.exporters.sidecar import ExportedFrame, ExportedModel
     from std_toolkit.geometry.camera import Camera
     from std_toolkit.scene.scene import Scene
 

@@ -25,12 +25,20 @@ def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
     write_bytes_atomic(path, data)
 
 
+def mesh_suffix(mesh: trimesh.Trimesh) -> str:
+    """ ".glb" for a mesh with a texture, which PLY cannot hold; else ".ply"."""
+    material = getattr(mesh.visual, "material", None)
+    pictures = (getattr(material, key, None) for key in ("image", "baseColorTexture"))
+    return ".glb" if any(picture is not None for picture in pictures) else ".ply"
+
+
 def model_of_mesh(
     mesh: trimesh.Trimesh,
     *,
     model_id: str,
     category: str,
     symmetry: SymmetryModel | None = None,
+    class_id: int | None = None,
     suffix: str = ".ply",
 ) -> Model:
     """The table row of a mesh in metres."""
@@ -38,7 +46,7 @@ def model_of_mesh(
         id=model_id,
         mesh=f"models/{model_id}/{model_id}{suffix}",
         category=category,
-        class_id=CATEGORY_CLASS_IDS.get(category, 0),
+        class_id=CATEGORY_CLASS_IDS.get(category, 0) if class_id is None else class_id,
         size_m=[float(x) for x in mesh_extents(mesh)],
         diameter_m=mesh_diameter(mesh),
         symmetry=symmetry or SymmetryModel(),

@@ -6,14 +6,13 @@ it, so that checks of images, conversions of depth and atomicity are the same fo
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.plugins import Registry
-from std_toolkit.scene.model import CameraModel, CameraPoses, Labels, Model, Object
+from std_toolkit.scene.model import CameraModel, CameraPoses, Labels, Material, Model, Object
 
 if TYPE_CHECKING:
     import trimesh
@@ -38,6 +37,7 @@ class ImportRequest:
         skip_unpaired: leave out frames whose colour or depth is missing, instead of an error.
         off_centre: accept a principal point far from the middle (cropped images).
         material: of imported objects whose format does not tell it.
+        models: folder of CAD models, where the format keeps them apart from the images.
     """
 
     source: Path
@@ -50,7 +50,8 @@ class ImportRequest:
     distortion: str | None = None
     skip_unpaired: bool = False
     off_centre: bool = False
-    material: str | None = None
+    material: Material | None = None
+    models: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,6 +66,8 @@ class SourceFile:
         depth_scale: metres per unit if it is a 16-bit PNG.
         background: of a mask.
         same_size: the file must have the camera's size.
+        binary: a mask of 0 and anything else, which becomes id 1.
+        resize: a colour image is brought to the camera's size by averaging areas.
     """
 
     source: Path
@@ -73,6 +76,8 @@ class SourceFile:
     depth_scale: float | None = None
     background: int | None = None
     same_size: bool = True
+    binary: bool = False
+    resize: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,13 +105,11 @@ class SourceModel:
 
     Attributes:
         model: its table row; the mesh path inside it is where it will be written.
-        load: reads the mesh, vertices in metres in the frame that the labels refer to.
-        copy: the folder of the mesh is already in metres: copy these files instead of writing.
+        mesh: vertices in metres, in the frame that the labels refer to.
     """
 
     model: Model
-    load: Callable[[], trimesh.Trimesh]
-    copy: tuple[Path, ...] = ()
+    mesh: trimesh.Trimesh
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,6 +153,11 @@ IMPORTERS: Registry[Importer] = Registry(
     "std_toolkit.importers",
     {
         "folder": "std_toolkit.importers.folder:FOLDER",
+        "std": "std_toolkit.importers.std:STD",
+        "dreds": "std_toolkit.importers.std:DREDS",
+        "bop": "std_toolkit.importers.bop:BOP",
+        "nocs": "std_toolkit.importers.nocs:NOCS",
+        "cleargrasp": "std_toolkit.importers.cleargrasp:CLEARGRASP",
     },
 )
 

@@ -10,14 +10,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.importers.depth_source import check_unit, read_foreign_depth
+from std_toolkit.importers.masks import read_mask_source
+from std_toolkit.importers.mesh_files import write_mesh
 from std_toolkit.importers.protocol import LinkMode, Recording, SourceFile, SourceFrame
 from std_toolkit.importers.staging import new_folder
 from std_toolkit.io.exr import write_exr
-from std_toolkit.io.images import read_color, read_png, write_png
+from std_toolkit.io.images import image_size, read_color, read_png, write_color, write_png
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.log import logger
 from std_toolkit.scene.model import CameraModel, Frame, Frames, ObjectTable, SceneInfo
@@ -129,6 +132,11 @@ def _write_frame(
 
 
 def _write_color(file: SourceFile, root: Path, size: tuple[int, int], link: LinkMode) -> str:
+    if file.resize:
+        target = file.target + ".png"
+        image = cv2.resize(read_color(file.source), size, interpolation=cv2.INTER_AREA)
+        write_color(root / target, image)  # type: ignore[arg-type]
+        return target
     # Decoded once, so that a damaged image is found now and not in the middle of a later step.
     read_color(file.source, size=size)
     target = file.target + file.source.suffix.lower()
@@ -173,7 +181,7 @@ def _write_reference(file: SourceFile, root: Path, size: tuple[int, int], link: 
     if file.kind == "color":
         _write_color(file, root, size, link)
     elif file.kind == "depth":
-        own = size if file.same_size else _size_of(file.source)
+        own = size if file.same_size else image_size(file.source)
         depth = read_foreign_depth(file.source, size=own)
         metres = depth.values
         if metres.dtype == np.uint16:
@@ -181,6 +189,8 @@ def _write_reference(file: SourceFile, root: Path, size: tuple[int, int], link: 
         write_exr(target.with_suffix(".exr"), {"Y": metres})
     elif file.kind == "mask":
         mask = read_mask_source(file.source, size=size if file.same_size else None)
+        if file.binary:
+            mask = (mask > 0).astype(np.uint8)
         if file.background is not None:
             mask = np.where(mask == file.background, np.zeros((), mask.dtype), mask)
         write_png(target.with_suffix(".png"), mask)
@@ -188,40 +198,6 @@ def _write_reference(file: SourceFile, root: Path, size: tuple[int, int], link: 
         if file.source.suffix.lower() == ".png":
             read_png(file.source, size=size if file.same_size else None)
         _place(file.source, target, link)
-
-
-def read_mask_source(path: Path, *, size: tuple[int, int] | None) -> np.ndarray:
-    """Instance ids (H, W) uint8 or uint16 of a foreign mask.
-
-    A PNG holds the ids, in one channel or in equal ones; DREDS's EXR holds id/255 as float in
-    channel R. They are rounded: the public loader truncates, which half floats get wrong.
-
-    Raises:
-        ToolkitError: unreadable, of another size, or no mask.
-    """
-    from std_toolkit.importers.depth_source import check_aligned
-    from std_toolkit.io.exr import exr_size, read_exr
-
-    if path.suffix.lower() == ".exr":
-        if size is not None:
-            check_aligned(path, exr_size(path), size)
-        channels = read_exr(path)
-        values = channels.get("R", next(iter(channels.values()))).astype(np.float64) * 255
-        if not np.isfinite(values).all() or values.min() < 0 or values.max() > 255.5:
-            raise ToolkitError("a mask in EXR holds id/255 between 0 and 1", path=path)
-        return np.rint(values).astype(np.uint8)
-    image = read_png(path, size=size)
-    if image.ndim == 3:
-        if not (image == image[..., :1]).all():
-            raise ToolkitError("a mask holds ids in one channel or in equal ones", path=path)
-        image = np.ascontiguousarray(image[..., 0])
-    return image
-
-
-def _size_of(path: Path) -> tuple[int, int]:
-    from std_toolkit.io.images import image_size
-
-    return image_size(path)
 
 
 def _place(source: Path, target: Path, link: LinkMode) -> None:
@@ -257,12 +233,4 @@ def _check_depth_unit(recording: Recording, written: list[Written]) -> None:
 
 def _write_models(recording: Recording, root: Path) -> None:
     for model in recording.models:
-        target = root / model.model.mesh
-        target.parent.mkdir(parents=True, exist_ok=True)
-        if model.copy:
-            for path in model.copy:
-                shutil.copyfile(path, target.parent / path.name)
-        else:
-            from std_toolkit.importers.mesh_files import write_mesh
-
-            write_mesh(target, model.load())
+        write_mesh(root / model.model.mesh, model.mesh)
