@@ -83,6 +83,7 @@ class PyrenderRenderer:
         face = np.full((window.height, window.width), -1, np.int32)
         if far <= NEAR_M:
             return Raster(depth, face)
+        double_sided = not mesh.closed or near <= NEAR_M  # cut open by the near plane
         near = max(near * 0.999 - 1e-4, NEAR_M)
         far = max(far * 1.001 + 1e-4, near * 1.01)
         pose = np.eye(4)
@@ -103,6 +104,7 @@ class PyrenderRenderer:
                     h,
                     near,
                     far,
+                    double_sided=double_sided,
                 )
                 depth[y : y + h, x : x + w] = tile.depth
                 face[y : y + h, x : x + w] = tile.face
@@ -135,7 +137,7 @@ class GlCanvas:
         self._scene = pyrender.Scene()
         self._camera = pyrender.IntrinsicsCamera(1, 1, 0, 0)
         self._scene.add(self._camera)
-        self._nodes: OrderedDict[int, tuple[RenderMesh, Any]] = OrderedDict()
+        self._nodes: OrderedDict[tuple[int, bool], tuple[RenderMesh, Any]] = OrderedDict()
 
     def draw(
         self,
@@ -149,6 +151,8 @@ class GlCanvas:
         height: int,
         near: float,
         far: float,
+        *,
+        double_sided: bool = True,
     ) -> Raster:
         """Draw a mesh, its centred vertices placed by the 4x4 `pose` in the OpenCV camera frame."""
         self._fit(width, height)
@@ -157,7 +161,7 @@ class GlCanvas:
         camera.fx, camera.fy, camera.cx, camera.cy = fx, fy, cx + 0.5, cy + 0.5
         camera.zfar = max(far, camera.znear * 2)  # its setters insist on near < far at all times
         camera.znear, camera.zfar = near, far
-        node = self._node(mesh)
+        node = self._node(mesh, double_sided)
         self._scene.set_pose(node, _GL_FROM_CV @ pose)
         color, depth = self._renderer.render(self._scene, self._flags, {node: (0, 0, 0)})
         color = color[:height, :width].astype(np.int32)
@@ -185,7 +189,6 @@ class GlCanvas:
             if not self._resizable:
                 self._renderer.delete()
                 self._nodes.clear()
-                self._scene.mesh_nodes.copy()
                 for node in list(self._scene.mesh_nodes):
                     self._scene.remove_node(node)
                 self._renderer = self._make_renderer(w, h)
@@ -203,10 +206,11 @@ class GlCanvas:
         renderer._renderer._program_cache = ShaderProgramCache(shader_dir=str(folder))
         return renderer
 
-    def _node(self, mesh: RenderMesh) -> Any:
-        kept = self._nodes.get(id(mesh))
+    def _node(self, mesh: RenderMesh, double_sided: bool) -> Any:
+        key = (id(mesh), double_sided)
+        kept = self._nodes.get(key)
         if kept is not None:
-            self._nodes.move_to_end(id(mesh))
+            self._nodes.move_to_end(key)
             return kept[1]
         import pyrender
 
@@ -218,13 +222,13 @@ class GlCanvas:
                 hint=f"simplify it to at most {_MAX_FACES} faces or use --renderer raycast",
             )
         faces = mesh.faces
-        if not mesh.closed:  # pyrender culls back faces in this pass
+        if double_sided:  # pyrender culls back faces in this pass
             faces = np.concatenate([faces, faces[:, ::-1]])
         primitive = pyrender.Primitive(
             positions=mesh.vertices.astype(np.float32), indices=faces.astype(np.uint32), mode=4
         )
         node = self._scene.add(pyrender.Mesh([primitive]))
-        self._nodes[id(mesh)] = (mesh, node)
+        self._nodes[key] = (mesh, node)
         while len(self._nodes) > _KEPT_MESHES:
             _, (_, oldest) = self._nodes.popitem(last=False)
             self._scene.remove_node(oldest)
