@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import hypot
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from std_toolkit.checks.caster import mesh_problem
 from std_toolkit.checks.consistency import Consistency, fit_consistency
 from std_toolkit.checks.coverage import SEEN_FRACTION, directions, measure_coverage
-from std_toolkit.checks.depth import HISTOGRAM_BIN_M, HISTOGRAM_LIMIT_M, ErrorTally
+from std_toolkit.checks.depth import HISTOGRAM_BIN_M, HISTOGRAM_LIMIT_M, DepthResidual, ErrorTally
 from std_toolkit.checks.residuals import FrameObservation, ObjectObservation
 from std_toolkit.checks.result import (
     FrameCheck,
@@ -182,17 +183,17 @@ def _check_object(
         "raw_median_mm": _mm(tally.quantile_m(0.5)),
         "raw_mae_mm": _mm(tally.mae_m),
         "raw_rmse_mm": _mm(tally.rmse_m),
-        "frames": [_object_frame(f, o) for f, o in rows],
+        "frames": [_object_frame(f, o, depth_bias) for f, o in rows],
     }
     if residuals:
         fields["depth_mm"] = _mm(median([r.median_m for r in residuals]))
         fields["depth_mad_mm"] = _mm(median([r.mad_m for r in residuals]))
         fields["distance_m"] = rounded(median([r.depth_m for r in residuals]))
-        if depth_bias is not None:
-            # Bias is relative to the sensor's own depth: rendered = sensor * (1 + bias).
-            share = depth_bias / (1 + depth_bias)
-            left = [r.median_m - share * r.depth_m for r in residuals]
-            fields["depth_unscaled_mm"] = _mm(median(left))
+        fields["depth_unscaled_mm"] = _mm(median([_unscaled(r, depth_bias) for r in residuals]))
+    shifts = [hypot(o.shift.x_px, o.shift.y_px) for o in judged if o.shift is not None]
+    if edges:
+        fields["shift_px"] = rounded(median(shifts))
+        fields["shift_share"] = rounded(len(shifts) / len(edges))
     if drift is not None:
         offset = [round(1000 * x, 2) for x in drift.offset_m]
         fields |= {
@@ -270,7 +271,17 @@ def _consistency(judged: Sequence[ObjectObservation]) -> Consistency | None:
     )
 
 
-def _object_frame(frame: int, seen: ObjectObservation) -> ObjectFrameCheck:
+def _unscaled(residual: DepthResidual, bias: float | None) -> float | None:
+    """The residual without the common bias, metres."""
+    if bias is None:
+        return None
+    # Bias is relative to the sensor's own depth: rendered = sensor * (1 + bias).
+    return residual.median_m - bias / (1 + bias) * residual.depth_m
+
+
+def _object_frame(
+    frame: int, seen: ObjectObservation, depth_bias: float | None
+) -> ObjectFrameCheck:
     shift = seen.shift
     return ObjectFrameCheck(
         frame=frame,
@@ -279,6 +290,7 @@ def _object_frame(frame: int, seen: ObjectObservation) -> ObjectFrameCheck:
         edge_support=rounded(seen.edges.support) if seen.edges else None,
         shift_px=[round(shift.x_px, 2), round(shift.y_px, 2)] if shift else None,
         depth_mm=_mm(seen.residual.median_m) if seen.residual else None,
+        depth_unscaled_mm=_mm(_unscaled(seen.residual, depth_bias)) if seen.residual else None,
     )
 
 

@@ -24,7 +24,12 @@ SMALLEST_SLOPE = 1.5
 # A peak below this part of the steepest slope of its profile is texture, not an outline.
 RELATIVE_SLOPE = 0.2
 FEWEST_POINTS = 24
-LARGEST_SAMPLE = 400
+LARGEST_SAMPLE = 300
+SMALLEST_GAIN = 0.15
+RIVAL_PX = 3.0
+LARGEST_RIVAL = 0.85
+_COARSE_PX = 1.0
+_FINE_PX = 0.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,27 +164,44 @@ def best_shift(profiles: Profiles, *, largest_px: float) -> Shift | None:
         one lies at the limit of the search.
     """
     strength = profiles.slope / (profiles.slope + 3 * profiles.threshold[:, None])
-    grid = np.arange(-largest_px, largest_px + STEP_PX / 2, STEP_PX)
+    grid = np.arange(-largest_px, largest_px + _COARSE_PX / 2, _COARSE_PX)
     dx, dy = np.meshgrid(grid, grid)
+    score = _score(profiles, strength, dx, dy)
+    y, x = np.unravel_index(int(score.argmax()), score.shape)
+    mean = float(score.mean())
+    gain = float(score[y, x] / max(mean, 1e-9) - 1)
+    if gain < SMALLEST_GAIN or not (0 < x < len(grid) - 1 and 0 < y < len(grid) - 1):
+        return None
+    # A rim or a reflection that runs beside the outline fits as well somewhere else: then the
+    # frame does not tell which is right.
+    elsewhere = score[np.hypot(dx - grid[x], dy - grid[y]) > RIVAL_PX]
+    if elsewhere.max() - mean > LARGEST_RIVAL * (score[y, x] - mean):
+        return None
+    near = np.arange(-3, 4) * _FINE_PX
+    fx, fy = np.meshgrid(grid[x] + near, grid[y] + near)
+    fine = _score(profiles, strength, fx, fy)
+    v, u = np.unravel_index(int(fine[1:-1, 1:-1].argmax()), (5, 5))
+    v, u = v + 1, u + 1
+    return Shift(
+        float(fx[v, u] + _FINE_PX * _vertex(*fine[v, u - 1 : u + 2])),
+        float(fy[v, u] + _FINE_PX * _vertex(*fine[v - 1 : v + 2, u])),
+        gain,
+    )
+
+
+def _score(profiles: Profiles, strength: Array, dx: Array, dy: Array) -> Array:
+    """Mean strength under the contour at shifts dx, dy (h, w)."""
     # Shifts along the contour are free: only the part along the normal moves a point off it.
     along = profiles.normals @ np.stack([dx.ravel(), dy.ravel()])
     index = (along - profiles.offsets[0]) / STEP_PX
     outside = (index < 0) | (index > len(profiles.offsets) - 1)
-    low = np.clip(np.floor(index).astype(int), 0, len(profiles.offsets) - 2)
+    low = np.clip(index.astype(np.intp), 0, len(profiles.offsets) - 2)
     part = index - low
-    row = np.arange(len(low))[:, None]
-    value = (1 - part) * strength[row, low] + part * strength[row, low + 1]
+    left = np.take_along_axis(strength, low, axis=1)
+    right = np.take_along_axis(strength, low + 1, axis=1)
+    value = left + part * (right - left)
     value[outside] = 0
-    score = value.mean(axis=0).reshape(dx.shape)
-    y, x = np.unravel_index(int(score.argmax()), score.shape)
-    gain = float(score[y, x] / max(score.mean(), 1e-9) - 1)
-    if gain < 0.15 or not (0 < x < len(grid) - 1 and 0 < y < len(grid) - 1):
-        return None
-    return Shift(
-        float(grid[x] + STEP_PX * _vertex(*score[y, x - 1 : x + 2])),
-        float(grid[y] + STEP_PX * _vertex(*score[y - 1 : y + 2, x])),
-        gain,
-    )
+    return np.asarray(value.mean(axis=0).reshape(dx.shape))
 
 
 def _peaks(profiles: Profiles) -> Array:

@@ -63,10 +63,10 @@ def figure_json(traces: Sequence[Any], layout: dict[str, Any]) -> str:
 def registration_figure(report: CheckReport, *, limit_px: float) -> str | None:
     """Reprojection error per frame; frames without a pose as crosses below the axis."""
     rows = report.frames
-    if not any(f.status != "no pose" for f in rows):
-        return None
     there = [f for f in rows if f.status == "registered"]
     lost = [f for f in rows if f.status == "unregistered"]
+    if not lost and all(f.reprojection_px is None for f in there):
+        return None
     traces: list[dict[str, Any]] = [
         {
             "type": "bar",
@@ -120,8 +120,10 @@ def frames_figure(
     ids = [o.object for o in objects]
     traces: list[dict[str, Any]] = []
     for item in objects:
-        points = [(f.frame, v) for f in item.frames if (v := value(f)) is not None]
-        if not points:
+        points = [
+            (f.frame, v if v is None else round(v, 3)) for f in item.frames for v in [value(f)]
+        ]
+        if all(v is None for _, v in points):
             continue
         traces.append(
             {
@@ -129,7 +131,7 @@ def frames_figure(
                 "mode": "lines+markers",
                 "name": item.name,
                 "x": [p[0] for p in points],
-                "y": [round(p[1], 3) for p in points],
+                "y": [p[1] for p in points],
                 "line": {
                     "color": object_color(ids, item.object),
                     "dash": object_dash(ids, item.object),
@@ -141,7 +143,7 @@ def frames_figure(
         )
     if not traces:
         return None
-    values = [v for t in traces for v in t["y"]]
+    values = [v for t in traces for v in t["y"] if v is not None]
     low, high = min([*values, *limits]), max([*values, *limits])
     # A single frame gone wrong must not press all others flat.
     high = min(high, max([3 * float(np.percentile(values, 95)), *limits]))
@@ -237,8 +239,8 @@ def sky_figure(
                 "range": [0, deepest],
                 "tickvals": [0, 30, 60, 90],
                 "ticktext": ["", "60°", "30°", "0°"],
-                "angle": 45,
-                "tickangle": 45,
+                "angle": 157.5,
+                "tickangle": 157.5,
                 "gridcolor": GRID,
                 "linecolor": GRID,
                 "tickfont": {"size": 10, "color": FAINT},
@@ -307,10 +309,9 @@ def error_figure(materials: Sequence[MaterialDepth]) -> str | None:
             "mode": "lines",
             "name": m.material,
             "x": m.histogram_mm,
-            "y": [100 * s for s in m.histogram_share],
+            # A logarithmic axis has no 0: empty bins are gaps.
+            "y": [100 * s or None for s in m.histogram_share],
             "line": {"color": MATERIAL_COLORS[m.material], "width": 2, "shape": "hvh"},
-            "fill": "tozeroy",
-            "fillcolor": _translucent(MATERIAL_COLORS[m.material]),
             "hovertemplate": f"{m.material}<br>%{{x}} mm: %{{y:.2f}} % of the readings"
             "<extra></extra>",
         }
@@ -328,7 +329,13 @@ def error_figure(materials: Sequence[MaterialDepth]) -> str | None:
                 },
                 "range": [-limit - 2, limit + 2],
             },
-            yaxis={"title": {"text": "readings per 2 mm (%)"}, "rangemode": "tozero"},
+            yaxis={
+                "title": {"text": "readings per 2 mm (%)"},
+                "type": "log",
+                "range": [-2, 2],
+                "tickvals": [0.01, 0.1, 1, 10, 100],
+                "ticktext": ["0.01", "0.1", "1", "10", "100"],
+            },
             shapes=[
                 {
                     "type": "line",
@@ -354,8 +361,3 @@ def _limit_line(y: float) -> dict[str, Any]:
         "y1": y,
         "line": {"color": BAD, "width": 1, "dash": "dash"},
     }
-
-
-def _translucent(color: str) -> str:
-    r, g, b = (int(color[i : i + 2], 16) for i in (1, 3, 5))
-    return f"rgba({r},{g},{b},0.12)"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from std_toolkit.checks.coverage import NARROW_DEG
-from std_toolkit.checks.gates import has_edges, is_uninformative
+from std_toolkit.checks.gates import has_edges, is_confirmed
 from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.result import (
     CheckGate,
@@ -19,6 +19,10 @@ from std_toolkit.checks.result import (
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 
 _ORDER: dict[Severity, int] = {"high": 0, "medium": 1, "low": 2}
+# Gates whose detail names the objects or frames concerned.
+_NAMING = (
+    "labelled", "edges", "shift", "depth", "drift", "covariance", "evidence", "frames", "meshes",
+)  # fmt: skip
 _LARGE_OFFSET_MM = 3.0
 _LOW_VISIBILITY = 0.5
 _LARGE_BIAS = 0.004
@@ -38,7 +42,7 @@ def find_warnings(
     found = [
         CheckWarning(
             severity="high",
-            about=gate.detail.split(";")[0] or "scene",
+            about=gate.detail.split(";")[0] if gate.key in _NAMING and gate.detail else gate.key,
             problem=f"gate failed: {gate.title}: {gate.value:g} {gate.unit}".rstrip()
             + f", must be {gate.rule} {gate.limit:g} {gate.unit}".rstrip(),
             advice=gate.advice,
@@ -112,12 +116,12 @@ def _object_warnings(item: ObjectCheck, options: CheckOptions) -> list[CheckWarn
             "the label",
             "look at its close-ups; annotate it in a frame with more contrast",
         )
-    elif is_uninformative(item):
+    elif not is_confirmed(item, options):
         warn(
-            "low",
-            f"edge distance {item.edge_px:.1f} px is little better than chance "
-            f"({item.edge_chance_px:.1f} px) among so much texture",
-            "trust the close-ups and the shift rather than the edge distance",
+            "medium",
+            f"its edge distance, {item.edge_px:.1f} px, is what chance gives here "
+            f"({item.edge_chance_px:.1f} px): the images do not confirm the label",
+            "look at its close-ups",
         )
     if (item.offset_norm_mm or 0) > _LARGE_OFFSET_MM and has_edges(item, options):
         warn(

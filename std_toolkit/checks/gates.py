@@ -16,7 +16,10 @@ from std_toolkit.scene.model import ScaleReport
 LARGEST_DEPTH_BIAS = 0.025
 # Fewer frames with a shift cannot tell drift from a mismatch.
 FEWEST_DRIFT_FRAMES = 5
-SMALLEST_INFORMATION = 0.6
+# Edge distances above this part of what chance gives say nothing.
+CHANCE_PART = 0.6
+# A best shift in this share of the frames judges a label whatever the texture.
+ENOUGH_SHIFTS = 0.5
 
 
 def scale_share(summary: SceneSummary) -> float:
@@ -46,6 +49,32 @@ def has_edges(item: ObjectCheck, options: CheckOptions) -> bool:
     return item.edge_px is not None and (item.edge_support or 0) >= options.min_edge_support
 
 
+def is_uninformative(item: ObjectCheck) -> bool:
+    """Whether a contour anywhere nearby would lie as close to image edges as the label does."""
+    return (
+        item.edge_px is not None
+        and item.edge_chance_px is not None
+        and item.edge_px > CHANCE_PART * item.edge_chance_px
+    )
+
+
+def shift_px(item: ObjectCheck, options: CheckOptions) -> Number:
+    """The label's shift against the image, where the frames agree that there is one to tell."""
+    told = has_edges(item, options) and (item.shift_share or 0) >= ENOUGH_SHIFTS
+    return item.shift_px if told else None
+
+
+def is_confirmed(item: ObjectCheck, options: CheckOptions) -> bool:
+    """Whether the image supports the label: chance would not do as well, or a shift stands out.
+
+    A label far off its object meets the edges of whatever is there instead. In a textured scene
+    those are never far, so a small edge distance alone confirms nothing.
+    """
+    if not has_edges(item, options):
+        return False
+    return not is_uninformative(item) or shift_px(item, options) is not None
+
+
 def judge_gates(
     summary: SceneSummary,
     objects: Sequence[ObjectCheck],
@@ -73,6 +102,7 @@ def judge_object(item: ObjectCheck, share: float, options: CheckOptions) -> Obje
     excess = depth_excess_mm(item, share)
     bad = (
         (has_edges(item, options) and (item.edge_px or 0) > options.max_edge_px)
+        or (shift_px(item, options) or 0) > options.max_shift_px
         or (excess is not None and excess > options.max_depth_mm)
         or (_drift(item, options) or 0) > options.max_drift_px
         or (item.label_std_mm or 0) > options.max_label_std_mm
@@ -80,22 +110,13 @@ def judge_object(item: ObjectCheck, share: float, options: CheckOptions) -> Obje
     verdict: Literal["good", "doubtful", "bad", "open"]
     if bad:
         verdict = "bad"
-    elif not has_edges(item, options) and excess is None:
+    elif not item.frames_seen:
         verdict = "open"
-    elif not has_edges(item, options) or is_uninformative(item):
+    elif not is_confirmed(item, options):
         verdict = "doubtful"
     else:
         verdict = "good"
     return msgspec.structs.replace(item, verdict=verdict)
-
-
-def is_uninformative(item: ObjectCheck) -> bool:
-    """Whether a contour anywhere nearby would lie as close to image edges as the label does."""
-    return (
-        item.edge_px is not None
-        and item.edge_chance_px is not None
-        and item.edge_px > SMALLEST_INFORMATION * item.edge_chance_px
-    )
 
 
 def _pose_gates(
@@ -172,12 +193,9 @@ def _label_gates(
     depth = {o.name: depth_excess_mm(o, share) for o in seen}
     drift = {o.name: _drift(o, options) for o in seen}
     spread = {o.name: o.label_std_mm for o in labelled}
+    shift = {o.name: shift_px(o, options) for o in seen}
     # Clear glass may have no edge that an image shows; that is a warning, not a failure.
-    blind = [
-        o.name
-        for o in seen
-        if o.material != "transparent" and not has_edges(o, options) and depth[o.name] is None
-    ]
+    blind = [o.name for o in seen if o.material != "transparent" and not is_confirmed(o, options)]
     return [
         _gate(
             "labelled",
@@ -196,6 +214,16 @@ def _label_gates(
             detail=_worst_name(edges),
             advice="look at the overlays; run `std-curate propagate --refine`, or annotate the "
             "object again",
+        ),
+        _gate(
+            "shift",
+            "shift of the image against the label, worst object",
+            _worst(shift),
+            options.max_shift_px,
+            unit="px",
+            detail=_worst_name(shift),
+            advice="run `std-curate propagate --refine`; if only frames far from the annotated one "
+            "are off, check the scale and the camera poses",
         ),
         _gate(
             "depth",
@@ -229,11 +257,11 @@ def _label_gates(
         ),
         _gate(
             "evidence",
-            "labels that neither image edges nor depth can confirm",
+            "labels that the images do not confirm",
             float(len(blind)) if seen else None,
             0.0,
             detail=_names(blind),
-            advice="look at their overlays: a label far off its object meets no edge",
+            advice="look at their overlays: a label far off its object meets no edges, or any",
         ),
     ]
 

@@ -92,6 +92,12 @@ def labelled_mesh(
     return vertices.astype(np.float32), np.asarray(mesh.triangles, dtype=np.int32)
 
 
+def near_points(cloud: Cloud, centre: NDArray[np.floating], radius_m: float) -> Cloud:
+    """The points within a radius, so that a far wall does not make the scene small."""
+    near = np.linalg.norm(cloud.xyz - centre, axis=1) <= radius_m
+    return Cloud(cloud.xyz[near], cloud.rgb[near])
+
+
 def _thinned(xyz: NDArray[np.floating], rgb: NDArray[np.uint8]) -> Cloud:
     """At most `MOST_POINTS` points, far outliers left out, always the same ones."""
     middle = np.median(xyz, axis=0)

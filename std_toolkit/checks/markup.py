@@ -44,8 +44,8 @@ def percent(value: float | None, digits: int = 0) -> Cell:
 
 def text(value: str, *, small: str = "") -> Cell:
     """A text cell, with a second faint line."""
-    note = f"<small>{escape(small)}</small>" if small else ""
-    return Cell(escape(value) + note if value else DASH + note)
+    note = f"<small>{words(small)}</small>" if small else ""
+    return Cell(words(value) + note if value else DASH + note)
 
 
 def tag(kind: str, label: str | None = None) -> Cell:
@@ -108,8 +108,23 @@ def section(name: str, title: str, *parts: str) -> str:
     return f'<section id="{name}"><h2>{escape(title)}</h2>{body}</section>' if body else ""
 
 
-def paragraph(words: str) -> str:
-    return f"<p>{escape(words)}</p>"
+def definitions(meanings: Mapping[str, str]) -> str:
+    """What the columns of a table mean."""
+    return (
+        '<dl class="terms">'
+        + "".join(f"<dt>{escape(k)}</dt><dd>{words(v)}</dd>" for k, v in meanings.items())
+        + "</dl>"
+    )
+
+
+def words(value: str) -> str:
+    """Escaped text in which commands between backticks look like commands."""
+    parts = escape(value).split("`")
+    return "".join(f"<code>{p}</code>" if i % 2 else p for i, p in enumerate(parts))
+
+
+def paragraph(value: str) -> str:
+    return f"<p>{words(value)}</p>"
 
 
 def _cell(cell: Cell) -> str:

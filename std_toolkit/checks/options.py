@@ -18,13 +18,14 @@ class CheckOptions:
         max_reprojection_px: largest mean reprojection error over the registered frames.
         max_scale_disagreement: largest relative difference between two sources of metres.
         max_edge_px: largest median distance from a label's contour to the nearest image edge.
+        max_shift_px: largest median shift between a label's contour and the image.
         max_depth_mm: largest |median| of rendered minus sensor depth on a diffuse object, to
             which the part that the scale leaves open is added.
         max_drift_px: largest movement of the image edges against the contour from frame to
             frame that no single pose of the object explains.
         max_label_std_mm: largest standard deviation of a label along its weakest direction.
         min_edge_support: smallest share of the contour that meets an image edge; below it the
-            image neither confirms nor refutes the label.
+            image does not confirm the label.
         max_frames: frames looked at, spread evenly over the registered ones; 0 means all.
         overlay_frames: frames shown with all labels.
         search_px: how far from the contour an image edge is looked for.
@@ -37,6 +38,7 @@ class CheckOptions:
     max_reprojection_px: float = 1.5
     max_scale_disagreement: float = 0.005
     max_edge_px: float = 3.0
+    max_shift_px: float = 3.0
     max_depth_mm: float = 5.0
     max_drift_px: float = 3.0
     max_label_std_mm: float = 5.0
@@ -44,7 +46,7 @@ class CheckOptions:
     max_frames: int = 120
     overlay_frames: int = 6
     search_px: float = 16.0
-    shift_px: float = 10.0
+    shift_px: float = 12.0
     image_width: int = 1280
     jpeg_quality: int = 82
 

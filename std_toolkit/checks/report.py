@@ -8,12 +8,12 @@ from html import escape
 
 from std_toolkit import __version__
 from std_toolkit.checks import figures, markup
-from std_toolkit.checks.gates import depth_excess_mm, scale_share
+from std_toolkit.checks.label_sections import labels_section, name_cell, overlays_section
 from std_toolkit.checks.markup import Cell, amount, number, percent, tag, text
 from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.overlay import FramePictures
-from std_toolkit.checks.palette import MATERIAL_COLORS, object_color
-from std_toolkit.checks.result import CheckGate, CheckReport, ObjectCheck
+from std_toolkit.checks.palette import MATERIAL_COLORS
+from std_toolkit.checks.result import CheckGate, CheckReport
 from std_toolkit.checks.style import CSS, SCRIPT
 
 
@@ -39,8 +39,8 @@ def render_page(report: CheckReport, parts: PageParts, options: CheckOptions) ->
     sections = [
         ("gates", "Gates", _gates(report)),
         ("warnings", "Warnings", _warnings(report)),
-        ("labels", "Labels", _labels(report, options)),
-        ("overlays", "Overlays", _overlays(report, parts)),
+        ("labels", "Labels", labels_section(report, options)),
+        ("overlays", "Overlays", overlays_section(report, parts.pictures)),
         ("scene", "Scene", _scene(report, parts, options)),
         ("coverage", "Coverage", _coverage(report, parts)),
         ("depth", "Sensor depth", _depth(report, parts)),
@@ -87,7 +87,7 @@ def _facts(report: CheckReport) -> str:
             f"{sorted(edges)[len(edges) // 2]:.2f} px" if edges else "–",
             f"worst {max(edges):.2f} px" if edges else "",
         ),
-        ("metres from", _scale_name(report), _scale_note(report)),
+        ("metres from", _scalename_cell(report), _scale_note(report)),
     ]
     return (
         '<div class="facts">'
@@ -105,14 +105,14 @@ def _gates(report: CheckReport) -> str:
             text(g.title, small=g.detail),
             Cell(_with_unit(g, g.value), numeric=True, over=g.status == "fail"),
             Cell(f"{g.rule} {_with_unit(g, g.limit)}", numeric=True),
-            text(g.advice if g.status == "fail" else ""),
         ]
         for g in report.gates
     ]
-    for row, gate in zip(rows, report.gates, strict=True):
-        if gate.status != "fail":
-            row[4] = Cell("")
-    heads = [("", ""), ("gate", ""), ("measured", ""), ("limit", ""), ("what to do", "")]
+    heads = [("", ""), ("gate", ""), ("measured", ""), ("limit", "")]
+    if report.failed_gates():
+        heads.append(("what to do", ""))
+        for row, gate in zip(rows, report.gates, strict=True):
+            row.append(text(gate.advice) if gate.status == "fail" else Cell(""))
     return markup.table(heads, rows)
 
 
@@ -123,113 +123,6 @@ def _warnings(report: CheckReport) -> str:
         [tag(w.severity), text(w.about), text(w.problem), text(w.advice)] for w in report.warnings
     ]
     return markup.table([("", ""), ("about", ""), ("what", ""), ("what to do", "")], rows)
-
-
-def _labels(report: CheckReport, options: CheckOptions) -> str:
-    if not report.objects:
-        return markup.paragraph("The scene has no objects (objects.json).")
-    heads = [
-        ("object", ""), ("verdict", ""), ("edge distance", "px, median"), ("p90", "px, frames"),
-        ("on an edge", "of contour"), ("depth residual", "mm, ± MAD"), ("without bias", "mm"),
-        ("seems off by", "mm"), ("drift", "px"), ("drift", "mm"), ("label std", "mm"),
-        ("visible", "median"),
-    ]  # fmt: skip
-    share = scale_share(report.summary)
-    body = ""
-    if any(o.frames_seen for o in report.objects):
-        body += markup.table(heads, [_label_row(report, o, share, options) for o in report.objects])
-        body += markup.paragraph(
-            "Edge distance: from the contour of the label along its normal to the nearest edge of "
-            "the image. Depth residual: label minus sensor, on diffuse objects; positive where the "
-            "label lies behind the measured surface. Without bias: after what all diffuse objects "
-            "share is taken out. Seems off by: the one shift in the world that best moves all "
-            "contours onto the edges. Drift: what is left in the single frames after it, which no "
-            "pose of the object can mend: camera poses, scale, or an object that moved."
-        )
-    else:
-        rows = [[_name(report, o), tag(o.verdict), text(o.label)] for o in report.objects]
-        body += markup.table([("object", ""), ("verdict", ""), ("label", "")], rows)
-    over_frames = [
-        ("edges", "Edge distance over frames", figures.frames_figure(
-            report.objects, lambda f: f.edge_px, title="contour to edge", unit="px",
-            limits=[options.max_edge_px])),
-        ("shifts", "Best shift of the contour over frames", figures.frames_figure(
-            report.objects,
-            lambda f: None if f.shift_px is None else (f.shift_px[0]**2 + f.shift_px[1]**2) ** 0.5,
-            title="shift", unit="px")),
-        ("residuals", "Depth residual over frames, diffuse objects", figures.frames_figure(
-            report.objects, lambda f: f.depth_mm, title="label minus sensor", unit="mm",
-            limits=[-options.max_depth_mm, options.max_depth_mm], from_zero=False)),
-        ("visible", "Visible part over frames", figures.visibility_figure(report.objects)),
-    ]  # fmt: skip
-    for key, title, figure in over_frames:
-        if figure is not None:
-            body += f"<h3>{escape(title)}</h3>" + markup.plot(key, figure)
-    return body
-
-
-def _label_row(
-    report: CheckReport, item: ObjectCheck, share: float, options: CheckOptions
-) -> list[Cell]:
-    excess = depth_excess_mm(item, share)
-    residual = number(item.depth_mm, 1, sign=True)
-    if item.depth_mad_mm is not None:
-        residual += f" ± {item.depth_mad_mm:.1f}"
-    return [
-        _name(report, item),
-        tag(item.verdict),
-        amount(item.edge_px, 2, over=(item.edge_px or 0) > options.max_edge_px),
-        amount(item.edge_p90_px, 2),
-        percent(item.edge_support),
-        Cell(residual, numeric=True, over=(excess or 0) > options.max_depth_mm),
-        amount(item.depth_unscaled_mm, 1, sign=True),
-        amount(item.offset_norm_mm, 1),
-        amount(item.drift_px, 2, over=(item.drift_px or 0) > options.max_drift_px),
-        amount(item.drift_mm, 1),
-        amount(item.label_std_mm, 1, over=(item.label_std_mm or 0) > options.max_label_std_mm),
-        percent(item.visible_fraction),
-    ]
-
-
-def _overlays(report: CheckReport, parts: PageParts) -> str:
-    colors = _colors(report)
-    shown = [p for p in parts.pictures if p.overview is not None]
-    if not shown:
-        return ""
-    names = {f.frame: f.name for f in report.frames}
-    body = markup.paragraph(
-        "Outlines of the labels over the image; where the label is right the line runs along the "
-        "object's edge. Click a picture to enlarge it; the key o hides the outlines."
-    )
-    labelled = [o for o in report.objects if o.label in ("propagated", "refined")]
-    body += (
-        '<div class="legend">'
-        + "".join(markup.chip(colors[o.object], o.name) for o in labelled)
-        + "</div>"
-    )
-    cards = [
-        markup.picture(p.overview, colors, f"frame {p.frame} ({escape(names[p.frame])})")
-        for p in shown
-        if p.overview is not None
-    ]
-    body += f'<div class="gallery wide">{"".join(cards)}</div>'
-    for item in labelled:
-        rows = {f.frame: f for f in item.frames}
-        cards = []
-        for p in parts.pictures:
-            if item.object in p.closeups:
-                edge = rows[p.frame].edge_px if p.frame in rows else None
-                notes = [f"frame {p.frame}"]
-                if p.frame == item.annotated_frame:
-                    notes.append("annotated here")
-                if edge is not None:
-                    notes.append(f"edge {edge:.2f} px")
-                caption = escape(", ".join(notes))
-                cards.append(markup.picture(p.closeups[item.object], colors, caption))
-        if cards:
-            body += f"<h3>{markup.chip(colors[item.object], item.name)}</h3>"
-            body += f'<div class="gallery small">{"".join(cards)}</div>'
-    return body
 
 
 def _scene(report: CheckReport, parts: PageParts, options: CheckOptions) -> str:
@@ -268,9 +161,10 @@ def _scene(report: CheckReport, parts: PageParts, options: CheckOptions) -> str:
 def _coverage(report: CheckReport, parts: PageParts) -> str:
     if parts.sky is None:
         return ""
+    shown = [o for o in report.objects if o.azimuth_span_deg is not None]
     rows = [
         [
-            _name(report, o),
+            name_cell(report, o),
             amount(o.frames_seen, 0),
             amount(o.azimuth_span_deg, 0),
             Cell(
@@ -281,15 +175,12 @@ def _coverage(report: CheckReport, parts: PageParts) -> str:
             ),
             amount(o.parallax_deg, 0),
             amount(o.largest_step_deg, 0),
-            text(o.weak_direction),
         ]
-        for o in report.objects
-        if o.azimuth_span_deg is not None
+        for o in shown
     ]
     heads = [
         ("object", ""), ("views", "frames"), ("azimuth span", "degrees"),
         ("elevation", "degrees"), ("widest pair", "degrees"), ("largest step", "degrees"),
-        ("weak direction of the label", ""),
     ]  # fmt: skip
     return (
         markup.paragraph(
@@ -369,19 +260,10 @@ def _missing(report: CheckReport) -> str:
     if not report.missing:
         return ""
     return (
-        '<ul class="missing">' + "".join(f"<li>{escape(m)}</li>" for m in report.missing) + "</ul>"
+        '<ul class="missing">'
+        + "".join(f"<li>{markup.words(m)}</li>" for m in report.missing)
+        + "</ul>"
     )
-
-
-def _name(report: CheckReport, item: ObjectCheck) -> Cell:
-    color = _colors(report)[item.object]
-    note = f"<small>{escape(item.material)}, {escape(item.label)}</small>"
-    return Cell(markup.chip(color, item.name) + note)
-
-
-def _colors(report: CheckReport) -> dict[int, str]:
-    ids = [o.object for o in report.objects]
-    return {i: object_color(ids, i) for i in ids}
 
 
 def _with_unit(gate: CheckGate, value: float | None) -> str:
@@ -398,7 +280,7 @@ def _chosen_factor(report: CheckReport) -> float:
     )
 
 
-def _scale_name(report: CheckReport) -> str:
+def _scalename_cell(report: CheckReport) -> str:
     scale = report.summary.scale
     if scale is None:
         return "given" if report.summary.registered else "–"

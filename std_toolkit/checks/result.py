@@ -64,6 +64,7 @@ class ObjectFrameCheck(Document, frozen=True, kw_only=True):
         edge_support: share of the contour that meets an edge.
         shift_px: [x, y] from the label to the image.
         depth_mm: median of rendered minus sensor depth.
+        depth_unscaled_mm: the same without the bias common to all diffuse objects.
     """
 
     frame: Count
@@ -72,6 +73,7 @@ class ObjectFrameCheck(Document, frozen=True, kw_only=True):
     edge_support: Number = None
     shift_px: list[float] | None = None
     depth_mm: Number = None
+    depth_unscaled_mm: Number = None
 
 
 class ObjectCheck(Document, frozen=True, kw_only=True):
@@ -92,6 +94,8 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
             frames of the frame's median, and of its median absolute deviation.
         depth_unscaled_mm: `depth_mm` after the bias common to all diffuse objects is taken out.
         distance_m: median distance of the surface from the camera.
+        shift_px: median length of the frames' best shifts of the contour.
+        shift_share: share of the frames that see it in which a best shift stands out.
         shift_spread_px: median distance of the frames' shifts from their median.
         offset_mm: [x, y, z] in the world: the correction that explains the shifts best.
         offset_norm_mm: its length.
@@ -125,6 +129,8 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
     depth_mad_mm: Number = None
     depth_unscaled_mm: Number = None
     distance_m: Number = None
+    shift_px: Number = None
+    shift_share: Number = None
     shift_spread_px: Number = None
     offset_mm: list[float] | None = None
     offset_norm_mm: Number = None

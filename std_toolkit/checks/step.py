@@ -18,7 +18,7 @@ from std_toolkit.checks.coverage import SEEN_FRACTION, scene_up
 from std_toolkit.checks.figures import sky_figure
 from std_toolkit.checks.findings import find_warnings
 from std_toolkit.checks.gates import judge_gates, judge_object, scale_share
-from std_toolkit.checks.geometry3d import sparse_cloud
+from std_toolkit.checks.geometry3d import Cloud, fused_cloud, sparse_cloud
 from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.overlay import DrawingOrder, FramePictures, draw_frame
 from std_toolkit.checks.report import PageParts, render_page
@@ -125,7 +125,8 @@ def _check(
     problems = {int(k): v for k, v in observed_job.failed.items()}
     readable = [f for f in frames if f.id not in problems]
 
-    up = _up(scene)
+    sparse, fused = sparse_cloud(scene), fused_cloud(scene, readable)
+    up = _up(scene, sparse or fused)
     bias = aggregate.common_depth_bias(scene, observed)
     objects = aggregate.check_objects(scene, observed, up=up, depth_bias=bias)
     rows = aggregate.check_frames(scene, observed, problems)
@@ -135,6 +136,8 @@ def _check(
     gates = judge_gates(summary, objects, rows, scene.poses, options)
     gates += _mesh_gate(scene)
     missing = _missing(scene, summary, observed)
+    if sparse is None and summary.registered:
+        missing.append("The points of the reconstruction (poses/points.ply).")
 
     orders = _drawing_orders(readable, objects, options)
     drawn = run_jobs(
@@ -142,7 +145,7 @@ def _check(
     )
     drawn.raise_if_failed()
     pictures: list[FramePictures] = list(drawn.results.values())
-    view3d = scene_figure(scene, up, readable, missing)
+    view3d = scene_figure(scene, up, sparse, fused)
     failed = [g for g in gates if g.status == "fail"]
     report = CheckReport(
         scene=scene.info.name,
@@ -282,9 +285,8 @@ def _sky(
     return views
 
 
-def _up(scene: Scene) -> NDArray[np.float64]:
+def _up(scene: Scene, cloud: Cloud | None) -> NDArray[np.float64]:
     poses = [T for f in scene.registered_frames() if (T := scene.T_world_cam(f.id)) is not None]
-    cloud = sparse_cloud(scene) if poses else None
     return scene_up(poses, None if cloud is None else cloud.xyz.astype(np.float64))
 
 

@@ -16,8 +16,11 @@ h1 { font-size:28px; line-height:1.2; margin:2px 0 16px; font-weight:650; }
 h2 { font-size:20px; font-weight:650; margin:0 0 4px; }
 h3 { font-size:15px; font-weight:650; margin:28px 0 6px; }
 section { padding:36px 0 8px; border-top:1px solid var(--rule); margin-top:28px; }
-p { margin:6px 0 12px; max-width:78ch; color:var(--soft); }
+main > section:first-child { border-top:0; margin-top:0; }
+p { margin:6px 0 12px; max-width:92ch; color:var(--soft); }
 a { color:var(--link); }
+code { font-family:ui-monospace,SFMono-Regular,Menlo,Consolas,monospace; font-size:.9em;
+  background:var(--wash); padding:1px 4px; border-radius:3px; white-space:nowrap; }
 .verdict { display:flex; align-items:baseline; gap:14px; padding:14px 18px; border-radius:8px;
   background:var(--wash); border-left:6px solid var(--faint); font-size:17px; }
 .verdict b { font-size:19px; white-space:nowrap; }
@@ -55,8 +58,12 @@ td small { color:var(--faint); display:block; }
 .plot { width:100%; margin:6px 0 4px; }
 .gallery { display:grid; gap:16px; margin:12px 0; }
 .gallery.wide { grid-template-columns:repeat(auto-fill,minmax(420px,1fr)); }
-.gallery.small { grid-template-columns:repeat(auto-fill,minmax(250px,1fr)); }
+.gallery.small { grid-template-columns:repeat(auto-fill,minmax(205px,1fr)); }
 .gallery.three { grid-template-columns:repeat(3,minmax(0,1fr)); gap:10px; }
+dl.terms { display:grid; grid-template-columns:max-content 1fr; gap:2px 16px; font-size:13px;
+  color:var(--soft); margin:12px 0 4px; }
+dl.terms dt { font-weight:600; }
+dl.terms dd { margin:0; max-width:100ch; }
 figure { margin:0; }
 figcaption { font-size:13px; color:var(--soft); margin-top:4px; font-variant-numeric:tabular-nums; }
 .picture { position:relative; display:block; cursor:zoom-in; background:var(--wash);
@@ -90,8 +97,7 @@ footer { color:var(--faint); font-size:13px; padding:28px 0 40px; }
 SCRIPT = """
 (function () {
   'use strict';
-  var settings = {responsive: true, displaylogo: false,
-    modeBarButtonsToRemove: ['lasso2d', 'select2d', 'autoScale2d', 'toImage']};
+  var settings = {responsive: true, displaylogo: false, displayModeBar: false};
   document.querySelectorAll('script[type="application/json"][data-plot]').forEach(function (s) {
     var figure = JSON.parse(s.textContent);
     Plotly.newPlot(s.dataset.plot, figure.data, figure.layout, settings);

@@ -8,43 +8,59 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.checks.figures import base_layout, figure_json
-from std_toolkit.checks.geometry3d import Cloud, fused_cloud, labelled_mesh, sparse_cloud
+from std_toolkit.checks.geometry3d import Cloud, labelled_mesh, near_points
 from std_toolkit.checks.palette import CAMERA, GRID, object_color
 from std_toolkit.scene import Frame, Scene
 
 Array = NDArray[np.float64]
 
 MOST_FRUSTA = 60
+# Points farther from the objects than this times the farthest camera are left out.
+ROOM = 0.9
 
 
-def scene_figure(scene: Scene, up: Array, readable: list[Frame], notes: list[str]) -> str | None:
+def scene_figure(scene: Scene, up: Array, sparse: Cloud | None, fused: Cloud | None) -> str | None:
     """Cameras as frusta, points and meshes; None without camera poses.
 
     Args:
         scene: the scene.
         up: unit vector that points up in the world.
-        readable: registered frames whose files can be read.
-        notes: takes a sentence per thing that is not there.
+        sparse: points of the reconstruction.
+        fused: sensor depth in the world.
     """
     frames = scene.registered_frames()
     if not frames:
         return None
-    sparse = sparse_cloud(scene)
-    fused = fused_cloud(scene, readable)
     ids = [o.id for o in scene.objects.objects]
     meshes = {i: m for i in ids if (m := labelled_mesh(scene, i)) is not None}
-    if sparse is None:
-        notes.append("no point cloud of the reconstruction (poses/points.ply)")
     centre = _middle(scene, meshes, sparse or fused)
     turn = _upright(up, scene, frames[0], centre)
+    cameras = [T for f in frames if (T := scene.T_world_cam(f.id)) is not None]
+    reach = ROOM * max(float(np.linalg.norm(T.t - centre)) for T in cameras)
 
     traces: list[dict[str, Any]] = []
     if fused is not None:
-        traces.append(_points(fused, "sensor depth", turn, centre, size=1.6, shown=True))
+        traces.append(
+            _points(
+                near_points(fused, centre, reach),
+                "sensor depth",
+                turn,
+                centre,
+                size=1.6,
+                shown=True,
+            )
+        )
     if sparse is not None:
         # With depth to look at, sparse points are for those who ask for them.
         traces.append(
-            _points(sparse, "reconstructed points", turn, centre, size=1.8, shown=fused is None)
+            _points(
+                near_points(sparse, centre, reach),
+                "reconstructed points",
+                turn,
+                centre,
+                size=1.8,
+                shown=fused is None,
+            )
         )
     for item in scene.objects.objects:
         if item.id in meshes:
@@ -63,7 +79,8 @@ def scene_figure(scene: Scene, up: Array, readable: list[Frame], notes: list[str
                     "color": object_color(ids, item.id),
                     "opacity": 0.9,
                     "flatshading": True,
-                    "lighting": {"ambient": 0.65, "diffuse": 0.6, "specular": 0.1},
+                    "lighting": {"ambient": 0.8, "diffuse": 0.5, "specular": 0.05},
+                    "lightposition": {"x": 0, "y": -1000, "z": 3000},
                     "showlegend": True,
                     "hoverinfo": "name",
                 }
@@ -89,7 +106,7 @@ def scene_figure(scene: Scene, up: Array, readable: list[Frame], notes: list[str
             "yaxis": _axis("y (m)"),
             "zaxis": _axis("up (m)"),
             "camera": {
-                "eye": {"x": 1.15, "y": -0.95, "z": 0.75},
+                "eye": {"x": 0.8, "y": -1.15, "z": 0.75},
                 "up": {"x": 0, "y": 0, "z": 1},
                 "center": {"x": 0, "y": 0, "z": -0.1},
             },

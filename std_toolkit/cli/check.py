@@ -14,6 +14,7 @@ _LIMITS = {
     "max_reprojection_px": "largest mean reprojection error of the camera poses",
     "max_scale_disagreement": "largest relative difference between two sources of metres",
     "max_edge_px": "largest median distance of a contour to the nearest image edge",
+    "max_shift_px": "largest median shift between a contour and the image",
     "max_depth_mm": "largest median depth residual on a diffuse object, beyond the scale's part",
     "max_drift_px": "largest movement of the image against a label that no pose explains",
     "max_label_std_mm": "largest standard deviation of a label",
