@@ -88,7 +88,7 @@ def make_scene(tmp_path: Path) -> Callable[..., Scene]:
         }
         names = {1: "ball", 7: "block"}
         table = flat_box((1.2, 1.2, 0.02), (0, 0, -0.01))
-        stranger = flat_box((0.03, 0.004, 0.12), (-0.05, -0.12, 0.06))
+        stranger = flat_box((0.03, 0.02, 0.12), (-0.05, -0.12, 0.06))
         color_dir, depth_dir = root / "color", root / "depth"
         color_dir.mkdir(parents=True)
         depth_dir.mkdir()

@@ -1,0 +1,90 @@
+"""Choosing a renderer where GL is missing, broken or bound to something else."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+
+import pytest
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import Camera
+from std_toolkit.rendering import gl_context
+from std_toolkit.rendering.choose import choose_renderer, get_renderer
+from std_toolkit.rendering.gl_context import ANSWER_VARIABLE, find_gl
+from std_toolkit.rendering.protocol import Renderer
+
+PINHOLE = Camera(640, 480, 600.0, 600.0, 320.0, 240.0)
+LENS = Camera(640, 480, 600.0, 600.0, 320.0, 240.0, (0.1, 0.0, 0.0, 0.0))
+
+
+@pytest.fixture
+def fresh_probe(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
+    """Forget what was found before, and forget again afterwards."""
+    monkeypatch.setenv(ANSWER_VARIABLE, "")
+    find_gl.cache_clear()
+    yield monkeypatch
+    find_gl.cache_clear()
+
+
+@pytest.fixture
+def notices(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    texts: list[str] = []
+
+    class Keep(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            texts.append(record.getMessage())
+
+    logger = logging.getLogger("std_toolkit")
+    monkeypatch.setattr(logger, "handlers", [Keep()])
+    monkeypatch.setattr(logger, "level", logging.INFO)
+    return texts
+
+
+def test_no_gl_gives_the_ray_caster_with_a_notice(
+    fresh_probe: pytest.MonkeyPatch, notices: list[str]
+) -> None:
+    fresh_probe.setenv(ANSWER_VARIABLE, "none")
+    assert choose_renderer("pyrender", cameras=[PINHOLE]) == "raycast"
+    assert any("no GL context" in text for text in notices)
+
+
+def test_a_probe_that_crashes_harms_nobody(
+    fresh_probe: pytest.MonkeyPatch, notices: list[str]
+) -> None:
+    fresh_probe.setattr(gl_context, "_PROBE", "import os; os.abort()")
+    fresh_probe.setattr(gl_context, "loaded_platform", lambda: None)
+    fresh_probe.delenv("PYOPENGL_PLATFORM", raising=False)
+    platform, reason = find_gl()
+    assert platform is None
+    assert "exit status" in reason
+    assert choose_renderer("pyrender") == "raycast"
+    assert notices
+
+
+def test_a_platform_that_cannot_be_used_is_not_tried(fresh_probe: pytest.MonkeyPatch) -> None:
+    fresh_probe.setattr(gl_context, "loaded_platform", lambda: None)
+    fresh_probe.setenv("PYOPENGL_PLATFORM", "glx")
+    fresh_probe.setattr(gl_context, "_probe", lambda _: pytest.fail("was tried"))
+    platform, reason = find_gl()
+    assert platform is None
+    assert "glx" in reason
+
+
+def test_distortion_gives_the_ray_caster_with_a_notice(notices: list[str]) -> None:
+    assert choose_renderer("pyrender", cameras=[PINHOLE, LENS]) == "raycast"
+    assert any("distortion" in text for text in notices)
+
+
+def test_asked_for_renderers_are_kept() -> None:
+    assert choose_renderer("raycast", cameras=[LENS]) == "raycast"
+    with pytest.raises(ToolkitError, match="known: pyrender, raycast"):
+        choose_renderer("povray")
+
+
+def test_plug_ins_are_renderers(monkeypatch: pytest.MonkeyPatch) -> None:
+    name = "std_toolkit.rendering.raycast:RaycastRenderer"
+    assert choose_renderer(name, cameras=[LENS]) == name
+    assert isinstance(get_renderer(name), Renderer)
+    with pytest.raises(ToolkitError, match="not a renderer"):
+        get_renderer("std_toolkit.rendering.mesh:_unit".replace("_unit", "OrderedDict"))
