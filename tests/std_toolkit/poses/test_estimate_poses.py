@@ -1,0 +1,219 @@
+"""The whole step on a small recording with known truth."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from std_toolkit.cli.main import main
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3, rotation_angle, umeyama
+from std_toolkit.poses import PoseOptions
+from std_toolkit.poses.step import estimate_poses, failed_gates, require_metres
+from std_toolkit.scene import Scene
+
+SERIAL = PoseOptions(threads=1)
+
+
+def check_against_truth(scene: Scene, truth: list, *, metric: float) -> None:
+    """Every pose relative to the first: 0.3 degrees, 3 mm; the scale to `metric`."""
+    frames = [f.id for f in scene.registered_frames()]
+    ours = [scene.T_world_cam(i) for i in frames]
+    fit = umeyama(np.array([T.t for T in ours]), np.array([truth[i].t for i in frames]))
+    assert abs(fit.scale - 1) < metric
+    for i, T in zip(frames, ours, strict=True):
+        T_first_cam = ours[0].inverse() @ T
+        scaled = SE3(T_first_cam.R, fit.scale * T_first_cam.t)
+        error = scaled.inverse() @ (truth[frames[0]].inverse() @ truth[i])
+        assert np.degrees(rotation_angle(error.R)) < 0.3
+        assert np.linalg.norm(error.t) < 3e-3
+
+
+@pytest.fixture(scope="module")
+def solved(recording, tmp_path_factory) -> Scene:
+    """A scene with depth, solved once with one thread; tests copy it."""
+    scene = recording.write(tmp_path_factory.mktemp("poses") / "scene")
+    estimate_poses(scene, SERIAL)
+    return scene
+
+
+@pytest.fixture
+def copy(solved: Scene, tmp_path: Path) -> Scene:
+    shutil.copytree(solved.root, tmp_path / "scene")
+    return Scene.open(tmp_path / "scene")
+
+
+def test_poses_in_metres_match_the_truth(solved: Scene, recording) -> None:
+    poses = solved.poses
+    assert poses is not None
+    assert [p.status for p in poses.frames] == ["registered"] * len(recording.colors)
+    assert failed_gates(poses) == []
+    assert poses.scale is not None and poses.scale.unit == "metre"
+    assert poses.scale.chosen == "depth"
+    assert poses.cameras == {}  # nothing was refined
+    check_against_truth(solved, recording.truth, metric=5e-3)
+    first = solved.T_world_cam(0)
+    assert first is not None and np.allclose(first.matrix(), np.eye(4), atol=1e-9)
+
+
+def test_covariance_predicts_the_error(solved: Scene, recording) -> None:
+    assert solved.poses is not None
+    truth = recording.truth
+    fit = umeyama(
+        np.array([solved.T_world_cam(i).t for i in range(len(truth))]),  # type: ignore[union-attr]
+        np.array([T.t for T in truth]),
+    )
+    ratio = []
+    for pose in solved.poses.frames:
+        T = solved.T_world_cam(pose.frame)
+        assert T is not None and pose.covariance is not None
+        sigma = np.sqrt(np.diag(np.reshape(pose.covariance, (6, 6))))
+        assert (sigma > 0).all()
+        error = fit.transform_pose(T).inverse() @ truth[pose.frame]
+        ratio.append(np.abs(error.log()) / sigma)
+    assert 0.05 < np.median(ratio) < 5
+
+
+def test_a_second_run_does_nothing(copy: Scene, caplog) -> None:
+    path = copy.root / "poses.json"
+    before = path.read_bytes(), path.stat().st_mtime_ns
+    with caplog.at_level("INFO", logger="std_toolkit"):
+        estimate_poses(copy, SERIAL)
+    assert "up to date" in caplog.text
+    assert (path.read_bytes(), path.stat().st_mtime_ns) == before
+
+
+def test_a_changed_image_or_option_is_noticed(copy: Scene, caplog) -> None:
+    with caplog.at_level("INFO", logger="std_toolkit"):
+        estimate_poses(copy, PoseOptions(threads=1, scale="none"))
+    assert "using the model of the last run" in caplog.text
+    assert copy.poses is not None and copy.poses.scale is not None
+    assert copy.poses.scale.unit == "unknown"
+    with pytest.raises(ToolkitError, match="unit of these camera poses is unknown"):
+        require_metres(copy)
+    color = copy.color_path(copy.frames[3])
+    shutil.copy(copy.color_path(copy.frames[4]), color)
+    caplog.clear()
+    with caplog.at_level("INFO", logger="std_toolkit"):
+        estimate_poses(copy, SERIAL)
+    assert "using the model of the last run" not in caplog.text
+
+
+def test_one_thread_and_seed_give_identical_bytes(solved: Scene, recording, tmp_path: Path) -> None:
+    again = recording.write(tmp_path / "again")
+    estimate_poses(again, SERIAL)
+    assert (again.root / "poses.json").read_bytes() == (solved.root / "poses.json").read_bytes()
+
+
+def test_nothing_to_tell_the_metres(recording, tmp_path: Path, caplog) -> None:
+    scene = recording.write(tmp_path / "scene", depth=False)
+    with caplog.at_level("WARNING", logger="std_toolkit"):
+        poses = estimate_poses(scene, SERIAL)
+    assert "UNKNOWN" in caplog.text
+    assert poses.scale is not None and poses.scale.unit == "unknown"
+    with pytest.raises(ToolkitError, match="no board is described"):
+        estimate_poses(scene, PoseOptions(threads=1, scale="board"))
+    with pytest.raises(ToolkitError, match="no such scale source"):
+        estimate_poses(scene, PoseOptions(threads=1, scale="ruler"))
+
+
+def test_depth_correction_scales_the_poses(copy: Scene) -> None:
+    import msgspec
+
+    assert copy.poses is not None and copy.poses.scale is not None
+    before = copy.poses.scale.estimates[0].factor
+    copy.save_info(msgspec.structs.replace(copy.info, depth_correction=0.98))
+    estimate_poses(copy, SERIAL)
+    assert copy.poses is not None and copy.poses.scale is not None
+    after = copy.poses.scale.estimates[0].factor
+    assert after / before == pytest.approx(0.98, rel=1e-6)
+
+
+def test_a_frame_that_shows_something_else_is_marked_not_guessed(recording, tmp_path: Path) -> None:
+    scene = recording.write(tmp_path / "scene")
+    rng = np.random.default_rng(0)
+    from std_toolkit.io.images import write_color
+
+    noise = rng.integers(0, 255, size=(45, 60, 3)).astype(np.uint8)
+    write_color(scene.color_path(scene.frames[6]), np.kron(noise, np.ones((8, 8, 1), np.uint8)))
+    poses = estimate_poses(scene, PoseOptions(threads=1, min_registered=0.99))
+    lost = poses.frames[6]
+    assert lost.status == "unregistered" and lost.T_world_cam is None
+    assert sum(p.status == "registered" for p in poses.frames) == len(recording.colors) - 1
+    failed = failed_gates(poses)
+    assert failed and "000006" in failed[0] and "record again" in failed[0]
+    assert (scene.root / "poses.json").is_file()
+
+
+def test_a_blank_recording_is_refused(recording, tmp_path: Path) -> None:
+    from std_toolkit.io.images import write_color
+
+    scene = recording.write(tmp_path / "scene", depth=False)
+    for frame in scene.frames:
+        write_color(scene.color_path(frame), np.full((360, 480, 3), 200, np.uint8))
+    with pytest.raises(ToolkitError, match="almost no features"):
+        estimate_poses(scene, SERIAL)
+    assert not (scene.root / "poses.json").exists()
+
+
+def test_a_truncated_image_is_named_and_the_scene_left_alone(copy: Scene) -> None:
+    before = (copy.root / "poses.json").read_bytes()
+    path = copy.color_path(copy.frames[2])
+    path.write_bytes(path.read_bytes()[:5000])
+    with pytest.raises(ToolkitError, match=r"000002\.png"):
+        estimate_poses(copy, SERIAL)
+    assert (copy.root / "poses.json").read_bytes() == before
+    assert not (copy.root / ".std" / "work" / "poses").exists()
+
+
+def test_command_line(copy: Scene, capsys) -> None:
+    assert main(["--quiet", "poses", str(copy.root), "--threads", "1"]) == 0
+    out = capsys.readouterr().out
+    assert "registered 14 of 14 frames" in out
+    assert "z over z" in out
+    failing = ["--quiet", "poses", str(copy.root), "--threads", "1", "--max-reprojection-px"]
+    assert main([*failing, "0.0001"]) == 1
+    assert "FAILED mean_reprojection_px" in capsys.readouterr().out
+
+
+def test_global_mapper_and_refined_distortion(copy: Scene, recording) -> None:
+    from std_toolkit.poses.options import Mapper, Refinement
+
+    estimate_poses(copy, PoseOptions(threads=1, mapper=Mapper.GLOBAL))
+    check_against_truth(copy, recording.truth, metric=5e-3)
+    estimate_poses(copy, PoseOptions(threads=1, refine=Refinement.DISTORTION))
+    assert copy.poses is not None
+    refined = copy.poses.cameras["color"]
+    assert refined.fx == pytest.approx(420.0, rel=0.03)
+    assert len(refined.distortion) == 4 and abs(refined.distortion[0]) < 0.02
+
+
+@pytest.mark.slow
+def test_killed_runs_leave_nothing_and_keep_finished_features(recording, tmp_path: Path) -> None:
+    scene = recording.write(tmp_path / "scene")
+    command = [sys.executable, "-m", "std_toolkit.cli.main", "poses", str(scene.root)]
+    rng = np.random.default_rng(0)
+    features = scene.root / ".std" / "poses" / "features"
+    made: dict[str, int] = {}
+    for delay in rng.uniform(0.8, 4.0, size=5):
+        process = subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+        )
+        time.sleep(delay)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        now = {p.name: p.stat().st_mtime_ns for p in features.glob("[!.]*.npz")}
+        assert all(now[name] == when for name, when in made.items())
+        made = now
+    assert subprocess.run(command, capture_output=True, check=False).returncode == 0
+    assert not list(scene.root.rglob("*.tmp*"))
+    assert not (scene.root / ".std" / "work" / "poses").exists()
+    check_against_truth(Scene.open(scene.root), recording.truth, metric=5e-3)
