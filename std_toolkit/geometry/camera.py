@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 
 Array = NDArray[np.float64]
-# Smallest distance of the principal point from an edge, as a share of the image.
-NEAREST_TO_EDGE = 0.38
+# Smallest distance of the principal point from an edge, as a share of the image. Lenses keep it
+# within a few percent of the middle and the importers insist on that; this is for cropped images.
+NEAREST_TO_EDGE = 0.27
 
 
 @dataclass(frozen=True)
@@ -45,8 +46,7 @@ class Camera:
         size = f"{self.width}x{self.height}"
         for name, extent in (("cx", self.width), ("cy", self.height)):
             value = getattr(self, name)
-            # Real lenses are within a few percent of the middle. Intrinsics of an image 1.25 or
-            # more times as large or small (640 for 848 wide, 1280 for 960) fall outside.
+            # Intrinsics of an image of half or twice the size put it at a quarter or at the edge.
             if not NEAREST_TO_EDGE <= (value + 0.5) / extent <= 1 - NEAREST_TO_EDGE:
                 raise ToolkitError(
                     f"lies far from the middle of a {size} image",

@@ -198,16 +198,11 @@ def scaled(factor_x: float, factor_y: float) -> tuple:
     return (615 * factor_x, 615 * factor_y, 320 * factor_x, 240 * factor_y)
 
 
-@pytest.mark.parametrize("factor", [0.25, 0.5, 2 / 3, 0.75, 1.25, 4 / 3, 1.5, 2, 4])
+@pytest.mark.parametrize("factor", [0.25, 0.5, 1.5, 2, 4])
 def test_intrinsics_of_another_image_size_are_refused(factor: float) -> None:
     Camera(640, 480, *scaled(1, 1))
     with pytest.raises(ToolkitError, match="another image size"):
         Camera(640, 480, *scaled(factor, factor))
-
-
-def test_intrinsics_of_another_aspect_are_refused() -> None:
-    with pytest.raises(ToolkitError, match="cy: lies far"):
-        Camera(640, 360, *scaled(1, 1))
 
 
 @pytest.mark.parametrize(
