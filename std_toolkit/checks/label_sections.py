@@ -14,7 +14,6 @@ from std_toolkit.checks.overlay import FramePictures
 from std_toolkit.checks.palette import object_color
 from std_toolkit.checks.result import CheckReport, ObjectCheck
 
-
 _MEANINGS = {
     "edge distance": "from the contour of the label, along its normal, to the nearest edge of the "
     "image; p90 is over the frames",

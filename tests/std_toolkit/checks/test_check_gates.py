@@ -1,0 +1,175 @@
+"""Gates, verdicts and warnings from numbers."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+
+from std_toolkit.checks.findings import find_warnings
+from std_toolkit.checks.gates import judge_gates, judge_object, scale_share
+from std_toolkit.checks.options import CheckOptions
+from std_toolkit.checks.result import CheckGate, FrameCheck, ObjectCheck, SceneSummary
+from std_toolkit.errors import ToolkitError
+from std_toolkit.scene.model import ScaleEstimate, ScaleReport
+
+OPTIONS = CheckOptions()
+GOOD = ObjectCheck(
+    object=1,
+    name="mug",
+    model="mug",
+    category="mug",
+    material="diffuse",
+    label="refined",
+    frames_seen=20,
+    visible_fraction=0.9,
+    edge_px=0.5,
+    edge_support=0.9,
+    edge_chance_px=4.0,
+    shift_px=0.4,
+    shift_share=0.9,
+    depth_mm=2.0,
+    depth_mad_mm=1.0,
+    distance_m=0.7,
+    drift_px=0.4,
+    drift_frames=18,
+    label_std_mm=1.0,
+    parallax_deg=80,
+)
+SUMMARY = SceneSummary(
+    frames=20,
+    registered=20,
+    looked_at=20,
+    reprojection_px=0.6,
+    objects=1,
+    labelled=1,
+    depth_frames=20,
+    truth_frames=20,
+)
+FRAMES = [FrameCheck(frame=i, name=f"{i:06d}", status="registered") for i in range(20)]
+
+
+def gates(item: ObjectCheck = GOOD, summary: SceneSummary = SUMMARY) -> dict[str, CheckGate]:
+    found = judge_gates(summary, [item], FRAMES, None, OPTIONS)
+    return {g.key: g for g in found}
+
+
+def scale(disagreement: float, *, error: float = 0.001) -> ScaleReport:
+    estimates = [
+        ScaleEstimate(source=s, factor=1.0, spread=0.01, standard_error=error, count=10)
+        for s in ("depth", "cad")
+    ]
+    return ScaleReport(unit="metre", chosen="cad", estimates=estimates, disagreement=disagreement)
+
+
+def test_a_good_scene_fails_nothing() -> None:
+    assert [g.key for g in gates().values() if g.status == "fail"] == []
+    assert judge_object(GOOD, 0.0, OPTIONS).verdict == "good"
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ({"edge_px": 3.1, "edge_chance_px": 9.0}, "edges"),
+        ({"shift_px": 3.5}, "shift"),
+        ({"depth_mm": -5.2}, "depth"),
+        ({"drift_px": 3.2}, "drift"),
+        ({"label_std_mm": 5.5}, "covariance"),
+        ({"label": "annotated", "frames_seen": 0}, "labelled"),
+        ({"edge_support": 0.1}, "evidence"),
+        ({"edge_px": 1.8, "edge_chance_px": 1.9, "shift_share": 0.2}, "evidence"),
+    ],
+)
+def test_a_bad_label_fails_its_gate(change: dict[str, object], key: str) -> None:
+    item = msgspec.structs.replace(GOOD, **change)
+    failed = {g.key: g for g in gates(item).values() if g.status == "fail"}
+    assert set(failed) == {key}
+    assert failed[key].advice
+    assert "mug" in failed[key].detail
+    if key in ("edges", "shift", "depth", "drift", "covariance"):
+        assert judge_object(item, 0.0, OPTIONS).verdict == "bad"
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ({"registered": 17}, "registered"),
+        ({"reprojection_px": 1.6}, "reprojection"),
+        ({"scale": scale(0.006)}, "scale"),
+        ({"scale": ScaleReport(unit="unknown", chosen="none")}, "metres"),
+    ],
+)
+def test_bad_camera_poses_fail_their_gate(change: dict[str, object], key: str) -> None:
+    found = gates(summary=msgspec.structs.replace(SUMMARY, **change))
+    assert {g.key for g in found.values() if g.status == "fail"} == {key}
+
+
+def test_the_limit_itself_passes() -> None:
+    item = msgspec.structs.replace(GOOD, edge_px=3.0, edge_chance_px=9.0, depth_mm=5.0)
+    summary = msgspec.structs.replace(SUMMARY, registered=18, scale=scale(0.005))
+    found = judge_gates(summary, [item], FRAMES, None, OPTIONS)
+    assert all(g.status != "fail" for g in found)
+
+
+def test_glass_without_edges_warns_but_does_not_fail() -> None:
+    glass = msgspec.structs.replace(
+        GOOD, material="transparent", edge_support=0.1, depth_mm=None, distance_m=None
+    )
+    assert all(g.status != "fail" for g in gates(glass).values())
+    assert judge_object(glass, 0.0, OPTIONS).verdict == "doubtful"
+    warnings = find_warnings(SUMMARY, [], [glass], FRAMES, [], OPTIONS)
+    assert any("hardly confirms" in w.problem for w in warnings)
+
+
+def test_one_scale_source_leaves_the_agreement_open() -> None:
+    one = ScaleReport(unit="metre", chosen="cad", estimates=scale(0.0).estimates[1:])
+    gate = gates(summary=msgspec.structs.replace(SUMMARY, scale=one))["scale"]
+    assert gate.status == "open" and gate.value is None
+
+
+def test_depth_gate_leaves_out_what_the_scale_explains() -> None:
+    item = msgspec.structs.replace(GOOD, depth_mm=10.0)
+    assert gates(item)["depth"].status == "fail"
+    # 1.5 % of 0.7 m are 10.5 mm: a sensor's bias.
+    biased = msgspec.structs.replace(SUMMARY, depth_bias=0.015)
+    assert scale_share(biased) == 0.015
+    assert gates(item, biased)["depth"].status == "pass"
+    # No sensor of this class is off by 5 %: then the labels or their scale are wrong.
+    assert scale_share(msgspec.structs.replace(SUMMARY, depth_bias=0.05)) == 0
+
+
+def test_warnings_are_ranked_and_failed_gates_lead() -> None:
+    item = msgspec.structs.replace(
+        GOOD, depth_mm=9.0, offset_norm_mm=4.0, weak_direction="depth is weak", parallax_deg=12
+    )
+    frames = [
+        *FRAMES[:10],
+        FrameCheck(frame=10, name="x", status="registered", problem="truncated"),
+        FrameCheck(frame=11, name="y", status="unregistered"),
+        FrameCheck(frame=12, name="z", status="registered", truth="stale"),
+    ]
+    failed = [g for g in gates(item).values() if g.status == "fail"]
+    found = find_warnings(SUMMARY, failed, [item], frames, [], OPTIONS)
+    assert found[0].problem.startswith("gate failed") and found[0].about == "mug"
+    order = [{"high": 0, "medium": 1, "low": 2}[w.severity] for w in found]
+    assert order == sorted(order)
+    text = " ".join(w.problem for w in found)
+    for part in ("truncated", "other labels", "12 degrees", "depth is weak", "4.0 mm"):
+        assert part in text
+    assert all(w.advice for w in found)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"min_registered": 1.5},
+        {"max_edge_px": -1.0},
+        {"max_edge_px": float("nan")},
+        {"search_px": 2.0},
+        {"shift_px": 30.0},
+        {"jpeg_quality": 0},
+        {"image_width": 10},
+    ],
+)
+def test_options_out_of_range_are_refused(bad: dict[str, float]) -> None:
+    with pytest.raises(ToolkitError):
+        CheckOptions(**bad)  # type: ignore[arg-type]
