@@ -38,7 +38,7 @@ class FrameJob:
 
     Attributes:
         root: scene folder.
-        documents: digest of the scene's documents, so that a worker notices new ones.
+        state: digest of the scene's documents and meshes, so that a worker notices new ones.
         renderer: name of the renderer, already chosen.
         policy: occlusion policy, already resolved.
         delta_m: tolerance of the policies `sensor` and `fused`.
@@ -48,7 +48,7 @@ class FrameJob:
     """
 
     root: str
-    documents: str
+    state: str
     renderer: str
     policy: Policy
     delta_m: float
@@ -63,10 +63,13 @@ def render_frame(frame_id: int, *, job: FrameJob, force: bool) -> Literal["done"
     Raises:
         ToolkitError: an input cannot be read, or the frame has no labelled object.
     """
-    scene = _open_scene(job.root, job.documents)
+    scene = _open_scene(job.root, job.state)
     digest = _digest(scene, frame_id, job)
     if not force and is_finished(scene.root, frame_id, digest):
         return "kept"
+    # From here to the end the frame is unfinished; if it fails, nobody exports what is stale.
+    info = info_path(scene.root, frame_id)
+    info.unlink(missing_ok=True)
     frame = scene.frame(frame_id)
     camera = scene.camera(frame)
     placed = place_meshes(scene, frame_placements(scene, frame_id))
@@ -84,8 +87,6 @@ def render_frame(frame_id: int, *, job: FrameJob, force: bool) -> Literal["done"
     nocs, normals = surface_maps(camera, placed, composition, smooth_normals=job.smooth_normals)
     rows = [_object_truth(item, composition, i, sensor) for i, item in enumerate(placed)]
 
-    info = info_path(scene.root, frame_id)
-    info.unlink(missing_ok=True)  # from here to the end the frame is unfinished
     paths = map_paths(scene.root, frame_id)
     encoding.write_depth(paths["depth"], composition.depth)
     encoding.write_mask(paths["mask"], mask)
@@ -124,7 +125,7 @@ def is_finished(root: Path, frame_id: int, digest: str) -> bool:
 
 
 @lru_cache(maxsize=2)
-def _open_scene(root: str, documents: str) -> Scene:  # noqa: ARG001 - part of the cache's key
+def _open_scene(root: str, state: str) -> Scene:  # noqa: ARG001 - part of the cache's key
     return Scene.open(root)
 
 

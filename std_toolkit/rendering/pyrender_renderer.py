@@ -17,9 +17,7 @@ from __future__ import annotations
 
 import ctypes
 import os
-import tempfile
 from collections import OrderedDict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -197,13 +195,9 @@ class GlCanvas:
     @staticmethod
     def _make_renderer(width: int, height: int) -> Any:
         import pyrender
-        from pyrender.shader_program import ShaderProgramCache
 
         renderer = pyrender.OffscreenRenderer(width, height)
-        folder = Path(tempfile.mkdtemp(prefix="std-toolkit-shaders-"))
-        (folder / "segmentation.vert").write_text(_VERTEX)
-        (folder / "segmentation.frag").write_text(_FRAGMENT)
-        renderer._renderer._program_cache = ShaderProgramCache(shader_dir=str(folder))
+        renderer._renderer._program_cache = _own_shaders()
         return renderer
 
     def _node(self, mesh: RenderMesh, double_sided: bool) -> Any:
@@ -233,6 +227,29 @@ class GlCanvas:
             _, (_, oldest) = self._nodes.popitem(last=False)
             self._scene.remove_node(oldest)
         return node
+
+
+def _own_shaders() -> Any:
+    """A stand-in for pyrender's program cache that knows one program, ours."""
+    from pyrender.shader_program import ShaderProgram, ShaderProgramCache
+
+    class Program(ShaderProgram):
+        def _load(self, shader_filename: str) -> str:
+            return _VERTEX if shader_filename.endswith(".vert") else _FRAGMENT
+
+    class Programs(ShaderProgramCache):
+        def get_program(
+            self,
+            vertex_shader: str,
+            fragment_shader: str,
+            geometry_shader: str | None = None,  # noqa: ARG002 - the signature is pyrender's
+            defines: dict[str, Any] | None = None,  # noqa: ARG002
+        ) -> ShaderProgram:
+            if not self._program_cache:
+                self._program_cache["own"] = Program(vertex_shader, fragment_shader)
+            return self._program_cache["own"]
+
+    return Programs()
 
 
 def _complete_osmesa() -> None:

@@ -101,14 +101,15 @@ def render_ground_truth(
     sweep_temporaries(scene.root / FOLDER)
     if frames is None:
         _remove_stale(scene, set(labelled), policy)
+    meshes = tuple((m, digest_file(scene.mesh_path(scene.objects.model(m)))) for m in models)
     job = FrameJob(
         root=str(scene.root),
-        documents=_documents_digest(scene),
+        state=_state(scene, meshes),
         renderer=choose_renderer(options.renderer, cameras=cameras),
         policy=policy,
         delta_m=options.delta_m,
         smooth_normals=options.smooth_normals,
-        meshes=tuple((m, digest_file(scene.mesh_path(scene.objects.model(m)))) for m in models),
+        meshes=meshes,
         occluder=fuse_occluders(scene, options.fusion) if policy == "fused" else None,
     )
     return run_jobs(
@@ -116,10 +117,11 @@ def render_ground_truth(
     )
 
 
-def _documents_digest(scene: Scene) -> str:
+def _state(scene: Scene, meshes: tuple[tuple[str, str], ...]) -> str:
+    """Digest of what a worker keeps in memory of a scene."""
     names = ("scene.json", "frames.json", "objects.json", "poses.json", "labels.json")
     paths = [scene.root / name for name in names]
-    return digest_of([digest_file(p) if p.is_file() else None for p in paths])
+    return digest_of([digest_file(p) if p.is_file() else None for p in paths], meshes)
 
 
 def _remove_stale(scene: Scene, labelled: set[int], policy: Policy) -> None:

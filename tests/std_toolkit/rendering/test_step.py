@@ -126,12 +126,13 @@ def test_the_annotated_frame_alone_is_enough(make_scene: MakeScene) -> None:
 
 def test_a_bad_frame_is_listed_and_ends_nothing(make_scene: MakeScene) -> None:
     scene = make_scene()
+    render_ground_truth(scene, MODELS, jobs=SERIAL)
     depth = scene.root / str(scene.frame(1).depth)
     depth.write_bytes(depth.read_bytes()[:200])
     report = render_ground_truth(scene, MODELS, jobs=SERIAL)
     assert sorted(report.results) == ["0", "2"]
     assert "000001.png" in report.failed["1"]
-    assert not info_path(scene.root, 1).exists()
+    assert not info_path(scene.root, 1).exists()  # stale ground truth is none
     command = ["render", str(scene.root), "--renderer", "raycast", "--engine", "serial"]
     assert main([*command, "--policy", "models"]) == 1
 
