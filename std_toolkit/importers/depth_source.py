@@ -80,11 +80,15 @@ def check_aligned(path: Path, actual: tuple[int, int], size: tuple[int, int]) ->
         )
 
 
-def check_unit(median_m: float, *, path: Path | str, depth_scale: float | None) -> None:
+def check_unit(
+    median_m: float, *, path: Path | str, depth_scale: float | None, by_flag: bool = True
+) -> None:
     """Refuse depth whose median no table-top recording has.
 
     Args:
         median_m: of all measured pixels of the recording, metres.
+        depth_scale: metres per unit that were assumed; None for EXR.
+        by_flag: the scale can be given as --depth-scale.
 
     Raises:
         ToolkitError: outside 10 cm to 10 m.
@@ -99,7 +103,8 @@ def check_unit(median_m: float, *, path: Path | str, depth_scale: float | None) 
             s for s in (0.001, 0.0001, 0.00025, 0.000125, 0.01, 0.0002) if 0.15 <= units * s <= 5
         ]
         named = f"; {' or '.join(f'{s:g}' for s in fitting)} would fit" if fitting else ""
-        hint = f"--depth-scale {depth_scale:g} (metres per unit) seems wrong{named}"
+        name = "--depth-scale" if by_flag else "a depth scale of"
+        hint = f"{name} {depth_scale:g} (metres per unit) seems wrong{named}"
     raise ToolkitError(
         "the median depth is implausible", path=path, value=f"{median_m:.4g} m", hint=hint
     )

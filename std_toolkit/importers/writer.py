@@ -28,6 +28,8 @@ from std_toolkit.scene.scene import Scene
 
 # Below this many frames, starting worker processes costs more than it saves.
 _SERIAL_BELOW = 48
+# Beyond the reach of every sensor of this field.
+_FARTHEST_FRAME_M = 30.0
 
 
 @dataclass(frozen=True)
@@ -220,12 +222,24 @@ def _place(source: Path, target: Path, link: LinkMode) -> None:
 
 def _check_depth_unit(recording: Recording, written: list[Written]) -> None:
     medians = [w.depth_median_m for w in written if w.depth_median_m is not None]
-    first = next((f.depth.source.parent for f in recording.frames if f.depth is not None), None)
-    if first is None:
+    sources = [f.depth.source for f in recording.frames if f.depth is not None]
+    if not sources:
         return
     if not medians:
-        raise ToolkitError("no depth image holds a single measurement", path=first)
-    check_unit(float(np.median(medians)), path=first, depth_scale=recording.depth_scale)
+        raise ToolkitError("no depth image holds a single measurement", path=sources[0].parent)
+    check_unit(
+        float(np.median(medians)),
+        path=sources[0].parent,
+        depth_scale=recording.depth_scale,
+        by_flag=recording.source == "import:folder",
+    )
+    for row in written:
+        if row.depth_median_m is not None and row.depth_median_m > _FARTHEST_FRAME_M:
+            raise ToolkitError(
+                "the median depth of one frame is implausible: is its unit another one?",
+                field=f"frame {row.frame.name}",
+                value=f"{row.depth_median_m:.4g} m",
+            )
     empty = [w.frame.name for w in written if w.has_depth and w.depth_median_m is None]
     if empty:
         logger.warning("depth is empty in %d frames: %s", len(empty), ", ".join(empty[:5]))

@@ -1,0 +1,203 @@
+"""The STD export through a loader written in the style of the public ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scene_factory import MODELS_OF, SERIAL, make_scene
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.exporters import ExportOptions, export_scene
+from std_toolkit.geometry import SE3, rotation_angle, umeyama
+from std_toolkit.geometry.mesh import nocs_frame
+from std_toolkit.io.exr import read_exr
+from std_toolkit.io.images import image_size
+from std_toolkit.scene import Scene
+
+SUFFIXES = ("color.png", "depth_415.exr", "gt_depth.exr", "coord.png", "mask.png", "meta.txt")
+
+
+class PublicLoader:
+    """Globs per suffix, pairs by position, takes channel 0 of BGR, truncates masks."""
+
+    def __init__(self, root: Path) -> None:
+        self.files = {s: sorted(root.glob(f"*/*_{s}")) for s in SUFFIXES}
+        assert len({len(f) for f in self.files.values()}) == 1
+
+    def __len__(self) -> int:
+        return len(self.files["color.png"])
+
+    def __getitem__(self, i: int) -> dict:
+        path = {s: f[i] for s, f in self.files.items()}
+        nocs = cv2.imread(str(path["coord.png"]))[:, :, ::-1].astype(np.float32) / 255
+        nocs[:, :, 2] = 1 - nocs[:, :, 2]
+        mask = cv2.imread(str(path["mask.png"]), cv2.IMREAD_UNCHANGED)
+        meta = [line.split(" ") for line in path["meta.txt"].read_text().splitlines()]
+        return {
+            "color": cv2.imread(str(path["color.png"]))[:, :, ::-1],
+            "raw": self._depth(path["depth_415.exr"]),
+            "depth": self._depth(path["gt_depth.exr"]),
+            "nocs": nocs - 0.5,
+            "mask": (mask.astype(np.float32) / 255 * 255).astype(np.int32),
+            "meta": meta,
+            "stem": path["color.png"].name.split("_")[0],
+        }
+
+    @staticmethod
+    def _depth(path: Path) -> np.ndarray:
+        channels = read_exr(path)
+        bgr = np.stack([channels[c] for c in "BGR"], axis=-1)
+        assert bgr.dtype == np.float32
+        depth = bgr[:, :, 0].copy()
+        depth[depth <= 0] = 0
+        return depth
+
+
+def fitted(sample: dict, mask_id: int, K: np.ndarray):
+    """The authors' advice for poses: Umeyama from NOCS and ground-truth depth."""
+    v, u = np.nonzero((sample["mask"] == mask_id) & (sample["depth"] > 0))
+    z = sample["depth"][v, u].astype(float)
+    points = np.stack([(u - K[0, 2]) * z / K[0, 0], (v - K[1, 2]) * z / K[1, 1], z], axis=1)
+    return umeyama(sample["nocs"][v, u].astype(float), points)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory) -> Scene:
+    """1280x720: the size at which STD's labels are half as large."""
+    return make_scene(tmp_path_factory.mktemp("std") / "scene", size=(1280, 720), frames=2)
+
+
+@pytest.fixture(scope="module")
+def root(scene, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("std") / "std"
+    export_scene(scene, "std", out, jobs=SERIAL)
+    return out
+
+
+def test_sizes_are_those_of_std(root):
+    sizes = {s: {image_size(p) for p in root.glob(f"*/*_{s}")} for s in SUFFIXES[:5]}
+    assert sizes["color.png"] == sizes["depth_415.exr"] == {(1280, 720)}
+    assert sizes["gt_depth.exr"] == sizes["coord.png"] == sizes["mask.png"] == {(640, 360)}
+
+
+def test_a_public_loader_recovers_every_pose_at_label_size(scene, root):
+    loader = PublicLoader(root)
+    assert len(loader) == 2
+    K = scene.camera(scene.frames[0]).resized(640, 360).K
+    for i, frame in enumerate(scene.frames):
+        sample = loader[i]
+        assert sample["mask"].max() == 255
+        for mask_id, object_id in enumerate((1, 4, 7), start=1):
+            mesh = scene.mesh(MODELS_OF[object_id])
+            centre, diagonal = nocs_frame(mesh)
+            fit = fitted(sample, mask_id, K)
+            truth = scene.T_cam_obj(frame.id, object_id)
+            # 8-bit NOCS is quantised to 0.4 % of the diagonal; the mean over the pixels is finer.
+            assert fit.scale == pytest.approx(diagonal, rel=0.01)
+            assert rotation_angle(fit.R.T @ truth.R) < np.radians(0.5)
+            assert np.linalg.norm(fit.t - truth @ centre) < 1e-3
+
+
+def test_maps_at_half_size_are_exact_not_picked_from_full_size(scene, root):
+    """Back-projected label depth lies on the mesh: a half-pixel slip would be 0.4 mm."""
+    import open3d as o3d
+
+    sample = PublicLoader(root)[0]
+    camera = scene.camera(scene.frames[0]).resized(640, 360)
+    v, u = np.nonzero(sample["mask"] == 2)
+    points = camera.unproject(np.stack([u, v], axis=1), sample["depth"][v, u])
+    mesh = scene.mesh("can")
+    T = scene.T_cam_obj(0, 4)
+    caster = o3d.t.geometry.RaycastingScene()
+    caster.add_triangles(
+        o3d.core.Tensor((T @ mesh.vertices).astype(np.float32)),
+        o3d.core.Tensor(mesh.faces.astype(np.uint32)),
+    )
+    off = caster.compute_distance(o3d.core.Tensor(points.astype(np.float32))).numpy()
+    assert off.max() < 1e-5
+
+
+def test_meta_lines_have_thirteen_fields(scene, root):
+    for i, frame in enumerate(scene.frames):
+        sample = PublicLoader(root)[i]
+        assert [line[0] for line in sample["meta"]] == ["1", "2", "3"]
+        for line, object_id in zip(sample["meta"], (1, 4, 7), strict=True):
+            fields = line[:-1]
+            assert (len(fields), line[-1]) == (13, "")
+            _, label, category, instance, scale, material, *numbers = fields
+            model = scene.objects.model_of(object_id)
+            centre, diagonal = nocs_frame(scene.mesh(model.id))
+            assert (int(label), category, instance) == (model.class_id, model.category, model.id)
+            assert (root / "cad_model" / category / instance / "model.obj").is_file()
+            assert float(scale) == pytest.approx(diagonal, abs=1e-8)
+            assert int(material) == {1: 1, 4: 2, 7: 3}[object_id]
+            q, t = np.array(numbers[:4], float), np.array(numbers[4:], float)
+            truth = scene.T_cam_obj(frame.id, object_id)
+            # The DREDS generator writes the inverse rotation.
+            np.testing.assert_allclose(SE3.from_quat(q, t).R, truth.R.T, atol=1e-7)
+            np.testing.assert_allclose(t, truth @ centre, atol=1e-8)
+
+
+def test_plain_quaternions_on_request(scene, tmp_path):
+    out = tmp_path / "std"
+    sidecar = export_scene(
+        scene, "std", out, options=ExportOptions(quaternion="plain"), jobs=SERIAL
+    )
+    line = PublicLoader(out)[0]["meta"][0]
+    R = SE3.from_quat(np.array(line[6:10], float), np.zeros(3)).R
+    np.testing.assert_allclose(R, scene.T_cam_obj(0, 1).R, atol=1e-7)
+    assert "object to camera" in sidecar.quaternion
+
+
+def test_cad_models_have_a_unit_diagonal_and_their_box(scene, root):
+    for category, instance in (("other", "brick"), ("can", "can"), ("mug", "mug")):
+        folder = root / "cad_model" / category / instance
+        high, low = np.loadtxt(folder / "bbox.txt")
+        assert np.linalg.norm(high - low) == pytest.approx(1, abs=1e-6)
+        lines = (folder / "model.obj").read_text().splitlines()
+        vertices = np.array([s.split()[1:4] for s in lines if s.startswith("v ")], float)
+        np.testing.assert_allclose(vertices.max(0), high, atol=1e-6)
+        np.testing.assert_allclose(vertices.min(0), low, atol=1e-6)
+
+
+def test_raw_depth_is_in_metres_and_zero_where_missing(scene, root):
+    raw = PublicLoader(root)[0]["raw"]
+    np.testing.assert_allclose(raw, scene.read_depth(scene.frames[0]), atol=1e-6)
+    assert (raw[:80] == 0).all()
+
+
+def test_a_scene_without_depth_still_has_every_file(tmp_path):
+    scene = make_scene(tmp_path / "scene", depth=False, frames=2)
+    sidecar = export_scene(scene, "std", tmp_path / "std", jobs=SERIAL)
+    loader = PublicLoader(tmp_path / "std")
+    assert len(loader) == 2
+    assert not loader[0]["raw"].any()
+    assert not any(f.sensor_depth for f in sidecar.frames)
+
+
+def test_label_size_is_an_option_that_keeps_the_aspect(tmp_path):
+    scene = make_scene(tmp_path / "scene", frames=1)
+    export_scene(
+        scene, "std", tmp_path / "a", options=ExportOptions(label_size=(80, 60)), jobs=SERIAL
+    )
+    assert {image_size(p) for p in (tmp_path / "a").glob("*/*_mask.png")} == {(80, 60)}
+    with pytest.raises(ToolkitError, match="aspect"):
+        export_scene(scene, "std", tmp_path / "b", options=ExportOptions(label_size=(80, 80)))
+
+
+def test_distorted_images_are_undistorted(tmp_path):
+    """The layouts know no distortion: depth and NOCS must fit the pinhole that is told."""
+    scene = make_scene(
+        tmp_path / "scene", size=(640, 480), frames=1, distortion=(0.08, -0.05, 0.001, -0.001)
+    )
+    sidecar = export_scene(scene, "std", tmp_path / "std", jobs=SERIAL)
+    assert sidecar.scene.cameras["color"].distortion == []
+    sample = PublicLoader(tmp_path / "std")[0]
+    fit = fitted(sample, 1, sidecar.label_cameras["color"].camera().K)
+    truth = scene.T_cam_obj(0, 1)
+    centre, _ = nocs_frame(scene.mesh("brick"))
+    assert np.linalg.norm(fit.t - truth @ centre) < 1e-3
+    assert rotation_angle(fit.R.T @ truth.R) < np.radians(0.5)

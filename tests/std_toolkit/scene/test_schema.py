@@ -1,0 +1,82 @@
+"""The JSON Schema files are what the code says, and the documents it writes obey them."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from std_toolkit.scene.schema import document_schema, document_types, schema_bytes
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+sys.path.insert(0, str(REPOSITORY / "tests/std_toolkit/exporters"))
+
+
+@pytest.mark.parametrize("name", list(document_types()))
+def test_schema_files_are_those_of_the_code(name):
+    path = REPOSITORY / f"schemas/{name}.schema.json"
+    hint = "run `std-curate schema --out schemas`"
+    assert path.is_file(), hint
+    assert path.read_bytes() == schema_bytes(name), hint
+
+
+def test_no_schema_file_is_left_over():
+    files = {p.name for p in (REPOSITORY / "schemas").iterdir()}
+    assert files == {f"{name}.schema.json" for name in document_types()}
+
+
+@pytest.mark.parametrize("name", list(document_types()))
+def test_schemas_are_valid_schemas(name):
+    jsonschema.Draft202012Validator.check_schema(document_schema(name))
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory) -> dict[str, Path]:
+    """One real document of every kind."""
+    from scene_factory import SERIAL, make_scene
+
+    from std_toolkit.exporters import export_scene
+    from std_toolkit.scene.provenance import write_record
+
+    folder = tmp_path_factory.mktemp("documents")
+    scene = make_scene(folder / "scene", frames=2, unregistered=[1], size=(64, 48))
+    export_scene(scene, "std", folder / "std", jobs=SERIAL)
+    write_record(scene.root, "demo", "0" * 32, outputs=[scene.root / "frames.json"], parameters={})
+    documents = {
+        n: scene.root / f"{n}.json" for n in ("scene", "frames", "objects", "poses", "labels")
+    }
+    return documents | {
+        "ground_truth": scene.root / "gt/info/000000.json",
+        "record": scene.root / ".std/records/demo.json",
+        "export": folder / "std/std_toolkit.json",
+    }
+
+
+@pytest.mark.parametrize("name", list(document_types()))
+def test_documents_obey_their_schema(name, written):
+    schema = document_schema(name)
+    document = json.loads(written[name].read_text())
+    jsonschema.validate(document, schema, cls=jsonschema.Draft202012Validator)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({**document, "surprise": 1}, schema)
+
+
+EXAMPLE = "<!-- example: "
+
+
+def test_every_example_of_the_specification_obeys_its_schema():
+    """data_spec.md marks its JSON examples with the kind of document they are."""
+    text = (REPOSITORY / "data_spec.md").read_text()
+    seen = set()
+    for part in text.split(EXAMPLE)[1:]:
+        name = part.split(" ", 1)[0]
+        body = part.split("```json\n", 1)[1].split("```", 1)[0]
+        jsonschema.validate(json.loads(body), document_schema(name))
+        import msgspec
+
+        msgspec.json.decode(body.encode(), type=document_types()[name])
+        seen.add(name)
+    assert seen == set(document_types())
