@@ -146,7 +146,8 @@ def frames_figure(
     values = [v for t in traces for v in t["y"] if v is not None]
     low, high = min([*values, *limits]), max([*values, *limits])
     # A single frame gone wrong must not press all others flat.
-    high = min(high, max([3 * float(np.percentile(values, 95)), *limits]))
+    reach = 3 * float(np.percentile(np.abs(values), 90))
+    high, low = min(high, max([reach, *limits])), max(low, min([-reach, *limits]))
     pad = 0.08 * max(high - min(low, 0), 1e-3)
     return figure_json(
         traces,

@@ -42,8 +42,9 @@ def find_warnings(
     found = [
         CheckWarning(
             severity="high",
+            gate=gate.key,
             about=gate.detail.split(";")[0] if gate.key in _NAMING and gate.detail else gate.key,
-            problem=f"gate failed: {gate.title}: {gate.value:g} {gate.unit}".rstrip()
+            problem=f"{gate.title}: {gate.value:.4g} {gate.unit}".rstrip()
             + f", must be {gate.rule} {gate.limit:g} {gate.unit}".rstrip(),
             advice=gate.advice,
         )

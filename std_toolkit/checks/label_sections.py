@@ -56,7 +56,7 @@ def _label_figures(report: CheckReport, options: CheckOptions) -> str:
     bias = report.summary.depth_bias
     residual_title = "Depth residual over frames, diffuse objects"
     if bias is not None:
-        residual_title += f", common bias of {100 * bias:.2f} % taken out"
+        residual_title += f", common bias of {number(100 * bias, 2)} % taken out"
     found = {
         "Edge distance over frames": figures.frames_figure(
             report.objects,

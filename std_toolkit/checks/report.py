@@ -117,11 +117,13 @@ def _gates(report: CheckReport) -> str:
 
 
 def _warnings(report: CheckReport) -> str:
-    if not report.warnings:
-        return markup.paragraph("None.")
     rows = [
-        [tag(w.severity), text(w.about), text(w.problem), text(w.advice)] for w in report.warnings
+        [tag(w.severity), text(w.about), text(w.problem), text(w.advice)]
+        for w in report.warnings
+        if not w.gate
     ]
+    if not rows:
+        return markup.paragraph("None besides the gates.")
     return markup.table([("", ""), ("about", ""), ("what", ""), ("what to do", "")], rows)
 
 

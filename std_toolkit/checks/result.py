@@ -46,9 +46,11 @@ class CheckWarning(Document, frozen=True, kw_only=True):
         about: object name, frame name or part of the scene.
         problem: what is wrong.
         advice: what to do.
+        gate: key of the gate that failed, or "".
     """
 
     severity: Severity
+    gate: str = ""
     about: str
     problem: str
     advice: str

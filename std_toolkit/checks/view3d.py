@@ -106,7 +106,7 @@ def scene_figure(scene: Scene, up: Array, sparse: Cloud | None, fused: Cloud | N
             "yaxis": _axis("y (m)"),
             "zaxis": _axis("up (m)"),
             "camera": {
-                "eye": {"x": 0.8, "y": -1.15, "z": 0.75},
+                "eye": {"x": 0.88, "y": -1.26, "z": 0.82},
                 "up": {"x": 0, "y": 0, "z": 1},
                 "center": {"x": 0, "y": 0, "z": -0.1},
             },

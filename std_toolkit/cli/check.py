@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
         unit = f" {gate.unit}" if gate.unit else ""
         about = f" ({gate.detail})" if gate.detail else ""
         print(
-            f"FAIL {gate.key}: {gate.title}: {gate.value:g}{unit}{about}, must be {gate.rule} "
+            f"FAIL {gate.key}: {gate.title}: {gate.value:.4g}{unit}{about}, must be {gate.rule} "
             f"{gate.limit:g}{unit}; {gate.advice}"
         )
     print(report.verdict)

@@ -149,7 +149,7 @@ def test_warnings_are_ranked_and_failed_gates_lead() -> None:
     ]
     failed = [g for g in gates(item).values() if g.status == "fail"]
     found = find_warnings(SUMMARY, failed, [item], frames, [], OPTIONS)
-    assert found[0].problem.startswith("gate failed") and found[0].about == "mug"
+    assert found[0].gate == "depth" and found[0].about == "mug"
     order = [{"high": 0, "medium": 1, "low": 2}[w.severity] for w in found]
     assert order == sorted(order)
     text = " ".join(w.problem for w in found)

@@ -20,7 +20,9 @@ from std_toolkit.checks.result import CheckReport
 from std_toolkit.checks.step import run_check
 from std_toolkit.cli import main as cli
 from std_toolkit.io.documents import read_document
+from std_toolkit.io.images import read_color, read_mask, write_color, write_png
 from std_toolkit.jobs import JobOptions
+from std_toolkit.rendering.step import RenderOptions, render_ground_truth
 from std_toolkit.scene import CameraPoses, FramePose, Frames, Labels, ObjectTable, Scene
 
 MakeScene = Callable[[Toy], Scene]
@@ -254,6 +256,45 @@ def test_unreadable_mesh_fails_its_gate(make_scene: MakeScene) -> None:
     assert "meshes" in failed(report)
 
 
+def test_ground_truth_is_used_while_it_fits_the_labels(make_scene: MakeScene) -> None:
+    scene = make_scene(Toy(frames=3, depth_error_m=0.004))
+    options = RenderOptions(renderer="raycast", policy="models")
+    render_ground_truth(scene, options, jobs=SERIAL)
+    report = check(scene)
+    assert report.passed
+    assert report.summary.truth_source == "rendered maps" and report.summary.truth_frames == 3
+    assert report.materials[0].median_mm == pytest.approx(4.0, abs=0.3)
+    label = scene.labels.labels[0]
+    assert label.T_world_obj is not None
+    moved = [*label.T_world_obj]
+    moved[3] += 0.0001
+    scene.save_labels(scene.labels.with_label(msgspec.structs.replace(label, T_world_obj=moved)))
+    stale = check(scene)
+    assert {f.truth for f in stale.frames} == {"stale"}
+    assert any("rendered from other labels" in w.problem for w in stale.warnings)
+    assert stale.summary.truth_source == "labels cast here"
+
+
+def test_things_no_label_covers_are_left_out(make_scene: MakeScene) -> None:
+    # Half of ball 1 is hidden by something that only the ground truth knows of.
+    scene = make_scene(Toy(frames=3))
+    render_ground_truth(scene, RenderOptions(renderer="raycast", policy="models"), jobs=SERIAL)
+    before = check(scene).objects[0]
+    for frame in scene.frames:
+        path = scene.root / f"gt/mask/{frame.id:06d}.png"
+        mask = read_mask(path)
+        mask[: CAMERA.height // 2][mask[: CAMERA.height // 2] == 1] = 0
+        rows = np.flatnonzero((mask == 1).any(axis=1))
+        mask[: rows[0] + 30] = np.where(mask[: rows[0] + 30] == 1, 0, mask[: rows[0] + 30])
+        write_png(path, mask)
+        image = read_color(scene.color_path(frame))
+        image[: rows[0] + 30] = 150
+        write_color(scene.color_path(frame), image)
+    after = check(Scene.open(scene.root)).objects[0]
+    assert before.edge_px is not None and after.edge_px is not None
+    assert after.edge_px < 0.2
+
+
 def test_label_out_of_view_is_told(make_scene: MakeScene) -> None:
     scene = make_scene(Toy(frames=3, moved={1: np.array([0, 5.0, 0])}))
     report = check(scene)
@@ -262,10 +303,10 @@ def test_label_out_of_view_is_told(make_scene: MakeScene) -> None:
 
 def test_command_line(make_scene: MakeScene, capsys: pytest.CaptureFixture[str]) -> None:
     good = make_scene(Toy(frames=3))
-    assert cli.main(["check", str(good.root), "--workers", "1"]) == 0
+    assert cli.main(["check", str(good.root), "--engine", "serial"]) == 0
     assert "PASS: labels usable" in capsys.readouterr().out
     bad = make_scene(Toy(frames=3, moved={1: np.array([0, 0.01, 0])}))
-    assert cli.main(["check", str(bad.root), "--workers", "1"]) == 1
+    assert cli.main(["check", str(bad.root), "--engine", "serial"]) == 1
     lines = capsys.readouterr().out.splitlines()
     assert any(x.startswith("FAIL shift: ") and "ball_1" in x for x in lines)
     assert all(";" in x for x in lines if x.startswith("FAIL shift"))
