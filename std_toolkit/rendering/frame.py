@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -15,6 +16,7 @@ from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.rendering import encoding
 from std_toolkit.rendering.choose import get_renderer
 from std_toolkit.rendering.fused import load_occluder
+from std_toolkit.rendering.gl_context import ANSWER_VARIABLE
 from std_toolkit.rendering.ground_truth import (
     FrameTruth,
     ObjectTruth,
@@ -45,6 +47,7 @@ class FrameJob:
         smooth_normals: see `render_scene_maps`.
         meshes: model id to digest of its mesh file.
         occluder: fused geometry (path and digest of content) for policy `fused`.
+        gl: GL platform found where the run began, if its workers run on the same machine.
     """
 
     root: str
@@ -55,6 +58,7 @@ class FrameJob:
     smooth_normals: bool
     meshes: tuple[tuple[str, str], ...]
     occluder: tuple[str, str] | None
+    gl: str | None
 
 
 def render_frame(frame_id: int, *, job: FrameJob, force: bool) -> Literal["done", "kept"]:
@@ -63,6 +67,8 @@ def render_frame(frame_id: int, *, job: FrameJob, force: bool) -> Literal["done"
     Raises:
         ToolkitError: an input cannot be read, or the frame has no labelled object.
     """
+    if job.gl is not None:  # a worker need not find out again
+        os.environ.setdefault(ANSWER_VARIABLE, job.gl)
     scene = _open_scene(job.root, job.state)
     digest = _digest(scene, frame_id, job)
     if not force and is_finished(scene.root, frame_id, digest):

@@ -1,8 +1,9 @@
 """Renderer on pyrender (EGL or OSMesa), made exact.
 
 pyrender as it comes is not exact enough for labels: it draws into a four-sample buffer and keeps
-one sample's depth, which is not the pixel centre's; it drops triangles seen from behind; it knows
-an object's colour and not the triangle; and GL counts pixel centres from 0.5. Here:
+one sample's depth, (-0.125, 0.375) px off the pixel's centre under Mesa; it drops triangles seen
+from behind; it knows an object's colour and not the triangle; and GL counts pixel centres from 0.5.
+Here:
 
 - its segmentation pass is used, in which multisampling is off, with a fragment shader of our own
   that writes the triangle's number into the 24 bits of colour;

@@ -14,6 +14,7 @@ from std_toolkit.log import logger
 from std_toolkit.rendering.choose import DEFAULT_RENDERER, choose_renderer
 from std_toolkit.rendering.frame import FrameJob, render_frame
 from std_toolkit.rendering.fused import OCCLUDER_FILE, FusionOptions, fuse_occluders
+from std_toolkit.rendering.gl_context import find_gl
 from std_toolkit.rendering.ground_truth import FOLDER, Policy, info_path, map_paths
 from std_toolkit.rendering.occlusion import DEFAULT_DELTA_M, resolve_policy
 from std_toolkit.rendering.placements import frame_placements, labelled_frames
@@ -102,15 +103,18 @@ def render_ground_truth(
     if frames is None:
         _remove_stale(scene, set(labelled), policy)
     meshes = tuple((m, digest_file(scene.mesh_path(scene.objects.model(m)))) for m in models)
+    renderer = choose_renderer(options.renderer, cameras=cameras)
+    same_machine = jobs is None or jobs.engine != "ray"
     job = FrameJob(
         root=str(scene.root),
         state=_state(scene, meshes),
-        renderer=choose_renderer(options.renderer, cameras=cameras),
+        renderer=renderer,
         policy=policy,
         delta_m=options.delta_m,
         smooth_normals=options.smooth_normals,
         meshes=meshes,
         occluder=fuse_occluders(scene, options.fusion) if policy == "fused" else None,
+        gl=find_gl()[0] if renderer == "pyrender" and same_machine else None,
     )
     return run_jobs(
         partial(render_frame, job=job, force=options.force), wanted, name="render", options=jobs
