@@ -24,6 +24,7 @@ from std_toolkit.scene.model import (
     SceneInfo,
     Vector3,
 )
+from std_toolkit.scene.names import check_relative
 
 SIDECAR_NAME = "std_toolkit.json"
 
@@ -145,17 +146,23 @@ class Sidecar(Document, frozen=True, kw_only=True):
         return next((m for m in self.models if m.model == model_id), None)
 
 
-def find_sidecar(folder: Path, layout: str) -> tuple[Sidecar, Path] | None:
-    """The sidecar of the export that `folder` is or lies in, and the export's top folder.
+def find_sidecar(source: Path, layout: str) -> tuple[Sidecar, Path] | None:
+    """The sidecar that tells of `source`, and the export's top folder.
+
+    Args:
+        source: an export, or the folder of its frames.
+        layout: a sidecar of another layout counts as none.
 
     Raises:
         ToolkitError: there is one, but it is damaged.
     """
-    start = folder.resolve()
+    start = source.resolve()
     for top in (start, *list(start.parents)[:3]):
         path = top / SIDECAR_NAME
         if path.is_file():
             sidecar = read_document(path, Sidecar)
-            # A sidecar of another layout further up describes something else.
-            return (sidecar, top) if sidecar.layout == layout else None
+            folder = check_relative(sidecar.folder, path=path, field="folder")
+            # Something else may have been put below an export.
+            told = start in (top, top / folder)
+            return (sidecar, top) if told and sidecar.layout == layout else None
     return None

@@ -13,7 +13,7 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import msgspec
 
@@ -57,7 +57,7 @@ def state_of(out: Path, digest: str) -> Literal["vacant", "same", "other"]:
 def staging_area(out: Path, *, overwrite: bool) -> Iterator[Path]:
     """The staging folder, moved to `out` when the block ends without an error.
 
-    When the block raises, it stays: the work in it is resumed by the next run.
+    When the block raises, it stays if a frame was finished: the next run goes on there.
 
     Raises:
         ToolkitError: something else is at `out`, or another process exports to it now.
@@ -89,7 +89,13 @@ def staging_area(out: Path, *, overwrite: bool) -> Iterator[Path]:
         except BlockingIOError as error:
             raise ToolkitError("another process exports to this place", path=out) from error
         sweep_temporaries(staging)
-        yield staging
+        try:
+            yield staging
+        except BaseException:
+            if not any((staging / PROGRESS).glob("*.json")):
+                # Nothing in it would be resumed.
+                shutil.rmtree(staging, ignore_errors=True)
+            raise
         _put_in_place(staging, out)
     finally:
         os.close(descriptor)
@@ -138,11 +144,6 @@ def file_digests(staging: Path) -> dict[str, str]:
         for n in names
         if not n.startswith(f"{PROGRESS}/") and n != SIDECAR_NAME
     }
-
-
-def plain(value: Any) -> Any:
-    """A document as plain JSON values."""
-    return msgspec.to_builtins(value)
 
 
 def _put_in_place(staging: Path, out: Path) -> None:

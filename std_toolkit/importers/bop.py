@@ -36,9 +36,7 @@ class BopImporter:
         folder = _scene_folder(request.source)
         scene = read_bop_scene(folder)
         found = find_sidecar(folder, "bop")
-        sidecar = (
-            None if found is None or found[0].folder != _relative(folder, found[1]) else found[0]
-        )
+        sidecar = None if found is None else found[0]
         cameras, camera_of = _cameras(scene, sidecar)
         depth_scale = _common_depth_scale(scene)
         frames = tuple(
@@ -101,11 +99,6 @@ def _scene_folder(source: Path) -> Path:
         path=source,
         hint=f"give one of them: {shown}" if found else "give a folder such as test/000001",
     )
-
-
-def _relative(folder: Path, top: Path) -> str:
-    resolved = folder.resolve()
-    return resolved.relative_to(top).as_posix() if resolved.is_relative_to(top) else ""
 
 
 def _color_path(folder: Path, im_id: int) -> Path:

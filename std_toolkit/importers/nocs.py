@@ -5,13 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.exporters.sidecar import find_sidecar
+from std_toolkit.exporters.sidecar import SIDECAR_NAME, find_sidecar
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.importers.intrinsics import read_intrinsics
 from std_toolkit.importers.pairing import natural_key
 from std_toolkit.importers.protocol import ImportRequest, Recording, SourceFile, SourceFrame
 from std_toolkit.importers.sidecar_recording import (
-    export_folder,
     recording_from_sidecar,
     reference_files,
 )
@@ -30,7 +29,7 @@ class NocsImporter:
     def recognises(self, source: Path) -> bool:
         if not source.is_dir():
             return False
-        if (source / "std_toolkit.json").is_file():
+        if (source / SIDECAR_NAME).is_file():
             return find_sidecar(source, "nocs") is not None
         return any(source.glob("*_depth.png")) and any(source.glob("*_coord.png"))
 
@@ -43,7 +42,7 @@ class NocsImporter:
         found = find_sidecar(request.source, "nocs")
         if found is not None:
             sidecar, top = found
-            folder = export_folder(sidecar, top)
+            folder = top / sidecar.folder
             return recording_from_sidecar(
                 sidecar,
                 top,

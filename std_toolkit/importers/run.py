@@ -42,6 +42,13 @@ def import_recording(
             value=request.depth_scale,
             hint="millimetres: 0.001",
         )
+    if not 0.8 < request.depth_correction < 1.25:
+        raise ToolkitError(
+            "must lie between 0.8 and 1.25",
+            field="--depth-correction",
+            value=request.depth_correction,
+            hint="a calibrated factor such as 0.98; units are --depth-scale",
+        )
     if format_name is None:
         format_name = "folder" if request.color else detect_format(request.source)
     recording = IMPORTERS.get(format_name).read(request)

@@ -15,15 +15,6 @@ from std_toolkit.importers.protocol import Recording, SourceFile, SourceFrame, S
 from std_toolkit.scene.names import check_name, check_relative
 
 
-def export_folder(sidecar: Sidecar, top: Path) -> Path:
-    """Folder of the frames of an export.
-
-    Raises:
-        ToolkitError: the sidecar names a place outside the export.
-    """
-    return top / check_relative(sidecar.folder, path=top / SIDECAR_NAME, field="folder")
-
-
 def recording_from_sidecar(
     sidecar: Sidecar,
     top: Path,

@@ -46,9 +46,18 @@ def new_folder(out: Path) -> Iterator[Path]:
                 f"cannot put the finished folder in place: {error.strerror}", path=out
             ) from error
         _sync(out.parent)
-    except BaseException:
+    except BaseException as error:
         shutil.rmtree(staging, ignore_errors=True)
         _remove_parents(made)
+        if isinstance(error, ToolkitError) and str(staging) in (error.path or ""):
+            # The user knows the place that was asked for, not where it was in the making.
+            raise ToolkitError(
+                error.problem,
+                path=str(error.path).replace(str(staging), str(out)),
+                field=error.field,
+                value=error.value,
+                hint=error.hint,
+            ) from error
         raise
     finally:
         os.close(descriptor)

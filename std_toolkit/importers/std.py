@@ -18,7 +18,6 @@ from std_toolkit.importers.intrinsics import parse_distortion, read_intrinsics
 from std_toolkit.importers.pairing import natural_key
 from std_toolkit.importers.protocol import ImportRequest, Recording, SourceFile, SourceFrame
 from std_toolkit.importers.sidecar_recording import (
-    export_folder,
     recording_from_sidecar,
     reference_files,
 )
@@ -86,7 +85,7 @@ class StdImporter:
         found = find_sidecar(request.source, self.layout.name)
         if found is not None:
             sidecar, top = found
-            folder = export_folder(sidecar, top)
+            folder = top / sidecar.folder
             return recording_from_sidecar(
                 sidecar,
                 top,

@@ -17,7 +17,8 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 def document_types() -> dict[str, type]:
     """Name of every kind of document, to its structure."""
-    # Imported here: the rendering and export packages build on this one.
+    # Imported here: these packages build on this one.
+    from std_toolkit.checks.result import CheckReport
     from std_toolkit.exporters.sidecar import Sidecar
     from std_toolkit.rendering.ground_truth import FrameTruth
 
@@ -28,6 +29,7 @@ def document_types() -> dict[str, type]:
         "poses": CameraPoses,
         "labels": Labels,
         "ground_truth": FrameTruth,
+        "check_report": CheckReport,
         "record": Record,
         "export": Sidecar,
     }

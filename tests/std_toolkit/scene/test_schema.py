@@ -38,6 +38,8 @@ def written(tmp_path_factory) -> dict[str, Path]:
     """One real document of every kind."""
     from scene_factory import SERIAL, make_scene
 
+    from std_toolkit.checks.options import CheckOptions
+    from std_toolkit.checks.step import run_check
     from std_toolkit.exporters import export_scene
     from std_toolkit.scene.provenance import write_record
 
@@ -45,10 +47,10 @@ def written(tmp_path_factory) -> dict[str, Path]:
     scene = make_scene(folder / "scene", frames=2, unregistered=[1], size=(64, 48))
     export_scene(scene, "std", folder / "std", jobs=SERIAL)
     write_record(scene.root, "demo", "0" * 32, outputs=[scene.root / "frames.json"], parameters={})
-    documents = {
-        n: scene.root / f"{n}.json" for n in ("scene", "frames", "objects", "poses", "labels")
-    }
-    return documents | {
+    run_check(scene, CheckOptions(max_frames=1), SERIAL)
+    names = ("scene", "frames", "objects", "poses", "labels")
+    return {n: scene.root / f"{n}.json" for n in names} | {
+        "check_report": scene.root / "check/report.json",
         "ground_truth": scene.root / "gt/info/000000.json",
         "record": scene.root / ".std/records/demo.json",
         "export": folder / "std/std_toolkit.json",
