@@ -1,0 +1,184 @@
+"""What a refinement works on: images with known camera poses, and meshes with poses to adjust."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera, undistort_image
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry.symmetry import Symmetry
+from std_toolkit.scene.model import DIFFUSE_MATERIALS
+
+
+@dataclass(frozen=True, eq=False)
+class RefineView:
+    """One image with its camera pose; make it with `RefineView.of`, which undistorts.
+
+    Attributes:
+        camera: intrinsics without distortion.
+        T_world_cam: camera pose, metres.
+        color: (H, W, 3) uint8.
+        depth: sensor z-depth (H, W) float32 metres, 0 = none, or None.
+        frame: id of the frame, for reports.
+    """
+
+    camera: Camera
+    T_world_cam: SE3
+    color: NDArray[np.uint8]
+    depth: NDArray[np.float32] | None = None
+    frame: int = -1
+
+    @staticmethod
+    def of(
+        camera: Camera,
+        T_world_cam: SE3,
+        color: NDArray[np.uint8],
+        depth: NDArray[np.float32] | None = None,
+        *,
+        frame: int = -1,
+    ) -> RefineView:
+        """A view with the lens distortion removed from its images.
+
+        Raises:
+            ToolkitError: an image of another size than the camera's.
+        """
+        for image in (color, depth):
+            if image is not None and image.shape[:2] != (camera.height, camera.width):
+                raise ToolkitError(
+                    f"image size is not the camera's {camera.width}x{camera.height}",
+                    field=f"frame {frame}",
+                    value=image.shape[:2],
+                )
+        straight = undistort_image(color, camera).astype(np.uint8, copy=False)
+        if depth is not None:
+            depth = undistort_image(depth, camera, interpolation=cv2.INTER_NEAREST).astype(
+                np.float32, copy=False
+            )
+        return RefineView(camera.without_distortion(), T_world_cam, straight, depth, frame)
+
+    def at_scale(self, factor: float) -> tuple[Camera, NDArray[np.uint8]]:
+        """Camera and image resized by `factor` <= 1."""
+        if factor >= 1:
+            return self.camera, self.color
+        size = (round(self.camera.width * factor), round(self.camera.height * factor))
+        small = cv2.resize(self.color, size, interpolation=cv2.INTER_AREA)
+        return self.camera.resized(*size), np.asarray(small, dtype=np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class RefineObject:
+    """One object whose world pose is to be adjusted.
+
+    Attributes:
+        name: for reports.
+        vertices: (V, 3) mesh vertices, metres.
+        faces: (F, 3) triangles.
+        T_world_obj: pose to start from.
+        material: depth is trusted on "raw" and "diffuse" only.
+        symmetry: directions that it leaves free are not adjusted.
+        fixed: takes part as an occluder, and keeps its pose.
+    """
+
+    name: str
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    T_world_obj: SE3
+    material: str = "diffuse"
+    symmetry: Symmetry = field(default_factory=Symmetry)
+    fixed: bool = False
+
+    @property
+    def trusts_depth(self) -> bool:
+        return self.material in DIFFUSE_MATERIALS
+
+    @cached_property
+    def centre(self) -> NDArray[np.float64]:
+        """(3,) centre of the bounding box, mesh frame."""
+        used = self.vertices[np.unique(self.faces)]
+        return np.asarray((used.min(axis=0) + used.max(axis=0)) / 2)
+
+    @cached_property
+    def radius(self) -> float:
+        """Largest distance of a vertex from `centre`, metres."""
+        used = self.vertices[np.unique(self.faces)]
+        return float(np.linalg.norm(used - self.centre, axis=1).max())
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefineOptions:
+    """How poses are refined.
+
+    Attributes:
+        use_depth: sensor depth takes part on diffuse objects.
+        refine_scale: the scale of the camera positions is estimated too.
+        search_px: how far from the predicted contour edges are looked for at the coarsest level,
+            in full-resolution pixels.
+        largest_image: images are worked on at most at this width, pixels.
+        depth_factor_std: prior standard deviation of the sensor's depth factor around 1.
+        scale_std: prior standard deviation of the scale of the camera positions around 1.
+        translation_std, rotation_std: weak prior of the start pose, metres and radians: it only
+            decides directions that nothing else decides.
+        iterations: most Gauss-Newton steps per level.
+    """
+
+    use_depth: bool = True
+    refine_scale: bool = False
+    search_px: float = 48.0
+    largest_image: int = 1280
+    depth_factor_std: float = 0.02
+    scale_std: float = 0.03
+    translation_std: float = 0.05
+    rotation_std: float = 0.35
+    iterations: int = 4
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedObject:
+    """Outcome for one object.
+
+    Attributes:
+        name: as given.
+        T_world_obj: adjusted pose; in the rescaled world where the scale was refined.
+        covariance: (6, 6) of a right perturbation `T_world_obj @ SE3.exp(xi)`.
+        weak_direction: sentence on the least determined direction.
+        edge_rms_px: robust standard deviation of the edges found around the final contour,
+            full-resolution pixels.
+        depth_rms_m: of the sensor depth around the surface along its normal, metres; None if it
+            took no part.
+        views: number of views in which the object's contour was measured.
+        converged: the last step was small and enough edges agree with the contour.
+    """
+
+    name: str
+    T_world_obj: SE3
+    covariance: NDArray[np.float64]
+    weak_direction: str
+    edge_rms_px: float
+    depth_rms_m: float | None
+    views: int
+    converged: bool
+
+
+@dataclass(frozen=True, eq=False)
+class RefineResult:
+    """Outcome of a refinement.
+
+    Attributes:
+        objects: in the order given.
+        scale: factor on all camera positions (and on the world); 1 if it was not refined.
+        scale_std: its standard deviation; 0 if it was not refined.
+        depth_factor: true depth = depth_factor * sensor depth, as estimated; 1 without depth.
+        depth_factor_std: its standard deviation.
+    """
+
+    objects: tuple[RefinedObject, ...]
+    scale: float = 1.0
+    scale_std: float = 0.0
+    depth_factor: float = 1.0
+    depth_factor_std: float = 0.0
