@@ -232,7 +232,11 @@ def _label_gates(
             options.max_depth_mm,
             unit="mm",
             detail=_worst_name(depth)
-            + (f"; scale's part {100 * share:.2f} % of depth" if share else ""),
+            + (
+                f"; scale's part {100 * share:.2f} % of depth"
+                if share and _worst(depth) is not None
+                else ""
+            ),
             advice="the label stands off along the view: refine it with depth, or annotate it in a "
             "second frame from the side; check the mesh's size",
         ),

@@ -119,11 +119,13 @@ def overlays_section(report: CheckReport, pictures: Sequence[FramePictures]) -> 
     if not shown:
         return ""
     names = {f.frame: f.name for f in report.frames}
+    labelled = [o for o in report.objects if o.label in ("propagated", "refined")]
     body = markup.paragraph(
         "Outlines of the labels over the image; where the label is right the line runs along the "
         "object's edge. Click a picture to enlarge it; the key o hides the outlines."
+        if labelled
+        else "Frames spread over the recording; there are no labels to draw over them."
     )
-    labelled = [o for o in report.objects if o.label in ("propagated", "refined")]
     body += (
         '<div class="legend">'
         + "".join(markup.chip(colors[o.object], o.name) for o in labelled)

@@ -14,7 +14,7 @@ from std_toolkit.scene import Frame, Scene
 
 Array = NDArray[np.float64]
 
-MOST_FRUSTA = 60
+MOST_FRUSTA = 40
 # Points farther from the objects than this times the farthest camera are left out.
 ROOM = 0.9
 
@@ -127,9 +127,8 @@ def _cameras(scene: Scene, frames: list[Frame], turn: Array, centre: Array) -> l
         positions.append(turn @ (T.t - centre))
         names.append(f"frame {frame.id} ({frame.name})")
     path = np.array(positions, dtype=np.float32)
-    reach = float(np.linalg.norm(np.ptp(path, axis=0)))
     distance = float(np.median(np.linalg.norm(path, axis=1)))
-    size = np.clip(0.05 * max(reach, distance), 0.01, 0.2)
+    size = np.clip(0.06 * distance, 0.01, 0.2)
     chosen = np.unique(np.linspace(0, len(frames) - 1, MOST_FRUSTA).round().astype(int))
     lines: list[Array] = []
     gap = np.full((1, 3), np.nan)
