@@ -74,7 +74,8 @@ def export_scene(
     exporter = EXPORTERS.get(format_name)
     target = plan(scene, out, options)
     exporter.check(target)
-    digests = {f.id: _frame_digest(target, f, format_name) for f in target.frames}
+    documents = _documents_digest(scene)
+    digests = {f.id: _frame_digest(target, f, format_name, documents) for f in target.frames}
     digest = _export_digest(target, format_name, digests)
     if state_of(out, digest) == "same":
         logger.info("%s: this export is there already", out)
@@ -89,7 +90,7 @@ def export_scene(
         job = partial(
             _export_frame,
             root=str(scene.root),
-            documents=_documents_digest(scene),
+            documents=documents,
             staging=str(staging),
             format_name=format_name,
             options=options,
@@ -100,8 +101,8 @@ def export_scene(
         )
         report.raise_if_failed()
         rows = list(report.results.values())
-        documents = exporter.finish(staged, rows, models)
-        others = [*mesh_files, *documents]
+        written = exporter.finish(staged, rows, models)
+        others = [*mesh_files, *written]
         return _close(exporter, staged, format_name, digest, rows, models, others)
 
 
@@ -249,7 +250,7 @@ def _documents_digest(scene: Scene) -> str:
     return digest_of([digest_file(p) if (p := scene.root / n).is_file() else None for n in names])
 
 
-def _frame_digest(target: Target, frame: Frame, format_name: str) -> str:
+def _frame_digest(target: Target, frame: Frame, format_name: str, documents: str) -> str:
     scene = target.scene
     return digest_of(
         format_name,
@@ -259,7 +260,7 @@ def _frame_digest(target: Target, frame: Frame, format_name: str) -> str:
         digest_file(info_path(scene.root, frame.id)),
         digest_file(scene.color_path(frame)),
         None if frame.depth is None else digest_file(scene.root / frame.depth),
-        _documents_digest(scene),
+        documents,
     )
 
 

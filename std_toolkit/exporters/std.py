@@ -45,7 +45,14 @@ class StdExporter:
     """`OUT/<scene>/NNNN_*`, meshes in `OUT/cad_model/<category>/<model>/`."""
 
     def check(self, target: Target) -> None:
-        """Refuse more objects than the loaders hold."""
+        """Refuse more objects than the loaders hold, and a scene named as the models' folder."""
+        if target.scene.info.name == "cad_model":
+            raise ToolkitError(
+                "the STD layout keeps its models in a folder of this name",
+                path=target.scene.root / "scene.json",
+                field="name",
+                value="cad_model",
+            )
         if len(target.object_ids) > MOST_OBJECTS:
             raise ToolkitError(
                 f"the STD layout holds at most {MOST_OBJECTS} objects",

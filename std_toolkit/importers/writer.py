@@ -24,6 +24,7 @@ from std_toolkit.io.images import image_size, read_color, read_png, write_color,
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.log import logger
 from std_toolkit.scene.model import CameraModel, Frame, Frames, ObjectTable, SceneInfo
+from std_toolkit.scene.names import check_name, check_relative
 from std_toolkit.scene.scene import Scene
 
 # Below this many frames, starting worker processes costs more than it saves.
@@ -60,8 +61,7 @@ def write_recording(
         ToolkitError: an image is damaged or of the wrong size, depth is in another unit, or there
             is something at `out`. Nothing is left behind.
     """
-    if not recording.frames:
-        raise ToolkitError("the recording holds no frames", path=out)
+    _check_frames(recording)
     info = SceneInfo(
         name=name,
         cameras=recording.cameras,
@@ -103,6 +103,27 @@ def write_recording(
     for note in recording.notes:
         logger.warning("%s", note)
     return Scene.open(out)
+
+
+def _check_frames(recording: Recording) -> None:
+    """Before anything is written: names come from files of others.
+
+    Raises:
+        ToolkitError: no frames, a name or place outside the scene, or one that appears twice.
+    """
+    if not recording.frames:
+        raise ToolkitError("the recording holds no frames")
+    seen: set[str] = set()
+    for i, frame in enumerate(recording.frames):
+        check_name(frame.name, field=f"frames[{i}].name")
+        if frame.name in seen:
+            raise ToolkitError("appears twice", field=f"frames[{i}].name", value=frame.name)
+        seen.add(frame.name)
+        if frame.camera not in recording.cameras:
+            raise ToolkitError("no such camera", field=f"frames[{i}].camera", value=frame.camera)
+        for file in (frame.color, frame.depth, *frame.reference):
+            if file is not None:
+                check_relative(file.target, field=f"frames[{i}]")
 
 
 def _write_frame(

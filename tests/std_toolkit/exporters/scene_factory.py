@@ -83,6 +83,7 @@ def make_scene(
     distortion: tuple[float, ...] = (),
     world_poses: dict[int, SE3] | None = None,
     depth: bool = True,
+    near_strip: bool = False,
     policy: str = "models",
     camera_poses: Sequence[SE3] | None = None,
     depth_correction: float = 1.0,
@@ -109,6 +110,9 @@ def make_scene(
         if depth:
             z = np.full((height, width), 0.9, np.float32) + rng.normal(0, 0.002, (height, width))
             z[: height // 8] = 0
+            if near_strip:
+                # Something unlabelled in front of whatever lies in the right third.
+                z[:, 2 * width // 3 :] = 0.4
             write_depth_png16(root / f"depth/view_{i}.png", z, scale=0.00025)
         rows.append(
             Frame(

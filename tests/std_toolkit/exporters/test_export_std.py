@@ -15,6 +15,7 @@ from std_toolkit.geometry import SE3, rotation_angle, umeyama
 from std_toolkit.geometry.mesh import nocs_frame
 from std_toolkit.io.exr import read_exr
 from std_toolkit.io.images import image_size
+from std_toolkit.rendering.ground_truth import read_ground_truth
 from std_toolkit.scene import Scene
 
 SUFFIXES = ("color.png", "depth_415.exr", "gt_depth.exr", "coord.png", "mask.png", "meta.txt")
@@ -201,3 +202,20 @@ def test_distorted_images_are_undistorted(tmp_path):
     centre, _ = nocs_frame(scene.mesh("brick"))
     assert np.linalg.norm(fit.t - truth @ centre) < 1e-3
     assert rotation_angle(fit.R.T @ truth.R) < np.radians(0.5)
+
+
+def test_what_hides_objects_is_taken_over_to_the_labels_size(tmp_path):
+    """Policy "sensor": what the sensor saw in front of an object hides it at half size too."""
+    scene = make_scene(
+        tmp_path / "scene", size=(640, 480), frames=1, near_strip=True, policy="sensor"
+    )
+    options = ExportOptions(label_size=(320, 240))
+    sidecar = export_scene(scene, "std", tmp_path / "std", options=options, jobs=SERIAL)
+    mask = PublicLoader(tmp_path / "std")[0]["mask"]
+    full = read_ground_truth(scene, 0).mask
+    for mask_id, object_id in ((1, 1), (2, 4), (3, 7)):
+        shown, expected = np.count_nonzero(mask == mask_id), np.count_nonzero(full == object_id)
+        assert shown == pytest.approx(expected / 4, rel=0.02, abs=4)
+    assert not (mask[:, 214:] != 255).any()
+    mug = next(o for o in sidecar.frames[0].objects if o.object == 7)
+    assert mug.visible_fraction < 0.9

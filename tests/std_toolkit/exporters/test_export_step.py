@@ -36,6 +36,7 @@ def content(folder: Path) -> dict[str, str]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FORMATS)
 def test_same_bytes_wherever_and_however_wide(scene, name, tmp_path):
     export_scene(scene, name, tmp_path / "a", jobs=SERIAL)
@@ -80,6 +81,7 @@ def _export(root: str, out: str) -> None:
     export_scene(Scene.open(root), "bop", out, jobs=SERIAL)
 
 
+@pytest.mark.slow
 def test_a_killed_export_leaves_no_trace_after_the_next_run(scene, tmp_path):
     whole = tmp_path / "whole"
     export_scene(scene, "bop", whole, jobs=SERIAL)
