@@ -72,5 +72,6 @@ def contents(root: Path) -> dict[str, bytes]:
     return {
         path.relative_to(root).as_posix(): path.read_bytes()
         for path in sorted(root.rglob("*"))
-        if path.is_file() and path.name != "lock"
+        # A damaged scene may hold a link to an endless device.
+        if path.is_file() and not path.is_symlink() and path.name != "lock"
     }

@@ -36,7 +36,7 @@ from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.mesh import mesh_bounds, mesh_diameter, nocs_frame
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.atomic import write_bytes_atomic
-from std_toolkit.io.images import image_size, read_png, write_png
+from std_toolkit.io.images import read_png, write_png
 from std_toolkit.rendering.choose import choose_renderer, get_renderer
 from std_toolkit.rendering.ground_truth import ObjectTruth
 from std_toolkit.rendering.silhouette import mask_box, object_silhouette
@@ -258,7 +258,7 @@ def depth_units(scene: Scene, frame: Frame) -> DepthUnits | None:
     path = scene.root / frame.depth
     camera = scene.camera(frame)
     if path.suffix.lower() == ".png" and not camera.is_distorted and scene.info.depth_scale:
-        image_size(path)
+        scene.read_depth(frame)  # refuses 8-bit images, pictures and depth in another unit
         values = read_png(path, size=camera.size)
         scale = scene.info.depth_scale * scene.info.depth_correction * MM
         return DepthUnits(values.astype(np.uint16), float(f"{scale:.12g}"))

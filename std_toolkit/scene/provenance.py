@@ -34,7 +34,14 @@ class Record(Document, frozen=True, kw_only=True):
 
 
 def digest_file(path: Path) -> str:
-    """Hex digest of a file's content."""
+    """Hex digest of a file's content.
+
+    Raises:
+        ToolkitError: no regular file there (a pipe or device could block or never end).
+    """
+    if not path.is_file():
+        problem = "is not a regular file" if path.exists() else "file not found"
+        raise ToolkitError(problem, path=path)
     with path.open("rb") as file:
         return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
