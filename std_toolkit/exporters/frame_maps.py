@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, undistort_image
-from std_toolkit.geometry.se3 import rotation_angle
 from std_toolkit.rendering.choose import choose_renderer, get_renderer
 from std_toolkit.rendering.ground_truth import (
     FrameTruth,
@@ -29,6 +28,7 @@ from std_toolkit.rendering.maps import Composition, compose, mask_of, surface_ma
 from std_toolkit.rendering.placements import frame_placements, place_meshes
 from std_toolkit.rendering.silhouette import mask_box
 from std_toolkit.rendering.windows import image_window
+from std_toolkit.scene.freshness import truth_is_current
 from std_toolkit.scene.model import Frame
 from std_toolkit.scene.scene import Scene
 
@@ -76,13 +76,7 @@ def check_fresh(scene: Scene, truth: FrameTruth) -> None:
     Raises:
         ToolkitError: a label or camera pose changed after rendering.
     """
-    now = frame_placements(scene, truth.frame)
-    then = {row.object: row.pose for row in truth.objects}
-    moved = set(now) != set(then) or any(
-        np.abs(now[i].t - then[i].t).max() > 1e-6 or rotation_angle(now[i].R.T @ then[i].R) > 1e-6
-        for i in now
-    )
-    if moved:
+    if not truth_is_current(scene, truth):
         raise ToolkitError(
             "the ground truth is older than the labels",
             path=scene.root,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from std_toolkit.scene.freshness import truth_is_current
 from std_toolkit.scene.scene import Scene
 
 
@@ -20,7 +21,8 @@ class SceneSummary:
         registered: frames with a camera pose; None without poses.
         failed_gates: names.
         labelled, propagated, refined: object names.
-        ground_truth: frames whose ground truth is complete.
+        ground_truth: frames whose ground truth is complete and belongs to the labels.
+        stale_ground_truth: frames whose ground truth is older than labels or camera poses.
         report: the check report exists.
         reference: kinds of maps that came with the import.
         next_command: what to run next, or None when everything is there.
@@ -44,6 +46,7 @@ class SceneSummary:
     propagated: list[str]
     refined: list[str]
     ground_truth: int
+    stale_ground_truth: int
     report: bool
     reference: list[str]
     next_command: str | None
@@ -61,7 +64,7 @@ class SceneSummary:
             ("scale", self.scale or "none"),
             ("objects", ", ".join(self.objects) or "none"),
             ("labels", self._labels()),
-            ("ground truth", f"{self.ground_truth} of {self.frames} frames"),
+            ("ground truth", self._ground_truth()),
             ("check", "report written" if self.report else "no report"),
         ]
         if self.reference:
@@ -77,6 +80,12 @@ class SceneSummary:
             return "none"
         gates = f"; FAILED gates: {', '.join(self.failed_gates)}" if self.failed_gates else ""
         return f"{self.registered} of {self.frames} frames registered{gates}"
+
+    def _ground_truth(self) -> str:
+        text = f"{self.ground_truth} of {self.frames} frames"
+        if self.stale_ground_truth:
+            text += f"; OUTDATED in {self.stale_ground_truth}: labels or poses changed"
+        return text
 
     def _labels(self) -> str:
         if not self.objects:
@@ -100,6 +109,7 @@ def summarise(scene: Scene) -> SceneSummary:
     missing += [m.mesh for m in scene.objects.models if not (scene.root / m.mesh).is_file()]
     names = {o.id: o.name for o in scene.objects.objects}
     reference = scene.root / "reference"
+    current, stale = _ground_truth_counts(scene)
     found = SceneSummary(
         root=scene.root,
         name=scene.info.name,
@@ -118,7 +128,8 @@ def summarise(scene: Scene) -> SceneSummary:
         labelled=[names[x.object] for x in labels.labels],
         propagated=[names[x.object] for x in labels.labels if x.T_world_obj is not None],
         refined=[names[x.object] for x in labels.labels if x.refined],
-        ground_truth=_ground_truth_count(scene),
+        ground_truth=current,
+        stale_ground_truth=stale,
         report=(scene.root / "check" / "report.html").is_file(),
         reference=sorted(p.name for p in reference.iterdir()) if reference.is_dir() else [],
         next_command=None,
@@ -144,7 +155,7 @@ def _next_command(found: SceneSummary) -> str | None:
         return f"std-curate label {scene} ..."
     if len(found.propagated) < len(found.labelled):
         return f"std-curate propagate {scene} --refine"
-    if found.ground_truth < (found.registered or 0):
+    if found.stale_ground_truth or found.ground_truth < (found.registered or 0):
         return f"std-curate render {scene}"
     if not found.report:
         return f"std-curate check {scene}"
@@ -177,6 +188,14 @@ def _scale_line(scene: Scene) -> str | None:
     return text
 
 
-def _ground_truth_count(scene: Scene) -> int:
-    folder = scene.root / "gt" / "info"
-    return sum((folder / f"{f.id:06d}.json").is_file() for f in scene.frames)
+def _ground_truth_counts(scene: Scene) -> tuple[int, int]:
+    """Frames with current and with outdated ground truth."""
+    from std_toolkit.rendering.ground_truth import read_frame_truth, rendered_frames
+
+    current = stale = 0
+    for frame_id in rendered_frames(scene):
+        if truth_is_current(scene, read_frame_truth(scene, frame_id)):
+            current += 1
+        else:
+            stale += 1
+    return current, stale

@@ -19,6 +19,7 @@ from std_toolkit.exporters.std import StdExporter
 from std_toolkit.geometry import SE3
 from std_toolkit.jobs import JobOptions
 from std_toolkit.scene import Labels, Scene
+from std_toolkit.scene.summary import summarise
 
 FORMATS = ["std", "bop", "nocs"]
 
@@ -134,6 +135,9 @@ def test_stale_ground_truth_is_refused(tmp_path):
     with pytest.raises(ToolkitError, match="older than the labels"):
         export_scene(Scene.open(scene.root), "std", tmp_path / "std")
     assert not (tmp_path / "std").exists()
+    told = summarise(Scene.open(scene.root))
+    assert (told.ground_truth, told.stale_ground_truth) == (0, 2)
+    assert told.next_command == f"std-curate render {scene.root}"
 
 
 def test_a_scene_without_ground_truth_is_refused(tmp_path):
