@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -45,6 +45,7 @@ STEP = "check"
 FOLDER = "check"
 _CLOSEUPS = 4
 _DEPTH_PANELS = 3
+_DRAWN_HERE = 30
 
 
 def run_check(
@@ -141,7 +142,11 @@ def _check(
 
     orders = _drawing_orders(readable, objects, options)
     drawn = run_jobs(
-        partial(draw_frame, **work), orders, name="draw", key=lambda o: str(o.frame), options=jobs
+        partial(draw_frame, **work),
+        orders,
+        name="draw",
+        key=lambda o: str(o.frame),
+        options=_drawing_jobs(jobs, len(orders)),
     )
     drawn.raise_if_failed()
     pictures: list[FramePictures] = list(drawn.results.values())
@@ -267,6 +272,14 @@ def _drawing_orders(
         DrawingOrder(i, i in whole, tuple(sorted(closeups.get(i, ()))), i in deep)
         for i in sorted(known & {*whole, *closeups})
     ]
+
+
+def _drawing_jobs(jobs: JobOptions | None, count: int) -> JobOptions | None:
+    """A few pictures are drawn sooner than new worker processes have imported their libraries."""
+    jobs = jobs or JobOptions()
+    if jobs.engine == "local" and count <= _DRAWN_HERE:
+        return replace(jobs, engine="serial")
+    return jobs
 
 
 def _even(length: int, count: int) -> list[int]:
