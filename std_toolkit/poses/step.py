@@ -274,5 +274,10 @@ def _digest(scene: Scene, options: PoseOptions, board: Path | None) -> str:
         depths,
         [scene.info.depth_scale, scene.info.depth_correction],
         annotated,
-        [[m.id, m.diameter_m] for m in scene.objects.models] if annotated else [],
+        _mesh_digests(scene) if annotated else [],
     )
+
+
+def _mesh_digests(scene: Scene) -> list[list[str]]:
+    paths = {m.id: scene.mesh_path(m) for m in scene.objects.models}
+    return [[key, digest_file(path) if path.is_file() else ""] for key, path in paths.items()]

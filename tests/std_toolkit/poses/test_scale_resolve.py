@@ -1,0 +1,103 @@
+"""Several sources of metres: reported together, contradictions stop the run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.plugins import Registry
+from std_toolkit.poses.scale import resolve
+from std_toolkit.poses.scale.resolve import resolve_scale
+from std_toolkit.poses.scale.source import ScaleContext
+from std_toolkit.scene.model import ScaleEstimate
+
+
+class Fixed:
+    name = "fixed"
+    factor = 1.0
+    present = True
+    broken = False
+
+    def available(self, context: ScaleContext) -> bool:  # noqa: ARG002 - the protocol
+        return self.present
+
+    def estimate(self, context: ScaleContext) -> ScaleEstimate:  # noqa: ARG002
+        if self.broken:
+            raise ToolkitError("nothing to see")
+        return ScaleEstimate(
+            source=self.name, factor=self.factor, spread=0.01, standard_error=0.001, count=9
+        )
+
+
+class Depth(Fixed):
+    name, factor = "depth", 1.004
+
+
+class Board(Fixed):
+    name, factor = "board", 1.0
+
+
+class Far(Fixed):
+    name, factor = "far", 1.02
+
+
+class Broken(Fixed):
+    name, broken = "broken", True
+
+
+class Absent(Fixed):
+    name, present = "absent", False
+
+
+@pytest.fixture
+def context() -> ScaleContext:
+    return ScaleContext(None, None, {}, {}, Path("x"))  # type: ignore[arg-type]
+
+
+def use(monkeypatch: pytest.MonkeyPatch, *sources: type) -> None:
+    module = Fixed.__module__
+    known = {s.name: f"{module}:{s.__name__}" for s in sources}
+    monkeypatch.setattr(resolve, "SOURCES", Registry("std_toolkit.test_sources", known))
+
+
+def test_agreeing_sources_are_all_reported_and_the_board_is_trusted(monkeypatch, context) -> None:
+    use(monkeypatch, Depth, Board, Absent)
+    factor, report = resolve_scale(context, scale="auto", max_disagreement=0.005)
+    assert factor == 1.0 and report.chosen == "board" and report.unit == "metre"
+    assert [e.source for e in report.estimates] == ["depth", "board"]
+    assert report.disagreement == pytest.approx(0.004, abs=1e-4)
+
+
+def test_contradicting_sources_stop_the_run_unless_one_is_named(monkeypatch, context) -> None:
+    use(monkeypatch, Board, Far)
+    with pytest.raises(ToolkitError, match=r"differ by .*--scale board or --scale far|--scale"):
+        resolve_scale(context, scale="auto", max_disagreement=0.005)
+    factor, report = resolve_scale(context, scale="far", max_disagreement=0.005)
+    assert factor == 1.02 and len(report.estimates) == 2
+    assert report.disagreement > 0.015
+
+
+def test_a_broken_source_stops_auto_but_not_a_named_one(monkeypatch, context) -> None:
+    use(monkeypatch, Board, Broken)
+    with pytest.raises(ToolkitError, match="nothing to see"):
+        resolve_scale(context, scale="auto", max_disagreement=0.005)
+    factor, _ = resolve_scale(context, scale="board", max_disagreement=0.005)
+    assert factor == 1.0
+
+
+def test_no_source_and_none(monkeypatch, context, caplog) -> None:
+    use(monkeypatch, Absent)
+    with caplog.at_level("WARNING", logger="std_toolkit"):
+        factor, report = resolve_scale(context, scale="auto", max_disagreement=0.005)
+    assert (factor, report.unit) == (1.0, "unknown") and "UNKNOWN" in caplog.text
+    caplog.clear()
+    _, report = resolve_scale(context, scale="none", max_disagreement=0.005)
+    assert report.unit == "unknown" and not caplog.text
+
+
+def test_a_plug_in_named_by_its_path(monkeypatch, context) -> None:
+    use(monkeypatch, Absent)
+    factor, report = resolve_scale(context, scale=f"{Far.__module__}:Far", max_disagreement=0.005)
+    assert factor == 1.02 and report.chosen.endswith(":Far")
