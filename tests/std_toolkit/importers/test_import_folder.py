@@ -260,3 +260,47 @@ def test_a_read_only_place_is_one_line(recording, tmp_path):
     with pytest.raises(ToolkitError, match="cannot") as error:
         import_recording(request(recording), out)
     assert "\n" not in str(error.value)
+
+
+def test_distortion_of_a_flag_or_a_file(recording, tmp_path):
+    asked = request(recording, distortion="0.1,-0.05,0.001,-0.001")
+    scene = import_recording(asked, tmp_path / "a")
+    assert scene.info.cameras["color"].distortion == [0.1, -0.05, 0.001, -0.001]
+    (tmp_path / "k.json").write_text(
+        '{"fx": 70, "fy": 71, "ppx": 31.5, "ppy": 23.5, "coeffs": [0.1, 0, 0, 0, 0]}'
+    )
+    scene = import_recording(request(recording, intrinsics=f"{tmp_path}/k.json"), tmp_path / "b")
+    assert scene.camera(scene.frames[0]).distortion == (0.1, 0, 0, 0, 0)
+    refused(tmp_path / "c", "0, 4, 5 or 8", request(recording, distortion="0.1,0.2"))
+
+
+def test_the_sensors_correction_is_kept_apart_from_its_numbers(recording, tmp_path):
+    scene = import_recording(request(recording, depth_correction=0.98), tmp_path / "scene")
+    stored = (scene.root / "depth/1.png").read_bytes()
+    assert stored == (recording / "depth/1.png").read_bytes()
+    assert scene.read_depth(scene.frames[0])[9, 9] == pytest.approx(0.51 * 0.98)
+    refused(tmp_path / "x", "between 0.8 and 1.25", request(recording, depth_correction=1000.0))
+
+
+class Upside:
+    """A third party's importer."""
+
+    def recognises(self, source):
+        return source is None
+
+    def read(self, asked):
+        from std_toolkit.importers.folder import FOLDER
+
+        return FOLDER.read(asked)
+
+
+def test_a_third_party_importer_is_found_by_its_path(recording, tmp_path, monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "third_party", sys.modules[__name__])
+    monkeypatch.setattr(sys.modules[__name__], "UPSIDE", Upside(), raising=False)
+    scene = import_recording(
+        request(recording), tmp_path / "scene", format_name="third_party:UPSIDE"
+    )
+    assert len(scene.frames) == 10
+    refused(tmp_path / "x", "known: folder, std", request(recording), format_name="exotic")
