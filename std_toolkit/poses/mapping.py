@@ -17,7 +17,7 @@ from std_toolkit.poses.features import Features
 from std_toolkit.poses.options import Mapper, PoseOptions, Refinement
 
 # A point is kept while its reprojection error is below this; moving people are far above.
-MAX_POINT_ERROR_PX = 3.0
+MAX_POINT_ERROR_PX = 4.0
 MIN_TRIANGULATION_DEG = 1.5
 # An image with fewer points under wide angles keeps the others too.
 MIN_WIDE_POINTS = 80
@@ -120,7 +120,7 @@ def adjust(
     options.print_summary = False
     # Huber: exact least squares for good observations, no leverage for what slipped through.
     options.ceres.loss_function_type = pycolmap.LossFunctionType.HUBER
-    options.ceres.loss_function_scale = 1.5
+    options.ceres.loss_function_scale = 3.0
     options.ceres.use_gpu = False
     options.ceres.solver_options.max_num_iterations = 30
     options.ceres.solver_options.function_tolerance = 1e-6

@@ -63,7 +63,7 @@ class PoseOptions:
     loops: int = 4
     mapper: Mapper = Mapper.INCREMENTAL
     refine: Refinement = Refinement.NONE
-    min_angle_deg: float = 15.0
+    min_angle_deg: float = 18.0
     min_points: int = 20
     scale: str = "auto"
     board: Path | None = None
