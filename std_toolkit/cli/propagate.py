@@ -24,9 +24,6 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("--keyframes", type=int, default=10, help="frames used to refine")
     parser.add_argument("--no-depth", action="store_true", help="refine with the images alone")
-    parser.add_argument(
-        "--support", action="store_true", help="objects near the table stand on it (prior)"
-    )
     parser.set_defaults(run=run)
 
 
@@ -42,7 +39,6 @@ def run(args: argparse.Namespace) -> int:
         objects=tuple(args.object) if args.object else None,
         keyframes=args.keyframes,
         use_depth=not args.no_depth,
-        use_support=args.support,
     )
     labels = propagate_labels(scene, options)
     for line in label_lines(scene, labels):

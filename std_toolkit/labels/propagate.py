@@ -31,7 +31,6 @@ class PropagateOptions:
         objects: names of the objects to work on; default: all labelled ones.
         keyframes: frames used for the refinement.
         use_depth: let sensor depth take part, on diffuse objects only.
-        use_support: let objects that were annotated within reach of the table stand on it.
     """
 
     refine: bool = False
@@ -39,7 +38,6 @@ class PropagateOptions:
     objects: tuple[str, ...] | None = None
     keyframes: int = 10
     use_depth: bool = True
-    use_support: bool = False
 
     def __post_init__(self) -> None:
         if self.refine_scale and not self.refine:

@@ -174,10 +174,10 @@ def _derivative(profile: Array32) -> Array32:
 
 
 def _peak_shift(magnitude: Array32, best: NDArray[np.intp]) -> Array:
-    """Sub-pixel distance of the step's peak from the sample `best`, within 1.5 px."""
+    """Sub-pixel distance of the step's peak from the sample `best`, within 2.5 px."""
     count = magnitude.shape[1]
     rows = np.arange(len(best))
-    around = np.clip(best[:, None] + np.array([-1, 0, 1]), 1, count - 2)
+    around = np.clip(best[:, None] + np.arange(-2, 3), 1, count - 2)
     top = around[rows, magnitude[rows[:, None], around].argmax(axis=1)]
     a, b, c = (magnitude[rows, top + k].astype(np.float64) for k in (-1, 0, 1))
     curve = a - 2 * b + c

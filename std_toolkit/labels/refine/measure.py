@@ -50,7 +50,7 @@ def coarse_to_fine(views: Sequence[RefineView], options: RefineOptions) -> list[
     widest = max(v.camera.width for v in views)
     base = min(1.0, options.largest_image / widest)
     stages = [
-        Level(scale=base, reach=5, spread=1.2, gate_m=0.012, region=0.25, region_glossy=0.0,
+        Level(scale=base, reach=6, spread=2.0, gate_m=0.012, region=0.25, region_glossy=0.0,
               along=3.0, iterations=n + 2),
         Level(scale=base, reach=8, spread=3.0, gate_m=0.02, region=0.75, region_glossy=0.0,
               along=3.0, iterations=n),
