@@ -75,6 +75,17 @@ class PoseOptions:
     threads: int | None = None
 
     def __post_init__(self) -> None:
+        # A plain string that names no member would otherwise be taken for the default.
+        for name, kind in (("mapper", Mapper), ("refine", Refinement)):
+            try:
+                object.__setattr__(self, name, kind(getattr(self, name)))
+            except ValueError as error:
+                raise ToolkitError(
+                    "unknown choice",
+                    field=name,
+                    value=getattr(self, name),
+                    hint=f"one of {', '.join(kind)}",
+                ) from error
         for name in ("keyframe_motion", "max_reprojection_px", "max_position_sigma"):
             if not getattr(self, name) > 0:
                 raise ToolkitError("must be positive", field=name, value=getattr(self, name))
