@@ -17,7 +17,7 @@ from std_toolkit.labels.pnp import PnPResult, solve_pnp
 from std_toolkit.labels.posefile import read_pose
 from std_toolkit.labels.symmetry_argument import parse_symmetry
 from std_toolkit.scene.model import Frame, SymmetryModel
-from std_toolkit.scene.names import safe_name
+from std_toolkit.scene.names import check_name, safe_name
 from std_toolkit.scene.scene import Scene
 
 
@@ -54,6 +54,7 @@ def run_label_command(scene: Scene, command: LabelCommand) -> Iterator[str]:
     Raises:
         ToolkitError: any bad input.
     """
+    check_name(command.object, field="--object")
     known = next((o for o in scene.objects.objects if o.name == command.object), None)
     if known is None and command.mesh is None and command.model is None:
         raise ToolkitError(
