@@ -1,0 +1,47 @@
+"""An error is one printable line that says where, what, and how to mend it."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import InvalidDocument
+
+
+def test_the_line_names_file_field_value_and_remedy() -> None:
+    error = ToolkitError(
+        "must be positive", path=Path("a/scene.json"), field="fx", value=-1.5, hint="check K"
+    )
+    assert str(error) == "a/scene.json: fx: must be positive (got -1.5); check K"
+    assert str(ToolkitError("no frames")) == "no frames"
+
+
+@given(st.text(), st.text(), st.text())
+def test_any_text_stays_one_printable_line(problem: str, path: str, value: str) -> None:
+    assert str(ToolkitError(problem, path=path, value=value)).isprintable()
+
+
+def test_escape_codes_in_names_do_not_reach_the_terminal() -> None:
+    assert str(ToolkitError("gone", path="\x1b[2Ja\nb")) == "\\x1b[2Ja b: gone"
+
+
+def test_long_values_are_cut_and_numbers_of_numpy_are_plain() -> None:
+    assert len(str(ToolkitError("wrong", value="x" * 10_000))) < 150
+    assert str(ToolkitError("wrong", value=np.float64(0.5))) == "wrong (got 0.5)"
+    assert str(ToolkitError("wrong", value=(np.int64(1), 2))) == "wrong (got (1, 2))"
+    assert str(ToolkitError("wrong", value=np.eye(2))) == "wrong (got [[1.0, 0.0], [0.0, 1.0]])"
+
+
+@pytest.mark.parametrize("kind", [ToolkitError, InvalidDocument])
+def test_errors_cross_process_borders(kind: type[ToolkitError]) -> None:
+    error = kind("wrong", path="p", field="f", value=[1], hint="h")
+    again = pickle.loads(pickle.dumps(error))
+    assert type(again) is kind
+    assert str(again) == str(error)
+    assert again.field == "f"

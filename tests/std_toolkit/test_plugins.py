@@ -1,0 +1,55 @@
+"""Plug-ins by name, by entry point, and by path; what cannot be loaded is one clear error."""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from std_toolkit import plugins
+from std_toolkit.errors import ToolkitError
+from std_toolkit.plugins import Registry
+
+
+@pytest.fixture
+def registry(monkeypatch: pytest.MonkeyPatch) -> Registry:
+    installed = [
+        EntryPoint("joined", "posixpath:join", "std_toolkit.tests"),
+        EntryPoint("sqrt", "math:cos", "std_toolkit.tests"),
+        EntryPoint("broken", "no_such_module:thing", "std_toolkit.tests"),
+    ]
+    monkeypatch.setattr(plugins, "entry_points", lambda **_: installed)
+    return Registry("std_toolkit.tests", {"sqrt": "math:sqrt"})
+
+
+def test_built_in_plug_ins_come_first(registry: Registry) -> None:
+    assert registry.names() == ["sqrt", "joined", "broken"]
+    assert registry.get("sqrt")(4) == 2
+
+
+def test_installed_plug_ins_and_paths_are_found(registry: Registry) -> None:
+    assert registry.get("joined")("a", "b") == "a/b"
+    assert registry.get("math:floor")(1.5) == 1
+
+
+def test_an_unknown_name_lists_the_known_ones(registry: Registry) -> None:
+    with pytest.raises(ToolkitError, match=r"no plug-in .*'cube'.*known: sqrt, joined, broken"):
+        registry.get("cube")
+
+
+@pytest.mark.parametrize("name", ["broken", "math:no_such", "math:", ":sqrt", "no_such:x", ".a:b"])
+def test_what_cannot_be_imported_is_one_error(registry: Registry, name: str) -> None:
+    with pytest.raises(ToolkitError, match="cannot import plug-in"):
+        registry.get(name)
+
+
+def test_a_plug_in_that_fails_while_imported_is_one_error(
+    registry: Registry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "failing_plugin.py").write_text("raise RuntimeError('needs a GPU')\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(ToolkitError, match="needs a GPU"):
+        registry.get("failing_plugin:thing")
+    sys.modules.pop("failing_plugin", None)
