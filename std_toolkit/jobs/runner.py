@@ -115,6 +115,9 @@ def run_jobs(
 ) -> JobReport[Result]:
     """Run `fn` on every item; one bad item never ends the run.
 
+    A script that calls this at its top level needs Python's usual
+    `if __name__ == "__main__":`, because worker processes import the script.
+
     Args:
         fn: picklable: a top-level function or a `functools.partial` of one.
         items: picklable work items.

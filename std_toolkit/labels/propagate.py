@@ -108,8 +108,9 @@ def place_label(scene: Scene, label: Label) -> Label:
     if not views:
         return bare
     name = scene.objects.object(label.object).name
+    outline = hull_vertices(scene.mesh(model.id))
     try:
-        pose = fuse_views(views, hull_vertices(scene.mesh(model.id)), model.symmetry.symmetry())
+        pose = fuse_views(views, outline, model.symmetry.symmetry())
     except ToolkitError as error:
         raise ToolkitError(
             error.problem,

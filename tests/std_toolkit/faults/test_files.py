@@ -221,6 +221,7 @@ MESHES: dict[str, Callable[[Path], Any]] = {
 def test_a_damaged_mesh_is_named(root: Path, report: Any, damage: str) -> None:
     path = root / "models/box/box.ply"
     MESHES[damage](path)
+    report(path, "propagate", root)
     report(path, "render", root, "--renderer", "raycast", "--engine", "serial")
 
 
