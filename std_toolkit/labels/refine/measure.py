@@ -51,7 +51,7 @@ def coarse_to_fine(views: Sequence[RefineView], options: RefineOptions) -> list[
     base = min(1.0, options.largest_image / widest)
     stages = [
         Level(scale=base, reach=6, spread=2.0, gate_m=0.012, region=0.25, region_glossy=0.0,
-              along=3.0, iterations=n + 2),
+              along=3.0, iterations=n + 4),
         Level(scale=base, reach=8, spread=3.0, gate_m=0.02, region=0.75, region_glossy=0.0,
               along=3.0, iterations=n),
     ]  # fmt: skip

@@ -38,7 +38,7 @@ _DEPTH_INDEPENDENT = 1.5
 _SMALLEST_EDGE_STD_PX = 0.25
 _SMALLEST_DEPTH_STD_M = 0.001
 # Steps below this (mm of the object's surface) change no label; coarse levels stop earlier.
-_SETTLED_MM = 0.03
+_SETTLED_MM = 0.06
 _SETTLED_COARSE_MM = 0.5
 
 
