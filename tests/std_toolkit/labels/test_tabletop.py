@@ -1,0 +1,121 @@
+"""Labels on a real recording: the printed board is the ruler, the mustard bottle the object."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.label import add_model, add_object, set_pose
+from std_toolkit.labels.pnp import solve_pnp
+from std_toolkit.labels.propagate import PropagateOptions, propagate_labels
+from std_toolkit.labels.refine.caster import WorldCaster, cast_patch
+from std_toolkit.labels.refine.contour import Kind, contour_image, trace_contour
+from std_toolkit.labels.refine.evidence import colour_odds, measure_edges
+from std_toolkit.labels.refine.step import load_views, scene_object
+from std_toolkit.poses.options import PoseOptions
+from std_toolkit.poses.step import estimate_poses
+from std_toolkit.scene import CameraModel, Frame, Frames, Scene, SceneInfo
+
+pytestmark = [pytest.mark.slow, pytest.mark.real]
+FIXTURE = Path(__file__).resolve().parents[2] / "data" / "mustard_tabletop.json"
+
+
+@pytest.fixture(scope="module")
+def tabletop(test_data, tmp_path_factory) -> Scene:
+    source = test_data / "tabletop_board_rgb"
+    K = json.loads((source / "cam_intrinsics.json").read_text())["K"]
+    root = tmp_path_factory.mktemp("tabletop") / "scene"
+    root.mkdir()
+    (root / "color").symlink_to(source / "color")
+    (root / "board.json").write_bytes((source / "board_mm.json").read_bytes())
+    camera = Camera(1280, 720, K[0][0], K[1][1], K[0][2], K[1][2])
+    files = sorted((source / "color").glob("*.jpg"))
+    frames = [Frame(id=i, name=f.stem, color=f"color/{f.name}") for i, f in enumerate(files)]
+    info = SceneInfo(name="tabletop", cameras={"color": CameraModel.of(camera)})
+    scene = Scene.create(root, info, Frames(frames=frames))
+    estimate_poses(scene, PoseOptions(scale="board"))
+    return scene
+
+
+class Board:
+    """Tag corners of the printed board, metres, and where a frame shows them."""
+
+    def __init__(self, path: Path) -> None:
+        tags = json.loads(path.read_text())
+        self.tags = {int(k): np.array(v) / 1000 for k, v in tags.items() if k.isdigit()}
+        parameters = cv2.aruco.DetectorParameters()
+        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+        dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+        self.detector = cv2.aruco.ArucoDetector(dictionary, parameters)
+
+    def see(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        found, ids, _ = self.detector.detectMarkers(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+        pairs = [
+            (self.tags[int(i)], c[0])
+            for i, c in zip(ids.ravel() if ids is not None else (), found, strict=False)
+            if int(i) in self.tags
+        ]
+        if len(pairs) < 4:
+            return np.zeros((0, 3)), np.zeros((0, 2))
+        X, uv = (np.concatenate(part).astype(float) for part in zip(*pairs, strict=True))
+        # A misread tag would count as an error of the label.
+        _, good = cv2.findHomography(X[:, :2], uv, cv2.RANSAC, 4.0)
+        keep = good.ravel() > 0
+        return X[keep], uv[keep]
+
+
+def test_the_board_annotated_in_one_frame_fits_in_all(tabletop, tmp_path):
+    board = Board(tabletop.root / "board.json")
+    (tmp_path / "board.obj").write_text(
+        "v 0 0 0\nv 0.594 0 0\nv 0.594 0.841 0\nv 0 0.841 0\nf 1 3 2\nf 1 4 3\n"
+    )
+    add_model(tabletop, tmp_path / "board.obj", category="board")
+    thing = add_object(tabletop, "board", model="board")
+    first = tabletop.frames[0]
+    X, uv = board.see(tabletop.read_color(first))
+    set_pose(tabletop, "board", first.id, solve_pnp(X, uv, tabletop.camera(first)).T_cam_obj)
+    propagate_labels(tabletop, PropagateOptions(objects=("board",)))
+    errors = []
+    for frame in tabletop.registered_frames():
+        X, uv = board.see(tabletop.read_color(frame))
+        T = tabletop.T_cam_obj(frame.id, thing.id)
+        errors.append(np.linalg.norm(tabletop.camera(frame).project(T @ X) - uv, axis=1))
+    assert len(errors) >= 75
+    assert np.median(np.concatenate(errors)) <= 1.5
+
+
+def test_the_bottle_annotated_in_one_frame_keeps_its_contour(tabletop, test_data):
+    known = json.loads(FIXTURE.read_text())
+    mesh = test_data / "ycb_meshes" / known["mesh"] / "textured.obj"
+    add_model(tabletop, mesh, category="bottle", model_id="mustard")
+    thing = add_object(tabletop, "mustard", model="mustard")
+    first = next(f for f in tabletop.frames if f.name == known["first"])
+    set_pose(tabletop, "mustard", first.id, SE3.from_matrix(known["views"][first.name]))
+    propagate_labels(tabletop, PropagateOptions(objects=("mustard",), refine=True, keyframes=12))
+    pose = tabletop.T_world_obj(thing.id)
+    model = scene_object(tabletop, thing.id, pose)
+    caster = WorldCaster([model], [pose])
+    medians = []
+    for view in load_views(tabletop, tabletop.registered_frames()[::3]):
+        patch = cast_patch(caster, model, pose, view.camera, view.T_world_cam, margin=20)
+        if patch is None:
+            continue
+        contour = trace_contour(caster, patch, 0, view.camera, view.T_world_cam)
+        if contour is None:
+            continue
+        edges = measure_edges(
+            view.color, patch, contour, colour_odds(view.color, patch, 0, margin=16),
+            reach=12, along=3, spread=4, taken=contour_image(patch),
+        )  # fmt: skip
+        clear = (contour.kind == Kind.SILHOUETTE) & (edges.weight > 0.2)
+        if clear.sum() >= 50:
+            medians.append(np.median(np.abs(edges.offset[clear])))
+    assert len(medians) >= 15
+    assert np.median(medians) <= 2.0
+    assert np.percentile(medians, 80) <= 2.0
