@@ -16,6 +16,8 @@ import pytest
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions, run_jobs
 
+# Ray may guard clusters by a token in the home folder; these two talk on this machine only.
+os.environ["RAY_AUTH_MODE"] = "disabled"
 ray = pytest.importorskip("ray", reason="needs the extra [cluster]")
 pytestmark = pytest.mark.slow
 # Workers find installed packages, as the toolkit is; this test's own functions are sent along.
