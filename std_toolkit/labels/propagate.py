@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ from std_toolkit.io.atomic import sweep_temporaries
 from std_toolkit.labels.fuse import AnnotatedView, fuse_views
 from std_toolkit.labels.label import annotated_views, without_derived
 from std_toolkit.log import logger
+from std_toolkit.scene.metres import require_metres
 from std_toolkit.scene.model import Label, Labels
 from std_toolkit.scene.provenance import digest_file, digest_of, is_fresh, write_record
 from std_toolkit.scene.scene import Scene
@@ -56,12 +58,13 @@ def propagate_labels(scene: Scene, options: PropagateOptions | None = None) -> L
     the same inputs is skipped.
 
     Raises:
-        ToolkitError: no camera poses, no labels, an unknown object, or no label that was
-            annotated in a registered frame.
+        ToolkitError: no camera poses, poses of unknown unit, no labels, an unknown object, or no
+            label that was annotated in a registered frame.
     """
     options = options or PropagateOptions()
     with scene.lock():
         sweep_temporaries(scene.root)
+        require_metres(scene)
         chosen = _chosen_labels(scene, options)
         digest = _digest(scene, chosen, options)
         if is_fresh(scene.root, STEP, digest):
@@ -80,19 +83,26 @@ def propagate_labels(scene: Scene, options: PropagateOptions | None = None) -> L
                 path=scene.root,
                 hint="annotate in a frame that `std-curate trajectory` lists as registered",
             )
+        scale: AbstractContextManager[None] = nullcontext()
         if options.refine:
             from std_toolkit.labels.refine.step import refine_labels
 
-            placed = refine_labels(scene, placed, options)
+            refined = refine_labels(scene, placed, options)
+            placed = refined.labels
+            if options.refine_scale:
+                from std_toolkit.labels.refine.rescale import rescaled_poses
+
+                scale = rescaled_poses(scene, refined.scale, refined.scale_std)
         labels = Labels(labels=[placed.get(x.object, x) for x in scene.labels.labels])
-        scene.save_labels(labels)
-        write_record(
-            scene.root,
-            STEP,
-            _digest(scene, chosen, options),
-            outputs=[scene.root / "labels.json"],
-            parameters=_parameters(options),
-        )
+        with scale:
+            scene.save_labels(labels)
+            write_record(
+                scene.root,
+                STEP,
+                _digest(scene, chosen, options),
+                outputs=[scene.root / "labels.json"],
+                parameters=_parameters(options),
+            )
     return labels
 
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,7 +10,6 @@ import numpy as np
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
-from std_toolkit.io.atomic import atomic_path, sweep_temporaries
 from std_toolkit.jobs import JobOptions
 from std_toolkit.log import logger
 from std_toolkit.poses.gate import pose_gates
@@ -55,7 +51,9 @@ def estimate_poses(
         if is_fresh(scene.root, STEP, digest) and scene.poses is not None:
             logger.info("camera poses: up to date")
             return scene.poses
-        with _work_folder(scene.root) as work:
+        from std_toolkit.poses.publish import work_folder
+
+        with work_folder(scene.root) as work:
             return _run(scene, options, jobs, board, digest, work)
 
 
@@ -65,24 +63,6 @@ def board_file(scene: Scene, options: PoseOptions) -> Path | None:
         return options.board
     own = scene.root / "board.json"
     return own if own.is_file() else None
-
-
-def require_metres(scene: Scene) -> None:
-    """Refuse poses of unknown unit; for every step that mixes poses with metric things.
-
-    Raises:
-        ToolkitError: the scene's poses come from a run without any source of metres.
-    """
-    poses = scene.poses
-    if poses is not None and poses.scale is not None and poses.scale.unit != "metre":
-        raise ToolkitError(
-            "the unit of these camera poses is unknown",
-            path=scene.root / "poses.json",
-            field="scale.unit",
-            value=poses.scale.unit,
-            hint="run `std-curate poses` with a scale source (sensor depth, --board FILE, or an "
-            "object annotated in two or more frames)",
-        )
 
 
 def failed_gates(poses: CameraPoses) -> list[str]:
@@ -102,12 +82,15 @@ def _run(
     digest: str,
     work: Path,
 ) -> CameraPoses:
+    from std_toolkit.poses.colmap import quiet_colmap
     from std_toolkit.poses.model import place_in_world
+    from std_toolkit.poses.publish import publish_model
     from std_toolkit.poses.reconstruct import adjusted_cameras, reconstruct
     from std_toolkit.poses.scale.resolve import resolve_scale
     from std_toolkit.poses.scale.source import ScaleContext
 
     cache = scene.root / ".std" / "poses"
+    cache.mkdir(parents=True, exist_ok=True)
     done = reconstruct(scene, cache, work, options=options, jobs=jobs)
     image_ids = done.image_ids(scene.frames)
     context = ScaleContext(scene, done.model, image_ids, done.cameras(), board)
@@ -138,7 +121,9 @@ def _run(
         source="sfm",
         notes=notes,
     )
-    outputs = _publish_model(scene.root, done.model, work)
+    with quiet_colmap():
+        done.model.extract_colors_for_all_images(scene.root)
+    outputs = publish_model(scene.root, done.model, work)
     scene.save_poses(poses)
     write_record(
         scene.root,
@@ -184,44 +169,6 @@ def _frame_poses(
         )
     every = np.concatenate(depths) if depths else np.zeros(0)
     return poses, float(np.median(every)) if len(every) else 0.0
-
-
-def _publish_model(root: Path, model: Any, work: Path) -> list[Path]:
-    """COLMAP model and point cloud beside poses.json; the record knows whether all arrived."""
-    from std_toolkit.poses.colmap import quiet_colmap
-
-    fresh = work / "sparse"
-    fresh.mkdir()
-    with quiet_colmap():
-        model.extract_colors_for_all_images(root)
-        model.write(fresh)
-        model.export_PLY(work / "points.ply")
-    target = root / "poses" / "sparse"
-    outputs = [_move(path, target / path.name) for path in sorted(fresh.iterdir())]
-    outputs.append(_move(work / "points.ply", root / "poses" / "points.ply"))
-    return outputs
-
-
-def _move(source: Path, target: Path) -> Path:
-    with atomic_path(target) as temporary:
-        source.replace(temporary)
-    return target
-
-
-@contextmanager
-def _work_folder(root: Path) -> Iterator[Path]:
-    """An empty folder; what a killed run left in it and beside it is removed first."""
-    work = root / ".std" / "work" / STEP
-    shutil.rmtree(work, ignore_errors=True)
-    sweep_temporaries(root / ".std" / "poses")
-    if (root / "poses").is_dir():
-        sweep_temporaries(root / "poses")
-    work.mkdir(parents=True)
-    (root / ".std" / "poses").mkdir(exist_ok=True)
-    try:
-        yield work
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
 
 
 def _width(jobs: JobOptions, options: PoseOptions) -> JobOptions:

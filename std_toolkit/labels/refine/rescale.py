@@ -2,26 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 import msgspec
 
 from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.poses.publish import rescale_model
 from std_toolkit.scene.model import FramePose, ScaleEstimate, ScaleReport, pose_from_list
-from std_toolkit.scene.provenance import Record, digest_file, record_path
+from std_toolkit.scene.provenance import Record, digest_file, is_fresh, record_path
 from std_toolkit.scene.scene import Scene
 
 SOURCE = "objects"
 
 
-def rescale_poses(scene: Scene, factor: float, standard_error: float) -> None:
-    """Write poses.json with all camera positions times `factor`; the caller holds the lock.
+@contextmanager
+def rescaled_poses(scene: Scene, factor: float, standard_error: float) -> Iterator[None]:
+    """Multiply all camera positions and the reconstruction by `factor`; the caller holds the lock.
 
-    The scale report gains an estimate called "objects". The record of the step that made the
-    poses is brought up to date, so that a pipeline does not take them for tampered with and
-    recover them again in the old scale.
+    The scale report of poses.json gains an estimate called "objects". When the block, in which the
+    labels of the new scale are saved, ends well, the record of the step that made the poses is
+    brought up to date: a pipeline then does not take them for tampered with. A run killed before
+    that finds a record that does not fit, and recovers the poses again.
     """
+    intact = _intact_records(scene.root)
     poses = scene.poses
     assert poses is not None
-    frames = [_rescaled(f, factor) for f in poses.frames]
+    rescale_model(scene.root, factor)
     report = poses.scale or ScaleReport(unit="metre", chosen="given")
     before = next((e.factor for e in report.estimates if e.source == report.chosen), 1.0)
     estimate = ScaleEstimate(
@@ -34,10 +42,22 @@ def rescale_poses(scene: Scene, factor: float, standard_error: float) -> None:
     )
     others = [e for e in report.estimates if e.source != SOURCE]
     scale = msgspec.structs.replace(report, chosen=SOURCE, estimates=[*others, estimate])
-    path = scene.root / "poses.json"
-    old = digest_file(path)
+    frames = [_rescaled(f, factor) for f in poses.frames]
     scene.save_poses(msgspec.structs.replace(poses, frames=frames, scale=scale))
-    _renew_records(scene, old, digest_file(path))
+    yield
+    for path, record in intact:
+        outputs = {name: digest_file(scene.root / name) for name in record.outputs}
+        write_document(path, msgspec.structs.replace(record, outputs=outputs))
+
+
+def _intact_records(root: Path) -> list[tuple[Path, Record]]:
+    """Records of steps that wrote poses.json and whose outputs nobody changed since."""
+    found = []
+    for path in sorted(record_path(root, "x").parent.glob("*.json")):
+        record = read_document(path, Record)
+        if "poses.json" in record.outputs and is_fresh(root, path.stem, record.digest):
+            found.append((path, record))
+    return found
 
 
 def _rescaled(frame: FramePose, factor: float) -> FramePose:
@@ -54,11 +74,3 @@ def _rescaled(frame: FramePose, factor: float) -> FramePose:
             frame.covariance[6 * i + j] * size[i] * size[j] for i in range(6) for j in range(6)
         ]
     return msgspec.structs.replace(frame, T_world_cam=pose, covariance=covariance)
-
-
-def _renew_records(scene: Scene, old: str, new: str) -> None:
-    for path in sorted(record_path(scene.root, "x").parent.glob("*.json")):
-        record = read_document(path, Record)
-        if record.outputs.get("poses.json") == old:
-            outputs = {**record.outputs, "poses.json": new}
-            write_document(path, msgspec.structs.replace(record, outputs=outputs))

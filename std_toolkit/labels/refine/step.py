@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -17,7 +18,6 @@ from std_toolkit.labels.refine.problem import (
     RefineResult,
     RefineView,
 )
-from std_toolkit.labels.refine.rescale import rescale_poses
 from std_toolkit.labels.refine.solver import refine_poses
 from std_toolkit.log import logger
 from std_toolkit.scene.model import Frame, Label, pose_from_list
@@ -27,13 +27,28 @@ if TYPE_CHECKING:
     from std_toolkit.labels.propagate import PropagateOptions
 
 
+@dataclass(frozen=True)
+class RefinedLabels:
+    """Refined labels and the scale they were found in.
+
+    Attributes:
+        labels: by object id.
+        scale: factor on the positions of the camera poses; 1 unless asked for.
+        scale_std: standard deviation of the factor.
+    """
+
+    labels: dict[int, Label]
+    scale: float
+    scale_std: float
+
+
 def refine_labels(
     scene: Scene, labels: Mapping[int, Label], options: PropagateOptions
-) -> dict[int, Label]:
-    """Labels with refined world poses; the caller holds the scene's lock.
+) -> RefinedLabels:
+    """Labels with refined world poses; the caller saves them while holding the scene's lock.
 
     Labels of the scene that are not among `labels` take part as occluders and keep their poses.
-    With `refine_scale` the scene's camera poses are written anew in the refined scale.
+    With `refine_scale` they fit camera poses multiplied by `RefinedLabels.scale`.
 
     Args:
         labels: by object id, placed in the world; those without a world pose are passed through.
@@ -60,8 +75,6 @@ def refine_labels(
         RefineOptions(use_depth=options.use_depth, refine_scale=options.refine_scale),
     )
     _report(result)
-    if options.refine_scale:
-        rescale_poses(scene, result.scale, result.scale_std)
     refined = dict(labels)
     for i, found in zip(sorted(everything), result.objects, strict=True):
         if i not in placed:
@@ -78,7 +91,7 @@ def refine_labels(
             covariance=[float(x) for x in found.covariance.ravel()],
             weak_direction=found.weak_direction,
         )
-    return refined
+    return RefinedLabels(refined, result.scale, result.scale_std)
 
 
 def load_views(scene: Scene, frames: list[Frame], *, use_depth: bool = True) -> list[RefineView]:

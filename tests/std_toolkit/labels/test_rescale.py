@@ -1,0 +1,73 @@
+"""A refined scale reaches everything that is in metres, and the pipeline takes it for done."""
+
+from __future__ import annotations
+
+import numpy as np
+import pycolmap
+import pytest
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.labels.label import add_model, add_object, set_pose
+from std_toolkit.labels.propagate import propagate_labels
+from std_toolkit.labels.refine.rescale import rescaled_poses
+from std_toolkit.poses.publish import SPARSE, publish_model, work_folder
+from std_toolkit.scene import Scene
+from std_toolkit.scene.model import ScaleReport
+from std_toolkit.scene.provenance import is_fresh, write_record
+
+FACTOR = 0.98
+
+
+@pytest.fixture
+def reconstructed(scene):
+    """The scene with a published COLMAP model and the record of the step that made it."""
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_points3D = 20
+    model = pycolmap.synthesize_dataset(options)
+    with work_folder(scene.root) as work:
+        written = publish_model(scene.root, model, work)
+    outputs = [scene.root / "poses.json", *written]
+    write_record(scene.root, "poses", "digest", outputs=outputs, parameters={})
+    return scene
+
+
+def test_cameras_and_points_are_scaled_alike(reconstructed):
+    before = pycolmap.Reconstruction(reconstructed.root / SPARSE)
+    centre = reconstructed.T_world_cam(1).t
+    with rescaled_poses(reconstructed, FACTOR, 0.001):
+        pass
+    after = pycolmap.Reconstruction(reconstructed.root / SPARSE)
+    scene = Scene.open(reconstructed.root)
+    assert np.allclose(scene.T_world_cam(1).t, FACTOR * centre)
+    for key, point in before.points3D.items():
+        assert np.allclose(after.points3D[key].xyz, FACTOR * point.xyz)
+    for key, image in before.images.items():
+        assert np.allclose(
+            after.images[key].projection_center(), FACTOR * image.projection_center()
+        )
+    estimate = scene.poses.scale.estimates[-1]
+    assert (scene.poses.scale.chosen, estimate.source) == ("objects", "objects")
+
+
+def test_the_step_that_made_the_poses_stays_done(reconstructed):
+    with rescaled_poses(reconstructed, FACTOR, 0.001):
+        assert not is_fresh(reconstructed.root, "poses", "digest")
+    assert is_fresh(reconstructed.root, "poses", "digest")
+
+
+def test_a_run_that_dies_in_between_recovers_the_poses_again(reconstructed):
+    with pytest.raises(KeyboardInterrupt), rescaled_poses(reconstructed, FACTOR, 0.001):
+        raise KeyboardInterrupt
+    assert not is_fresh(reconstructed.root, "poses", "digest")
+
+
+def test_poses_of_unknown_unit_carry_no_labels(scene, box_path):
+    import msgspec
+
+    add_model(scene, box_path)
+    add_object(scene, "box", model="box")
+    set_pose(scene, "box", 0, scene.T_world_cam(0))
+    unknown = ScaleReport(unit="unknown", chosen="none")
+    scene.save_poses(msgspec.structs.replace(scene.poses, scale=unknown))
+    with pytest.raises(ToolkitError, match="unit of these camera poses is unknown"):
+        propagate_labels(scene)
