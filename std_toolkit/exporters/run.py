@@ -5,6 +5,8 @@ from __future__ import annotations
 from functools import lru_cache, partial
 from pathlib import Path
 
+import msgspec
+
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters.frame_maps import check_fresh, color_camera
@@ -196,7 +198,7 @@ def _close(
         ],
         models=models,
         objects=_objects(target),
-        labels=Labels(labels=[x for x in scene.labels.labels if x.object in target.object_ids]),
+        labels=_labels(target, rows),
         poses=_poses(scene, exported),
         visibility=list(policies.values()),
         quaternion=exporter.quaternion(target),
@@ -230,6 +232,27 @@ def _objects(target: Target) -> ObjectTable:
         models=[m for m in table.models if m.id in target.model_ids],
         objects=[o for o in table.objects if o.id in target.object_ids],
     )
+
+
+def _labels(target: Target, rows: list[FrameRow]) -> Labels:
+    """The labels of the exported objects, told in exported frames only.
+
+    One whose annotated frame stays behind moves to a further annotated view or, without one, to
+    the first exported frame with a pose of the object: labels of unknown frames are no labels.
+    """
+    poses = {r.frame.id: {o.object: o.T_cam_obj for o in r.frame.objects} for r in rows}
+    kept = []
+    for label in target.scene.labels.labels:
+        if label.object not in target.object_ids:
+            continue
+        views = {key: T for key, T in label.views.items() if int(key) in poses}
+        frame, T_cam_obj = label.frame, label.T_cam_obj
+        if frame not in poses:
+            shown = (f for f, objects in poses.items() if label.object in objects)
+            frame = min(map(int, views)) if views else next(shown)
+            T_cam_obj = views.pop(str(frame), poses[frame][label.object])
+        kept.append(msgspec.structs.replace(label, frame=frame, T_cam_obj=T_cam_obj, views=views))
+    return Labels(labels=kept)
 
 
 def _poses(scene: Scene, exported: set[int]) -> CameraPoses | None:

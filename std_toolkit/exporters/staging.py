@@ -148,14 +148,13 @@ def file_digests(staging: Path) -> dict[str, str]:
 
 def _put_in_place(staging: Path, out: Path) -> None:
     shutil.rmtree(staging / PROGRESS, ignore_errors=True)
-    old = None
+    old = out.with_name(f".{out.name}.replaced")
+    # Also what a run left that was killed between the two moves below.
+    shutil.rmtree(old, ignore_errors=True)
     if out.is_dir() and any(out.iterdir()):
-        old = out.with_name(f".{out.name}.replaced")
-        shutil.rmtree(old, ignore_errors=True)
         out.rename(old)
     staging.rename(out)
-    if old is not None:
-        shutil.rmtree(old, ignore_errors=True)
+    shutil.rmtree(old, ignore_errors=True)
     descriptor = os.open(out.parent, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.exporters.sidecar import Sidecar, find_sidecar
+from std_toolkit.exporters.sidecar import ExportedFrame, Sidecar, find_sidecar
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.importers.bop_documents import BopScene, CameraRow, read_bop_scene
@@ -39,8 +39,10 @@ class BopImporter:
         sidecar = None if found is None else found[0]
         cameras, camera_of = _cameras(scene, sidecar)
         depth_scale = _common_depth_scale(scene)
+        told = {} if sidecar is None else {f.id: f for f in sidecar.frames}
         frames = tuple(
-            _frame(scene, im_id, camera_of[im_id], sidecar) for im_id in sorted(scene.cameras)
+            _frame(scene, im_id, camera_of[im_id], told.get(im_id))
+            for im_id in sorted(scene.cameras)
         )
         top = request.models.parent if request.models is not None else folder.parent.parent
         models, centres = read_models(
@@ -120,12 +122,13 @@ def _cameras(
 ) -> tuple[dict[str, CameraModel], dict[int, str]]:
     """Distinct cameras by id, and the camera id of every image."""
     named = {} if sidecar is None else {f.id: f.camera for f in sidecar.frames}
-    by_values: dict[tuple[float, ...], str] = {}
+    by_values: dict[tuple[str | float, ...], str] = {}
     cameras: dict[str, CameraModel] = {}
     camera_of: dict[int, str] = {}
     for im_id, row in sorted(scene.cameras.items()):
         size = image_size(_color_path(scene.folder, im_id))
-        values = (*size, *row.intrinsics)
+        # Two cameras of the sidecar stay two, equal numbers or not.
+        values = (named.get(im_id, ""), *size, *row.intrinsics)
         if values not in by_values:
             key = named.get(im_id) or ("color" if not by_values else f"color_{len(by_values)}")
             by_values[values] = key
@@ -155,8 +158,7 @@ def _common_depth_scale(scene: BopScene) -> float | None:
     return None
 
 
-def _frame(scene: BopScene, im_id: int, camera: str, sidecar: Sidecar | None) -> SourceFrame:
-    row = None if sidecar is None else next((f for f in sidecar.frames if f.id == im_id), None)
+def _frame(scene: BopScene, im_id: int, camera: str, row: ExportedFrame | None) -> SourceFrame:
     name = f"{im_id:06d}" if row is None else row.name
     depth = _depth_path(scene.folder, im_id)
     return SourceFrame(

@@ -5,17 +5,21 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from same_scene import assert_same_scene
+from same_scene import assert_same_scene, same_pose
 from scene_factory import MODELS_OF, SERIAL, make_scene
 
 from std_toolkit.exporters import export_scene
 from std_toolkit.geometry import SE3, so3_exp
 from std_toolkit.importers import ImportRequest, import_recording
+from std_toolkit.io.documents import write_document
 from std_toolkit.rendering.ground_truth import rendered_frames
+from std_toolkit.scene import Frames, Scene
+from std_toolkit.scene.model import pose_from_list
 
 # 16-bit millimetres, and what float32 holds of a metre.
 DEPTH_ROUNDING = {"std": 1e-6, "bop": 1e-6, "nocs": 0.51e-3}
@@ -94,3 +98,37 @@ def test_export_of_the_imported_scene_is_byte_identical(name, tmp_path):
     assert pictures
     same = [n for n in pictures if first.files[n] == second.files[n]]
     assert same == pictures
+
+
+@pytest.mark.parametrize("name", ["std", "bop", "nocs"])
+def test_an_export_without_the_annotated_frame_can_be_imported(name, tmp_path):
+    from std_toolkit.rendering.step import RenderOptions, render_ground_truth
+
+    scene = make_scene(tmp_path / "scene", frames=3, render=False)
+    options = RenderOptions(renderer="raycast", policy="models")
+    render_ground_truth(scene, options, frames=[2, 4], jobs=SERIAL).raise_if_failed()
+    export_scene(scene, name, tmp_path / "export", jobs=SERIAL)
+    request = ImportRequest(source=tmp_path / "export", name="again")
+    again = import_recording(request, tmp_path / "again")
+    assert [x.frame for x in scene.labels.labels] == [0, 0, 0]
+    for label in again.labels.labels:
+        assert label.frame == 2
+        same_pose(pose_from_list(label.T_cam_obj), scene.T_cam_obj(2, label.object))
+        same_pose(again.T_cam_obj(4, label.object), scene.T_cam_obj(4, label.object))
+
+
+def test_cameras_of_equal_intrinsics_stay_two(tmp_path):
+    scene = make_scene(tmp_path / "scene", frames=2)
+    info, frames = scene.info, list(scene.frames)
+    cameras = {"left": info.cameras["color"], "right": info.cameras["color"]}
+    scene_file, frame_file = scene.root / "scene.json", scene.root / "frames.json"
+    write_document(scene_file, msgspec.structs.replace(info, cameras=cameras))
+    pairs = zip(frames, ("left", "right"), strict=True)
+    rows = [msgspec.structs.replace(f, camera=key) for f, key in pairs]
+    write_document(frame_file, Frames(frames=rows))
+    scene = Scene.open(scene.root)
+    for name in ("std", "bop", "nocs"):
+        export_scene(scene, name, tmp_path / name, jobs=SERIAL)
+        request = ImportRequest(source=tmp_path / name, name="again")
+        again = import_recording(request, tmp_path / f"again_{name}")
+        assert [f.camera for f in again.frames] == ["left", "right"]
