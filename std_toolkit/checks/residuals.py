@@ -31,10 +31,8 @@ from std_toolkit.rendering.ground_truth import (
     read_ground_truth,
 )
 from std_toolkit.scene import Frame, Scene
+from std_toolkit.scene.freshness import truth_is_current
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
-
-# Ground truth was rendered from these labels when its poses agree to this.
-_SAME_POSE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +166,7 @@ def look(scene: Scene, caster: LabelCaster, frame: Frame) -> View:
     state = "none"
     if info_path(scene.root, frame.id).is_file():
         truth = read_ground_truth(scene, frame.id)
-        state = "current" if _is_current(scene, frame, truth) else "stale"
+        state = "current" if truth_is_current(scene, truth.info) else "stale"
     return View(
         frame,
         camera,
@@ -269,16 +267,3 @@ def _observe_object(
 def _grid(x0: int, y0: int, x1: int, y1: int) -> NDArray[np.float64]:
     v, u = np.mgrid[y0:y1, x0:x1]
     return np.stack([u, v], axis=-1).astype(np.float64)
-
-
-def _is_current(scene: Scene, frame: Frame, truth: GroundTruth) -> bool:
-    """Whether the ground truth was rendered from the labels and poses of now."""
-    rows = {row.object: row for row in truth.info.objects}
-    for label in scene.labels.labels:
-        now = scene.T_cam_obj(frame.id, label.object)
-        if now is None:
-            continue
-        row = rows.get(label.object)
-        if row is None or not np.allclose(row.T_cam_obj, now.flat(), atol=_SAME_POSE):
-            return False
-    return True

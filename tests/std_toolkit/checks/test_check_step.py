@@ -273,6 +273,9 @@ def test_ground_truth_is_used_while_it_fits_the_labels(make_scene: MakeScene) ->
     assert {f.truth for f in stale.frames} == {"stale"}
     assert any("rendered from other labels" in w.problem for w in stale.warnings)
     assert stale.summary.truth_source == "labels cast here"
+    # What a label that is gone hid is still hidden in it.
+    scene.save_labels(Labels(labels=[x for x in scene.labels.labels if x.object != label.object]))
+    assert {f.truth for f in check(scene).frames} == {"stale"}
 
 
 def test_things_no_label_covers_are_left_out(make_scene: MakeScene) -> None:
