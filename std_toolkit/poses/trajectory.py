@@ -30,7 +30,7 @@ def write_trajectory(scene: Scene, out: Path, *, format: str = "csv") -> None:
         format: one of `FORMATS`.
 
     Raises:
-        ToolkitError: no poses, poses of unknown unit in a metric format, or a folder in use.
+        ToolkitError: no poses, a folder in use, or a lens that the format cannot tell.
     """
     if format not in FORMATS:
         raise ToolkitError(
@@ -140,7 +140,15 @@ def _write_nerf(scene: Scene, out: Path) -> None:
         if T is None:
             continue
         camera = scene.camera(frame)
-        k = [*camera.distortion, *([0.0] * (4 - min(4, len(camera.distortion))))]
+        k = [*camera.distortion, *([0.0] * (8 - len(camera.distortion)))]
+        if any(k[5:]):
+            raise ToolkitError(
+                "transforms.json has no place for the coefficients k4, k5 and k6",
+                path=scene.root / "scene.json",
+                field=f"cameras.{frame.camera}.distortion",
+                value=list(camera.distortion),
+                hint="use --format colmap",
+            )
         frames.append(
             {
                 "file_path": frame.color,
@@ -155,6 +163,7 @@ def _write_nerf(scene: Scene, out: Path) -> None:
                 "k2": k[1],
                 "p1": k[2],
                 "p2": k[3],
+                "k3": k[4],
             }
         )
     document = {"camera_model": "OPENCV", "frames": frames}

@@ -115,3 +115,17 @@ def test_no_poses(tmp_path: Path) -> None:
         write_trajectory(scene, tmp_path / "x.csv")
     with pytest.raises(ToolkitError, match="unknown trajectory format"):
         write_trajectory(scene, tmp_path / "x.csv", format="xyz")
+
+
+def test_nerf_tells_the_whole_lens_or_refuses_it(scene: Scene, tmp_path: Path) -> None:
+    out = tmp_path / "transforms.json"
+    for distortion in [(0.1, 0.02, 0.0, 0.001, -0.03), (0.1, 0.02, 0, 0, 0.01, 0.2, 0, 0)]:
+        camera = Camera(64, 48, 60.0, 61.0, 31.0, 24.0, distortion)
+        scene.save_info(SceneInfo(name="s", cameras={"color": CameraModel.of(camera)}))
+        if len(distortion) == 5:
+            write_trajectory(scene, out, format="nerf")
+            frame = json.loads(out.read_text())["frames"][0]
+            assert [frame[k] for k in ("k1", "k2", "p1", "p2", "k3")] == list(distortion)
+        else:
+            with pytest.raises(ToolkitError, match="k4, k5 and k6"):
+                write_trajectory(scene, out, format="nerf")
