@@ -155,6 +155,8 @@ def reconstruct(
         model.write(fresh / "sparse")
         write_document(fresh / "about.json", about)
         for old in cache.glob("model-*"):
+            # First what marks it as whole: this may be interrupted.
+            (old / "about.json").unlink(missing_ok=True)
             shutil.rmtree(old)
         fresh.replace(stored)
     else:
@@ -232,14 +234,14 @@ def _build(
     )
     index.save(work / "index.npz")
     registered = {image_id_of(f): f for f in keyframes if _has_pose(model, f)}
-    rest = [f for f in frames if image_id_of(f) not in registered and f.camera in intrinsics]
+    rest = {
+        order: f
+        for order, f in enumerate(frames)
+        if image_id_of(f) not in registered and f.camera in intrinsics
+    }
     logger.info("camera poses: registering %d further frames", len(rest))
     report = register_frames(
-        [
-            RegistrationJob(names[f.id], order, intrinsics[f.camera])
-            for order, f in enumerate(frames)
-            if f in rest
-        ],
+        [RegistrationJob(names[f.id], order, intrinsics[f.camera]) for order, f in rest.items()],
         work / "index.npz",
         features,
         min_points=options.min_points,
@@ -247,11 +249,11 @@ def _build(
         options=jobs,
     )
     report.raise_if_failed()
-    for frame in rest:
+    for frame in rest.values():
         found: Registration | None = report.results[names[frame.id]]
         if found is None:
             continue
-        _drop(model, frame)
+        _check_absent(model, frame)
         add_image(
             model,
             image_id=image_id_of(frame),
@@ -267,6 +269,7 @@ def _build(
         threads=options.threads,
         min_angle_deg=options.min_angle_deg,
     )
+    _unregister_unseen(model, min_points=options.min_points)
     about = Reconstruction(
         keyframes=[f.id for f in keyframes],
         camera_ids=mapping.camera_ids,
@@ -280,10 +283,17 @@ def _has_pose(model: Any, frame: Frame) -> bool:
     return bool(model.exists_image(number) and model.image(number).has_pose)
 
 
-def _drop(model: Any, frame: Frame) -> None:
-    """Make room for a keyframe that mapping left out and registration found a pose for."""
-    number = image_id_of(frame)
-    if model.exists_image(number):
+def _unregister_unseen(model: Any, *, min_points: int) -> None:
+    """Take the pose from images to which the adjustment left too few points to hold it."""
+    for number in list(model.reg_image_ids()):
+        image = model.image(number)
+        if image.num_points3D < min_points:
+            model.deregister_frame(image.frame_id)
+
+
+def _check_absent(model: Any, frame: Frame) -> None:
+    """Mappers drop the images that they could not place; one left would be in the model twice."""
+    if model.exists_image(image_id_of(frame)):
         raise ToolkitError("image is in the model without a pose", value=frame.color)
 
 

@@ -77,6 +77,11 @@ def scale_from_known_points(
     singles = [s for s in (_refit(v, fit) for v in _subsets(views)) if s is not None]
     left_out = [s for s in (_refit(v, fit) for v in _folds(views)) if s is not None]
     n = len(left_out)
+    if n == 0:
+        raise ToolkitError(
+            "the views of known points contradict each other: no part of them tells the scale",
+            value=f"{len(views)} views",
+        )
     variance = (n - 1) / n * float(((np.array(left_out) - np.mean(left_out)) ** 2).sum())
     q1, q3 = np.percentile(singles, [25, 75]) if singles else (fit.scale, fit.scale)
     return ScaleEstimate(
