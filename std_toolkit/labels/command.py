@@ -96,7 +96,7 @@ def _enter_object(
             scene,
             command.mesh,
             mesh_unit=command.mesh_unit,
-            category=command.category or "other",
+            category=command.category,
             symmetry=symmetry,
             model_id=command.model,
         )

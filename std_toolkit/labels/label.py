@@ -33,7 +33,7 @@ def add_model(
     mesh: Path | str,
     *,
     mesh_unit: str = "m",
-    category: str = "other",
+    category: str | None = None,
     symmetry: SymmetryModel | None = None,
     model_id: str | None = None,
 ) -> Model:
@@ -44,13 +44,13 @@ def add_model(
     Args:
         mesh: file to copy to `models/<id>/`; stored in metres.
         mesh_unit: unit of the file: "m", "cm" or "mm".
-        category: such as "mug".
-        symmetry: in the mesh frame, metres.
+        category: such as "mug"; default: that of the known model, else "other".
+        symmetry: in the mesh frame, metres; default: that of the known model, else none.
         model_id: default: from the file's name.
 
     Returns:
         The model, with its size and diameter. A model of the same id is returned as it is when
-        its mesh is the same; its category and symmetry are then brought up to date.
+        its mesh is the same; a category and a symmetry that are given replace its own.
 
     Raises:
         ToolkitError: an unreadable mesh, one of implausible size (a wrong unit), or a model of
@@ -58,7 +58,8 @@ def add_model(
     """
     source = Path(mesh)
     model_id = check_name(model_id or safe_name(source.stem), field="model")
-    check_name(category, field="category")
+    if category is not None:
+        check_name(category, field="category")
     files = plan_mesh_copy(source, unit=mesh_unit)
     folder = scene.root / "models" / model_id
     relative = f"models/{model_id}/{next(iter(files))}"
@@ -73,11 +74,14 @@ def add_model(
     path = write_mesh_copy(folder, files)
     loaded = load_mesh(path)
     low, high = mesh_bounds(loaded)
+    class_id = CATEGORY_CLASS_IDS.get(category or "other", 0)
+    if category is None and known is not None:
+        category, class_id = known.category, known.class_id
     model = Model(
         id=model_id,
         mesh=relative,
-        category=category,
-        class_id=CATEGORY_CLASS_IDS.get(category, 0),
+        category=category or "other",
+        class_id=class_id,
         # A flat mesh (a printed sheet) has an extent of zero; the document asks for a size.
         size_m=[float(max(x, 1e-9)) for x in high - low],
         diameter_m=mesh_diameter(loaded),

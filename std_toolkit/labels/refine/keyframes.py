@@ -30,7 +30,8 @@ def choose_keyframes(
         always: ids of frames to take in any case, if they are registered.
     """
     frames = scene.registered_frames()
-    seen = np.array([_in_view(scene, f, objects) for f in frames]).reshape(len(frames), -1)
+    centres = [T @ _centre(scene, i) for i, T in objects.items()]
+    seen = np.array([_in_view(scene, f, centres) for f in frames]).reshape(len(frames), -1)
     usable = [i for i in range(len(frames)) if seen[i].any()]
     if len(usable) <= count:
         return [frames[i] for i in usable]
@@ -72,25 +73,27 @@ def _viewpoint(scene: Scene, frame: Frame, target: NDArray[np.float64]) -> NDArr
     return np.append(ray / max(distance, 1e-9), 0.5 * np.log(max(distance, 1e-3)))
 
 
-def _in_view(scene: Scene, frame: Frame, objects: Mapping[int, SE3]) -> list[bool]:
-    camera, T_world_cam = scene.camera(frame), scene.T_world_cam(frame.id)
+def _in_view(scene: Scene, frame: Frame, centres: Sequence[NDArray[np.float64]]) -> list[bool]:
+    """Which of the points in the world the frame shows."""
+    camera, T_world_cam = scene.camera(frame).without_distortion(), scene.T_world_cam(frame.id)
     assert T_world_cam is not None
+    T_cam_world = T_world_cam.inverse()
     flags = []
-    for object_id, T_world_obj in objects.items():
-        low, high = np.array(_bounds(scene, object_id))
-        p = (T_world_cam.inverse() @ T_world_obj) @ ((low + high) / 2)
+    for centre in centres:
+        p = T_cam_world @ centre
         if p[2] <= 0.05:
             flags.append(False)
             continue
-        uv = camera.without_distortion().project(p)
+        uv = camera.project(p)
         flags.append(bool((uv >= 0).all() and (uv < camera.size).all()))
     return flags
 
 
-def _bounds(scene: Scene, object_id: int) -> NDArray[np.float64]:
+def _centre(scene: Scene, object_id: int) -> NDArray[np.float64]:
+    """Centre of an object's bounding box, mesh frame."""
     from std_toolkit.geometry.mesh import mesh_bounds
 
-    return mesh_bounds(scene.mesh(scene.objects.object(object_id).model))
+    return mesh_bounds(scene.mesh(scene.objects.object(object_id).model)).mean(axis=0)
 
 
 def _spread(where: NDArray[np.float64], count: int, start: list[int]) -> list[int]:

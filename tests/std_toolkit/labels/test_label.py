@@ -75,6 +75,14 @@ def test_a_mesh_cannot_reach_outside_its_folder(scene, box_path, line):
         add_model(scene, box_path)
 
 
+def test_what_is_not_said_again_about_a_model_stays(scene, box_path):
+    add_model(scene, box_path, category="mug")
+    run(scene.root, "--object", "second", "--mesh", box_path)
+    again = Scene.open(scene.root).objects.models[0]
+    assert (again.category, again.class_id) == ("mug", 6)
+    assert add_model(scene, box_path, category="can").class_id == 4
+
+
 def test_models_are_shared_and_not_replaced(scene, box_path):
     first = add_model(scene, box_path)
     assert add_model(scene, box_path) == first
