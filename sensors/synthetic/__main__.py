@@ -15,16 +15,20 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m sensors.synthetic", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     record = commands.add_parser("record", help="write a recording and its truth")
-    record.add_argument("out", type=Path)
-    record.add_argument("--frames", type=int, default=120)
-    record.add_argument("--arc", type=float, default=120.0, help="degrees around the table")
-    record.add_argument("--size", type=int, nargs=2, default=(640, 480), metavar=("W", "H"))
+    record.add_argument("out", type=Path, metavar="DIR", help="folder to write")
+    record.add_argument("--frames", type=int, default=120, help="default: 120")
+    record.add_argument(
+        "--arc", type=float, default=120.0, help="degrees around the table (default: 120)"
+    )
+    record.add_argument(
+        "--size", type=int, nargs=2, default=(640, 480), metavar=("W", "H"), help="pixels"
+    )
     record.add_argument("--seed", type=int, default=0)
     score = commands.add_parser("score", help="label error of a scene against the truth")
-    score.add_argument("scene", type=Path)
-    score.add_argument("recording", type=Path)
+    score.add_argument("scene", type=Path, metavar="SCENE", help="labelled scene folder")
+    score.add_argument("recording", type=Path, metavar="DIR", help="what `record` wrote")
     demo = commands.add_parser("demo", help="record, curate, score")
-    demo.add_argument("out", type=Path)
+    demo.add_argument("out", type=Path, metavar="DIR", help="folder for everything")
     args = parser.parse_args()
     log_to_stderr()
     try:
@@ -36,6 +40,7 @@ def main() -> int:
 
 def _run(args: argparse.Namespace) -> int:
     if args.command == "record":
+        from sensors.synthetic.annotation import write_annotations
         from sensors.synthetic.recording import RecordingOptions, make_recording
 
         options = RecordingOptions(
@@ -45,7 +50,14 @@ def _run(args: argparse.Namespace) -> int:
             height=args.size[1],
             seed=args.seed,
         )
-        make_recording(args.out, options)
+        write_annotations(make_recording(args.out, options), args.out)
+        print(
+            f"{args.out}: {args.frames} frames in color/ and depth/ (millimetres), intrinsics.json,"
+        )
+        print(
+            "meshes in models/, a pose of each object in frame 0 in annotation/ (as a person sets"
+        )
+        print("it: 1 px, 1 degree off), the truth in truth.json")
         return 0
     if args.command == "score":
         from sensors.synthetic.score import label_errors

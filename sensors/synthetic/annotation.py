@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from sensors.synthetic.recording import Truth
+from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.geometry.se3 import SE3, so3_exp
+from std_toolkit.io.atomic import atomic_path
 
 
 def annotate_first_frame(
@@ -40,3 +44,20 @@ def annotate_first_frame(
         turn = so3_exp(axis / np.linalg.norm(axis) * np.radians(rng.normal(0, degrees)))
         labels[item.name] = SE3(turn @ exact.R, exact.t + along * ray + np.array([*sideways, 0.0]))
     return labels
+
+
+def write_annotations(truth: Truth, recording: Path) -> dict[str, Path]:
+    """The simulated first-frame poses as files for `std-curate label --pose`.
+
+    Returns:
+        By object name, `recording/annotation/NAME.txt`: T_cam_obj in frame 0, 4x4, metres.
+    """
+    extents = {
+        item.name: float(np.max(load_mesh(recording / item.mesh).extents)) for item in truth.objects
+    }
+    paths = {}
+    for name, pose in annotate_first_frame(truth, extents_m=extents).items():
+        paths[name] = recording / "annotation" / f"{name}.txt"
+        with atomic_path(paths[name]) as temporary:
+            np.savetxt(temporary, pose.matrix(), fmt="%.9f")
+    return paths

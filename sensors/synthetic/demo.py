@@ -8,12 +8,9 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
-
-from sensors.synthetic.annotation import annotate_first_frame
-from sensors.synthetic.recording import RecordingOptions, Truth, make_recording
+from sensors.synthetic.annotation import write_annotations
+from sensors.synthetic.recording import RecordingOptions, make_recording
 from sensors.synthetic.score import label_errors
-from std_toolkit.io.atomic import atomic_path
 from std_toolkit.scene.scene import Scene
 
 # Small enough for two cores and two minutes, long enough for structure from motion.
@@ -30,7 +27,7 @@ def run_demo(out: Path) -> int:
     recording, scene = out / "recording", out / "scene"
     _say(f"Recording {RECORDING.frames} synthetic frames to {recording}")
     truth = make_recording(recording, RECORDING)
-    poses = _annotate(truth, recording)
+    poses = write_annotations(truth, recording)
     _say("An annotator's first-frame poses (1 px, 1 degree off the truth) lie beside it.")
 
     commands = []
@@ -61,20 +58,6 @@ def run_demo(out: Path) -> int:
     print(f"BOP export: {out / 'bop'}")
     print(f"STD export: {out / 'std'}")
     return 0
-
-
-def _annotate(truth: Truth, recording: Path) -> dict[str, Path]:
-    from std_toolkit.geometry.mesh import load_mesh
-
-    extents = {
-        item.name: float(np.max(load_mesh(recording / item.mesh).extents)) for item in truth.objects
-    }
-    paths = {}
-    for name, pose in annotate_first_frame(truth, extents_m=extents).items():
-        paths[name] = recording / "annotation" / f"{name}.txt"
-        with atomic_path(paths[name]) as temporary:
-            np.savetxt(temporary, pose.matrix(), fmt="%.9f")
-    return paths
 
 
 def _curate(arguments: str) -> int:

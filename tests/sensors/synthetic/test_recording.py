@@ -16,6 +16,7 @@ from sensors.synthetic import (
     read_truth,
     scene_from_truth,
 )
+from sensors.synthetic.annotation import write_annotations
 from sensors.synthetic.camera_image import FrameMaps, render_frame
 from sensors.synthetic.shapes import default_shapes
 from sensors.synthetic.stereo_depth import sensor_depth
@@ -24,6 +25,7 @@ from sensors.synthetic.world import World
 from std_toolkit.geometry import SE3, Camera, unproject_depth
 from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.jobs import JobOptions
+from std_toolkit.labels.posefile import read_pose
 from std_toolkit.scene import Scene
 
 SMALL = RecordingOptions(frames=3, arc_degrees=30, width=160, height=120, seed=3)
@@ -130,3 +132,14 @@ def test_annotation_noise_has_the_asked_size(recording: Path) -> None:
             degrees.append(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
     assert np.std(pixels) == pytest.approx(1.0, rel=0.15)
     assert np.sqrt(np.mean(np.square(degrees))) == pytest.approx(1.0, rel=0.15)
+
+
+def test_annotations_lie_beside_the_recording(recording: Path) -> None:
+    truth = read_truth(recording)
+    paths = write_annotations(truth, recording)
+    assert set(paths) == {item.name for item in truth.objects}
+    for item in truth.objects:
+        assert paths[item.name] == recording / "annotation" / f"{item.name}.txt"
+        exact = truth.camera_pose(0).inverse() @ SE3.from_matrix(item.T_world_obj)
+        off = read_pose(paths[item.name]).inverse() @ exact
+        assert 0 < np.linalg.norm(off.t) < 0.1
