@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pycolmap
 
 from std_toolkit.errors import ToolkitError
@@ -21,6 +22,8 @@ MAX_POINT_ERROR_PX = 4.0
 MIN_TRIANGULATION_DEG = 1.5
 # An image with fewer points under wide angles keeps the others too.
 MIN_WIDE_POINTS = 80
+# "Wide" on a short sweep, as a share of the angle that a quarter of the points reach.
+SHARE_OF_WIDE = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,12 +144,15 @@ def keep_wide_points(model: Any, *, min_angle_deg: float) -> None:
     The tabletop, which the camera goes round, is seen under wide angles. What is left under small
     ones is the background: people walk there, and at its distance the error of the lens model is
     larger than the parallax. On a real recording with an unmodelled distortion the camera
-    positions got 10 % better without it.
+    positions got 10 % better without it. On a short sweep everything is seen under small angles,
+    and the background is what is seen under much smaller ones than the rest.
 
     Args:
         model: pycolmap.Reconstruction; changed in place.
-        min_angle_deg: largest angle between two rays to a point must reach this.
+        min_angle_deg: largest angle between two rays to a point must reach this, or
+            `SHARE_OF_WIDE` of the angle that a quarter of the points reach, if that is less.
     """
+    min_angle_deg = min(min_angle_deg, SHARE_OF_WIDE * _wide_angle(model))
     trial = pycolmap.Reconstruction(model)
     every = set(trial.point3D_ids())
     pycolmap.ObservationManager(trial).filter_points3D_with_small_triangulation_angle(
@@ -162,6 +168,19 @@ def keep_wide_points(model: Any, *, min_angle_deg: float) -> None:
     pycolmap.ObservationManager(model).filter_points3D_with_small_triangulation_angle(
         min_angle_deg, every - needed
     )
+
+
+def _wide_angle(model: Any) -> float:
+    """Angle in degrees under which a quarter of the points are seen."""
+    centres = {i: model.image(i).projection_center() for i in model.reg_image_ids()}
+    ids = sorted(model.point3D_ids())
+    widest = []
+    for point_id in ids[:: max(1, len(ids) // 1000)]:
+        point = model.point3D(point_id)
+        rays = np.array([centres[e.image_id] for e in point.track.elements]) - point.xyz
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        widest.append(np.degrees(np.arccos(np.clip((rays @ rays.T).min(), -1, 1))))
+    return float(np.percentile(widest, 75)) if widest else 0.0
 
 
 def _write_database(

@@ -41,8 +41,8 @@ class PoseOptions:
         refine: which intrinsics are adjusted with the poses: "none" trusts the given ones,
             "focal" adjusts fx and fy, "intrinsics" also cx and cy, "distortion" also k1 k2 p1 p2.
         min_angle_deg: the final adjustment uses points that are seen under at least this angle
-            (more where an image has too few): the things the camera goes round, not the far
-            background, where people walk.
+            (less on a short sweep and where an image has too few): the things the camera goes
+            round, not the far background, where people walk.
         min_points: fewest points that register a frame.
         scale: "auto" (all sources that the scene has), "none" (unit unknown), or one source.
         board: description of a fiducial board (JSON); default: `board.json` of the scene, if any.
