@@ -129,9 +129,11 @@ class LabelCaster:
             return None
         if (p[:, 2] <= 0.01).any():
             return 0, 0, camera.width, camera.height
-        # The corners' bounding box bounds the projection of a pinhole; distortion bends it by
-        # less than the margin inside the image.
-        uv = camera.without_distortion().project(p)
+        # The corners' bounding box bounds the projection of a pinhole. A lens bends the lines
+        # between the corners too, by less than the margin.
+        uv = camera.project(p)
+        if not np.isfinite(uv).all():  # beyond what the lens model covers
+            return 0, 0, camera.width, camera.height
         margin = 2 + (0.05 * camera.width if camera.is_distorted else 0)
         x0, y0 = np.floor(uv.min(axis=0) - margin)
         x1, y1 = np.ceil(uv.max(axis=0) + margin) + 1
