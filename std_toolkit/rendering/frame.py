@@ -84,7 +84,8 @@ def render_frame(frame_id: int, *, job: FrameJob, force: bool) -> Literal["done"
     sensor = scene.read_depth(frame)
 
     composition = compose(get_renderer(job.renderer), camera, placed, canvas=3)
-    hidden = _hidden(scene, frame_id, composition, sensor, job)
+    policy = _possible_policy(scene, frame_id, sensor, job)
+    hidden = _hidden(scene, frame_id, composition, sensor, policy, job)
     if hidden is not None:
         composition.depth[hidden] = 0
         composition.index[hidden] = -1
@@ -102,8 +103,8 @@ def render_frame(frame_id: int, *, job: FrameJob, force: bool) -> Literal["done"
         info,
         FrameTruth(
             frame=frame_id,
-            policy=job.policy,
-            delta_m=None if job.policy == "models" else job.delta_m,
+            policy=policy,
+            delta_m=None if policy == "models" else job.delta_m,
             renderer=job.renderer,
             smooth_normals=job.smooth_normals,
             objects=rows,
@@ -168,19 +169,31 @@ def _digest(scene: Scene, frame_id: int, job: FrameJob) -> str:
     return digest_of("render", frame_id, *parts)
 
 
+def _possible_policy(
+    scene: Scene, frame_id: int, sensor: np.ndarray | None, job: FrameJob
+) -> Policy:
+    """What hides objects in this frame: the record must not tell of depth that was not there."""
+    lacking = {
+        "sensor": sensor is None,
+        "fused": job.occluder is None or scene.T_world_cam(frame_id) is None,
+    }
+    return "models" if lacking.get(job.policy, False) else job.policy
+
+
 def _hidden(
     scene: Scene,
     frame_id: int,
     composition: Composition,
     sensor: np.ndarray | None,
+    policy: Policy,
     job: FrameJob,
 ) -> np.ndarray | None:
     """(H,W) bool: object pixels behind geometry that is not labelled; None for "nothing hides"."""
     camera = scene.camera(scene.frame(frame_id))
-    if job.policy == "sensor" and sensor is not None:
+    if policy == "sensor" and sensor is not None:
         return hidden_by_depth(composition.depth, sensor, camera, delta_m=job.delta_m)
     T_world_cam = scene.T_world_cam(frame_id)
-    if job.policy == "fused" and job.occluder is not None and T_world_cam is not None:
+    if policy == "fused" and job.occluder is not None and T_world_cam is not None:
         occluder = load_occluder(*job.occluder)
         if occluder is None:
             return None

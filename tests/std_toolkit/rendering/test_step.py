@@ -14,6 +14,7 @@ import pytest
 from std_toolkit.cli.main import main
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
+from std_toolkit.io.documents import write_document
 from std_toolkit.jobs import JobOptions
 from std_toolkit.rendering.ground_truth import (
     info_path,
@@ -23,7 +24,7 @@ from std_toolkit.rendering.ground_truth import (
 )
 from std_toolkit.rendering.occlusion import hidden_by_depth
 from std_toolkit.rendering.step import RenderOptions, render_ground_truth
-from std_toolkit.scene.model import Labels
+from std_toolkit.scene.model import Frames, Labels
 from std_toolkit.scene.scene import Scene
 
 SERIAL = JobOptions(engine="serial", progress=False)
@@ -226,3 +227,13 @@ def test_the_command(make_scene: MakeScene, capsys: pytest.CaptureFixture[str]) 
     assert read_ground_truth(scene, 0).info.delta_m == 0.02
     assert main([*command, "--frames", "9"]) == 1
     assert "frames without a labelled object" in capsys.readouterr().err
+
+
+def test_a_frame_without_what_the_policy_needs_says_so(make_scene) -> None:
+    scene = make_scene()
+    frames = [msgspec.structs.replace(f, depth=None) if f.id == 0 else f for f in scene.frames]
+    write_document(scene.root / "frames.json", Frames(frames=frames))
+    scene = Scene.open(scene.root)
+    render_ground_truth(scene, replace(MODELS, policy="sensor"), jobs=SERIAL).raise_if_failed()
+    told = [read_ground_truth(scene, f.id).info for f in scene.frames]
+    assert [(t.policy, t.delta_m) for t in told[:2]] == [("models", None), ("sensor", 0.015)]
