@@ -36,6 +36,9 @@ def main() -> int:
     except ToolkitError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        print("interrupted; run the same command again to go on", file=sys.stderr)
+        return 130
 
 
 def _run(args: argparse.Namespace) -> int:

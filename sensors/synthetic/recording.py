@@ -14,6 +14,7 @@ from sensors.synthetic.shapes import Shape, default_shapes
 from sensors.synthetic.stereo_depth import sensor_depth
 from sensors.synthetic.trajectory import arc
 from sensors.synthetic.world import World
+from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3, so3_exp
 from std_toolkit.io.atomic import atomic_path
@@ -55,6 +56,11 @@ class RecordingOptions:
     depth_bias: float = 1.015
     samples: int = 2
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("frames", "width", "height", "samples"):
+            if getattr(self, name) < 1:
+                raise ToolkitError("must be at least 1", field=name, value=getattr(self, name))
 
     def camera(self) -> Camera:
         f = 0.94 * self.width

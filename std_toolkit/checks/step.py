@@ -33,13 +33,21 @@ from std_toolkit.checks.result import (
 )
 from std_toolkit.checks.tables import frames_csv, objects_csv
 from std_toolkit.checks.view3d import scene_figure
+from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import sweep_temporaries, write_bytes_atomic
 from std_toolkit.io.documents import document_bytes, read_document
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.log import logger
 from std_toolkit.rendering.ground_truth import info_path, map_paths
 from std_toolkit.scene import Frame, Scene
-from std_toolkit.scene.provenance import digest_file, digest_of, is_fresh, write_record
+from std_toolkit.scene.provenance import (
+    Record,
+    digest_file,
+    digest_of,
+    is_fresh,
+    record_path,
+    write_record,
+)
 
 STEP = "check"
 FOLDER = "check"
@@ -92,9 +100,21 @@ def run_check(
             STEP,
             digest,
             outputs=[scene.root / FOLDER / name for name in outputs],
-            parameters=asdict(options),
+            parameters=asdict(options) | {"scene": fingerprint},
         )
     return report
+
+
+def report_is_current(scene: Scene) -> bool:
+    """Whether the last report is of the labels, camera poses and meshes that the scene has now.
+
+    Looks at no image. A report whose record was deleted counts as current.
+    """
+    try:
+        record = read_document(record_path(scene.root, STEP), Record)
+    except ToolkitError:
+        return True
+    return record.parameters.get("scene", "") in ("", _fingerprint(scene))
 
 
 def report_path(root: Path) -> Path:

@@ -9,7 +9,7 @@ FORMATS_HELP = """pose files (--pose):
   4x4 numbers as text, .npy or JSON; JSON with quaternion_wxyz or quaternion_xyzw and
   translation_m or translation_mm; BOP scene_gt.json; 6D-PAT poses.json; LabelFusion
   *_poses.yaml and registration_result.yaml; vision6D .npy. The pose maps the mesh into the
-  camera. docs/labelling.md shows an example of each.
+  camera. docs/labelling.md describes each.
 
 examples:
   std-curate label SCENE --object mug --mesh mug.obj --mesh-unit mm --category mug \\
@@ -27,14 +27,20 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         epilog=FORMATS_HELP,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("scene", type=Path)
+    parser.add_argument("scene", type=Path, metavar="SCENE", help="scene folder")
     parser.add_argument("--object", required=True, help="name of the object in this scene")
     thing = parser.add_argument_group("the object (when it is new, or to change it)")
     thing.add_argument("--mesh", type=Path, help="mesh to copy into the scene")
-    thing.add_argument("--mesh-unit", choices=("m", "cm", "mm"), default="m")
-    thing.add_argument("--model", help="id of the model (default: the mesh's name)")
+    thing.add_argument(
+        "--mesh-unit", choices=("m", "cm", "mm"), default="m", help="of the mesh file (default: m)"
+    )
+    thing.add_argument("--model", metavar="ID", help="of the model (default: the mesh's name)")
     thing.add_argument("--category", help="such as mug (default: other)")
-    thing.add_argument("--material", choices=("raw", "diffuse", "specular", "transparent"))
+    thing.add_argument(
+        "--material",
+        choices=("raw", "diffuse", "specular", "transparent"),
+        help="decides which evidence is trusted (default: diffuse)",
+    )
     thing.add_argument(
         "--symmetry",
         action="append",
@@ -43,24 +49,45 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         "through the bounding box's centre, or '@origin'; may be repeated",
     )
     pose = parser.add_argument_group("the pose (repeat --frame with its source for more views)")
-    pose.add_argument("--frame", type=int, action="append", default=[], metavar="N")
-    pose.add_argument("--pose", type=Path, action="append", default=[], metavar="FILE")
+    pose.add_argument(
+        "--frame", type=int, action="append", default=[], metavar="N", help="id of the frame"
+    )
+    pose.add_argument(
+        "--pose",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="the object's pose in this frame; see below",
+    )
     pose.add_argument(
         "--correspondences",
         type=Path,
         action="append",
         default=[],
         metavar="FILE",
-        help="CSV or JSON of u, v (pixels) and x, y, z (mesh frame)",
+        help="CSV or JSON of u, v (pixels) and x, y, z (mesh frame), four or more",
     )
-    pose.add_argument("--pose-format", default="auto", metavar="NAME")
+    pose.add_argument(
+        "--pose-format",
+        default="auto",
+        metavar="NAME",
+        help="matrix, quaternion, bop, 6dpat or labelfusion (default: by content)",
+    )
     pose.add_argument(
         "--pose-unit", choices=("m", "cm", "mm"), help="where the file leaves it open"
     )
-    pose.add_argument("--pose-convention", choices=("opencv", "opengl"), default="opencv")
+    pose.add_argument(
+        "--pose-convention",
+        choices=("opencv", "opengl"),
+        default="opencv",
+        help="camera axes of the file: z forward, or -z forward (default: opencv)",
+    )
     pose.add_argument("--pose-frame", help="image inside a file of many (default: --frame)")
     pose.add_argument("--pose-item", help="object inside a file of several")
-    pose.add_argument("--threshold-px", type=float, default=4.0, help="inlier limit of PnP")
+    pose.add_argument(
+        "--threshold-px", type=float, default=4.0, help="inlier limit of PnP (default: 4)"
+    )
     pose.add_argument(
         "--add-view", action="store_true", help="keep earlier annotations of the object"
     )

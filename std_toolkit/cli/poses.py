@@ -36,31 +36,99 @@ def add_parser(subparsers: Any) -> None:
         default=str(default.refine),
         help="intrinsics to adjust with the poses (default: %(default)s)",
     )
-    parser.add_argument("--mapper", choices=[str(x) for x in Mapper], default=str(default.mapper))
+    parser.add_argument(
+        "--mapper",
+        choices=[str(x) for x in Mapper],
+        default=str(default.mapper),
+        help="COLMAP's mapper for the keyframes (default: %(default)s)",
+    )
     model = parser.add_argument_group("keyframes and matching")
     model.add_argument(
         "--keyframe-motion",
         type=float,
         default=default.keyframe_motion,
+        metavar="N",
         help="image motion between keyframes, share of the width (default: %(default)s)",
     )
-    model.add_argument("--max-keyframe-gap", type=int, default=default.max_keyframe_gap)
-    model.add_argument("--max-features", type=int, default=default.max_features)
+    model.add_argument(
+        "--max-keyframe-gap",
+        type=int,
+        default=default.max_keyframe_gap,
+        metavar="N",
+        help="a keyframe at least every this many frames (default: %(default)s)",
+    )
+    model.add_argument(
+        "--max-features",
+        type=int,
+        default=default.max_features,
+        metavar="N",
+        help="SIFT features per image (default: %(default)s)",
+    )
     model.add_argument(
         "--fine-keyframes",
         action="store_true",
         help="twice the features at four times the time, for scenes of little texture",
     )
-    model.add_argument("--overlap", type=int, default=default.overlap)
-    model.add_argument("--loops", type=int, default=default.loops)
-    model.add_argument("--min-points", type=int, default=default.min_points)
-    model.add_argument("--min-angle-deg", type=float, default=default.min_angle_deg)
+    model.add_argument(
+        "--overlap",
+        type=int,
+        default=default.overlap,
+        metavar="N",
+        help="neighbours in time that a keyframe is matched with (default: %(default)s)",
+    )
+    model.add_argument(
+        "--loops",
+        type=int,
+        default=default.loops,
+        metavar="N",
+        help="keyframes elsewhere in time that look alike, matched too (default: %(default)s)",
+    )
+    model.add_argument(
+        "--min-points",
+        type=int,
+        default=default.min_points,
+        metavar="N",
+        help="fewest points that register a frame (default: %(default)s)",
+    )
+    model.add_argument(
+        "--min-angle-deg",
+        type=float,
+        default=default.min_angle_deg,
+        metavar="N",
+        help="smallest angle under which points of the final adjustment are seen "
+        "(default: %(default)s)",
+    )
     gates = parser.add_argument_group("quality gates")
-    gates.add_argument("--min-registered", type=float, default=default.min_registered)
-    gates.add_argument("--max-reprojection-px", type=float, default=default.max_reprojection_px)
-    gates.add_argument("--max-position-sigma", type=float, default=default.max_position_sigma)
-    gates.add_argument("--max-disagreement", type=float, default=default.max_disagreement)
-    parser.add_argument("--seed", type=int, default=default.seed)
+    gates.add_argument(
+        "--min-registered",
+        type=float,
+        default=default.min_registered,
+        metavar="N",
+        help="smallest share, 0 to 1, of frames with a pose (default: %(default)s)",
+    )
+    gates.add_argument(
+        "--max-reprojection-px",
+        type=float,
+        default=default.max_reprojection_px,
+        metavar="N",
+        help="largest mean reprojection error (default: %(default)s)",
+    )
+    gates.add_argument(
+        "--max-position-sigma",
+        type=float,
+        default=default.max_position_sigma,
+        metavar="N",
+        help="largest standard deviation of a camera position, over the distance of what it "
+        "sees (default: %(default)s)",
+    )
+    gates.add_argument(
+        "--max-disagreement",
+        type=float,
+        default=default.max_disagreement,
+        metavar="N",
+        help="largest relative difference of two scale sources (default: %(default)s)",
+    )
+    parser.add_argument("--seed", type=int, default=default.seed, help="default: %(default)s")
     parser.add_argument(
         "--threads", type=int, help="1 makes the result byte-identical (default: all cores)"
     )

@@ -45,7 +45,9 @@ class StdExporter:
     """`OUT/<scene>/NNNN_*`, meshes in `OUT/cad_model/<category>/<model>/`."""
 
     def check(self, target: Target) -> None:
-        """Refuse more objects than the loaders hold, and a scene named as the models' folder."""
+        """Refuse more objects than the loaders hold, a scene named as the models' folder, and
+        a label size that no camera's image has in proportion.
+        """
         if target.scene.info.name == "cad_model":
             raise ToolkitError(
                 "the STD layout keeps its models in a folder of this name",
@@ -59,6 +61,8 @@ class StdExporter:
                 path=target.scene.root,
                 value=len(target.object_ids),
             )
+        for frame in {f.camera: f for f in target.scene.frames}.values():
+            self.label_camera(target, target.scene.camera(frame))
 
     def folder(self, target: Target) -> str:
         return target.scene.info.name

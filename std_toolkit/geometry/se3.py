@@ -63,7 +63,13 @@ class SE3:
         if not np.isfinite(M).all():
             raise ToolkitError("a pose holds a number that is not finite", value=M.tolist())
         if len(M) == 4 and not np.allclose(M[3], [0, 0, 0, 1], atol=1e-6):
-            raise ToolkitError("the last row of a pose must be 0 0 0 1", value=M[3].tolist())
+            raise ToolkitError(
+                "the last row of a pose must be 0 0 0 1",
+                value=M[3].tolist(),
+                hint="is the matrix transposed (column by column)?"
+                if np.allclose(M[:, 3], [0, 0, 0, 1], atol=1e-6)
+                else "",
+            )
         return SE3(nearest_rotation(M[:3, :3]), M[:3, 3].copy())
 
     @staticmethod

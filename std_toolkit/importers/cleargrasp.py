@@ -55,6 +55,7 @@ class ClearGraspImporter:
                 "no ClearGrasp captures here, or captures that lack colour or depth",
                 path=folder,
                 value=odd[:5] or None,
+                hint="give the folder that holds the *-transparent-depth-img.exr, such as real-val",
             )
         keys = sorted(color, key=natural_key)
         given = request.intrinsics or str(_intrinsics_file(folder))

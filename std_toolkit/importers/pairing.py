@@ -83,6 +83,12 @@ def list_images(
 
 
 def _listed(folder: Path, role: str) -> list[Path]:
+    if folder.is_file():
+        raise ToolkitError(
+            f"a file, not a folder of {role} images",
+            path=folder,
+            hint=f'give its folder, or a pattern such as --{role} "DIR/*{folder.suffix}"',
+        )
     if not folder.is_dir():
         raise ToolkitError(f"no such folder of {role} images", path=folder)
     return [p for p in folder.iterdir() if p.is_file()]

@@ -60,7 +60,10 @@ class Outcome(Generic[Result]):
 
 def worker_died() -> Outcome[Any]:
     """The outcome of an item that killed its worker process every time."""
-    return Outcome(error=f"its worker process died {ATTEMPTS} times (killed, or out of memory?)")
+    return Outcome(
+        error=f"its worker process died {ATTEMPTS} times (killed, out of memory, or started from a "
+        'script that lacks `if __name__ == "__main__":`)'
+    )
 
 
 def error_of(error: BaseException) -> Outcome[Any]:

@@ -63,6 +63,14 @@ def run_label_command(scene: Scene, command: LabelCommand) -> Iterator[str]:
             value=command.object,
             hint="give --mesh FILE (or --model ID of one that is there) to enter it",
         )
+    wanted = command.model or (safe_name(command.mesh.stem) if command.mesh is not None else None)
+    if known is not None and wanted not in (None, known.model):
+        raise ToolkitError(
+            f"object {known.name} is of model {known.model}",
+            field="--model",
+            value=wanted,
+            hint=f"give --model {known.model}, or another name for --object",
+        )
     if len(set(command.frames)) != len(command.frames):
         raise ToolkitError("a frame is named twice", field="--frame", value=command.frames)
     annotations = [_pose_of(scene, command, i) for i in range(len(command.frames))]

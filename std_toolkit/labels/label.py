@@ -69,7 +69,7 @@ def add_model(
             "there is a model of this id with another mesh",
             path=source,
             value=model_id,
-            hint="choose another --model",
+            hint="name this one yourself, such as --model mug_2",
         )
     path = write_mesh_copy(folder, files)
     loaded = load_mesh(path)

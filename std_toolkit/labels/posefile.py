@@ -206,7 +206,15 @@ def _shaped(path: Path, value: Any) -> NDArray[np.float64]:
     except (TypeError, ValueError) as error:
         raise ToolkitError("not a matrix of numbers", path=path) from error
     if M.shape not in ((4, 4), (3, 4), (16,), (12,)):
-        raise ToolkitError("a pose has 4x4 (or 3x4) numbers", path=path, value=M.shape)
+        raise ToolkitError(
+            "a pose has 4x4 (or 3x4) numbers",
+            path=path,
+            value=f"{M.size} numbers",
+            hint="a quaternion goes into JSON that names its order: "
+            '{"quaternion_wxyz": [4], "translation_m": [3]}'
+            if M.size == 7
+            else "a 4x4 matrix, row by row",
+        )
     return M.reshape(-1, 4)
 
 

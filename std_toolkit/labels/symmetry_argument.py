@@ -30,10 +30,18 @@ def parse_symmetry(arguments: Sequence[str], *, centre: Sequence[float]) -> Symm
         centre: (3,) centre of the mesh's bounding box, metres.
 
     Raises:
-        ToolkitError: an argument of another form, or a file that holds no symmetry.
+        ToolkitError: an argument of another form, `none` beside others, or a file that holds no
+            symmetry.
     """
     discrete: list[list[float]] = []
     continuous: list[ContinuousSymmetry] = []
+    if "none" in arguments and len(set(arguments)) > 1:
+        raise ToolkitError(
+            "'none' contradicts the other symmetries",
+            field="--symmetry",
+            value=" ".join(arguments),
+            hint="leave one of them out",
+        )
     for text in arguments:
         if text == "none":
             continue
@@ -91,7 +99,7 @@ def _named(text: str, centre: np.ndarray) -> SymmetryModel:
         or (kind == "axis" and count)
         or (kind == "fold" and not (count.isdigit() and 2 <= int(count) <= 360))
     ):
-        raise ToolkitError("unknown symmetry", value=text, hint=SYNTAX)
+        raise ToolkitError("unknown symmetry", field="--symmetry", value=text, hint=SYNTAX)
     axis = np.array(AXES[axis_name])
     point = np.zeros(3) if through == "origin" else centre
     # The point on the axis nearest to the origin: round numbers for centred meshes.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +25,7 @@ class SceneSummary:
         ground_truth: frames whose ground truth is complete and belongs to the labels.
         stale_ground_truth: frames whose ground truth is older than labels or camera poses.
         report: the check report exists.
+        stale_report: it is of other labels, camera poses or meshes.
         reference: kinds of maps that came with the import.
         next_command: what to run next, or None when everything is there.
     """
@@ -48,6 +50,7 @@ class SceneSummary:
     ground_truth: int
     stale_ground_truth: int
     report: bool
+    stale_report: bool
     reference: list[str]
     next_command: str | None
 
@@ -65,7 +68,7 @@ class SceneSummary:
             ("objects", ", ".join(self.objects) or "none"),
             ("labels", self._labels()),
             ("ground truth", self._ground_truth()),
-            ("check", "report written" if self.report else "no report"),
+            ("check", self._report()),
         ]
         if self.reference:
             rows.append(("reference", f"came with the import: {', '.join(self.reference)}"))
@@ -86,6 +89,11 @@ class SceneSummary:
         if self.stale_ground_truth:
             text += f"; OUTDATED in {self.stale_ground_truth}: labels or poses changed"
         return text
+
+    def _report(self) -> str:
+        if self.stale_report:
+            return "report OUTDATED: labels, poses or meshes changed"
+        return "report written" if self.report else "no report"
 
     def _labels(self) -> str:
         if not self.objects:
@@ -109,6 +117,7 @@ def summarise(scene: Scene) -> SceneSummary:
     missing += [m.mesh for m in scene.objects.models if not (scene.root / m.mesh).is_file()]
     names = {o.id: o.name for o in scene.objects.objects}
     reference = scene.root / "reference"
+    report = (scene.root / "check" / "report.html").is_file()
     current, stale = _ground_truth_counts(scene)
     found = SceneSummary(
         root=scene.root,
@@ -130,7 +139,8 @@ def summarise(scene: Scene) -> SceneSummary:
         refined=[names[x.object] for x in labels.labels if x.refined],
         ground_truth=current,
         stale_ground_truth=stale,
-        report=(scene.root / "check" / "report.html").is_file(),
+        report=report,
+        stale_report=report and not _report_is_current(scene),
         reference=sorted(p.name for p in reference.iterdir()) if reference.is_dir() else [],
         next_command=None,
     )
@@ -144,11 +154,12 @@ def _with_next(found: SceneSummary) -> SceneSummary:
 
 
 def _next_command(found: SceneSummary) -> str | None:
-    scene = found.root
+    scene = shlex.quote(str(found.root))
     if found.missing_files:
         return f"put the missing files back, or import again: {found.missing_files[0]}"
     if found.registered is None:
-        return f"std-curate poses {scene}"
+        alone = f" (the annotated frames alone need none: std-curate render {scene})"
+        return f"std-curate poses {scene}{alone if found.labelled else ''}"
     if found.failed_gates:
         return f"record again where the gates say so, then std-curate poses {scene}"
     if not found.objects or len(found.labelled) < len(found.objects):
@@ -157,7 +168,7 @@ def _next_command(found: SceneSummary) -> str | None:
         return f"std-curate propagate {scene} --refine"
     if found.stale_ground_truth or found.ground_truth < (found.registered or 0):
         return f"std-curate render {scene}"
-    if not found.report:
+    if not found.report or found.stale_report:
         return f"std-curate check {scene}"
     return None
 
@@ -183,8 +194,11 @@ def _scale_line(scene: Scene) -> str | None:
     if poses.scale.unit != "metre":
         return "UNKNOWN: the poses are not in metres"
     text = f"metres from {poses.scale.chosen}"
-    if len(poses.scale.estimates) > 1:
-        text += f", {len(poses.scale.estimates)} sources within {poses.scale.disagreement:.2%}"
+    factors = [e.factor for e in poses.scale.estimates]
+    if len(factors) > 1:
+        text += f", {len(factors)} sources within {max(factors) / min(factors) - 1:.2%}"
+    elif poses.scale.chosen == "depth":
+        text += " alone (good to 1-2 %)"
     return text
 
 
@@ -199,3 +213,10 @@ def _ground_truth_counts(scene: Scene) -> tuple[int, int]:
         else:
             stale += 1
     return current, stale
+
+
+def _report_is_current(scene: Scene) -> bool:
+    # Imported here: the checks build on this package.
+    from std_toolkit.checks.step import report_is_current
+
+    return report_is_current(scene)

@@ -173,3 +173,16 @@ def test_warnings_are_ranked_and_failed_gates_lead() -> None:
 def test_options_out_of_range_are_refused(bad: dict[str, float]) -> None:
     with pytest.raises(ToolkitError):
         CheckOptions(**bad)  # type: ignore[arg-type]
+
+
+def test_metres_from_depth_alone_are_warned_about() -> None:
+    # A scale that is as wrong as the depth leaves no residual.
+    two = scale(0.001)
+    for report, told in (
+        (msgspec.structs.replace(two, estimates=two.estimates[:1]), True),
+        (two, False),
+        (None, False),
+    ):
+        summary = msgspec.structs.replace(SUMMARY, scale=report)
+        found = find_warnings(summary, [], [], FRAMES, [], OPTIONS)
+        assert any("--refine-scale" in w.advice for w in found) == told

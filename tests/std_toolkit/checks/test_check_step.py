@@ -17,13 +17,14 @@ from toy_balls import CAMERA, DISTANCE_M, Toy, arc_pose
 
 from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.result import CheckReport
-from std_toolkit.checks.step import run_check
+from std_toolkit.checks.step import report_is_current, run_check
 from std_toolkit.cli import main as cli
 from std_toolkit.io.documents import read_document
 from std_toolkit.io.images import read_color, read_mask, write_color, write_png
 from std_toolkit.jobs import JobOptions
 from std_toolkit.rendering.step import RenderOptions, render_ground_truth
 from std_toolkit.scene import CameraPoses, FramePose, Frames, Labels, ObjectTable, Scene
+from std_toolkit.scene.summary import summarise
 
 MakeScene = Callable[[Toy], Scene]
 SERIAL = JobOptions(engine="serial", progress=False)
@@ -335,3 +336,14 @@ def test_page_opens_and_draws_its_figures(make_scene: MakeScene, tmp_path: Path)
     plots = re.findall(r'id="plot-[\w-]+"', done.stdout)
     drawn = re.findall(r'class="plot[^"]*js-plotly-plot"', done.stdout)
     assert len(plots) == len(drawn) >= 6
+
+
+def test_a_report_of_other_labels_is_told(make_scene: MakeScene) -> None:
+    scene = make_scene(Toy())
+    check(scene, max_frames=1)
+    assert report_is_current(scene)
+    assert summarise(scene).next_command != f"std-curate check {scene.root}"
+    assert scene.labels.labels
+    scene.save_labels(Labels(labels=scene.labels.labels[:-1]))
+    assert not report_is_current(scene)
+    assert "OUTDATED" in "\n".join(summarise(scene).lines())

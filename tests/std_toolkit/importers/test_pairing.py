@@ -74,3 +74,7 @@ def test_empty_and_missing_folders(tmp_path):
         list_images(str(tmp_path), (".png",), role="color")
     with pytest.raises(ToolkitError, match="no such folder"):
         list_images(str(tmp_path / "no"), (".png",), role="depth")
+    image = tmp_path / "a.png"
+    image.touch()
+    with pytest.raises(ToolkitError, match=r"not a folder of color images.*\*\.png"):
+        list_images(str(image), (".png",), role="color")

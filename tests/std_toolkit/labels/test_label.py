@@ -140,7 +140,8 @@ def test_the_command_solves_correspondences(scene, box_path, tmp_path, capsys):
         (["--frame", "0", "--pose", "BAD"], "not a rotation"),
         (["--frame", "0"], "needs its own"),
         (["--frame", "0", "--correspondences", "FAR"], "outside the 160x120 image"),
-        (["--symmetry", "spin:z"], "unknown symmetry"),
+        (["--symmetry", "spin:z"], "--symmetry: unknown symmetry"),
+        (["--symmetry", "axis:z", "--symmetry", "none"], "contradicts"),
     ],
 )
 def test_a_bad_command_leaves_the_scene_as_it_was(scene, box_path, tmp_path, arguments, message):
@@ -153,6 +154,14 @@ def test_a_bad_command_leaves_the_scene_as_it_was(scene, box_path, tmp_path, arg
         run(
             scene.root, "--object", "box", "--mesh", box_path, *[files.get(a, a) for a in arguments]
         )
+    assert snapshot(scene.root) == before
+
+
+def test_an_object_keeps_its_model(scene, box_path):
+    run(scene.root, "--object", "box", "--mesh", box_path)
+    before = snapshot(scene.root)
+    with pytest.raises(ToolkitError, match="object box is of model box"):
+        run(scene.root, "--object", "box", "--mesh", box_path, "--model", "other")
     assert snapshot(scene.root) == before
 
 

@@ -89,6 +89,8 @@ def test_npy_without_pickle(tmp_path):
         ("a.txt", "1 2 three", {}, "12 or 16 numbers"),
         ("a.txt", "nan " * 16, {}, "finite"),
         ("a.txt", "", {}, "4x4"),
+        ("a.txt", "1 0 0 0 0 0 1", {}, "quaternion_wxyz"),
+        ("a.json", M.T.tolist(), {}, "transposed"),
         ("a.json", "{", {}, "not valid JSON"),
         ("a.pkl", "x", {}, "never read"),
         ("a.yaml", "mug: [", {}, "not valid YAML"),
