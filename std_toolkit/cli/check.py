@@ -58,6 +58,10 @@ def run(args: argparse.Namespace) -> int:
             f"FAIL {gate.key}: {gate.title}: {gate.value:.4g}{unit}{about}, must be {gate.rule} "
             f"{gate.limit:g}{unit}; {gate.advice}"
         )
+    for warning in report.warnings:
+        # Failed gates are told above; what is of low weight is in the report.
+        if warning.severity != "low" and not warning.gate:
+            print(f"warning: {warning.about}: {warning.problem}; {warning.advice}")
     print(report.verdict)
     print(f"report: {report_path(scene.root)}")
     return 0 if report.passed else 1

@@ -24,6 +24,7 @@ from std_toolkit.io.images import read_color, read_mask, write_color, write_png
 from std_toolkit.jobs import JobOptions
 from std_toolkit.rendering.step import RenderOptions, render_ground_truth
 from std_toolkit.scene import CameraPoses, FramePose, Frames, Labels, ObjectTable, Scene
+from std_toolkit.scene.model import ScaleEstimate, ScaleReport
 from std_toolkit.scene.summary import summarise
 
 MakeScene = Callable[[Toy], Scene]
@@ -347,3 +348,14 @@ def test_a_report_of_other_labels_is_told(make_scene: MakeScene) -> None:
     scene.save_labels(Labels(labels=scene.labels.labels[:-1]))
     assert not report_is_current(scene)
     assert "OUTDATED" in "\n".join(summarise(scene).lines())
+
+
+def test_warnings_of_weight_are_printed(
+    make_scene: MakeScene, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = make_scene(Toy())
+    depth = ScaleEstimate(source="depth", factor=1.0, spread=0.01, standard_error=0.001, count=9)
+    report = ScaleReport(unit="metre", chosen="depth", estimates=[depth])
+    scene.save_poses(msgspec.structs.replace(scene.poses, scale=report))
+    assert cli.main(["check", str(scene.root), "--engine", "serial", "--max-frames", "1"]) == 0
+    assert "warning: scale: the metres come from sensor depth alone" in capsys.readouterr().out
