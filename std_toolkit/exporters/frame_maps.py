@@ -122,6 +122,7 @@ def _rendered(scene: Scene, frame: Frame, camera: Camera, found: GroundTruth) ->
         smooth_normals=found.info.smooth_normals,
         objects=rows,
         version=found.info.version,
+        inputs=found.info.inputs,
         digest=found.info.digest,
         outputs={},
     )

@@ -11,10 +11,11 @@ import numpy as np
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.jobs import JobOptions
+from std_toolkit.labels.label import without_derived
 from std_toolkit.log import logger
 from std_toolkit.poses.gate import pose_gates
 from std_toolkit.poses.options import PoseOptions, Refinement
-from std_toolkit.scene import CameraPoses, Frame, FramePose, Scene
+from std_toolkit.scene import CameraPoses, Frame, FramePose, Labels, Scene
 from std_toolkit.scene.model import ScaleReport
 from std_toolkit.scene.provenance import digest_file, digest_of, is_fresh, write_record
 
@@ -45,14 +46,16 @@ def estimate_poses(
     """
     options = options or PoseOptions()
     jobs = _width(jobs or JobOptions(), options)
+    from std_toolkit.poses.publish import work_folder
+    from std_toolkit.poses.scale.resolve import check_source_name
+
+    check_source_name(options.scale)
     board = board_file(scene, options)
     with scene.lock():
         digest = _digest(scene, options, board)
         if is_fresh(scene.root, STEP, digest) and scene.poses is not None:
             logger.info("camera poses: up to date")
             return scene.poses
-        from std_toolkit.poses.publish import work_folder
-
         with work_folder(scene.root) as work:
             return _run(scene, options, jobs, board, digest, work)
 
@@ -93,7 +96,7 @@ def _run(
     cache.mkdir(parents=True, exist_ok=True)
     done = reconstruct(scene, cache, work, options=options, jobs=jobs)
     image_ids = done.image_ids(scene.frames)
-    context = ScaleContext(scene, done.model, image_ids, done.cameras(), board)
+    context = ScaleContext(scene, done.model, image_ids, done.cameras(), board, jobs)
     factor, report = resolve_scale(
         context, scale=options.scale, max_disagreement=options.max_disagreement
     )
@@ -124,6 +127,7 @@ def _run(
     with quiet_colmap():
         done.model.extract_colors_for_all_images(scene.root)
     outputs = publish_model(scene.root, done.model, work)
+    _forget_world_poses(scene)
     scene.save_poses(poses)
     write_record(
         scene.root,
@@ -133,6 +137,12 @@ def _run(
         parameters=_parameters(options, board),
     )
     return poses
+
+
+def _forget_world_poses(scene: Scene) -> None:
+    """Labels that were placed in the old world keep their annotation and have to be propagated."""
+    if any(x.T_world_obj is not None for x in scene.labels.labels):
+        scene.save_labels(Labels(labels=[without_derived(x) for x in scene.labels.labels]))
 
 
 def _judged(report: ScaleReport, options: PoseOptions) -> ScaleReport:
@@ -207,7 +217,10 @@ def _digest(scene: Scene, options: PoseOptions, board: Path | None) -> str:
                 depths.append(digest_file(path))
     # Only objects annotated in several frames tell the scale; T_world_obj comes from the poses.
     annotated = [
-        [x.object, x.frame, x.T_cam_obj, x.views]
+        [
+            [x.object, x.frame, x.T_cam_obj, x.views],
+            [scene.objects.object(x.object), scene.objects.model_of(x.object)],
+        ]
         for x in scene.labels.labels
         if x.views and options.scale != "none"
     ]

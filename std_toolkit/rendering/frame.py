@@ -24,6 +24,7 @@ from std_toolkit.rendering.ground_truth import (
     info_path,
     map_paths,
 )
+from std_toolkit.rendering.inputs import frame_inputs
 from std_toolkit.rendering.maps import Composition, compose, mask_of, surface_maps
 from std_toolkit.rendering.occlusion import hidden_by_depth, occluder_depth
 from std_toolkit.rendering.placements import frame_placements, place_meshes
@@ -109,6 +110,7 @@ def render_frame(frame_id: int, *, job: FrameJob, force: bool) -> Literal["done"
             smooth_normals=job.smooth_normals,
             objects=rows,
             version=__version__,
+            inputs=frame_inputs(scene, frame_id),
             digest=digest,
             outputs={p.relative_to(scene.root).as_posix(): digest_file(p) for p in paths.values()},
         ),

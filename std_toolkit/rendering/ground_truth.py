@@ -71,6 +71,7 @@ class FrameTruth(Document, frozen=True, kw_only=True):
         smooth_normals: whether normals are interpolated within a triangle.
         objects: in order of object id.
         version: of the toolkit.
+        inputs: digest of camera, meshes and depth scale: with other ones the maps are stale.
         digest: of everything that determines the files.
         outputs: path relative to the scene folder, to digest of the content.
     """
@@ -82,6 +83,7 @@ class FrameTruth(Document, frozen=True, kw_only=True):
     smooth_normals: bool
     objects: list[ObjectTruth]
     version: str
+    inputs: str
     digest: str
     outputs: dict[str, str]
 

@@ -17,13 +17,16 @@ _SAME_M, _SAME_RAD = 1e-6, 1e-6
 
 
 def truth_is_current(scene: Scene, truth: FrameTruth) -> bool:
-    """Whether a frame was rendered with the poses that its objects have now."""
+    """Whether a frame was rendered with the poses, camera and meshes that it has now."""
     # Imported here: the rendering package builds on this one.
+    from std_toolkit.rendering.inputs import frame_inputs
     from std_toolkit.rendering.placements import frame_placements
 
     now = frame_placements(scene, truth.frame)
     then = {row.object: row.pose for row in truth.objects}
-    return set(now) == set(then) and all(
+    if set(now) != set(then) or truth.inputs != frame_inputs(scene, truth.frame):
+        return False
+    return all(
         np.abs(now[i].t - then[i].t).max() <= _SAME_M
         and rotation_angle(now[i].R.T @ then[i].R) <= _SAME_RAD
         for i in now

@@ -46,12 +46,12 @@ def digest_file(path: Path) -> str:
         return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
 
-def digest_of(*parts: Any) -> str:
-    """Hex digest of plain values and documents; the toolkit's version is part of it.
+def digest_of(*parts: Any, versioned: bool = True) -> str:
+    """Hex digest of plain values and documents; the toolkit's version is part of it if asked for.
 
     Numbers must be finite: JSON would make null of NaN, and two different inputs would look alike.
     """
-    encoded = msgspec.json.encode([__version__, *parts], order="sorted")
+    encoded = msgspec.json.encode([__version__ if versioned else "", *parts], order="sorted")
     return hashlib.blake2b(encoded, digest_size=16).hexdigest()
 
 

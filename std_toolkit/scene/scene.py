@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,6 +29,7 @@ from std_toolkit.scene.model import (
     SceneInfo,
     pose_from_list,
 )
+from std_toolkit.scene.provenance import digest_file
 
 if TYPE_CHECKING:
     import trimesh
@@ -50,6 +52,7 @@ class Scene:
         self.frame_table = frames
         self.objects = objects
         self._meshes: dict[str, trimesh.Trimesh] = {}
+        self._mesh_digests: dict[str, str] = {}
         _check_cameras(root, info, frames)
 
     @staticmethod
@@ -183,9 +186,22 @@ class Scene:
                     )
         return labels
 
-    def lock(self) -> AbstractContextManager[None]:
-        """Hold the scene for writing; see `scene_lock`."""
-        return scene_lock(self.root)
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """Hold the scene for writing, with its documents as they are now; see `scene_lock`."""
+        with scene_lock(self.root):
+            self._reload()
+            yield
+
+    def _reload(self) -> None:
+        """Another process may have written between `open` and the lock."""
+        now = Scene.open(self.root)
+        self.info, self.frame_table, self.objects = now.info, now.frame_table, now.objects
+        self._meshes.clear()
+        self._mesh_digests.clear()
+        for name, value in vars(type(self)).items():
+            if isinstance(value, cached_property):
+                self.__dict__.pop(name, None)
 
     # --- frames ----------------------------------------------------------------------------
 
@@ -271,6 +287,13 @@ class Scene:
 
             self._meshes[model_id] = load_mesh(self.mesh_path(self.objects.model(model_id)))
         return self._meshes[model_id]
+
+    def mesh_digest(self, model_id: str) -> str:
+        """Hex digest of a model's mesh file; computed once."""
+        if model_id not in self._mesh_digests:
+            path = self.mesh_path(self.objects.model(model_id))
+            self._mesh_digests[model_id] = digest_file(path)
+        return self._mesh_digests[model_id]
 
 
 def _check_cameras(root: Path, info: SceneInfo, frames: Frames) -> None:

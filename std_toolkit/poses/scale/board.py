@@ -106,7 +106,9 @@ class BoardScale:
         step = max(1, -(-len(frames) // MAX_FRAMES))
         chosen = frames[::step]
         paths = [str(context.scene.color_path(f)) for f in chosen]
-        report = run_jobs(partial(detect_board, board=board), paths, name="board")
+        report = run_jobs(
+            partial(detect_board, board=board), paths, name="board", options=context.jobs
+        )
         report.raise_if_failed()
         views = []
         for frame, path in zip(chosen, paths, strict=True):

@@ -18,6 +18,21 @@ NO_SCALE_HINT = (
 )
 
 
+def check_source_name(scale: str) -> None:
+    """Refuse a `--scale` that names nothing; cheap, so that it can come before the mapping.
+
+    Raises:
+        ToolkitError: it is neither "auto" nor "none" nor a known source nor a plug-in's path.
+    """
+    if scale not in ("auto", "none", *SOURCES.names()) and ":" not in scale:
+        raise ToolkitError(
+            "no such scale source",
+            field="scale",
+            value=scale,
+            hint=f"one of auto, none, {', '.join(SOURCES.names())}",
+        )
+
+
 def resolve_scale(
     context: ScaleContext, *, scale: str, max_disagreement: float
 ) -> tuple[float, ScaleReport]:
@@ -35,13 +50,7 @@ def resolve_scale(
     if scale == "none":
         return 1.0, ScaleReport(unit="unknown", chosen="none")
     named = scale != "auto"
-    if named and scale not in SOURCES.names() and ":" not in scale:
-        raise ToolkitError(
-            "no such scale source",
-            field="scale",
-            value=scale,
-            hint=f"one of auto, none, {', '.join(SOURCES.names())}",
-        )
+    check_source_name(scale)
     names = SOURCES.names() if scale in SOURCES.names() or not named else [*SOURCES.names(), scale]
     estimates: dict[str, ScaleEstimate] = {}
     for name in names:

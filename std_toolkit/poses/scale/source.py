@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.geometry import SE3, Camera
+from std_toolkit.jobs import JobOptions
 from std_toolkit.plugins import Registry
 from std_toolkit.poses.model import Observations, observations
 from std_toolkit.scene import Frame, Scene
@@ -28,6 +29,7 @@ class ScaleContext:
         image_ids: frame id to COLMAP image id, registered frames only, rising.
         cameras: intrinsics by camera key, as adjusted with the model.
         board: description of a fiducial board, or None.
+        jobs: where work over frames runs.
     """
 
     scene: Scene
@@ -35,6 +37,7 @@ class ScaleContext:
     image_ids: dict[int, int]
     cameras: dict[str, Camera]
     board: Path | None = None
+    jobs: JobOptions | None = None
 
     @cached_property
     def poses(self) -> dict[int, SE3]:

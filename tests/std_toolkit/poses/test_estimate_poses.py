@@ -18,7 +18,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Similarity, rotation_angle, umeyama
 from std_toolkit.poses import PoseOptions
 from std_toolkit.poses.step import estimate_poses, failed_gates
-from std_toolkit.scene import Scene
+from std_toolkit.scene import Label, Labels, Model, Object, ObjectTable, Scene
 from std_toolkit.scene.metres import require_metres
 
 SERIAL = PoseOptions(threads=1)
@@ -178,6 +178,28 @@ def test_a_truncated_image_is_named_and_the_scene_left_alone(copy: Scene) -> Non
         estimate_poses(copy, SERIAL)
     assert (copy.root / "poses.json").read_bytes() == before
     assert not (copy.root / ".std" / "work" / "poses").exists()
+
+
+def test_labels_of_the_old_world_are_forgotten(copy: Scene) -> None:
+    copy.save_objects(
+        ObjectTable(
+            models=[Model(id="m", mesh="models/m/m.ply", size_m=[0.1] * 3, diameter_m=0.17)],
+            objects=[Object(id=1, name="m", model="m", material="diffuse")],
+        )
+    )
+    pose = SE3(np.eye(3), np.array([0.0, 0.0, 0.5])).flat()
+    label = Label(object=1, frame=0, T_cam_obj=pose, T_world_obj=pose, refined=True)
+    copy.save_labels(Labels(labels=[label]))
+    estimate_poses(copy, PoseOptions(threads=1, scale="none"))
+    (kept,) = Scene.open(copy.root).labels.labels
+    assert (kept.T_cam_obj, kept.T_world_obj, kept.refined) == (pose, None, False)
+
+
+def test_an_unknown_scale_source_is_refused_before_the_mapping(recording, tmp_path: Path) -> None:
+    scene = recording.write(tmp_path / "scene")
+    with pytest.raises(ToolkitError, match="no such scale source"):
+        estimate_poses(scene, PoseOptions(scale="bord"))
+    assert not (scene.root / ".std" / "poses").exists()
 
 
 def test_command_line(copy: Scene, capsys) -> None:

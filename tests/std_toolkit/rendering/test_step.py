@@ -10,6 +10,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+import trimesh
 
 from std_toolkit.cli.main import main
 from std_toolkit.errors import ToolkitError
@@ -24,6 +25,7 @@ from std_toolkit.rendering.ground_truth import (
 )
 from std_toolkit.rendering.occlusion import hidden_by_depth
 from std_toolkit.rendering.step import RenderOptions, render_ground_truth
+from std_toolkit.scene.freshness import truth_is_current
 from std_toolkit.scene.model import Frames, Labels
 from std_toolkit.scene.scene import Scene
 
@@ -237,3 +239,23 @@ def test_a_frame_without_what_the_policy_needs_says_so(make_scene) -> None:
     render_ground_truth(scene, replace(MODELS, policy="sensor"), jobs=SERIAL).raise_if_failed()
     told = [read_ground_truth(scene, f.id).info for f in scene.frames]
     assert [(t.policy, t.delta_m) for t in told[:2]] == [("models", None), ("sensor", 0.015)]
+
+
+@pytest.mark.parametrize("change", ["mesh", "camera", "depth correction"])
+def test_ground_truth_of_other_inputs_is_not_current(make_scene: MakeScene, change: str) -> None:
+    scene = make_scene(frames=1)
+    render_ground_truth(scene, MODELS, jobs=SERIAL)
+    truth = read_ground_truth(scene, scene.frames[0].id).info
+    assert truth_is_current(scene, truth)
+    if change == "mesh":
+        path = scene.mesh_path(scene.objects.model("ball"))
+        trimesh.creation.icosphere(subdivisions=2, radius=0.03).export(path)
+    elif change == "camera":
+        cameras = {
+            key: msgspec.structs.replace(camera, fx=camera.fx * 1.01)
+            for key, camera in scene.info.cameras.items()
+        }
+        scene.save_info(msgspec.structs.replace(scene.info, cameras=cameras))
+    else:
+        scene.save_info(msgspec.structs.replace(scene.info, depth_correction=0.98))
+    assert not truth_is_current(Scene.open(scene.root), truth)

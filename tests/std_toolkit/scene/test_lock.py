@@ -8,9 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.scene import CameraModel, Frames, Scene, SceneInfo
 from std_toolkit.scene.lock import scene_lock
 
 HOLDER = """
@@ -99,3 +101,14 @@ def test_a_link_in_place_of_the_lock_is_not_written_through(tmp_path: Path) -> N
     with pytest.raises(ToolkitError, match="symbolic link"), scene_lock(scene):
         pass
     assert (precious / "lock").read_text() == "keep"
+
+
+def test_a_writer_works_on_what_the_last_one_left(tmp_path: Path) -> None:
+    camera = CameraModel(width=64, height=48, fx=60, fy=60, cx=32, cy=24)
+    info = SceneInfo(name="shared", cameras={"color": camera})
+    one = Scene.create(tmp_path / "scene", info, Frames(frames=[]))
+    other = Scene.open(one.root)
+    with one.lock():
+        one.save_info(msgspec.structs.replace(info, source="one"))
+    with other.lock():
+        assert other.info.source == "one"
