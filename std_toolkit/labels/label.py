@@ -165,7 +165,8 @@ def set_pose(
     """Annotate an object's pose in one frame.
 
     What was derived from an earlier annotation (world pose, refinement, covariance) is dropped:
-    propagate again. The caller holds the scene's lock.
+    propagate again. The same annotation once more changes nothing. The caller holds the scene's
+    lock.
 
     Args:
         object_name: name of an object of the scene.
@@ -203,6 +204,8 @@ def set_pose(
             annotator=annotator,
             views=kept,
         )
+    if old is not None and label == without_derived(old):
+        return old
     scene.save_labels(scene.labels.with_label(label))
     return label
 

@@ -100,3 +100,12 @@ def test_what_is_missing_is_said(scene, box_path):
         propagate_labels(Scene.open(scene.root))
     with pytest.raises(ToolkitError, match="needs --refine"):
         PropagateOptions(refine_scale=True)
+
+
+def test_the_same_annotation_again_keeps_what_was_derived(labelled):
+    propagate_labels(labelled)
+    label = labelled.labels.labels[0]
+    again = set_pose(labelled, "box", 0, SE3.from_matrix(label.T_cam_obj))
+    assert again.T_world_obj == label.T_world_obj is not None
+    moved = SE3(np.eye(3), np.array([0.0, 0.0, 0.001])) @ SE3.from_matrix(label.T_cam_obj)
+    assert set_pose(labelled, "box", 0, moved).T_world_obj is None
