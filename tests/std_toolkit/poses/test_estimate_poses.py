@@ -195,6 +195,19 @@ def test_labels_of_the_old_world_are_forgotten(copy: Scene) -> None:
     assert (kept.T_cam_obj, kept.T_world_obj, kept.refined) == (pose, None, False)
 
 
+def test_files_of_the_user_survive_a_new_run(copy: Scene) -> None:
+    """A peer's reconstruction step empties the folder that it works in."""
+    mine = [
+        copy.root / "notes.txt",
+        copy.root / "poses" / "notes.txt",
+        copy.root / "color" / "x.md",
+    ]
+    for path in mine:
+        path.write_text("keep me")
+    estimate_poses(copy, PoseOptions(threads=1, scale="none"))
+    assert [path.read_text() for path in mine] == ["keep me"] * 3
+
+
 def test_an_unknown_scale_source_is_refused_before_the_mapping(recording, tmp_path: Path) -> None:
     scene = recording.write(tmp_path / "scene")
     with pytest.raises(ToolkitError, match="no such scale source"):
