@@ -1,0 +1,1 @@
+"""The annotation GUI over a headless session."""

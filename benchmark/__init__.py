@@ -1,0 +1,1 @@
+"""Data sets, methods, metrics and reports of the benchmark."""
