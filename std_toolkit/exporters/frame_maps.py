@@ -71,14 +71,18 @@ def read_sensor_depth(scene: Scene, frame: Frame) -> NDArray[np.float32] | None:
 
 
 def check_fresh(scene: Scene, truth: FrameTruth) -> None:
-    """Refuse ground truth that belongs to other poses than the scene's labels tell now.
+    """Refuse ground truth that belongs to another state of the scene than today's.
 
     Raises:
-        ToolkitError: a label or camera pose changed after rendering.
+        ToolkitError: a label, camera, mesh or the scale of the depth changed after rendering, or
+            the depth cannot be read at all.
     """
+    frame = scene.frame(truth.frame)
+    if scene.info.depth_scale is None and frame.depth is not None and frame.depth.endswith(".png"):
+        scene.read_depth(frame)  # a damaged scene, no stale one: this names the file and the mend
     if not truth_is_current(scene, truth):
         raise ToolkitError(
-            "the ground truth is older than the labels",
+            "the ground truth is older than the labels, the camera or the meshes",
             path=scene.root,
             field=f"frame {truth.frame}",
             hint="run `std-curate render` again",

@@ -125,8 +125,8 @@ def adjust(
     options.ceres.loss_function_type = pycolmap.LossFunctionType.HUBER
     options.ceres.loss_function_scale = 3.0
     options.ceres.use_gpu = False
-    options.ceres.solver_options.max_num_iterations = 30
-    options.ceres.solver_options.function_tolerance = 1e-6
+    options.ceres.solver_options.max_num_iterations = 200
+    options.ceres.solver_options.function_tolerance = 1e-9
     options.ceres.solver_options.num_threads = -1 if threads is None else threads
     with quiet_colmap():
         if min_angle_deg is not None:
