@@ -155,6 +155,8 @@ def test_ctrl_c_stops_at_once_and_leaves_no_process(tmp_path: Path, signals: int
     process = subprocess.Popen(
         [sys.executable, str(tmp_path / "script.py"), here, str(tmp_path)],
         start_new_session=True,
+        # A test run in the background of a shell inherits an ignored Ctrl-C.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
         stderr=subprocess.PIPE,
         text=True,
     )
