@@ -137,14 +137,6 @@ def _chosen_labels(scene: Scene, options: PropagateOptions) -> list[Label]:
         raise ToolkitError(
             "the scene has no camera poses", path=scene.root, hint="run `std-curate poses` first"
         )
-    if scene.poses.scale is not None and scene.poses.scale.unit != "metre":
-        raise ToolkitError(
-            "the camera poses are not in metres",
-            path=scene.root / "poses.json",
-            field="scale.unit",
-            value=scene.poses.scale.unit,
-            hint="run `std-curate poses` with a scale source",
-        )
     if options.objects is None:
         chosen = list(scene.labels.labels)
     else:

@@ -44,11 +44,11 @@ def estimate_poses(
         ToolkitError: unreadable images, no model at all, or scale sources that contradict each
             other. Nothing is saved then.
     """
-    options = options or PoseOptions()
-    jobs = _width(jobs or JobOptions(), options)
     from std_toolkit.poses.publish import work_folder
     from std_toolkit.poses.scale.resolve import check_source_name
 
+    options = options or PoseOptions()
+    jobs = _width(jobs or JobOptions(), options)
     check_source_name(options.scale)
     board = board_file(scene, options)
     with scene.lock():
