@@ -46,7 +46,6 @@ class FrameJob:
         policy: occlusion policy, already resolved.
         delta_m: tolerance of the policies `sensor` and `fused`.
         smooth_normals: see `render_scene_maps`.
-        meshes: model id to digest of its mesh file.
         occluder: fused geometry (path and digest of content) for policy `fused`.
         gl: GL platform found where the run began, if its workers run on the same machine.
     """
@@ -57,7 +56,6 @@ class FrameJob:
     policy: Policy
     delta_m: float
     smooth_normals: bool
-    meshes: tuple[tuple[str, str], ...]
     occluder: tuple[str, str] | None
     gl: str | None
 
@@ -146,24 +144,13 @@ def _caster() -> RaycastRenderer:
 def _digest(scene: Scene, frame_id: int, job: FrameJob) -> str:
     """Digest of everything that determines a frame's files."""
     frame = scene.frame(frame_id)
-    camera = scene.camera(frame)
-    meshes = dict(job.meshes)
     placements = frame_placements(scene, frame_id)
     parts: list[Any] = [
-        [camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy],
-        list(camera.distortion),
-        [
-            [
-                object_id,
-                meshes[scene.objects.object(object_id).model],
-                pose.matrix().ravel().tolist(),
-            ]
-            for object_id, pose in placements.items()
-        ],
+        frame_inputs(scene, frame_id),
+        [[object_id, pose.flat()] for object_id, pose in placements.items()],
         [job.renderer, job.policy, job.delta_m, job.smooth_normals],
         job.occluder[1] if job.occluder else None,
         None if frame.depth is None else digest_file(scene.root / frame.depth),
-        [scene.info.depth_scale, scene.info.depth_correction],
     ]
     if job.occluder is not None:
         T_world_cam = scene.T_world_cam(frame_id)

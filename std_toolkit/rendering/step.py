@@ -112,7 +112,6 @@ def render_ground_truth(
         policy=policy,
         delta_m=options.delta_m,
         smooth_normals=options.smooth_normals,
-        meshes=meshes,
         occluder=fuse_occluders(scene, options.fusion) if policy == "fused" else None,
         gl=find_gl()[0] if renderer == "pyrender" and same_machine else None,
     )
