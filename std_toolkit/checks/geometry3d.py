@@ -8,14 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.checks.caster import mesh_problem
-from std_toolkit.geometry.depth import unproject_depth
+from std_toolkit.labels.support.cloud import fuse_clouds, sparse_points
 from std_toolkit.scene import Frame, Scene
 
 MOST_POINTS = 12000
 MOST_FACES = 900
 FUSED_FRAMES = 5
-FUSED_STRIDE = 6
-FARTHEST_M = 3.0
+VOXEL_M = 0.006
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,42 +27,20 @@ class Cloud:
 
 def sparse_cloud(scene: Scene) -> Cloud | None:
     """The points of the reconstruction (poses/points.ply); None if there are none."""
-    path = scene.root / "poses" / "points.ply"
-    if not path.is_file():
-        return None
-    import open3d as o3d
-
-    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-        cloud = o3d.io.read_point_cloud(path)
-    xyz = np.asarray(cloud.points)
-    if len(xyz) == 0:
-        return None
-    rgb = np.asarray(cloud.colors)
-    colors = (255 * rgb).round().astype(np.uint8) if len(rgb) == len(xyz) else _grey(len(xyz))
-    good = np.isfinite(xyz).all(axis=1)
-    return _thinned(xyz[good], colors[good])
+    found = sparse_points(scene)
+    return None if found is None else _thinned(*found)
 
 
 def fused_cloud(scene: Scene, frames: list[Frame]) -> Cloud | None:
-    """Sensor depth of some spread frames in the world; None without depth."""
-    usable = [f for f in frames if f.depth is not None]
-    if not usable:
+    """Sensor depth of some spread frames in the world; None without depth or metres."""
+    usable = [f for f in frames if f.depth is not None and scene.T_world_cam(f.id) is not None]
+    # Depth is in metres: it cannot be put into a world of unknown unit.
+    scale = None if scene.poses is None else scene.poses.scale
+    if not usable or (scale is not None and scale.unit != "metre"):
         return None
     chosen = np.unique(np.linspace(0, len(usable) - 1, FUSED_FRAMES).round().astype(int))
-    points, colors = [], []
-    for frame in (usable[i] for i in chosen):
-        depth, T_world_cam = scene.read_depth(frame), scene.T_world_cam(frame.id)
-        if depth is None or T_world_cam is None:
-            continue
-        part = np.s_[::FUSED_STRIDE, ::FUSED_STRIDE]
-        xyz = unproject_depth(depth, scene.camera(frame))[part]
-        use = (depth[part] > 0) & (depth[part] < FARTHEST_M)
-        points.append(T_world_cam @ xyz[use])
-        colors.append(scene.read_color(frame)[part][use])
-    if not points:
-        return None
-    xyz, rgb = np.concatenate(points), np.concatenate(colors)
-    return _thinned(xyz, rgb) if len(xyz) else None
+    cloud = fuse_clouds(scene, [usable[i] for i in chosen], voxel_m=VOXEL_M, limit=2 * MOST_POINTS)
+    return _thinned(cloud.points, cloud.colors) if len(cloud.points) else None
 
 
 def labelled_mesh(
@@ -108,7 +85,3 @@ def _thinned(xyz: NDArray[np.floating], rgb: NDArray[np.uint8]) -> Cloud:
         keep = np.sort(np.random.default_rng(0).choice(len(xyz), MOST_POINTS, replace=False))
         xyz, rgb = xyz[keep], rgb[keep]
     return Cloud(xyz.astype(np.float32), rgb)
-
-
-def _grey(count: int) -> NDArray[np.uint8]:
-    return np.full((count, 3), 120, dtype=np.uint8)

@@ -5,12 +5,11 @@ from __future__ import annotations
 import argparse
 import importlib
 import logging
-import os
 import sys
 from collections.abc import Sequence
 
 from std_toolkit import __version__
-from std_toolkit.errors import ToolkitError
+from std_toolkit.cli.outcome import exit_status
 from std_toolkit.log import log_to_stderr
 
 # In the order of the work. Each module has add_parser(subparsers) and run(args) -> exit status.
@@ -49,35 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command. Exit status: 0 done, 1 a failure or failed gate, 2 bad usage."""
     args = build_parser().parse_args(argv)
     log_to_stderr(logging.WARNING if args.quiet else logging.INFO)
-    try:
-        return int(args.run(args))
-    except ToolkitError as error:
-        if args.debug:
-            raise
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except BrokenPipeError:
-        # `std-curate info SCENE | head` is no error.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except OSError as error:
-        if args.debug:
-            raise
-        where = f"{error.filename}: " if error.filename else ""
-        print(f"error: {where}{error.strerror or error}", file=sys.stderr)
-        return 1
-    except Exception as error:  # a defect of ours: still one line, and how to tell us more
-        if args.debug:
-            raise
-        shown = ToolkitError(
-            f"unexpected {type(error).__name__}: {error}",
-            hint="a defect of std-toolkit; `std-curate --debug ...` shows where",
-        )
-        print(f"error: {shown}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("interrupted; run the same command again to go on", file=sys.stderr)
-        return 130
+    return exit_status(lambda: args.run(args), program="std-curate", debug=args.debug)
 
 
 if __name__ == "__main__":

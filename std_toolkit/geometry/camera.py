@@ -232,8 +232,15 @@ def undistort_image(
     if image.dtype == bool:
         numbers = undistort_image(image.astype(np.uint8), camera, interpolation=interpolation)
         return numbers.astype(bool)
-    # cv2.undistort keeps K and, like this module, puts pixel centres at integers.
-    maps = cv2.initUndistortRectifyMap(
-        camera.K, np.array(camera.distortion), np.eye(3), camera.K, camera.size, cv2.CV_32FC1
-    )
+    maps = _undistortion_maps(camera)
     return cv2.remap(image, *maps, interpolation=interpolation)  # type: ignore[arg-type]
+
+
+@lru_cache(maxsize=4)
+def _undistortion_maps(camera: Camera) -> tuple[Array, Array]:
+    """Where each pixel comes from; kept: making them takes twice as long as using them."""
+    # cv2.undistort keeps K and, like this module, puts pixel centres at integers.
+    distortion = np.array(camera.distortion)
+    return cv2.initUndistortRectifyMap(  # type: ignore[return-value]
+        camera.K, distortion, np.eye(3), camera.K, camera.size, cv2.CV_32FC1
+    )

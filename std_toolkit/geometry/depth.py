@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, pixel_rays
+
+# Relative to the depth: a table seen at 15 degrees changes by less from pixel to pixel.
+LARGEST_DEPTH_STEP = 0.03
 
 
 def unproject_depth(depth: NDArray[np.floating], camera: Camera) -> NDArray[np.float64]:
@@ -27,6 +31,15 @@ def z_to_distance(depth: NDArray[np.floating], camera: Camera) -> NDArray[np.flo
     """
     _check_size(depth, camera)
     return np.asarray(depth, dtype=np.float64) * np.linalg.norm(pixel_rays(camera), axis=-1)
+
+
+def on_depth_step(depth: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Pixels (H, W) beside a step in depth, where sensors report points in mid-air."""
+    measured = np.asarray(depth, dtype=np.float32)
+    far = cv2.dilate(measured, np.ones((3, 3), np.uint8))
+    filled = np.where(measured > 0, measured, np.float32(np.inf))
+    near = cv2.erode(filled, np.ones((3, 3), np.uint8))
+    return np.asarray((measured > 0) & (far - near > LARGEST_DEPTH_STEP * measured))
 
 
 def _check_size(depth: NDArray[np.floating], camera: Camera) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -145,20 +146,7 @@ def instances_from_sidecar(
         # and the refined one differ there, and the sidecar holds the former.
         if label.T_world_obj is None and label.frame in poses:
             annotated = poses[label.frame].flat()
-        labels.append(
-            Label(
-                object=label.object,
-                frame=label.frame,
-                T_cam_obj=annotated,
-                T_world_obj=T_world_obj,
-                refined=label.refined,
-                covariance=label.covariance,
-                weak_direction=label.weak_direction,
-                method=label.method,
-                annotator=label.annotator,
-                views=label.views,
-            )
-        )
+        labels.append(msgspec.structs.replace(label, T_cam_obj=annotated, T_world_obj=T_world_obj))
     return Instances(tuple(sidecar.objects.objects), Labels(labels=labels))
 
 

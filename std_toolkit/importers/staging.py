@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import sync_folder
 
 
 @contextmanager
@@ -45,7 +46,7 @@ def new_folder(out: Path) -> Iterator[Path]:
             raise ToolkitError(
                 f"cannot put the finished folder in place: {error.strerror}", path=out
             ) from error
-        _sync(out.parent)
+        sync_folder(out.parent)
     except BaseException as error:
         shutil.rmtree(staging, ignore_errors=True)
         _remove_parents(made)
@@ -108,11 +109,3 @@ def _remove_parents(made: list[Path]) -> None:
     for folder in made:
         with suppress(OSError):
             folder.rmdir()
-
-
-def _sync(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

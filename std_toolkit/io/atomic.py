@@ -37,7 +37,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         with temporary.open("rb") as file:
             os.fsync(file.fileno())
         temporary.replace(path)
-        _sync_folder(path.parent)
+        sync_folder(path.parent)
     except OSError as error:
         _remove(temporary)
         if error.filename not in (None, str(temporary), str(path), str(path.parent)):
@@ -79,8 +79,8 @@ def _remove(temporary: Path) -> None:
         temporary.unlink()
 
 
-def _sync_folder(folder: Path) -> None:
-    # The rename itself is only durable once the folder's entry is on disk.
+def sync_folder(folder: Path) -> None:
+    """Have a folder's entries on disk: a new or renamed file is durable only then."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -79,8 +79,8 @@ def document_bytes(document: Any, *, path: Path | str | None = None) -> bytes:
         ToolkitError: a number is not finite (JSON has no NaN; it would silently become null), a
             value has a type that JSON lacks, or the document would not pass its own validation.
     """
-    _refuse_not_finite(msgspec.to_builtins(document, enc_hook=_plain_number), path, "")
-    encoded = msgspec.json.encode(document, enc_hook=_plain_number)
+    _refuse_not_finite(msgspec.to_builtins(document, enc_hook=plain_number), path, "")
+    encoded = msgspec.json.encode(document, enc_hook=plain_number)
     if isinstance(document, msgspec.Struct):
         # Structs are not checked when they are made; what is written must be readable.
         decode_document(encoded, type(document), path=path)
@@ -105,7 +105,8 @@ def _refuse_twice(pairs: list[tuple[str, Any]]) -> None:
         raise ToolkitError("a key appears twice in one object", field=key)
 
 
-def _plain_number(value: Any) -> Any:
+def plain_number(value: Any) -> Any:
+    """For msgspec's `enc_hook`: a number of numpy as Python's; anything else is refused."""
     if getattr(value, "shape", None) == ():  # a number of numpy
         return value.item()
     raise ToolkitError(

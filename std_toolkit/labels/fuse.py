@@ -13,6 +13,7 @@ from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.pose_error import mssd
 from std_toolkit.geometry.se3 import SE3, skew
 from std_toolkit.geometry.symmetry import Symmetry
+from std_toolkit.geometry.variants import nearest_variant
 
 Array = NDArray[np.float64]
 
@@ -63,7 +64,7 @@ def fuse_views(
     size = float(np.ptp(X, axis=0).max())
     aligned = [(views[0], views[0].T_cam_obj)]
     for view in views[1:]:
-        T = _nearest_variant(view.T_world_obj, first, X, symmetry)
+        T = nearest_variant(view.T_world_obj, first, X, symmetry)
         apart = mssd(T, first, X)
         if apart > size:
             raise ToolkitError(
@@ -87,11 +88,6 @@ def fuse_views(
         if np.linalg.norm(step) < 1e-10:
             break
     return pose
-
-
-def _nearest_variant(T: SE3, reference: SE3, X: Array, symmetry: Symmetry) -> SE3:
-    variants = [T @ S for S in symmetry.transforms(steps=360)]
-    return min(variants, key=lambda V: float(np.linalg.norm(V @ X - reference @ X)))
 
 
 def _projection(view: AnnotatedView, pose: SE3, X: Array, pixels: Array) -> tuple[Array, Array]:

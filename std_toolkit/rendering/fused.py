@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 
 from std_toolkit.geometry.camera import undistort_image
+from std_toolkit.geometry.depth import on_depth_step
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.atomic import atomic_path
 from std_toolkit.log import logger
@@ -42,7 +43,6 @@ _MOST_FRAMES = 48
 _TRUNCATION_VOXELS = 4.0
 _HALF_PIXEL = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 _OUTLINE_MARGIN_PX = 7
-_LARGEST_DEPTH_STEP = 0.03
 _SMALLEST_PIECE_M2 = 4e-4
 
 
@@ -188,7 +188,7 @@ def _trusted_depth(
     options: FusionOptions,
 ) -> tuple[np.ndarray, float]:
     """The readings that count, and the depth beyond which nothing can hide an object."""
-    depth = np.where(_on_edge(sensor), np.float32(0), sensor)
+    depth = np.where(on_depth_step(sensor), np.float32(0), sensor)
     if not placed:
         return depth, 3.0
     kernel = np.ones((2 * _OUTLINE_MARGIN_PX + 1,) * 2, np.uint8)
@@ -204,14 +204,6 @@ def _trusted_depth(
             grown &= depth > nearest - options.clearance_m
         depth[grown] = 0
     return depth, max(farthest, 0.1)
-
-
-def _on_edge(depth: np.ndarray) -> np.ndarray:
-    """Pixels at a depth step, where sensors report points in mid-air."""
-    far = cv2.dilate(depth, np.ones((3, 3), np.uint8))
-    filled = np.where(depth > 0, depth, np.float32(np.inf))
-    near = cv2.erode(filled, np.ones((3, 3), np.uint8))
-    return (depth > 0) & (far - near > _LARGEST_DEPTH_STEP * depth)
 
 
 def _cut(

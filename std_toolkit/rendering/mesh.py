@@ -7,6 +7,7 @@ only a look-up, and a mesh that was changed in place is prepared anew.
 from __future__ import annotations
 
 import hashlib
+import threading
 from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,6 +25,7 @@ CREASE_DEG = 40.0
 
 _CACHE_SIZE = 64
 _cache: OrderedDict[tuple[int, int], RenderMesh] = OrderedDict()
+_cache_lock = threading.Lock()
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,18 +178,22 @@ class RenderMesh:
 
 
 def prepare_mesh(mesh: trimesh.Trimesh | RenderMesh) -> RenderMesh:
-    """Return the prepared form of a mesh in metres, from a cache keyed by its content."""
+    """Return the prepared form of a mesh in metres, from a cache keyed by its content.
+
+    May be called in several threads.
+    """
     if isinstance(mesh, RenderMesh):
         return mesh
     key = (hash(mesh.vertices), hash(mesh.faces))
-    found = _cache.get(key)
-    if found is None:
-        found = RenderMesh.from_arrays(np.asarray(mesh.vertices), np.asarray(mesh.faces))
-        _cache[key] = found
-        while len(_cache) > _CACHE_SIZE:
-            _cache.popitem(last=False)
-    else:
-        _cache.move_to_end(key)
+    with _cache_lock:
+        found = _cache.get(key)
+        if found is None:
+            found = RenderMesh.from_arrays(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+            _cache[key] = found
+            while len(_cache) > _CACHE_SIZE:
+                _cache.popitem(last=False)
+        else:
+            _cache.move_to_end(key)
     return found
 
 

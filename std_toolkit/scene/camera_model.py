@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Annotated
 
 import msgspec
@@ -25,9 +26,8 @@ class CameraModel(Document, frozen=True, kw_only=True):
         self.camera()
 
     def camera(self) -> Camera:
-        return Camera(
-            self.width, self.height, self.fx, self.fy, self.cx, self.cy, tuple(self.distortion)
-        )
+        k = tuple(self.distortion)
+        return _camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy, k)
 
     @staticmethod
     def of(camera: Camera) -> CameraModel:
@@ -40,3 +40,7 @@ class CameraModel(Document, frozen=True, kw_only=True):
             cy=camera.cy,
             distortion=list(camera.distortion),
         )
+
+
+# Asked for with every frame; its checks take longer than looking it up.
+_camera = lru_cache(maxsize=32)(Camera)

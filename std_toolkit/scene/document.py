@@ -15,6 +15,7 @@ Positive = Annotated[float, msgspec.Meta(gt=0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0)]
 # The largest whole number that every JSON reader keeps exactly is 2^53 - 1.
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**53 - 1)]
+ObjectId = Annotated[int, msgspec.Meta(ge=1, le=254)]
 Pose16 = Annotated[list[float], msgspec.Meta(min_length=16, max_length=16)]
 Covariance36 = Annotated[list[float], msgspec.Meta(min_length=36, max_length=36)]
 Vector3 = Annotated[list[float], msgspec.Meta(min_length=3, max_length=3)]

@@ -1,4 +1,4 @@
-"""One writer per scene at a time."""
+"""One writer per scene at a time, and one annotator."""
 
 from __future__ import annotations
 
@@ -21,7 +21,24 @@ def scene_lock(root: Path) -> Iterator[None]:
         ToolkitError: another process holds it (the message names the owner), or the folder is
             read-only.
     """
-    path = root / ".std" / "lock"
+    with hold_lock(root, "lock", doing="writing to"):
+        yield
+
+
+@contextmanager
+def hold_lock(root: Path, name: str, *, doing: str, note: str = "") -> Iterator[None]:
+    """Hold one of a scene's locks; a killed holder frees it by dying.
+
+    Args:
+        name: of the lock's file in `.std`.
+        doing: what the holder does to the scene, for the message to others: "writing to".
+        note: more about the holder, for the same message.
+
+    Raises:
+        ToolkitError: another process holds it (the message names the owner), or the folder is
+            read-only.
+    """
+    path = root / ".std" / name
     if path.parent.is_symlink():
         raise ToolkitError("the scene's .std folder must not be a symbolic link", path=root)
     try:
@@ -36,7 +53,7 @@ def scene_lock(root: Path) -> Iterator[None]:
         except BlockingIOError as error:
             owner = os.pread(descriptor, 200, 0).decode(errors="replace").strip()
             raise ToolkitError(
-                f"another process is writing to this scene: {owner or 'unknown owner'}",
+                f"another process is {doing} this scene: {owner or 'unknown owner'}",
                 path=root,
                 hint="wait for it or end it",
             ) from error
@@ -47,8 +64,9 @@ def scene_lock(root: Path) -> Iterator[None]:
                 hint="its file system must support locks (flock)",
             ) from error
         os.ftruncate(descriptor, 0)
-        owner = f"{_user()}@{socket.gethostname()} pid {os.getpid()}\n"
-        os.pwrite(descriptor, owner.encode(), 0)
+        holder = f"{_user()}@{socket.gethostname()} pid {os.getpid()}"
+        owner = " ".join(f"{holder}, {note}".split()) if note else holder
+        os.pwrite(descriptor, f"{owner}\n".encode(), 0)
         yield
         os.ftruncate(descriptor, 0)
     finally:

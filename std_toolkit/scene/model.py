@@ -14,12 +14,19 @@ import msgspec
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.symmetry import Symmetry
+from std_toolkit.scene.annotation_model import (
+    Annotation,
+    ClickedPoint,
+    LabelProvenance,
+    ObjectAnnotation,
+)
 from std_toolkit.scene.camera_model import CameraModel
 from std_toolkit.scene.document import (
     Count,
     Covariance36,
     Document,
     NonNegative,
+    ObjectId,
     Pose16,
     Positive,
     Vector3,
@@ -41,8 +48,10 @@ __all__ = [
     "CATEGORY_CLASS_IDS",
     "DIFFUSE_MATERIALS",
     "MATERIAL_IDS",
+    "Annotation",
     "CameraModel",
     "CameraPoses",
+    "ClickedPoint",
     "ContinuousSymmetry",
     "Count",
     "Covariance36",
@@ -52,11 +61,13 @@ __all__ = [
     "Frames",
     "Gate",
     "Label",
+    "LabelProvenance",
     "Labels",
     "Material",
     "Model",
     "NonNegative",
     "Object",
+    "ObjectAnnotation",
     "ObjectId",
     "ObjectTable",
     "Pose16",
@@ -69,7 +80,6 @@ __all__ = [
     "pose_from_list",
 ]
 
-ObjectId = Annotated[int, msgspec.Meta(ge=1, le=254)]
 Material = Literal["raw", "diffuse", "transparent", "specular"]
 
 # Class ids of the STD and DREDS meta files; 0 is any other category.
@@ -267,6 +277,7 @@ class Label(Document, frozen=True, kw_only=True):
         method: how it was annotated, such as "file", "pnp", "import:bop".
         annotator: who did it.
         views: poses of the same object annotated in further frames, by frame id.
+        provenance: when, with which tool and how; absent where nobody recorded it.
     """
 
     object: ObjectId
@@ -279,6 +290,7 @@ class Label(Document, frozen=True, kw_only=True):
     method: str = "file"
     annotator: str = ""
     views: dict[str, Pose16] = msgspec.field(default_factory=dict)
+    provenance: LabelProvenance | msgspec.UnsetType = msgspec.UNSET
 
     def check(self) -> None:
         check_pose(self.T_cam_obj, "T_cam_obj")

@@ -18,6 +18,7 @@ from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.io.images import read_color, read_depth
 from std_toolkit.scene.lock import scene_lock
 from std_toolkit.scene.model import (
+    Annotation,
     CameraPoses,
     Frame,
     FramePose,
@@ -97,6 +98,18 @@ class Scene:
         write_document(root / "scene.json", info)
         return scene
 
+    def copy(self, *, objects: ObjectTable | None = None) -> Scene:
+        """A scene of the same documents that later changes of this one do not reach.
+
+        Args:
+            objects: in place of this scene's models and objects. Labels are left out then: they
+                might be of other objects.
+        """
+        twin = Scene(self.root, self.info, self.frame_table, objects or self.objects)
+        twin.__dict__["poses"] = self.poses
+        twin.__dict__["labels"] = self.labels if objects is None else Labels()
+        return twin
+
     # --- documents -------------------------------------------------------------------------
 
     @property
@@ -120,6 +133,14 @@ class Scene:
             return Labels()
         return self._checked_labels(read_document(path, Labels))
 
+    @cached_property
+    def annotation(self) -> Annotation:
+        """State of the annotation by hand; empty before the first."""
+        path = self.root / "annotation.json"
+        if not path.exists():
+            return Annotation()
+        return self._checked_annotation(read_document(path, Annotation))
+
     def save_info(self, info: SceneInfo) -> None:
         _check_cameras(self.root, info, self.frame_table)
         write_document(self.root / "scene.json", info)
@@ -139,6 +160,11 @@ class Scene:
         """Raises ToolkitError for labels of objects or frames that the scene does not have."""
         write_document(self.root / "labels.json", self._checked_labels(labels))
         self.__dict__["labels"] = labels
+
+    def save_annotation(self, annotation: Annotation) -> None:
+        """Raises ToolkitError for objects or frames that the scene does not have."""
+        write_document(self.root / "annotation.json", self._checked_annotation(annotation))
+        self.__dict__["annotation"] = annotation
 
     def _checked_poses(self, poses: CameraPoses) -> CameraPoses:
         path = self.root / "poses.json"
@@ -186,15 +212,41 @@ class Scene:
                     )
         return labels
 
+    def _checked_annotation(self, annotation: Annotation) -> Annotation:
+        path = self.root / "annotation.json"
+        objects = {o.id for o in self.objects.objects}
+        for i, row in enumerate(annotation.objects):
+            if row.object not in objects:
+                raise ToolkitError(
+                    "no such object in objects.json",
+                    path=path,
+                    field=f"objects[{i}].object",
+                    value=row.object,
+                )
+            for j, click in enumerate(row.clicks):
+                if click.frame not in self._frame_by_id:
+                    raise ToolkitError(
+                        "no such frame in frames.json",
+                        path=path,
+                        field=f"objects[{i}].clicks[{j}].frame",
+                        value=click.frame,
+                    )
+        return annotation
+
     @contextmanager
     def lock(self) -> Iterator[None]:
         """Hold the scene for writing, with its documents as they are now; see `scene_lock`."""
         with scene_lock(self.root):
-            self._reload()
+            # Another process may have written between `open` and the lock.
+            self.reread()
             yield
 
-    def _reload(self) -> None:
-        """Another process may have written between `open` and the lock."""
+    def reread(self) -> None:
+        """Take the documents as they are now; those besides the first three when asked for.
+
+        Raises:
+            ToolkitError: as `open`; then nothing has changed.
+        """
         now = Scene.open(self.root)
         self.info, self.frame_table, self.objects = now.info, now.frame_table, now.objects
         self._meshes.clear()

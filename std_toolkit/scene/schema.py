@@ -9,7 +9,7 @@ import msgspec
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
-from std_toolkit.scene.model import CameraPoses, Frames, Labels, ObjectTable, SceneInfo
+from std_toolkit.scene.model import Annotation, CameraPoses, Frames, Labels, ObjectTable, SceneInfo
 from std_toolkit.scene.provenance import Record
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -28,6 +28,7 @@ def document_types() -> dict[str, type]:
         "objects": ObjectTable,
         "poses": CameraPoses,
         "labels": Labels,
+        "annotation": Annotation,
         "ground_truth": FrameTruth,
         "check_report": CheckReport,
         "record": Record,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.refine.object_surface import surface_of, turned
 from std_toolkit.labels.refine.problem import RefineObject
 
 NONE = -1
@@ -33,45 +34,39 @@ class Hits:
 class WorldCaster:
     """Rays against all objects at their current poses.
 
+    The acceleration structures belong to the meshes and stay: moving an object costs nothing.
+
     Args:
         objects: meshes.
         poses: T_world_obj of each.
     """
 
     def __init__(self, objects: Sequence[RefineObject], poses: Sequence[SE3]) -> None:
-        import open3d as o3d
-
-        self._scene = o3d.t.geometry.RaycastingScene()
-        # Embree works in float32: coordinates near the objects keep their digits.
-        self._origin = np.mean([T.t for T in poses], axis=0)
-        for thing, T in zip(objects, poses, strict=True):
-            self._scene.add_triangles(
-                o3d.core.Tensor.from_numpy((T @ thing.vertices - self._origin).astype(np.float32)),
-                o3d.core.Tensor.from_numpy(thing.faces.astype(np.uint32)),
-            )
+        self._placed = [(surface_of(thing), T) for thing, T in zip(objects, poses, strict=True)]
 
     def cast(self, camera: Camera, T_world_cam: SE3, pixels: NDArray[np.floating]) -> Hits:
         """Rays through pixels (..., 2) of an undistorted camera."""
-        import open3d as o3d
-
         uv = np.asarray(pixels)
-        rays = np.empty((*uv.shape[:-1], 6), np.float32)
-        directions = np.stack(
-            [(uv[..., 0] - camera.cx) / camera.fx, (uv[..., 1] - camera.cy) / camera.fy], axis=-1
-        )
-        # Directions have z = 1 in the camera frame, so the distance returned is the z-depth.
-        R = T_world_cam.R
-        rays[..., :3] = T_world_cam.t - self._origin
-        rays[..., 3:] = directions @ R[:, :2].T + R[:, 2]
-        found = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
-        ids = found["geometry_ids"].numpy()
-        normal = found["primitive_normals"].numpy()
-        facing = (normal * rays[..., 3:]).sum(axis=-1, keepdims=True)
-        return Hits(
-            np.where(ids == self._scene.INVALID_ID, NONE, ids.astype(np.int64)).astype(np.int32),
-            found["t_hit"].numpy(),
-            np.where(facing > 0, -normal, normal),
-        )
+        rays = np.ones((uv.size // 2, 3), np.float32)
+        rays[:, 0] = ((uv[..., 0] - camera.cx) / camera.fx).ravel()
+        rays[:, 1] = ((uv[..., 1] - camera.cy) / camera.fy).ravel()
+        nearest = np.full(len(rays), np.inf, np.float32)
+        index = np.full(len(rays), NONE, np.int32)
+        normal = np.zeros((len(rays), 3), np.float32)
+        T_cam_world = T_world_cam.inverse()
+        for i, (surface, T_world_obj) in enumerate(self._placed):
+            T_cam_obj = T_cam_world @ T_world_obj
+            (tried,) = np.nonzero(surface.may_meet(rays, T_cam_obj))
+            if not len(tried):
+                continue
+            hits = surface.cast(rays[tried], T_cam_obj)
+            nearer = hits.depth < nearest[tried]
+            seen = tried[nearer]
+            nearest[seen] = hits.depth[nearer]
+            index[seen] = i
+            normal[seen] = turned(hits.normal[nearer], T_world_obj.R)
+        shape = uv.shape[:-1]
+        return Hits(index.reshape(shape), nearest.reshape(shape), normal.reshape(*shape, 3))
 
 
 @dataclass(frozen=True, eq=False)

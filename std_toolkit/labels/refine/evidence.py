@@ -10,6 +10,7 @@ The region takes the lead while the pose is far off, the step decides the last p
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -18,10 +19,14 @@ from numpy.typing import NDArray
 from std_toolkit.labels.refine.caster import Patch
 from std_toolkit.labels.refine.contour import Contour, Kind
 
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
 _BINS = 16
+_SHARED_SIGMAS = 3.5
 # Evidence of neighbouring pixels on a line is not independent.
 _REGION_WEIGHT = 0.25
 _LARGEST_LOG_RATIO = 2.5
@@ -110,11 +115,10 @@ def measure_edges(
     pad = 3
     wide = np.arange(-reach - pad, reach + pad + 1, dtype=np.float64)
     at = contour.pixels[:, None] + wide[None, :, None] * contour.normals[:, None]
-    share = np.exp(-0.5 * contour.neighbours / max(along, 1e-3) ** 2).astype(np.float32)
-    share /= share.sum(axis=1, keepdims=True)
+    share = _sharing(contour.neighbours, along)
     crop, corner = _around(image, at)
     step = _derivative(_sample(crop, at - corner))[:, pad:-pad]
-    step = np.einsum("ij,jmc->imc", share, step, optimize=True)
+    step = (share @ step.reshape(len(step), -1)).reshape(step.shape)
     magnitude = np.linalg.norm(step, axis=-1)
     noise = float(np.median(magnitude)) + 0.5
     relative = magnitude / noise
@@ -142,6 +146,18 @@ def measure_edges(
     weight = weight * np.where(contour.kind == Kind.CREASE, crease_weight, 1.0)
     at_end = (best == 0) | (best == len(d) - 1)
     return EdgeMeasurements(offset, np.where(at_end, 0, weight))
+
+
+def _sharing(square_distance: Array, along: float) -> csr_array:
+    """(N, N) weights by which samples share their evidence; rows sum to 1."""
+    from scipy.sparse import csr_array
+
+    reach = (_SHARED_SIGMAS * along) ** 2
+    near, far = np.nonzero(square_distance <= reach)
+    weight = np.exp(-0.5 * square_distance[near, far] / max(along, 1e-3) ** 2).astype(np.float32)
+    total = np.bincount(near, weight, len(square_distance)).astype(np.float32)
+    # Few neighbours count: a dense product would take most of a refinement's time.
+    return csr_array((weight / total[near], (near, far)), shape=square_distance.shape)
 
 
 def _around(image: NDArray[np.uint8], at: Array) -> tuple[Array32, Array]:

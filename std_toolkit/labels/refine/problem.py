@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -14,6 +15,9 @@ from std_toolkit.geometry.camera import Camera, undistort_image
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.geometry.symmetry import Symmetry
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
+
+if TYPE_CHECKING:
+    from std_toolkit.labels.refine.appearance import SurfaceColors
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +87,9 @@ class RefineObject:
         material: depth is trusted on "raw" and "diffuse" only.
         symmetry: directions that it leaves free are not adjusted.
         fixed: takes part as an occluder, and keeps its pose.
+        rough: poses around the start are tried before edges are followed, if there are two views
+            or more; see `RefineOptions.rough_m`.
+        colors: of its surface, where the mesh has a print that tells its sides apart.
     """
 
     name: str
@@ -92,6 +99,8 @@ class RefineObject:
     material: str = "diffuse"
     symmetry: Symmetry = field(default_factory=Symmetry)
     fixed: bool = False
+    rough: bool = False
+    colors: SurfaceColors | None = None
 
     @property
     def trusts_depth(self) -> bool:
@@ -125,6 +134,9 @@ class RefineOptions:
         translation_std, rotation_std: weak prior of the start pose, metres and radians: it only
             decides directions that nothing else decides.
         iterations: most Gauss-Newton steps per level.
+        depth_samples: a view's sensor depth on an object counts as so many independent ones.
+        rough_m, rough_turn: how far the start of a rough object may be off: its centre, metres,
+            and its rotation, radians.
     """
 
     use_depth: bool = True
@@ -136,6 +148,9 @@ class RefineOptions:
     translation_std: float = 0.05
     rotation_std: float = 0.35
     iterations: int = 4
+    depth_samples: float = 1.5
+    rough_m: float = 0.035
+    rough_turn: float = float(np.deg2rad(18))
 
 
 @dataclass(frozen=True, eq=False)

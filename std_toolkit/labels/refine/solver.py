@@ -4,19 +4,20 @@ Every iteration renders all objects together at their poses, measures where the 
 visible contour are, compares sensor depth with the visible surface of diffuse objects, and solves
 for all poses, one factor on sensor depth and (if asked) one scale of the camera positions. The
 depth factor is a nuisance: a sensor that reads 1-2 % long does so on every object, and without it
-the labels would move by as much.
+the labels would move by as much. From rough starts a search comes first (`approach`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.se3 import SE3
-from std_toolkit.labels.refine.measure import Measured, PoseState, coarse_to_fine, measure
+from std_toolkit.labels.refine.approach import approach
+from std_toolkit.labels.refine.descent import Descent, assemble, descend
+from std_toolkit.labels.refine.measure import PoseState, coarse_to_fine
 from std_toolkit.labels.refine.problem import (
     RefinedObject,
     RefineObject,
@@ -24,22 +25,11 @@ from std_toolkit.labels.refine.problem import (
     RefineResult,
     RefineView,
 )
-from std_toolkit.labels.refine.system import NormalEquations
 from std_toolkit.labels.refine.weakness import weakest_direction
 
-Array = NDArray[np.float64]
-
-# Neighbouring samples of a contour repeat each other, and so do the errors of a mesh, a lens and
-# a light in all views: counted as one per so many pixels, the covariance agrees with the errors
-# seen on recordings with known truth.
-_CONTOUR_CORRELATION_PX = 100.0
-# The same for sensor depth: a view of an object counts as so many samples.
-_DEPTH_INDEPENDENT = 1.5
-_SMALLEST_EDGE_STD_PX = 0.25
-_SMALLEST_DEPTH_STD_M = 0.001
-# Steps below this (mm of the object's surface) change no label; coarse levels stop earlier.
-_SETTLED_MM = 0.06
-_SETTLED_COARSE_MM = 0.5
+# The edges are within this after a search; at lower resolutions glass and metal would be lost
+# again. Objects that are not rough are as near.
+_APPROACHED_PX = 20.0
 
 
 def refine_poses(
@@ -63,129 +53,23 @@ def refine_poses(
     options = options or RefineOptions()
     if not views or not objects:
         raise ToolkitError("a refinement needs at least one view and one object")
+    if len(views) > 1 and any(o.rough and not o.fixed for o in objects):
+        objects = approach(views, objects, options)
+        options = replace(options, search_px=min(options.search_px, _APPROACHED_PX))
     state = PoseState([o.T_world_obj for o in objects])
-    measured = Measured([], [])
-    step = np.inf
-    scale = 1.0
-    levels = coarse_to_fine(views, options)
-    for number, level in enumerate(levels):
-        last = number == len(levels) - 1
-        scale = level.scale
-        scaled = [v.at_scale(scale) for v in views]
-        for _ in range(level.iterations):
-            measured = measure(views, scaled, objects, state, level, use_depth=options.use_depth)
-            if not measured.contours and not measured.depths:
-                raise ToolkitError(
-                    "no object is visible in the views of the refinement",
-                    hint="is the annotated pose of one of them far off?",
-                )
-            step = _advance(objects, state, measured, scale, options)
-            if step < (_SETTLED_MM if last else _SETTLED_COARSE_MM):
-                break
-    return _result(objects, state, measured, scale, options, step)
-
-
-def _advance(
-    objects: Sequence[RefineObject],
-    state: PoseState,
-    measured: Measured,
-    scale: float,
-    options: RefineOptions,
-) -> float:
-    """One Gauss-Newton step with robust weights; returns the largest move, mm."""
-    delta = np.zeros(6 * len(objects) + 2)
-    for _ in range(3):
-        # Weights for the residuals that the step leaves, so that outliers do not vote on it.
-        system, _, _ = _assemble(objects, state, measured, scale, options, delta)
-        delta = system.solve([o.radius for o in objects])
-    largest = 0.0
-    for i, thing in enumerate(objects):
-        xi = delta[6 * i : 6 * i + 6]
-        shift, turn = float(np.linalg.norm(xi[:3])), float(np.linalg.norm(xi[3:]))
-        # Linearisation holds for moves that are small against the object.
-        excess = max(shift / (0.25 * thing.radius), turn / 0.2, 1.0)
-        state.poses[i] = state.poses[i] @ SE3.exp(xi / excess)
-        largest = max(largest, shift + turn * thing.radius)
-    state.log_scale += float(delta[system.SCALE])
-    state.depth_factor *= 1 + float(delta[system.FACTOR])
-    return 1000 * largest
-
-
-def _assemble(
-    objects: Sequence[RefineObject],
-    state: PoseState,
-    measured: Measured,
-    scale: float,
-    options: RefineOptions,
-    delta: Array,
-) -> tuple[NormalEquations, dict[int, float], dict[int, float]]:
-    """Normal equations, and the robust standard deviations of edges (px) and depth (m)."""
-    system = NormalEquations(len(objects))
-    edge_std: dict[int, float] = {}
-    depth_std: dict[int, float] = {}
-    d_scale, d_factor = delta[system.SCALE], delta[system.FACTOR]
-    for i in range(len(objects)):
-        xi = delta[6 * i : 6 * i + 6]
-        mine = [rows for k, rows in measured.contours if k == i]
-        if mine:
-            left = [r.residual - r.pose @ xi - r.scale * d_scale for r in mine]
-            clear = np.concatenate([r.weight for r in mine]) > 0.1
-            edge_std[i] = max(_robust_std(np.concatenate(left)[clear]), _SMALLEST_EDGE_STD_PX)
-            information = 1 / (edge_std[i] ** 2 * _CONTOUR_CORRELATION_PX * max(scale, 0.5))
-            for rows, rest in zip(mine, left, strict=True):
-                system.add_contour(i, rows, information * rows.weight * _cauchy(rest / edge_std[i]))
-        surfaces = [rows for k, rows in measured.depths if k == i]
-        if surfaces:
-            left = [
-                r.residual - r.pose @ xi - r.scale * d_scale + r.factor * d_factor for r in surfaces
-            ]
-            depth_std[i] = max(_robust_std(np.concatenate(left)), _SMALLEST_DEPTH_STD_M)
-            for surface, rest in zip(surfaces, left, strict=True):
-                share = min(1.0, _DEPTH_INDEPENDENT / len(rest)) / depth_std[i] ** 2
-                system.add_depth(i, surface, share * _cauchy(rest / depth_std[i]))
-    _add_priors(system, objects, state, options)
-    return system, edge_std, depth_std
-
-
-def _add_priors(
-    system: NormalEquations,
-    objects: Sequence[RefineObject],
-    state: PoseState,
-    options: RefineOptions,
-) -> None:
-    weak = np.array([options.translation_std] * 3 + [options.rotation_std] * 3)
-    for i, thing in enumerate(objects):
-        at = slice(6 * i, 6 * i + 6)
-        moved = (thing.T_world_obj.inverse() @ state.poses[i]).log()
-        stiff = np.full(6, 1e12) if thing.fixed else weak**-2
-        system.add_prior(at, np.diag(stiff), moved)
-        for axis, offset in thing.symmetry.continuous:
-            # A turn about the axis of symmetry changes nothing that can be seen.
-            twist = np.concatenate([-np.cross(axis, offset), axis])
-            system.A[at, at] += 1e8 * np.outer(twist, twist)
-    scale_information = options.scale_std**-2 if options.refine_scale else 1e16
-    system.add_prior(system.SCALE, scale_information, state.log_scale)
-    system.add_prior(system.FACTOR, options.depth_factor_std**-2, state.depth_factor - 1)
-
-
-def _robust_std(values: Array) -> float:
-    return float(1.4826 * np.median(np.abs(values))) if len(values) else 1.0
-
-
-def _cauchy(r: Array) -> Array:
-    return np.asarray(1 / (1 + (r / 1.5) ** 2))
+    descent = descend(views, objects, state, coarse_to_fine(views, options), options)
+    return _result(objects, state, descent, options)
 
 
 def _result(
     objects: Sequence[RefineObject],
     state: PoseState,
-    measured: Measured,
-    scale: float,
+    descent: Descent,
     options: RefineOptions,
-    step: float,
 ) -> RefineResult:
+    measured, scale = descent.measured, descent.scale
     zero = np.zeros(6 * len(objects) + 2)
-    system, edge_std, depth_std = _assemble(objects, state, measured, scale, options, zero)
+    system, edge_std, depth_std = assemble(objects, state, measured, scale, options, zero)
     covariance = system.covariance([o.radius for o in objects])
     refined = []
     for i, thing in enumerate(objects):
@@ -200,7 +84,7 @@ def _result(
                 edge_std.get(i, float("nan")) / scale,
                 depth_std.get(i),
                 seen,
-                seen > 0 and step < 0.5,
+                seen > 0 and descent.step_mm < 0.5,
             )
         )
     scale_std = float(np.sqrt(covariance[system.SCALE, system.SCALE]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -24,6 +24,8 @@ from std_toolkit.scene.model import Frame, Label, pose_from_list
 from std_toolkit.scene.scene import Scene
 
 if TYPE_CHECKING:
+    import trimesh
+
     from std_toolkit.labels.propagate import PropagateOptions
 
 
@@ -68,7 +70,14 @@ def refine_labels(
         always=sorted({f for x in placed.values() for f in annotated_views(x)}),
     )
     views = load_views(scene, frames, use_depth=options.use_depth)
-    objects = [scene_object(scene, i, start[i], fixed=i not in placed) for i in sorted(everything)]
+    objects = [
+        replace(
+            scene_object(scene, i, start[i], fixed=i not in placed),
+            # What was refined in the annotator is in place; what a hand has placed may be far.
+            rough=everything[i].method != "refine",
+        )
+        for i in sorted(everything)
+    ]
     result = refine_poses(
         views,
         objects,
@@ -110,12 +119,22 @@ def load_views(scene: Scene, frames: list[Frame], *, use_depth: bool = True) -> 
 
 
 def scene_object(
-    scene: Scene, object_id: int, T_world_obj: SE3, *, fixed: bool = False
+    scene: Scene,
+    object_id: int,
+    T_world_obj: SE3,
+    *,
+    fixed: bool = False,
+    mesh: trimesh.Trimesh | None = None,
 ) -> RefineObject:
-    """An object of the scene at a pose, as a refinement wants it."""
+    """An object of the scene at a pose, as a refinement wants it.
+
+    Args:
+        mesh: its mesh, where it is at hand; else it is read.
+    """
     thing = scene.objects.object(object_id)
     model = scene.objects.model(thing.model)
-    mesh = scene.mesh(model.id)
+    if mesh is None:
+        mesh = scene.mesh(model.id)
     return RefineObject(
         thing.name,
         np.asarray(mesh.vertices, dtype=np.float64),

@@ -52,6 +52,7 @@ def assert_same_scene(before: Scene, after: Scene, *, frames: list[int], depth_m
             old.annotator,
             old.method,
         )
+        assert new.provenance == old.provenance
         same_pose(pose_from_list(new.T_cam_obj), pose_from_list(old.T_cam_obj))
         same_pose(pose_from_list(new.T_world_obj), pose_from_list(old.T_world_obj))
     for new, old in zip(after.objects.models, before.objects.models, strict=True):

@@ -20,6 +20,7 @@ from std_toolkit.scene import (
     FramePose,
     Frames,
     Label,
+    LabelProvenance,
     Labels,
     Model,
     Object,
@@ -188,6 +189,9 @@ def make_scene(
                     T_world_obj=T.flat(),
                     refined=True,
                     annotator="tester",
+                    provenance=LabelProvenance(
+                        time="2025-03-07T14:02:31Z", tool="std-annotate", version="0.1.0"
+                    ),
                 )
                 for i, T in sorted(world_poses.items())
             ]

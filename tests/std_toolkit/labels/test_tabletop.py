@@ -18,6 +18,7 @@ from std_toolkit.labels.refine.caster import WorldCaster, cast_patch
 from std_toolkit.labels.refine.contour import Kind, contour_image, trace_contour
 from std_toolkit.labels.refine.evidence import colour_odds, measure_edges
 from std_toolkit.labels.refine.step import load_views, scene_object
+from std_toolkit.labels.support.plane import find_table
 from std_toolkit.poses.options import PoseOptions
 from std_toolkit.poses.step import estimate_poses
 from std_toolkit.scene import CameraModel, Frame, Frames, Scene, SceneInfo
@@ -88,6 +89,27 @@ def test_the_board_annotated_in_one_frame_fits_in_all(tabletop, tmp_path):
         errors.append(np.linalg.norm(tabletop.camera(frame).project(T @ X) - uv, axis=1))
     assert len(errors) >= 75
     assert np.median(np.concatenate(errors)) <= 1.5
+
+
+def test_the_table_of_a_recording_without_depth_is_the_plane_of_the_board(tabletop):
+    """The board lies on the table; its pose comes from its printed tags, frame by frame."""
+    board = Board(tabletop.root / "board.json")
+    table = find_table(tabletop, objects=[])
+    assert table is not None
+    assert (table.source, table.quality) == ("reconstruction", "good")
+    slopes, heights = [], []
+    for frame in tabletop.registered_frames()[::3]:
+        X, uv = board.see(tabletop.read_color(frame))
+        if len(X) < 40:
+            continue
+        pose = solve_pnp(X, uv, tabletop.camera(frame)).T_cam_obj
+        T = tabletop.T_world_cam(frame.id) @ pose
+        slopes.append(np.degrees(np.arccos(min(1.0, abs(T.R[:, 2] @ table.plane.normal)))))
+        heights.append(1000 * float(table.plane.signed_distance(T @ X).mean()))
+    assert len(slopes) >= 10
+    print(np.median(slopes), np.median(heights))
+    assert np.median(slopes) <= 0.3
+    assert abs(np.median(heights)) <= 1.0
 
 
 def test_the_bottle_annotated_in_one_frame_keeps_its_contour(tabletop, test_data):

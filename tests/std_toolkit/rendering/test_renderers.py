@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 import trimesh
@@ -256,6 +258,14 @@ def test_prepared_meshes_are_cached_by_content() -> None:
     mesh.apply_scale(2.0)
     assert prepare_mesh(mesh) is not first
     assert prepare_mesh(mesh).diagonal == pytest.approx(2 * first.diagonal)
+
+
+def test_threads_that_want_one_mesh_get_one() -> None:
+    mesh = trimesh.creation.icosphere(subdivisions=5)
+    mesh.vertices *= 0.0371  # of no other test
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(lambda _: prepare_mesh(mesh.copy()), range(16)))
+    assert len({id(x) for x in found}) == 1
 
 
 def test_meshes_without_faces_are_refused() -> None:

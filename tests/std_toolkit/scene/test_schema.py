@@ -41,6 +41,7 @@ def written(tmp_path_factory) -> dict[str, Path]:
     from std_toolkit.checks.options import CheckOptions
     from std_toolkit.checks.step import run_check
     from std_toolkit.exporters import export_scene
+    from std_toolkit.scene import Annotation, ObjectAnnotation
     from std_toolkit.scene.provenance import write_record
 
     folder = tmp_path_factory.mktemp("documents")
@@ -48,7 +49,8 @@ def written(tmp_path_factory) -> dict[str, Path]:
     export_scene(scene, "std", folder / "std", jobs=SERIAL)
     write_record(scene.root, "demo", "0" * 32, outputs=[scene.root / "frames.json"], parameters={})
     run_check(scene, CheckOptions(max_frames=1), SERIAL)
-    names = ("scene", "frames", "objects", "poses", "labels")
+    scene.save_annotation(Annotation(objects=[ObjectAnnotation(object=1, status="done")]))
+    names = ("scene", "frames", "objects", "poses", "labels", "annotation")
     return {n: scene.root / f"{n}.json" for n in names} | {
         "check_report": scene.root / "check/report.json",
         "ground_truth": scene.root / "gt/info/000000.json",

@@ -1,0 +1,115 @@
+"""Brings objects from rough poses to where following the edges finds the right one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.pose_error import rotation_error
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.refine.descent import descend
+from std_toolkit.labels.refine.edge_score import EdgeScore, ScoreLevel
+from std_toolkit.labels.refine.edge_search import SearchRange, search_edges, spread_views
+from std_toolkit.labels.refine.measure import PoseState, coarse_to_fine
+from std_toolkit.labels.refine.problem import RefineObject, RefineOptions, RefineView
+
+# The search ends within this share of an object's size in the image.
+_LEFT = 0.08
+_JUDGED = ScoreLevel(pixels=100, tolerance=1.0)
+_CANDIDATES = 3
+# Wrong poses of faint objects score less, right ones more.
+_CONVINCING = 0.55
+# Two starts that end within this share of the object's radius have ended in one pose.
+_SAME = 0.03
+
+
+def approach(
+    views: Sequence[RefineView],
+    objects: Sequence[RefineObject],
+    options: RefineOptions,
+) -> list[RefineObject]:
+    """The objects, rough ones at poses from which `descend` takes over, found one by one.
+
+    Candidates of the search and the start itself are refined at coarse levels with the other
+    objects held; the one whose outlines agree best with the images is taken.
+    """
+    around = SearchRange(reach_m=options.rough_m, turn=options.rough_turn)
+    found = list(objects)
+    for i, thing in enumerate(objects):
+        if thing.fixed or not thing.rough:
+            continue
+        others = [replace(o, fixed=True) for k, o in enumerate(found) if k != i]
+        few = spread_views(views, thing)
+        judge = EdgeScore(few, thing, others, _JUDGED, reach_m=1.3 * around.reach_m)
+        if not judge.views:
+            continue
+        tried = [_settled(few, thing, others, options, judge)]
+        for thorough in (False, True):
+            candidates = search_edges(
+                few, thing, others, around, count=_CANDIDATES, thorough=thorough
+            )
+            for T in candidates:
+                start = replace(thing, T_world_obj=T)
+                tried.append(_settled(few, start, others, options, judge))
+                if _agreed(tried, thing):
+                    break
+            best = max(tried, key=lambda t: t.score)
+            if best.score > _CONVINCING:
+                break
+        found[i] = replace(thing, T_world_obj=best.T_world_obj)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Settled:
+    """A pose after following the edges at the coarse levels, and its score."""
+
+    T_world_obj: SE3
+    score: float
+
+
+def _settled(
+    views: Sequence[RefineView],
+    thing: RefineObject,
+    others: Sequence[RefineObject],
+    options: RefineOptions,
+    judge: EdgeScore,
+) -> _Settled:
+    T = _follow(views, thing, others, options)
+    return _Settled(T, float(judge.of([T])[0]))
+
+
+def _agreed(tried: Sequence[_Settled], thing: RefineObject) -> bool:
+    """Whether the last one confirms the best one, which convinces: no more need be tried."""
+    *before, last = tried
+    best = max(before, key=lambda t: t.score)
+    if min(best.score, last.score) < _CONVINCING:
+        return False
+    shift = np.linalg.norm(best.T_world_obj @ thing.centre - last.T_world_obj @ thing.centre)
+    turn = rotation_error(best.T_world_obj, last.T_world_obj, thing.symmetry)
+    return bool(shift + turn * thing.radius < _SAME * thing.radius)
+
+
+def _follow(
+    views: Sequence[RefineView],
+    thing: RefineObject,
+    others: Sequence[RefineObject],
+    options: RefineOptions,
+) -> SE3:
+    size = max(_size_px(v, thing) for v in views)
+    levels = coarse_to_fine(views, replace(options, search_px=_LEFT * size, refine_scale=False))
+    state = PoseState([thing.T_world_obj, *(o.T_world_obj for o in others)])
+    try:
+        # The two finest levels decide fractions of a pixel: not which pose is right.
+        descend(views, [thing, *others], state, levels[:-2], options)
+    except ToolkitError:  # out of view in all of them
+        return thing.T_world_obj
+    return state.poses[0]
+
+
+def _size_px(view: RefineView, thing: RefineObject) -> float:
+    z = float((view.T_world_cam.inverse() @ (thing.T_world_obj @ thing.centre))[2])
+    return 2 * thing.radius * view.camera.fx / max(z, thing.radius)

@@ -1,0 +1,184 @@
+"""Gauss-Newton steps of one object's pose on sensor depth, in both directions.
+
+From the model to the sensor: every visible point of the surface against what was measured on its
+ray (projective association, point to plane). From the sensor to the model: every measured point
+that neither the background nor another object explains against the nearest point of the surface;
+this pulls the object sideways to what stands out of the table, which no ray of its own can do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.refine.object_surface import ObjectSurface
+from std_toolkit.labels.refine.observed import ObservedPixels
+from std_toolkit.labels.refine.problem import RefineObject
+
+Array = NDArray[np.float64]
+
+# Grazing surfaces are measured badly.
+_SMALLEST_COSINE = 0.25
+# Points closer than this to the surface are compared along its normal, others along the shortest
+# way: at a rim the normal of either face says little.
+_NEAR_M = 0.002
+# Measured points nearer to the background than this may belong to it.
+_STANDS_OUT_M = 0.006
+_SMALLEST_STD_M = 0.001
+# Neighbouring pixels repeat each other: all readings together count as so many.
+_INDEPENDENT = 50.0
+# Weak prior that decides what the depth does not: metres, radians.
+_PRIOR_M, _PRIOR_RAD = 0.02, 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class DepthResiduals:
+    """Linearised residuals about a pose T_world_obj; a step is T_world_obj @ SE3.exp(xi).
+
+    Attributes:
+        r: (N,) metres, measured minus model along a direction of the object frame.
+        J: (N, 6) derivative of the model by xi along that direction.
+        weight: (N,) before robust weighting.
+    """
+
+    r: Array
+    J: Array
+    weight: Array
+
+
+def depth_residuals(
+    surface: ObjectSurface,
+    views: Sequence[ObservedPixels],
+    T_world_obj: SE3,
+    *,
+    gate_m: float,
+    reverse_weight: float,
+) -> DepthResiduals:
+    """Residuals of all views.
+
+    Args:
+        gate_m: measured points further than this from the surface belong to something else.
+        reverse_weight: of the residuals from the sensor to the model; 0 leaves them out.
+    """
+    parts: list[tuple[Array, Array, Array, Array]] = []
+    for view in views:
+        T_cam_obj = view.T_world_cam.inverse() @ T_world_obj
+        rays = view.directions @ T_cam_obj.R
+        origin = T_cam_obj.inverse().t
+        hits = surface.cast(view.directions, T_cam_obj)
+        shown = np.isfinite(hits.depth) & (hits.depth < view.others)
+        cosine = -np.einsum("ij,ij->i", hits.normal, rays) / np.linalg.norm(rays, axis=1)
+        use = shown & view.steady & (cosine > _SMALLEST_COSINE)
+        use &= np.abs(view.sensor - np.where(shown, hits.depth, 0)) < gate_m
+        n, ray = hits.normal[use], rays[use]
+        along = np.einsum("ij,ij->i", n, ray)
+        parts.append(
+            (
+                along * (view.sensor[use] - hits.depth[use]),
+                origin + ray * hits.depth[use, None],
+                n,
+                np.ones(len(n)),
+            )
+        )
+        if reverse_weight <= 0:
+            continue
+        expected = np.minimum(view.others, view.background)
+        known = np.isfinite(expected)
+        stands_out = view.steady & known & (view.sensor < expected - _STANDS_OUT_M)
+        points = origin + rays[stands_out] * view.sensor[stands_out, None]
+        if not len(points):
+            continue
+        nearest, normal = surface.closest(points)
+        away = points - nearest
+        distance = np.linalg.norm(away, axis=1)
+        near = distance < _NEAR_M
+        direction = np.where(near[:, None], normal, away / np.maximum(distance, 1e-9)[:, None])
+        use = distance < gate_m
+        parts.append(
+            (
+                np.einsum("ij,ij->i", direction, away)[use],
+                nearest[use],
+                direction[use],
+                np.full(int(use.sum()), reverse_weight),
+            )
+        )
+    r = np.concatenate([p[0] for p in parts])
+    points = np.concatenate([p[1] for p in parts])
+    n = np.concatenate([p[2] for p in parts])
+    return DepthResiduals(
+        r, np.hstack([n, np.cross(points, n)]), np.concatenate([p[3] for p in parts])
+    )
+
+
+def icp_step(thing: RefineObject, residuals: DepthResiduals, *, spread_m: float) -> Array:
+    """The step xi (6,) of the robustly weighted residuals.
+
+    Args:
+        spread_m: residuals beyond about this are treated as outliers.
+    """
+    size = _balance(thing)
+    xi = np.zeros(6)
+    for _ in range(2):
+        A, b = _normal_equations(thing, residuals, xi, spread_m)
+        xi = size * np.linalg.solve(A * np.outer(size, size), size * b)
+    return np.asarray(xi)
+
+
+def pose_covariance(thing: RefineObject, residuals: DepthResiduals) -> Array:
+    """(6, 6) of a right perturbation, at a pose that needs no further step."""
+    size = _balance(thing)
+    A, _ = _normal_equations(thing, residuals, np.zeros(6), 0.01)
+    return np.asarray(np.linalg.inv(A * np.outer(size, size)) * np.outer(size, size))
+
+
+def _normal_equations(
+    thing: RefineObject, residuals: DepthResiduals, xi: Array, spread_m: float
+) -> tuple[Array, Array]:
+    """Information (6, 6) and right-hand side (6,), weighted for what a step `xi` leaves."""
+    r, J = residuals.r, residuals.J
+    left = r - J @ xi
+    std = min(max(1.4826 * float(np.median(np.abs(left))), _SMALLEST_STD_M), spread_m)
+    w = residuals.weight / (1 + (left / (2 * std)) ** 2) ** 2
+    w *= min(1.0, _INDEPENDENT / len(r)) / std**2
+    JW = (J * w[:, None]).T
+    prior = np.array([_PRIOR_M] * 3 + [_PRIOR_RAD] * 3) ** -2.0
+    A = JW @ J + np.diag(prior)
+    for axis, offset in thing.symmetry.continuous:
+        # A turn about the axis of symmetry changes nothing that can be seen.
+        twist = np.concatenate([-np.cross(axis, offset), axis])
+        A += 1e8 * np.outer(twist, twist)
+    return A, JW @ r
+
+
+def _balance(thing: RefineObject) -> Array:
+    """(6,) scales that make metres and radians comparable."""
+    return np.array([1.0] * 3 + [1 / thing.radius] * 3)
+
+
+def icp(
+    surface: ObjectSurface,
+    thing: RefineObject,
+    views: Sequence[ObservedPixels],
+    T_world_obj: SE3,
+    *,
+    gates_m: Sequence[float],
+    reverse_weight: float = 0.5,
+    settled_m: float = 2e-4,
+) -> SE3:
+    """Steps with a narrowing gate; ends early at the last gate when nothing moves any more."""
+    T = T_world_obj
+    for k, gate in enumerate(gates_m):
+        rows = depth_residuals(surface, views, T, gate_m=gate, reverse_weight=reverse_weight)
+        if len(rows.r) < 20:
+            return T
+        xi = icp_step(thing, rows, spread_m=gate / 3)
+        shift, turn = float(np.linalg.norm(xi[:3])), float(np.linalg.norm(xi[3:]))
+        T = T @ SE3.exp(xi / max(shift / 0.04, turn / 0.35, 1.0))
+        last = gate == gates_m[-1]
+        if last and shift + turn * thing.radius < settled_m and k > 0:
+            break
+    return T

@@ -1,0 +1,170 @@
+"""What the sensor measured around an object, thinned out for trying many poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.geometry.depth import on_depth_step
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.refine.background import fit_background, plane_depth
+from std_toolkit.labels.refine.caster import WorldCaster
+from std_toolkit.labels.refine.object_surface import ObjectSurface
+from std_toolkit.labels.refine.problem import RefineObject, RefineView
+
+Array = NDArray[np.float64]
+
+# The window around the object in which its background is looked for.
+_AROUND_M = 0.08
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedView:
+    """The window of one image in which the object may be.
+
+    Attributes:
+        view: the image.
+        x, y: top-left pixel of the window.
+        sensor: (h, w) z-depth as measured, 0 = none, metres.
+        steady: (h, w) measured, and away from steps in depth.
+        others: (h, w) z-depth of the other objects, inf = none.
+        plane: background plane (n, d) in the camera frame, or None.
+    """
+
+    view: RefineView
+    x: int
+    y: int
+    sensor: NDArray[np.float32]
+    steady: NDArray[np.bool_]
+    others: NDArray[np.float32]
+    plane: Array | None
+
+    def thinned(self, count: int) -> ObservedPixels:
+        """About `count` of its pixels, on a regular grid."""
+        h, w = self.sensor.shape
+        stride = max(1, round(np.sqrt(h * w / count)))
+        v, u = np.mgrid[stride // 2 : h : stride, stride // 2 : w : stride].reshape(2, -1)
+        uv = np.stack([u + self.x, v + self.y], axis=-1).astype(np.float64)
+        directions = self.view.camera.unproject(uv)
+        columns = len(range(stride // 2, w, stride))
+        behind = (
+            np.full(len(uv), np.inf) if self.plane is None else plane_depth(self.plane, directions)
+        )
+        return ObservedPixels(
+            self.view.T_world_cam,
+            uv,
+            directions,
+            self.sensor[v, u].astype(np.float64),
+            self.steady[v, u],
+            self.others[v, u].astype(np.float64),
+            behind,
+            self._smooth_color(stride)[v, u],
+            columns,
+        )
+
+    def _smooth_color(self, stride: int) -> NDArray[np.float32]:
+        h, w = self.sensor.shape
+        crop = self.view.color[self.y : self.y + h, self.x : self.x + w].astype(np.float32)
+        return np.asarray(cv2.GaussianBlur(crop, (0, 0), 0.5 * stride), dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedPixels:
+    """N pixels of one view.
+
+    Attributes:
+        T_world_cam: of the view.
+        uv: (N, 2) pixels.
+        directions: (N, 3) rays with z = 1, camera frame.
+        sensor: (N,) z-depth, 0 = none, metres.
+        steady: (N,) measured, and away from steps in depth.
+        others: (N,) z-depth of the other objects, inf = none.
+        background: (N,) z-depth of the background plane, inf = unknown.
+        color: (N, 3) float32 RGB, smoothed to the grid's pitch.
+        columns: of the grid that the pixels form, row by row.
+    """
+
+    T_world_cam: SE3
+    uv: Array
+    directions: Array
+    sensor: Array
+    steady: NDArray[np.bool_]
+    others: Array
+    background: Array
+    color: NDArray[np.float32]
+    columns: int
+
+
+def observe(
+    views: Sequence[RefineView],
+    thing: RefineObject,
+    others: Sequence[RefineObject],
+    surface: ObjectSurface,
+    *,
+    reach_m: float,
+    background: bool = True,
+) -> list[ObservedView]:
+    """The windows of the views that have depth and may show the object near its pose.
+
+    Args:
+        reach_m: how far the object may be from its pose.
+        background: look for the plane behind the object.
+    """
+    caster = WorldCaster(others, [o.T_world_obj for o in others]) if others else None
+    found = []
+    for view in views:
+        if view.depth is None:
+            continue
+        window = _window(view, thing, reach_m + _AROUND_M)
+        if window is None:
+            continue
+        x0, y0, x1, y1 = window
+        sensor = view.depth[y0:y1, x0:x1]
+        sensor = np.where(np.isfinite(sensor) & (sensor > 0), sensor, 0).astype(np.float32)
+        nearest = np.full(sensor.shape, np.inf, np.float32)
+        if caster is not None:
+            v, u = np.mgrid[y0:y1, x0:x1]
+            pixels = np.stack([u, v], axis=-1).astype(np.float64)
+            nearest = caster.cast(view.camera, view.T_world_cam, pixels).depth
+        steady = (sensor > 0) & ~on_depth_step(sensor)
+        bare = ObservedView(view, x0, y0, sensor, steady, nearest, None)
+        plane = _background(bare, thing, surface) if background else None
+        found.append(ObservedView(view, x0, y0, sensor, steady, nearest, plane))
+    return found
+
+
+def _window(
+    view: RefineView, thing: RefineObject, margin_m: float
+) -> tuple[int, int, int, int] | None:
+    """x0, y0, x1, y1 (exclusive) of the sphere around the object, clipped; None out of view."""
+    centre = view.T_world_cam.inverse() @ (thing.T_world_obj @ thing.centre)
+    z = float(centre[2])
+    if z < 0.05:
+        return None
+    uv = view.camera.project(centre)
+    reach = (thing.radius + margin_m) / z * np.array([view.camera.fx, view.camera.fy])
+    low = np.maximum(np.floor(uv - reach), 0).astype(int)
+    high = np.minimum(np.ceil(uv + reach) + 1, view.camera.size).astype(int)
+    if (high - low < 8).any():
+        return None
+    return int(low[0]), int(low[1]), int(high[0]), int(high[1])
+
+
+def _background(
+    observed: ObservedView, thing: RefineObject, surface: ObjectSurface
+) -> Array | None:
+    """The plane behind the object at its pose, from the pixels that it does not cover."""
+    pixels = observed.thinned(4000)
+    T_cam_obj = pixels.T_world_cam.inverse() @ thing.T_world_obj
+    covered = np.isfinite(surface.cast(pixels.directions, T_cam_obj).depth)
+    free = pixels.steady & ~covered & ~np.isfinite(pixels.others)
+    plane = fit_background(pixels.directions[free] * pixels.sensor[free, None])
+    if plane is None:
+        return None
+    # A plane in front of the object is not its background.
+    centre = T_cam_obj @ thing.centre
+    return plane if plane[:3] @ centre < plane[3] + 0.5 * thing.radius else None

@@ -1,0 +1,266 @@
+"""Where placed objects run into each other or into the table.
+
+Points all over the surface of one object are asked whether they lie inside the other, by rays
+(`Solid.inside`). Objects inside the hollow of another, such as a spoon in a mug, lie in air and
+count for nothing. Scans have holes: how many of the rays agree is part of the answer. A mesh that
+is open widely, such as a cup one triangle thick, has no inside: things that poke through it are
+found by the part of it that lies inside them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.support.plane import Plane
+from std_toolkit.labels.support.separation import separate
+from std_toolkit.labels.support.solid import PlacedThing, Samples, Solid
+
+Array = NDArray[np.float64]
+TABLE = "table"
+# So many points of one object are asked about another one; the first of them are spread evenly.
+_MOST_ASKED = 800
+# Of these, those that may be deepest are measured.
+_MOST_MEASURED = 96
+# Further points, for the picture only, take the answer of the nearest one.
+_MOST_PAINTED = 3000
+# Between these shares of rays that say inside a point is uncertain.
+_SURE = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """The part of an object's surface that lies inside the other one.
+
+    Attributes:
+        vertices: (N,) indices into the mesh's vertices.
+        faces: (M,) indices of the faces that have such a vertex or another such point.
+        points: (K, 3) points of the surface, common frame, metres.
+    """
+
+    vertices: NDArray[np.int64]
+    faces: NDArray[np.int64]
+    points: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Penetration:
+    """Two things that occupy the same place.
+
+    Attributes:
+        first, second: names; `second` may be the table (`TABLE`).
+        depth_m: how deep the deepest point found lies below the other's surface.
+        first_surface, second_surface: what lies inside the other; empty for the table.
+        certainty: share of the rays that agree that these points are inside, 0.5 to 1. Below 0.9
+            a mesh has holes or inner faces there: look before believing it.
+    """
+
+    first: str
+    second: str
+    depth_m: float
+    first_surface: Surface
+    second_surface: Surface
+    certainty: float
+    _separate: Callable[[], Array] = field(repr=False)
+
+    @cached_property
+    def separation(self) -> Array:
+        """(3,) translation of `first`, common frame, metres, that ends it.
+
+        It leads not into the table, if that is known. Computed when asked for.
+        """
+        return self._separate()
+
+    @property
+    def sure(self) -> bool:
+        return self.certainty >= _SURE
+
+
+def find_penetrations(
+    things: Sequence[PlacedThing], *, plane: Plane | None = None, tolerance_m: float = 0.0005
+) -> list[Penetration]:
+    """All pairs that run into each other by more than a tolerance, and things in the table.
+
+    What needs to be known of a mesh is made on first use and kept (`prepare_things`).
+
+    Args:
+        things: meshes at their poses in one frame; names should differ.
+        plane: the table in the same frame, its normal up; None to leave it out.
+        tolerance_m: contacts are never exact; what is not deeper than this is none.
+
+    Returns:
+        The deepest first.
+    """
+    found = []
+    for a, b in combinations(things, 2):
+        if not _spheres_meet(a, b):
+            continue
+        pair = _pair(a, b, plane, tolerance_m)
+        if pair is not None:
+            found.append(pair)
+    if plane is not None:
+        found += [p for t in things if (p := _in_table(t, plane, tolerance_m)) is not None]
+    return sorted(found, key=lambda p: -p.depth_m)
+
+
+def prepare_things(things: Sequence[PlacedThing]) -> None:
+    """Make what `find_penetrations` needs of the meshes: a fraction of a second for each."""
+    for thing in things:
+        thing.solid.prepare()
+
+
+def _spheres_meet(a: PlacedThing, b: PlacedThing) -> bool:
+    middles = [t.T_frame_obj @ (t.solid.centre + (t.solid.low + t.solid.high) / 2) for t in (a, b)]
+    reach = sum(float(np.linalg.norm(t.solid.high - t.solid.low)) / 2 for t in (a, b))
+    return float(np.linalg.norm(middles[0] - middles[1])) < reach
+
+
+def _pair(
+    a: PlacedThing, b: PlacedThing, plane: Plane | None, tolerance_m: float
+) -> Penetration | None:
+    T_b_a = _centred(b).inverse() @ _centred(a)
+    of_a = _inside(a.solid, b.solid, T_b_a, tolerance_m)
+    of_b = _inside(b.solid, a.solid, T_b_a.inverse(), tolerance_m)
+    if len(of_a.points) + len(of_b.points) == 0:
+        return None
+    depth = max(_deepest(b.solid, of_a.points), _deepest(a.solid, of_b.points))
+    if depth <= tolerance_m:
+        return None
+
+    def way() -> Array:
+        up = None if plane is None else b.T_frame_obj.R.T @ plane.normal
+        step = separate(a.solid, b.solid, T_b_a, of_a.points, of_b.points, up=up)
+        return b.T_frame_obj.R @ step
+
+    votes = np.concatenate([of_a.votes, of_b.votes])
+    return Penetration(
+        a.name,
+        b.name,
+        depth,
+        _surface(a, of_a.samples),
+        _surface(b, of_b.samples),
+        float(votes.mean()),
+        way,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Inner:
+    """The part of a solid inside another one.
+
+    Attributes:
+        points: (N, 3) samples found inside, the other solid's centred frame.
+        votes: (N,) share of the rays that say so.
+        samples: (K,) indices of these samples, and of their like among those not asked about.
+    """
+
+    points: Array
+    votes: Array
+    samples: NDArray[np.int64]
+
+
+def _inside(of: Solid, within: Solid, T_within_of: SE3, tolerance_m: float) -> _Inner:
+    if not _boxes_meet(of, within, T_within_of):
+        return _Inner(np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=np.int64))
+    candidates = _in_box(of.samples.points, within, T_within_of, tolerance_m)
+    asked, left = candidates[:_MOST_ASKED], candidates[_MOST_ASKED:_MOST_PAINTED]
+    points = T_within_of @ of.samples.points[asked].astype(np.float64)
+    verdict, votes = within.inside(points)
+    found = asked[verdict]
+    if len(left) and len(found):
+        from scipy.spatial import cKDTree
+
+        _, nearest = cKDTree(of.samples.points[asked]).query(of.samples.points[left])
+        found = np.concatenate([found, left[verdict[nearest]]])
+    return _Inner(points[verdict], votes[verdict], found)
+
+
+def _boxes_meet(of: Solid, within: Solid, T_within_of: SE3) -> bool:
+    """Whether one solid's box reaches the other's, seen along the axes of the second one."""
+    middle = T_within_of @ ((of.low + of.high) / 2)
+    reach = np.abs(T_within_of.R) @ ((of.high - of.low) / 2)
+    return bool(((middle - reach < within.high) & (middle + reach > within.low)).all())
+
+
+def _in_box(
+    samples: NDArray[np.float32], within: Solid, T: SE3, tolerance_m: float
+) -> NDArray[np.int64]:
+    """Indices of the samples inside another solid's bounding box, axis by axis."""
+    chosen = np.arange(len(samples))
+    p = samples
+    for axis in range(3):
+        row = T.R[axis].astype(np.float32)
+        value = p[:, 0] * row[0] + p[:, 1] * row[1] + p[:, 2] * row[2] + np.float32(T.t[axis])
+        low, high = within.low[axis] + tolerance_m, within.high[axis] - tolerance_m
+        between = np.flatnonzero((value > low) & (value < high))
+        chosen, p = chosen[between], p[between]
+        if len(chosen) == 0:
+            break
+    return chosen
+
+
+def _deepest(solid: Solid, points: Array) -> float:
+    """Distance of the deepest of inner points (N, 3) from the surface.
+
+    The nearest surface is costly to find. Rays bound it from above, so that only a few points need
+    it: once a point is deeper than the next one's bound, the rest cannot be.
+    """
+    if len(points) == 0:
+        return 0.0
+    bound = solid.shortest_ray(points)
+    order = np.argsort(-bound)[:_MOST_MEASURED]
+    deepest = 0.0
+    for part in np.array_split(order, max(1, len(order) // 16)):
+        if bound[part[0]] <= deepest:
+            break
+        deepest = max(deepest, float(solid.nearest(points[part])[1].max()))
+    return deepest
+
+
+def _surface(thing: PlacedThing, inside: NDArray[np.int64]) -> Surface:
+    samples: Samples = thing.solid.samples
+    vertices = samples.vertex[inside]
+    vertices = np.sort(vertices[vertices >= 0])
+    marked = np.zeros(len(thing.solid.mesh.vertices), dtype=bool)
+    marked[vertices] = True
+    touched = thing.solid.faces_with(marked)
+    touched[samples.face[inside]] = True
+    points = thing.T_frame_obj @ (samples.points[inside] + thing.solid.centre)
+    return Surface(vertices, np.flatnonzero(touched), points)
+
+
+def _in_table(thing: PlacedThing, plane: Plane, tolerance_m: float) -> Penetration | None:
+    # In the mesh frame: one normal instead of all vertices is turned.
+    local = plane.moved(_centred(thing).inverse(), "mesh")
+    mesh = thing.solid.mesh
+    lowest = float(local.signed_distance(thing.solid.hull - thing.solid.centre).min())
+    if lowest >= -tolerance_m:
+        return None
+    below = local.signed_distance(mesh.vertices) < -tolerance_m
+    used = np.zeros(len(mesh.vertices), dtype=bool)
+    faces = np.flatnonzero(thing.solid.faces_with(below))
+    used[mesh.faces[faces].reshape(-1)] = True
+    vertices = np.flatnonzero(below & used)
+    points = _centred(thing) @ mesh.vertices[vertices]
+    nothing = Surface(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)))
+    return Penetration(
+        thing.name,
+        TABLE,
+        -lowest,
+        Surface(vertices, faces, points),
+        nothing,
+        1.0,
+        lambda: -lowest * plane.normal,
+    )
+
+
+def _centred(thing: PlacedThing) -> SE3:
+    """Pose of the centred mesh."""
+    T = thing.T_frame_obj
+    return SE3(T.R, T.R @ thing.solid.centre + T.t)

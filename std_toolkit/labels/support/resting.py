@@ -1,0 +1,200 @@
+"""How an object can lie on a plane: the directions that may point down, in its mesh frame.
+
+An object rests on a facet of its convex hull over which its centre of mass lies. Scans are never
+quite flat: vertices within a small tolerance of a facet's plane count as contacts, and facets that
+differ by a few degrees as one. A round body also rests on the edges between narrow facets: rolling
+raises its centre of mass by next to nothing, and nobody may roll a label about without reason.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.labels.support.solid import Solid, sphere_directions
+
+Array = NDArray[np.float64]
+# Of the object's size, with a floor: how far from a plane a vertex may be and still touch it.
+_CONTACT = 0.002
+_CONTACT_FLOOR_M = 0.0001
+_SAME_FACET = np.radians(5.0)
+# Rolling over an edge may raise the centre of mass by this share of the object's size.
+_ROLLING = 0.001
+_ROLLING_REACH = np.radians(15.0)
+# An object that topples when tipped by less than this does not stand there.
+_STEADY = np.radians(2.5)
+# A ball: tipped by this in any direction its centre stays as high.
+_BALL_TIP = np.radians(4.0)
+_BALL = 0.003
+
+
+@dataclass(frozen=True, eq=False)
+class RestingFaces:
+    """Directions (unit, mesh frame) that point down when the object rests.
+
+    Attributes:
+        down: (K, 3) one per facet.
+        steady: (K,) radians by which the object may be tipped before it topples.
+        rolling: (E, 2) pairs of facets between which it rolls.
+    """
+
+    down: Array
+    steady: Array
+    rolling: NDArray[np.int64]
+    _hull: Array
+    _size: float
+
+    def nearest(self, down: Array) -> tuple[Array, float]:
+        """The resting direction nearest to a unit direction (3,), and the angle to it in radians.
+
+        A ball rests in every direction.
+        """
+        if self._is_ball(down):
+            return down, 0.0
+        best = self.down[int((self.down @ down).argmax())]
+        for i, j in self.rolling:
+            on_arc = _nearest_on_arc(down, self.down[i], self.down[j])
+            if on_arc is not None and on_arc @ down > best @ down:
+                best = on_arc
+        return best, _angle(best, down)
+
+    def _is_ball(self, down: Array) -> bool:
+        side = np.cross(down, np.eye(3)[int(np.abs(down).argmin())])
+        side /= np.linalg.norm(side)
+        other = np.cross(down, side)
+        turn = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+        around = np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * other
+        ring = np.cos(_BALL_TIP) * down + np.sin(_BALL_TIP) * around
+        heights = _heights(self._hull, np.vstack([down, ring]))
+        return bool(np.ptp(heights) < _BALL * self._size)
+
+
+def resting_faces(solid: Solid) -> RestingFaces:
+    """Where an object can rest; at least one direction for any mesh."""
+    hull, facets = solid.coarse_hull
+    hull = hull - solid.centre_of_mass
+    size = float(np.linalg.norm(np.ptp(hull, axis=0)))
+    if len(facets) == 0:
+        normal = np.linalg.svd(hull - hull.mean(axis=0), full_matrices=False)[2][-1]
+        none = np.zeros((0, 2), dtype=np.int64)
+        return RestingFaces(np.stack([normal, -normal]), np.full(2, np.pi / 2), none, hull, size)
+    if np.ptp(_heights(hull, sphere_directions(500))) < _BALL * size:
+        axes, none = np.vstack([np.eye(3), -np.eye(3)]), np.zeros((0, 2), dtype=np.int64)
+        return RestingFaces(axes, np.full(6, _STEADY), none, hull, size)
+    down, steady = _stable(hull, facets, max(_CONTACT * size, _CONTACT_FLOOR_M))
+    down, steady = _merged(down, steady, _heights(hull, down))
+    rolling = _rolling(hull, down, _ROLLING * size)
+    rolls = np.zeros(len(down), dtype=bool)
+    rolls[rolling.reshape(-1)] = True
+    keep = (steady >= _STEADY) | rolls
+    if not keep.any():
+        keep[int(steady.argmax())] = True
+    number = np.cumsum(keep) - 1
+    rolling = rolling[keep[rolling].all(axis=1)] if len(rolling) else rolling
+    return RestingFaces(down[keep], steady[keep], number[rolling], hull, size)
+
+
+def _stable(hull: Array, facets: NDArray[np.int64], contact_m: float) -> tuple[Array, Array]:
+    """Outward normals of the facets over which the origin lies, and how steady they are."""
+    a, b, c = (hull[facets[:, i]] for i in range(3))
+    normals = np.cross(b - a, c - a)
+    double_area = np.linalg.norm(normals, axis=1)
+    good = double_area > 1e-14
+    normals = normals[good] / double_area[good, None]
+    height = np.einsum("ij,ij->i", normals, a[good])
+    # The origin lies inside the hull: outward is where the facet is.
+    normals[height < 0] *= -1
+    down, steady = [], []
+    for normal in normals:
+        along = hull @ normal
+        contacts = hull[along > along.max() - contact_m]
+        tip = _tipping(contacts, normal, float(along.max()))
+        if tip > 0:
+            down.append(_facet_normal(contacts, normal))
+            steady.append(tip)
+    if not down:
+        # Rounding: the lowest position of the centre of mass is stable in any case.
+        lowest = normals[int(_heights(hull, normals).argmin())]
+        return lowest[None], np.zeros(1)
+    return np.array(down), np.array(steady)
+
+
+def _tipping(contacts: Array, normal: Array, height: float) -> float:
+    """Angle to the nearest edge of the contact polygon, seen from the centre of mass; 0 outside."""
+    side = np.cross(normal, np.eye(3)[int(np.abs(normal).argmin())])
+    side /= np.linalg.norm(side)
+    plane = np.stack([contacts @ side, contacts @ np.cross(normal, side)], axis=1)
+    angle = np.sort(np.arctan2(plane[:, 1], plane[:, 0]))
+    gaps = np.diff(np.append(angle, angle[0] + 2 * np.pi))
+    if len(plane) < 3 or gaps.max() >= np.pi:
+        return 0.0
+    # Distance of the polygon's edges from the origin: the least reach over all directions.
+    turn = np.linspace(0, 2 * np.pi, 72, endpoint=False)
+    reach = (plane @ np.stack([np.cos(turn), np.sin(turn)])).max(axis=0).min()
+    return float(np.arctan2(reach, max(height, 1e-9)))
+
+
+def _facet_normal(contacts: Array, normal: Array) -> Array:
+    """Normal of the plane through the contacts, near `normal`; `normal` itself for an exact one."""
+    centred = contacts - contacts.mean(axis=0)
+    if np.abs(centred @ normal).max() < 1e-7:
+        return normal
+    scatter, axes = np.linalg.eigh(centred.T @ centred)
+    fitted = axes[:, 0] if axes[:, 0] @ normal >= 0 else -axes[:, 0]
+    # A narrow strip of contacts says nothing about the turn along it.
+    narrow = scatter[1] < 0.01 * scatter[2]
+    return normal if narrow or _angle(fitted, normal) > _SAME_FACET else fitted
+
+
+def _merged(down: Array, steady: Array, heights: Array) -> tuple[Array, Array]:
+    """One direction for every group of facets that differ by a few degrees: the lowest one."""
+    left = list(np.argsort(heights, kind="stable"))
+    kept, best = [], []
+    while left:
+        first = left[0]
+        near = [i for i in left if _angle(down[i], down[first]) < _SAME_FACET]
+        kept.append(first)
+        best.append(max(steady[i] for i in near))
+        left = [i for i in left if i not in near]
+    return down[kept], np.array(best)
+
+
+def _rolling(hull: Array, down: Array, tolerance_m: float) -> NDArray[np.int64]:
+    """Pairs of directions with no higher centre of mass on the way between them."""
+    i, j = np.triu_indices(len(down), 1)
+    near = np.einsum("ij,ij->i", down[i], down[j]) > np.cos(_ROLLING_REACH)
+    i, j = i[near], j[near]
+    if len(i) == 0:
+        return np.zeros((0, 2), dtype=np.int64)
+    s = np.linspace(0, 1, 7)[:, None, None]
+    way = (1 - s) * down[i] + s * down[j]
+    way /= np.linalg.norm(way, axis=-1, keepdims=True)
+    heights = _heights(hull, way.reshape(-1, 3)).reshape(len(s), -1)
+    flat = np.ptp(heights, axis=0) < tolerance_m
+    return np.stack([i[flat], j[flat]], axis=1)
+
+
+def _heights(hull: Array, down: Array) -> Array:
+    """(N,) height of the origin above a plane that touches the hull in directions (N, 3)."""
+    parts = np.array_split(down, max(1, len(down) * len(hull) // 4_000_000))
+    return np.concatenate([(hull @ part.T).max(axis=0) for part in parts])
+
+
+def _nearest_on_arc(direction: Array, a: Array, b: Array) -> Array | None:
+    """The point of the arc from a to b nearest to a direction, if it is not an end."""
+    pole = np.cross(a, b)
+    pole /= np.linalg.norm(pole)
+    foot = direction - (direction @ pole) * pole
+    length = float(np.linalg.norm(foot))
+    if length < 1e-9:
+        return None
+    foot /= length
+    between = np.cross(a, foot) @ pole > 0 and np.cross(foot, b) @ pole > 0
+    return foot if between else None
+
+
+def _angle(a: Array, b: Array) -> float:
+    """Radians between unit vectors, exact for small angles too."""
+    return float(2 * np.arctan2(np.linalg.norm(a - b), np.linalg.norm(a + b)))

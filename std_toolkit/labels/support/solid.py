@@ -1,0 +1,327 @@
+"""Meshes as solids: hull, inside test, samples of the surface. Made once per mesh, then kept."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from std_toolkit.labels.support.resting import RestingFaces
+
+Array = NDArray[np.float64]
+# Samples lie about this far apart, as far as their number allows.
+_SPACING_M = 0.0015
+_FEWEST_SAMPLES, _MOST_SAMPLES = 2000, 16000
+_FEW_VERTICES = 500
+# Odd, and along no axis that a mesh is likely to be aligned with.
+_RAYS, _FIRST_RAYS = 11, 3
+# Of a mesh with gaps this share of the rays must say that a point is inside.
+_VOTES_IF_OPEN = 0.8
+# A gap larger than this share of the mesh is an opening: what is open so widely is a sheet.
+_OPENING = 0.35
+_MOST_HULL_FACETS = 1400
+_KEPT = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Points on a surface in random order, so that the first n of them cover it evenly.
+
+    Attributes:
+        points: (N, 3) float32, centred mesh coordinates.
+        vertex: (N,) index of the vertex, -1 for a point inside a face.
+        face: (N,) index of a face that holds the point.
+    """
+
+    points: NDArray[np.float32]
+    vertex: NDArray[np.int64]
+    face: NDArray[np.int64]
+
+
+class Solid:
+    """A mesh with what contact and support need of it; centred coordinates are `p - centre`.
+
+    Args:
+        mesh: prepared mesh.
+    """
+
+    def __init__(self, mesh: RenderMesh) -> None:
+        self.mesh = mesh
+        self.centre = mesh.centre
+        used = mesh.vertices[np.unique(mesh.faces)]
+        self.low, self.high = used.min(axis=0), used.max(axis=0)
+        self._lock = threading.Lock()
+
+    @cached_property
+    def hull(self) -> Array:
+        """(H, 3) vertices of the convex hull, mesh frame, metres."""
+        return self._hull[0] + self.centre
+
+    @cached_property
+    def facets(self) -> NDArray[np.int64]:
+        """(K, 3) triangles of the convex hull, indices into `hull`; none if the mesh is flat."""
+        return self._hull[1]
+
+    @cached_property
+    def _hull(self) -> tuple[Array, NDArray[np.int64]]:
+        from scipy.spatial import ConvexHull, QhullError
+
+        used = self.mesh.vertices[np.unique(self.mesh.faces)]
+        if np.linalg.matrix_rank(used - used.mean(axis=0), tol=1e-9 * self.mesh.diagonal) < 3:
+            return used, np.zeros((0, 3), dtype=np.int64)
+        try:
+            hull = ConvexHull(used)
+        except QhullError:
+            return used, np.zeros((0, 3), dtype=np.int64)
+        order = np.full(len(used), -1)
+        order[hull.vertices] = np.arange(len(hull.vertices))
+        return used[hull.vertices], order[hull.simplices].astype(np.int64)
+
+    @cached_property
+    def coarse_hull(self) -> tuple[Array, NDArray[np.int64]]:
+        """`hull` and `facets` of a body that has few: those of a ball are countless."""
+        if len(self.facets) <= _MOST_HULL_FACETS:
+            return self.hull, self.facets
+        from scipy.spatial import ConvexHull
+
+        extreme = np.unique(
+            (self.hull @ sphere_directions(_MOST_HULL_FACETS // 2).T).argmax(axis=0)
+        )
+        hull = ConvexHull(self.hull[extreme])
+        order = np.full(len(extreme), -1)
+        order[hull.vertices] = np.arange(len(hull.vertices))
+        return self.hull[extreme][hull.vertices], order[hull.simplices].astype(np.int64)
+
+    @property
+    def closed(self) -> bool:
+        """Whether the surface has no border. Vertices split by texture seams count as one."""
+        return self.gap_m == 0
+
+    @property
+    def sheet(self) -> bool:
+        """Whether it is open so widely that nothing can be inside: a cup one triangle thick."""
+        return self.gap_m > _OPENING * self.mesh.diagonal
+
+    @cached_property
+    def gap_m(self) -> float:
+        """Size of the largest gap in the surface (its bounding box's diagonal); 0 if closed."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
+        places, welded = np.unique(self.mesh.vertices, axis=0, return_inverse=True)
+        corners = welded.reshape(-1)[self.mesh.faces].astype(np.int64)
+        edges = np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        edges = edges[edges[:, 0] != edges[:, 1]]
+        keys, counts = np.unique(edges[:, 0] * len(places) + edges[:, 1], return_counts=True)
+        i, j = np.divmod(keys[counts == 1], len(places))
+        if len(i) == 0:
+            return 0.0
+        graph = coo_array((np.ones(len(i)), (i, j)), shape=(len(places), len(places)))
+        _, border = connected_components(graph, directed=False)
+        return max(
+            float(np.linalg.norm(np.ptp(places[np.union1d(i[mine], j[mine])], axis=0)))
+            for k in np.unique(border[i])
+            if (mine := border[i] == k).any()
+        )
+
+    @cached_property
+    def centre_of_mass(self) -> Array:
+        """(3,) mesh frame, metres, for a uniform filling; of the hull where the mesh is open."""
+        import trimesh
+
+        if self.mesh.closed:
+            return _centroid(self.mesh.vertices, self.mesh.faces) + self.centre
+        vertices, facets = self._hull
+        if len(facets) == 0:
+            return vertices.mean(axis=0) + self.centre
+        body = trimesh.Trimesh(vertices, facets, process=False)
+        body.fix_normals()
+        return _centroid(body.vertices, body.faces) + self.centre
+
+    @cached_property
+    def resting(self) -> RestingFaces:
+        """How it can lie on a plane."""
+        from std_toolkit.labels.support.resting import resting_faces
+
+        return resting_faces(self)
+
+    @cached_property
+    def samples(self) -> Samples:
+        """All vertices (of a very fine mesh some) and points spread over the faces."""
+        rng = np.random.default_rng(0)
+        v, faces = self.mesh.vertices, self.mesh.faces
+        a, b, c = (v[faces[:, i]] for i in range(3))
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+        face_of = np.zeros(len(v), dtype=np.int64)
+        face_of[faces.reshape(-1)] = np.repeat(np.arange(len(faces)), 3)
+        vertices = np.unique(faces)
+        if len(vertices) > _MOST_SAMPLES:
+            vertices = rng.choice(vertices, _MOST_SAMPLES, replace=False)
+        wanted = int(np.clip(area.sum() / _SPACING_M**2, _FEWEST_SAMPLES, _MOST_SAMPLES))
+        count = max(wanted - len(vertices), 0) if area.sum() > 0 else 0
+        chosen = rng.choice(len(faces), count, p=area / area.sum()) if count else np.zeros(0, int)
+        u, w = rng.random((2, count))
+        over = u + w > 1
+        u[over], w[over] = 1 - u[over], 1 - w[over]
+        inner = (
+            a[chosen] + u[:, None] * (b[chosen] - a[chosen]) + w[:, None] * (c[chosen] - a[chosen])
+        )
+        points = np.concatenate([v[vertices], inner]).astype(np.float32)
+        vertex = np.concatenate([vertices, np.full(count, -1)])
+        face = np.concatenate([face_of[vertices], chosen])
+        order = rng.permutation(len(points))
+        if len(vertices) <= _FEW_VERTICES:
+            # The corners of a coarse mesh are where it reaches farthest.
+            order = np.concatenate([order[order < len(vertices)], order[order >= len(vertices)]])
+        return Samples(points[order], vertex[order], face[order])
+
+    @cached_property
+    def structure(self) -> Any:
+        """open3d RaycastingScene of the centred mesh."""
+        import open3d as o3d
+
+        scene = o3d.t.geometry.RaycastingScene()
+        scene.add_triangles(
+            o3d.core.Tensor.from_numpy(self.mesh.vertices.astype(np.float32)),
+            o3d.core.Tensor.from_numpy(self.mesh.faces.astype(np.uint32)),
+        )
+        # The first question builds the tree: not while another thread asks.
+        scene.compute_distance(o3d.core.Tensor.from_numpy(np.zeros((1, 3), np.float32)))
+        return scene
+
+    def prepare(self) -> None:
+        """Make what `inside` and `depth` need; safe to call from several threads."""
+        with self._lock:
+            _ = self.structure, self.gap_m, self.samples, self.hull, self._corners
+
+    def inside(self, points: NDArray[np.floating]) -> tuple[NDArray[np.bool_], Array]:
+        """Whether points (N, 3), centred coordinates, lie inside.
+
+        Rays in several directions vote by the parity of their crossings. The majority decides for
+        a closed surface, four fifths of them for one with gaps; a sheet encloses nothing.
+
+        Returns:
+            (N,) the verdict, and (N,) the share of the rays that say inside.
+        """
+        if len(points) == 0 or self.sheet:
+            return np.zeros(len(points), dtype=bool), np.zeros(len(points))
+        directions = sphere_directions(_RAYS)
+        first = self._odd(points, directions[:_FIRST_RAYS])
+        votes = first / _FIRST_RAYS
+        # Most points lie in the open, where all rays agree.
+        clear = (first == 0) | (self.closed & (first == _FIRST_RAYS))
+        rest = np.flatnonzero(~clear)
+        if len(rest):
+            votes[rest] = (first[rest] + self._odd(points[rest], directions[_FIRST_RAYS:])) / _RAYS
+        return votes > (0.5 if self.closed else _VOTES_IF_OPEN), votes
+
+    def _odd(self, points: NDArray[np.floating], directions: Array) -> NDArray[np.int64]:
+        """(N,) how many of the rays from a point (N, 3) cross the surface oddly often."""
+        import open3d as o3d
+
+        rays = np.empty((len(directions), len(points), 6), np.float32)
+        rays[..., :3] = points
+        rays[..., 3:] = directions[:, None]
+        crossings = self.structure.count_intersections(o3d.core.Tensor.from_numpy(rays)).numpy()
+        return (crossings & 1).sum(axis=0, dtype=np.int64)
+
+    def faces_with(self, marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(F,) which faces have a marked vertex (V,)."""
+        a, b, c = self._corners
+        return marked[a] | marked[b] | marked[c]
+
+    @cached_property
+    def _corners(self) -> tuple[NDArray[np.int32], ...]:
+        return tuple(np.ascontiguousarray(self.mesh.faces[:, i]) for i in range(3))
+
+    def nearest(self, points: NDArray[np.floating]) -> tuple[Array, Array]:
+        """Nearest points of the surface (N, 3), centred coordinates, and their distances (N,)."""
+        import open3d as o3d
+
+        query = np.ascontiguousarray(points, dtype=np.float32)
+        answer = self.structure.compute_closest_points(o3d.core.Tensor.from_numpy(query))
+        surface = answer["points"].numpy().astype(np.float64)
+        x, y, z = (surface - query).T
+        return surface, np.sqrt(x * x + y * y + z * z)
+
+    def shortest_ray(self, points: NDArray[np.floating]) -> Array:
+        """(N,) metres to the surface along the shortest of some rays: a bound for `nearest`."""
+        directions = sphere_directions(_RAYS)[:_FIRST_RAYS]
+        return np.min([self.exit_distance(points, d) for d in directions], axis=0)
+
+    def exit_distance(self, points: NDArray[np.floating], direction: Array) -> Array:
+        """(N,) metres from points (N, 3), centred, along a unit direction to the surface; inf."""
+        import open3d as o3d
+
+        rays = np.empty((len(points), 6), np.float32)
+        rays[:, :3], rays[:, 3:] = points, direction
+        answer = self.structure.cast_rays(o3d.core.Tensor.from_numpy(rays))
+        return answer["t_hit"].numpy().astype(np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedThing:
+    """A mesh at a pose, such as an object that was labelled already.
+
+    Attributes:
+        name: for messages.
+        mesh: in metres.
+        T_frame_obj: maps mesh coordinates into the common frame (the world, or one camera).
+    """
+
+    name: str
+    mesh: trimesh.Trimesh | RenderMesh
+    T_frame_obj: SE3
+
+    @property
+    def solid(self) -> Solid:
+        """What is known of its mesh (kept by content)."""
+        return solid_of(self.mesh)
+
+
+_kept: OrderedDict[int, Solid] = OrderedDict()
+_kept_lock = threading.Lock()
+
+
+def solid_of(mesh: trimesh.Trimesh | RenderMesh) -> Solid:
+    """The solid of a mesh, from a cache keyed by its content."""
+    prepared = prepare_mesh(mesh)
+    with _kept_lock:
+        found = _kept.get(id(prepared))
+        if found is None:
+            # The solid keeps its mesh alive, so that the id stays its own.
+            found = _kept[id(prepared)] = Solid(prepared)
+            while len(_kept) > _KEPT:
+                _kept.popitem(last=False)
+        else:
+            _kept.move_to_end(id(prepared))
+        return found
+
+
+def _centroid(vertices: Array, faces: NDArray[Any]) -> Array:
+    """Centroid of the volume that a closed surface encloses."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    volume = np.einsum("ij,ij->i", a, np.cross(b, c))
+    return ((a + b + c) * volume[:, None]).sum(axis=0) / (4 * volume.sum())
+
+
+def sphere_directions(count: int) -> Array:
+    """(N, 3) unit vectors spread evenly over the sphere (golden-angle spiral)."""
+    i = np.arange(count) + 0.5
+    z = 1 - 2 * i / count
+    turn = np.pi * (1 + 5**0.5) * i + 0.3
+    r = np.sqrt(1 - z**2)
+    # Tilted: the spiral's pole would be an axis of many a mesh.
+    tilt = np.array([[0.8, 0.0, 0.6], [0.36, 0.8, -0.48], [-0.48, 0.6, 0.64]])
+    return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1) @ tilt.T

@@ -1,0 +1,266 @@
+"""The table of a scene: from sensor depth, from reconstructed points, or from placed objects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.support.bias import Correction, correction_by_heights, correction_by_points
+from std_toolkit.labels.support.evidence import (
+    Points,
+    View,
+    depth_points,
+    placed_things,
+    reconstructed_points,
+)
+from std_toolkit.labels.support.judge import Cameras, Judgement, judge
+from std_toolkit.labels.support.neighbours import common_support
+from std_toolkit.labels.support.plane import (
+    WORLD,
+    Plane,
+    TablePlane,
+    TableSearch,
+    camera_frame_name,
+)
+from std_toolkit.labels.support.planefit import PlaneFit, connected_patch, find_planes
+from std_toolkit.labels.support.solid import PlacedThing
+from std_toolkit.scene.metres import require_metres
+from std_toolkit.scene.scene import Frame, Scene
+
+MOST_FRAMES = 12
+_PLANES = 4
+_FEWEST_POINTS = 60
+# A sensor that nobody calibrated reads up to this share too far or too near.
+UNKNOWN_BIAS = 0.02
+_CALIBRATED_BIAS = 0.005
+_SMALL_SHARE = 0.1
+_RIVAL = 0.6
+_SMALL_M = 0.08
+_ROUGH = 0.01
+# Of the distance: gaps in a table that do not part it.
+_GAP = 0.04
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where to look: the views, their cameras and the common frame's name."""
+
+    scene: Scene
+    views: list[View]
+    cameras: Cameras
+    things: Sequence[PlacedThing]
+    frame: str
+
+
+def search_table(
+    scene: Scene,
+    *,
+    frames: Sequence[Frame] | None = None,
+    objects: Sequence[PlacedThing] | None = None,
+    camera_frame: int | None = None,
+) -> TableSearch:
+    """Find the plane on which the objects of a scene stand, or say why there is none.
+
+    Sensor depth comes first, then points of the reconstruction, then the faces on which objects
+    that are placed already rest. Depth inside the outlines of these objects plays no part.
+
+    Args:
+        frames: frames to look at, at most a dozen of them; default: spread over the recording.
+        objects: placed objects in the common frame; default: the scene's labels.
+        camera_frame: id of a frame: look in it alone, and give the plane in its camera. For
+            frames without camera pose.
+
+    Raises:
+        ToolkitError: no such frame, or a file of the scene that cannot be read.
+    """
+    if camera_frame is None:
+        views, problem = _world_views(scene, frames)
+        if problem:
+            return TableSearch(None, problem)
+        name = WORLD
+    else:
+        views = [View(scene.frame(camera_frame), SE3.identity())]
+        name = camera_frame_name(camera_frame)
+    things = placed_things(scene, camera_frame) if objects is None else objects
+    place = _Place(scene, views, Cameras.of([v.T_frame_cam for v in views]), things, name)
+    reasons = []
+    for look in (_from_depth, _from_reconstruction, _from_objects):
+        found = look(place)
+        if isinstance(found, TablePlane):
+            return TableSearch(found)
+        reasons.append(found)
+    return TableSearch(None, "no table found: " + "; ".join(reasons))
+
+
+def _world_views(scene: Scene, frames: Sequence[Frame] | None) -> tuple[list[View], str]:
+    try:
+        require_metres(scene)
+    except ToolkitError as error:
+        return [], f"no table in the world: {error.problem}"
+    posed = [
+        View(f, T)
+        for f in (scene.frames if frames is None else frames)
+        if (T := scene.T_world_cam(f.id)) is not None
+    ]
+    if not posed:
+        return [], "no table in the world: no frame has a camera pose"
+    with_depth = [v for v in posed if v.frame.depth is not None]
+    usable = with_depth or posed
+    chosen = np.linspace(0, len(usable) - 1, min(MOST_FRAMES, len(usable))).round().astype(int)
+    return [usable[i] for i in chosen], ""
+
+
+def _from_depth(place: _Place) -> TablePlane | str:
+    points = depth_points(place.scene, place.views, place.things)
+    if points is None:
+        return "no sensor depth outside the objects"
+    found = _support(points, place)
+    if isinstance(found, str):
+        return f"sensor depth shows {found}"
+    table = _described(points, *found, place)
+    height = found[1].height_m
+    bias = _CALIBRATED_BIAS if place.scene.info.depth_correction != 1 else UNKNOWN_BIAS
+    correction = None
+    if place.frame == WORLD:
+        sparse = reconstructed_points(place.scene, place.cameras.centres, place.things)
+        if sparse is not None:
+            correction = correction_by_points(
+                table.plane, sparse.xyz, height, table.centre, table.radius_m
+            )
+        if correction is None and not _metres_of_the_sensor(place.scene):
+            correction = correction_by_heights(
+                table.plane, points, found[0].inliers, place.cameras.centres
+            )
+    if correction is not None:
+        return _corrected(table, correction)
+    note = (
+        f"a sensor that reads {100 * bias:.1f} % too far puts this plane "
+        f"{1000 * bias * height:.0f} mm too low"
+    )
+    return replace(table, source="depth", uncertainty_m=bias * height, notes=(*table.notes, note))
+
+
+def _metres_of_the_sensor(scene: Scene) -> bool:
+    """The scale of the camera poses was taken from the depth itself: the two agree by force."""
+    scale = None if scene.poses is None else scene.poses.scale
+    return scale is not None and scale.chosen == "depth"
+
+
+def _from_reconstruction(place: _Place) -> TablePlane | str:
+    if place.frame != WORLD:
+        return "one frame has no reconstructed points"
+    points = reconstructed_points(place.scene, place.cameras.centres, place.things)
+    if points is None:
+        return "no reconstructed points outside the objects"
+    found = _support(points, place)
+    if isinstance(found, str):
+        return f"the reconstructed points show {found}"
+    table = _described(points, *found, place)
+    uncertainty = 3 * table.rms_m / np.sqrt(table.points) + 0.0005
+    return replace(table, source="reconstruction", uncertainty_m=float(uncertainty), frames=0)
+
+
+def _from_objects(place: _Place) -> TablePlane | str:
+    if not place.things:
+        return "no object is placed yet"
+    found = common_support(place.things, place.cameras)
+    if found is None:
+        return "the cameras see no placed object from above"
+    plane = Plane(found.normal, found.offset, place.frame)
+    middle = plane.project(found.contacts.mean(axis=0))
+    notes = [f"the plane under {', '.join(found.standing)}"]
+    doubts = []
+    if len(found.standing) < 2:
+        doubts.append("only one object tells where the table is")
+    elif 2 * len(found.standing) <= len(place.things):
+        doubts.append("half of the objects or more stand elsewhere")
+    if found.rms_m > 0.003:
+        doubts.append(f"the objects stand {1000 * found.rms_m:.0f} mm unevenly")
+    if found.upright < 0:
+        doubts.append("the cameras would see it upside down")
+    return TablePlane(
+        plane,
+        "objects",
+        found.rms_m,
+        len(found.contacts),
+        0,
+        middle,
+        float(np.linalg.norm(plane.project(found.contacts) - middle, axis=1).max()) + 0.1,
+        max(found.rms_m, 0.002),
+        quality="doubtful" if doubts else "good",
+        notes=(*notes, *doubts),
+    )
+
+
+def _support(points: Points, place: _Place) -> tuple[PlaneFit, Judgement, str] | str:
+    """The best support among the planes in points, and a doubt about it; or what was seen."""
+    if len(points.xyz) < _FEWEST_POINTS:
+        return "too few points"
+    planes = find_planes(points.xyz, points.sigma, points.weight, count=_PLANES)
+    if not planes:
+        return "no plane"
+    sight = np.linalg.norm(points.xyz - place.cameras.centres.mean(axis=0), axis=1)
+    judged = []
+    for whole in planes:
+        cell = _GAP * float(np.median(sight[whole.inliers]))
+        p = connected_patch(points.xyz, points.weight, whole, points.sigma, cell_m=cell)
+        middle = points.xyz[p.inliers].mean(axis=0)
+        args = (p.normal, p.offset, p.weight, middle, place.cameras, place.things)
+        judged.append((p, judge(*args)))
+    judged.sort(key=lambda pair: -pair[1].score)
+    best, verdict = judged[0]
+    if verdict.score == 0:
+        return "no plane that the cameras see from above"
+    rival = judged[1][1].score if len(judged) > 1 else 0.0
+    doubt = "another plane is almost as large" if rival > _RIVAL * verdict.score else ""
+    return best, verdict, doubt
+
+
+def _described(
+    points: Points, fit: PlaneFit, verdict: Judgement, doubt: str, place: _Place
+) -> TablePlane:
+    plane = Plane(verdict.normal, verdict.offset, place.frame)
+    inside = points.xyz[fit.inliers]
+    centre = plane.project(np.average(inside, axis=0, weights=points.weight[fit.inliers]))
+    reach = np.linalg.norm(plane.project(inside) - centre, axis=1)
+    radius = float(np.quantile(reach, 0.9))
+    doubts = [doubt] if doubt else []
+    if fit.weight < _SMALL_SHARE:
+        doubts.append(f"only {100 * fit.weight:.0f} % of the points lie in it")
+    if verdict.upright < 0.15:
+        doubts.append("it could be a wall: the cameras do not look down on it")
+    if radius < _SMALL_M:
+        doubts.append(f"it is small: {200 * radius:.0f} cm across")
+    if fit.rms_m > _ROUGH:
+        doubts.append(f"the points scatter by {1000 * fit.rms_m:.0f} mm")
+    if place.things and not verdict.carried:
+        doubts.append("no placed object stands on it")
+    seen = points.view[fit.inliers]
+    return TablePlane(
+        plane,
+        "depth",
+        fit.rms_m,
+        int(fit.inliers.sum()),
+        len(np.unique(seen[seen >= 0])),
+        centre,
+        radius,
+        0.0,
+        quality="doubtful" if doubts else "good",
+        notes=tuple(doubts),
+    )
+
+
+def _corrected(table: TablePlane, correction: Correction) -> TablePlane:
+    plane = Plane(table.plane.normal, table.plane.offset - correction.shift_m, table.plane.frame)
+    return replace(
+        table,
+        plane=plane,
+        centre=plane.project(table.centre),
+        uncertainty_m=correction.uncertainty_m,
+        depth_factor=correction.depth_factor,
+        notes=(*table.notes, correction.note),
+    )
