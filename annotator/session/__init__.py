@@ -1,0 +1,49 @@
+"""The headless annotation session: state, edits, undo, journal, saving, scripts."""
+
+from annotator.session.edits import (
+    AddClick,
+    AddObject,
+    AnyEdit,
+    ChangeClick,
+    ChangeObject,
+    ClearPose,
+    EnterModel,
+    Move,
+    PoseChange,
+    RemoveObject,
+    SetPoses,
+    SetSymmetry,
+    Together,
+)
+from annotator.session.recovery import Recovery
+from annotator.session.saving import SaveReport
+from annotator.session.session import Change, PropagateReport, SaveConflict, Session
+from annotator.session.snapshot import Snapshot
+from annotator.session.state import AnnotationState, Click, ObjectState, Placement
+
+__all__ = [
+    "AddClick",
+    "AddObject",
+    "AnnotationState",
+    "AnyEdit",
+    "Change",
+    "ChangeClick",
+    "ChangeObject",
+    "ClearPose",
+    "Click",
+    "EnterModel",
+    "Move",
+    "ObjectState",
+    "Placement",
+    "PoseChange",
+    "PropagateReport",
+    "Recovery",
+    "RemoveObject",
+    "SaveConflict",
+    "SaveReport",
+    "Session",
+    "SetPoses",
+    "SetSymmetry",
+    "Snapshot",
+    "Together",
+]

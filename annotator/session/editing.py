@@ -1,0 +1,226 @@
+"""Editing: edits, undo and redo, each on disk before it takes effect."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any, Literal
+
+from annotator.session.cameras import Cameras
+from annotator.session.edits import AnyEdit, EditContext
+from annotator.session.history import Step
+from annotator.session.journal import AnyEntry, Edited, Redone, Undone
+from annotator.session.ledger import Effect, Ledger
+from annotator.session.merging import Version
+from annotator.session.meshes import MeshLibrary
+from annotator.session.queries import Queries
+from annotator.session.recorder import Recorder
+from annotator.session.recovery import Recovery
+from annotator.session.snapshot import Snapshot
+from annotator.session.state import AnnotationState
+from annotator.session.stored import Stored, state_of
+from std_toolkit import __version__
+from std_toolkit.errors import ToolkitError
+from std_toolkit.scene import Scene
+
+if TYPE_CHECKING:
+    from annotator.session.requests import Outcome, Request
+
+ChangeKind = Literal["edit", "undo", "redo", "saved", "reread"]
+
+
+@dataclass(frozen=True)
+class Change:
+    """What listeners are told.
+
+    Attributes:
+        kind: an edit was applied, undone or redone, the labels were saved, or the scene was read
+            again.
+        title: what it was, for people.
+        objects: names of the objects concerned; empty if it concerns the scene as a whole.
+    """
+
+    kind: ChangeKind
+    title: str
+    objects: tuple[str, ...]
+
+
+class Editing(Queries):
+    """The state with its history; `Session` adds opening, recovery and saving."""
+
+    def __init__(
+        self, scene: Scene, *, annotator: str, by_hand: bool = True, recorder: Recorder | None
+    ) -> None:
+        self.scene = scene
+        self.annotator = annotator
+        self._by_hand = by_hand
+        self._recorder = recorder
+        self._listeners: list[Callable[[Change], None]] = []
+        self._meshes = MeshLibrary(scene.root)
+        self._poses, self._cameras = scene.poses, Cameras.of(scene)
+        stored = Stored.of(scene)
+        opened = state_of(scene, self._cameras, stored)
+        self.warnings = list(opened.warnings)
+        self.recovery: Recovery | None = None
+        self._ledger = Ledger(Version(stored, opened.state))
+
+    # --- what there is ---------------------------------------------------------------------------
+
+    @property
+    def state(self) -> AnnotationState:
+        return self._ledger.state
+
+    @property
+    def cameras(self) -> Cameras:
+        return self._cameras
+
+    @property
+    def meshes(self) -> MeshLibrary:
+        return self._meshes
+
+    @property
+    def writable(self) -> bool:
+        """Edits can be made and saved."""
+        return self._recorder is not None
+
+    @property
+    def unsaved(self) -> bool:
+        """Saving now would change the scene."""
+        return self._ledger.unsaved
+
+    @property
+    def undoable(self) -> Step | None:
+        return self._ledger.history.undoable
+
+    @property
+    def redoable(self) -> Step | None:
+        return self._ledger.history.redoable
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """Every edit in force, oldest first."""
+        return self._ledger.history.steps
+
+    def hands_on_s(self, name: str) -> float:
+        """Seconds worked on an object since its label was last saved; a lower bound."""
+        return self._ledger.hands_on.seconds(self.object(name).id)
+
+    def snapshot(self) -> Snapshot:
+        """The session as it is now, safe to use in another thread."""
+        return Snapshot(
+            self.scene,
+            self.state,
+            self._cameras,
+            self._meshes,
+            writable=self.writable,
+            annotator=self.annotator,
+        )
+
+    # --- editing ---------------------------------------------------------------------------------
+
+    def apply(self, edit: AnyEdit) -> None:
+        """Make an edit; it is on disk in the journal when this returns.
+
+        Raises:
+            ToolkitError: the edit does not fit the state, or the journal cannot be written; then
+                nothing has changed.
+        """
+        self._require_editable()
+        context = self._context()
+        resolved = edit.resolved(self.state, context)
+        resolved.apply(self.state, context)
+        self._record("edit", Edited, edit=resolved, shared=self.posed, time=context.time)
+
+    def undo(self) -> None:
+        """Raises ToolkitError if there is nothing to undo, or as `apply`."""
+        self._require_editable()
+        self._record("undo", Undone)
+
+    def redo(self) -> None:
+        """Raises ToolkitError if there is nothing to redo, or as `apply`."""
+        self._require_editable()
+        self._record("redo", Redone)
+
+    def perform(self, request: Request) -> Outcome:
+        """Carry out a request and apply the edit that comes of it; takes as long as it takes.
+
+        Raises:
+            ToolkitError: it cannot be carried out.
+        """
+        self._require_editable()
+        outcome = request.resolve(self.snapshot())
+        self.apply(outcome.edit)
+        return outcome
+
+    def subscribe(self, listener: Callable[[Change], None]) -> Callable[[], None]:
+        """Have `listener` called after every change; returns what ends it."""
+        self._listeners.append(listener)
+        return lambda: self._listeners.remove(listener)
+
+    # --- inner workings --------------------------------------------------------------------------
+
+    def _record(
+        self,
+        kind: ChangeKind,
+        make: Callable[..., AnyEntry],
+        *,
+        quiet: bool = False,
+        time: str | None = None,
+        **fields: Any,
+    ) -> Effect:
+        """Journal an entry, then let it take effect; on an error nothing has changed."""
+        recorder = self._recorder
+        assert recorder is not None
+        entry, data = recorder.checked(
+            make(
+                number=recorder.next_number,
+                time=time or _now(),
+                annotator=self.annotator,
+                version=__version__,
+                **fields,
+            )
+        )
+        commit = self._ledger.plan(entry)
+        recorder.append(data, base=self._ledger.base, like=entry)
+        effect = commit()
+        if not quiet:
+            self._tell(Change(kind, effect.title, effect.objects))
+        return effect
+
+    def _tell(self, change: Change) -> None:
+        for listener in list(self._listeners):
+            listener(change)
+
+    def _context(self) -> EditContext:
+        return EditContext(
+            frames=self._cameras.frame_set,
+            pose=self._cameras.pose,
+            centre=self.centre,
+            shared=self.posed,
+            annotator=self.annotator,
+            time=_now(),
+            reserved=self._ids_in_use,
+        )
+
+    def _ids_in_use(self) -> set[int]:
+        on_disk = {o.id for o in self._ledger.base.stored.objects.objects}
+        return on_disk.union(o.id for s in self._ledger.history.states for o in s.objects)
+
+    def _require_editable(self) -> None:
+        if self._recorder is None:
+            raise ToolkitError(
+                "the scene is open for looking only: nothing can be edited or saved",
+                path=self.scene.root,
+                hint="open it without read-only",
+            )
+        if self.recovery is not None:
+            raise ToolkitError(
+                f"decide first about earlier edits: {self.recovery}",
+                path=self.scene.root,
+                hint="recover or discard them",
+            )
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")

@@ -1,0 +1,98 @@
+"""Edits of a session that ended before it saved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+
+from annotator.session.journal import (
+    Edited,
+    JournalContent,
+    Redone,
+    Saved,
+    Undone,
+    scene_digests,
+)
+from annotator.session.ledger import Ledger
+from annotator.session.merging import Version
+from std_toolkit.errors import ToolkitError
+from std_toolkit.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Recovery:
+    """Edits that were made and not saved.
+
+    Attributes:
+        count: edits, undos and redos since the last save.
+        annotator: who made the last one.
+        time: when, UTC, ISO 8601.
+        problem: why they cannot be brought back, or "".
+        damage: what of the journal could not be read, or "": what stands before it is recovered.
+        changed: documents of the scene that were written since the edits began.
+        ledger: the session as it was.
+        entries: how many lines of the journal it is made of.
+        content: the journal.
+    """
+
+    count: int
+    annotator: str
+    time: str
+    problem: str
+    damage: str
+    changed: tuple[str, ...]
+    ledger: Ledger
+    entries: int
+    content: JournalContent
+
+    def __str__(self) -> str:
+        edits = "1 edit" if self.count == 1 else f"{self.count} edits"
+        who = self.annotator or "somebody"
+        when = datetime.fromisoformat(self.time).astimezone().strftime("%Y-%m-%d %H:%M")
+        were = "was" if self.count == 1 else "were"
+        text = f"{edits} by {who}, the last one at {when}, {were} not saved"
+        if self.problem:
+            text += f", and cannot be brought back: {self.problem}"
+        if self.damage:
+            text += f"; the journal is damaged: {self.damage}, what stands before it is kept"
+        return text
+
+
+def replay(content: JournalContent) -> tuple[Ledger, int, str]:
+    """The ledger after all entries, the number of them that took effect, and what went wrong.
+
+    An entry that does not fit the state ends the replay, as a damaged line does.
+    """
+    assert content.begun is not None
+    ledger = Ledger(Version(content.begun.stored, content.begun.state))
+    for done, entry in enumerate(content.entries):
+        try:
+            ledger.plan(entry)()
+        except ToolkitError as error:
+            return ledger, done, f"line {done + 2} does not fit ({error.problem})"
+    return ledger, len(content.entries), content.damage
+
+
+def find_recovery(scene: Scene, content: JournalContent) -> Recovery | None:
+    """What can be recovered from a journal; None if all that can be read of it was saved."""
+    begun = content.begun
+    if begun is None:
+        return None
+    ledger, entries, damage = replay(content)
+    if not ledger.unsaved:
+        return None
+    saves = [i + 1 for i, x in enumerate(content.entries[:entries]) if isinstance(x, Saved)]
+    made = [
+        entry
+        for entry in content.entries[max(saves, default=0) : entries]
+        if isinstance(entry, Edited | Undone | Redone)
+    ]
+    last = made[-1] if made else begun
+    now = scene_digests(scene.root)
+    changed = tuple(name for name, digest in begun.digests.items() if now.get(name) != digest)
+    problem = ""
+    if begun.scene != scene.info.name or "frames.json" in changed:
+        problem = "they are of another recording (frames.json has changed)"
+    return Recovery(
+        len(made), last.annotator, last.time, problem, damage, changed, ledger, entries, content
+    )

@@ -1,0 +1,239 @@
+"""Scripts: a JSON list of edits, requests and commands, carried out in order."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+from typing import get_args
+
+import msgspec
+
+from annotator.session.edits import (
+    AddObject,
+    AnyEdit,
+    EnterModel,
+    SetSymmetry,
+    SingleEdit,
+    Together,
+)
+from annotator.session.merging import Side
+from annotator.session.requests import AnyRequest, ImportMesh, Request
+from annotator.session.session import Session
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.io.documents import read_document
+from std_toolkit.log import logger
+from std_toolkit.scene.document import Count, Document
+from std_toolkit.scene.model import SymmetryModel
+
+
+class Save(Document, frozen=True, kw_only=True, tag_field="edit", tag="save"):
+    """Write what was edited so far into the scene; see `Session.save`."""
+
+    on_conflict: Side | None = None
+
+
+class Propagate(Document, frozen=True, kw_only=True, tag_field="edit", tag="propagate"):
+    """Save, and carry the labels to all frames; the fields are those of `PropagateOptions`."""
+
+    refine: bool = False
+    refine_scale: bool = False
+    objects: list[str] | None = None
+    keyframes: Count = 10
+    use_depth: bool = True
+
+
+class Undo(Document, frozen=True, kw_only=True, tag_field="edit", tag="undo"):
+    """Take back the last edit in force."""
+
+
+class Redo(Document, frozen=True, kw_only=True, tag_field="edit", tag="redo"):
+    """Make the edit taken back last again."""
+
+
+Command = Save | Propagate | Undo | Redo
+Step = AnyEdit | AnyRequest | Command
+
+
+def read_script(path: Path | str) -> list[Step]:
+    """The steps of a script file, all of them validated.
+
+    Raises:
+        ToolkitError: unreadable, or a step that is none, named by its place: `[3].frame`.
+    """
+    try:
+        steps: list[Step] = read_document(path, list[Step])
+    except ToolkitError as error:
+        hint = error.hint
+        if error.field is not None and error.field.endswith(".edit"):
+            hint = f"known: {', '.join(sorted(known_steps()))}"
+        raise ToolkitError(
+            error.problem, path=error.path, field=error.field, value=error.value, hint=hint
+        ) from error
+    return steps
+
+
+def run_script(session: Session, steps: list[Step], path: Path | str) -> Iterator[str]:
+    """Carry out the steps; yields lines for people.
+
+    Args:
+        path: of the script: messages name it, and meshes are looked for beside it.
+
+    Raises:
+        ToolkitError: a step that cannot be carried out, named by its place. Steps after it are
+            not carried out, and what was not saved before it is not saved.
+    """
+    for index, step in enumerate(steps):
+        try:
+            for line in _carry_out(session, step, Path(path)):
+                yield f"[{index}] {line}"
+        except ToolkitError as error:
+            problem = error.problem
+            if error.path is not None and Path(error.path) != Path(path):
+                problem = f"{error.path}: {problem}"
+            raise ToolkitError(
+                problem,
+                path=path,
+                field=f"[{index}]" + (f".{error.field}" if error.field else ""),
+                value=error.value,
+                hint=error.hint,
+            ) from error
+
+
+def run(args: argparse.Namespace) -> int:
+    """`std-annotate SCENE --script FILE`: prints a line for every step; exit status 0.
+
+    Raises:
+        ToolkitError: a step that cannot be carried out, or earlier edits to decide about.
+    """
+    steps = read_script(args.script)
+    with Session.open(
+        args.scene, annotator=args.annotator, recover=args.recover, by_hand=False
+    ) as session:
+        if session.recovery is not None:
+            raise ToolkitError(
+                str(session.recovery),
+                path=args.scene,
+                hint="give --recover yes to bring them back, or --recover no to keep them aside",
+            )
+        for warning in session.warnings:
+            logger.warning("%s", warning)
+        recovered = session.unsaved
+        try:
+            for line in run_script(session, steps, args.script):
+                print(line)
+        except ToolkitError:
+            # The script can be run again: its edits need no recovery. Those that a person made
+            # and that were brought back before it do.
+            session.close(discard=not recovered)
+            raise
+        if session.unsaved:
+            logger.warning(
+                '%s: the last edits are not saved; end it with {"edit": "save"}, or open the '
+                "scene to recover them",
+                args.script,
+            )
+    return 0
+
+
+def export_edits(session: Session, path: Path | str) -> None:
+    """Write a script that makes the session's edits in force again, on the same or another scene.
+
+    Poses are written as numbers, whatever computed them. A mesh that was added is taken from this
+    scene's folder.
+
+    Raises:
+        ToolkitError: the file cannot be written.
+    """
+    made = [step.edit for step in session.steps if step.edit is not None]
+    steps = [step for edit in made for step in _exported(session, edit)]
+    text = msgspec.json.format(msgspec.json.encode(steps), indent=2)
+    write_bytes_atomic(path, text + b"\n")
+
+
+def script_schema() -> bytes:
+    """JSON Schema of a script."""
+    return msgspec.json.format(msgspec.json.encode(msgspec.json.schema(list[Step])), indent=2)
+
+
+def known_steps() -> list[str]:
+    """What may stand under "edit"."""
+    return [str(leaf.__struct_config__.tag) for leaf in _leaves(Step)]
+
+
+def _carry_out(session: Session, step: Step, path: Path) -> Iterator[str]:
+    match step:
+        case Save():
+            yield str(session.save(on_conflict=step.on_conflict))
+        case Propagate():
+            yield from _propagate(session, step)
+        case Undo():
+            undone = session.undoable
+            session.undo()
+            yield f"Undo: {undone.title if undone else ''}"
+        case Redo():
+            session.redo()
+            redone = session.undoable
+            yield f"Redo: {redone.title if redone else ''}"
+        case Request():
+            if isinstance(step, ImportMesh):
+                # As seen from the script, wherever it is called from.
+                mesh = path.parent / Path(step.mesh).expanduser()
+                step = msgspec.structs.replace(step, mesh=str(mesh))
+            outcome = session.perform(step)
+            yield step.title
+            yield from (f"  {line}" for line in outcome.report)
+            for warning in outcome.warnings:
+                logger.warning("%s", warning)
+        case _:
+            session.apply(step)
+            yield step.title
+
+
+def _propagate(session: Session, step: Propagate) -> Iterator[str]:
+    from std_toolkit.labels.propagate import PropagateOptions
+
+    report = session.propagate(
+        PropagateOptions(
+            refine=step.refine,
+            refine_scale=step.refine_scale,
+            objects=None if step.objects is None else tuple(step.objects),
+            keyframes=step.keyframes,
+            use_depth=step.use_depth,
+        )
+    )
+    yield f"Propagate. {report.saved}"
+    yield from (f"  {line.strip()}" for line in report.lines)
+
+
+def _exported(session: Session, edit: AnyEdit) -> Iterator[Step]:
+    match edit:
+        case Together() if any(isinstance(e, EnterModel) for e in edit.edits):
+            for part in edit.edits:
+                yield from _exported(session, part)
+        case Together():
+            yield msgspec.structs.replace(edit, edits=[_anywhere(e) for e in edit.edits])
+        case EnterModel(model=model):
+            yield ImportMesh(
+                mesh=str((session.scene.root / model.mesh).resolve()),
+                category=model.category,
+                model=model.id,
+            )
+            if model.symmetry != SymmetryModel():
+                yield SetSymmetry(model=model.id, symmetry=model.symmetry)
+        case _:
+            yield _anywhere(edit)
+
+
+def _anywhere(edit: SingleEdit) -> SingleEdit:
+    """Object ids belong to one scene."""
+    return msgspec.structs.replace(edit, id=None) if isinstance(edit, AddObject) else edit
+
+
+def _leaves(union: object) -> Iterator[type[msgspec.Struct]]:
+    for part in get_args(union):
+        if get_args(part):
+            yield from _leaves(part)
+        else:
+            yield part

@@ -1,0 +1,335 @@
+"""The headless annotation session: the one place that holds what was annotated.
+
+A front end applies edits and listens; it keeps no state of the scene of its own.
+"""
+
+from __future__ import annotations
+
+import getpass
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from annotator.session.cameras import Cameras
+from annotator.session.editing import Change, Editing
+from annotator.session.journal import Reread, Resumed, Saved, TakenOver
+from annotator.session.ledger import Effect
+from annotator.session.merging import Side, Version, conflicts
+from annotator.session.recorder import Recorder
+from annotator.session.recovery import Recovery
+from annotator.session.saving import SaveReport, documents_of, write_documents
+from annotator.session.stored import Stored, state_of
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import sweep_temporaries
+from std_toolkit.scene import Scene
+from std_toolkit.scene.lock import hold_lock
+
+if TYPE_CHECKING:
+    from std_toolkit.labels.propagate import PropagateOptions
+
+__all__ = ["Change", "PropagateReport", "SaveConflict", "Session", "user_name"]
+
+LOCK = "annotate.lock"
+
+
+@dataclass(frozen=True)
+class PropagateReport:
+    """What propagating did.
+
+    Attributes:
+        saved: of the saving that came before.
+        lines: one per label, for people.
+    """
+
+    saved: SaveReport
+    lines: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return "; ".join(line.strip() for line in self.lines) + "."
+
+
+class SaveConflict(ToolkitError):
+    """Others changed in the scene what was edited here; `value` lists the names."""
+
+
+class Session(Editing):
+    """Annotations of one scene with undo and redo; open it with `Session.open`.
+
+    Not thread-safe: it belongs to one thread. Long computations take a `snapshot` away and come
+    back with an edit.
+
+    Attributes:
+        scene: the scene as it is on disk.
+        annotator: who edits.
+        recovery: edits of an earlier session that were not saved; to be recovered or discarded
+            before anything is edited.
+        warnings: sentences about what could not be taken over as it is.
+    """
+
+    def __init__(
+        self, scene: Scene, *, annotator: str, by_hand: bool = True, recorder: Recorder | None
+    ) -> None:
+        super().__init__(scene, annotator=annotator, by_hand=by_hand, recorder=recorder)
+        self._locks = ExitStack()
+
+    @staticmethod
+    def open(
+        root: Path | str,
+        *,
+        annotator: str | None = None,
+        recover: Literal["ask", "yes", "no"] = "ask",
+        read_only: bool = False,
+        by_hand: bool = True,
+    ) -> Session:
+        """Open a scene for annotation; images are not read.
+
+        Args:
+            annotator: who edits; default: the user's name.
+            recover: what to do with edits of an earlier session that were not saved: "yes" brings
+                them back, "no" keeps their journal aside, "ask" leaves it to `recovery`.
+            read_only: look only: nothing is locked, nothing can be edited.
+            by_hand: a person edits, so that the time it takes is worth counting.
+
+        Raises:
+            ToolkitError: no scene there, a damaged document, another session on the scene, or a
+                folder that cannot be written.
+        """
+        who = annotator if annotator is not None else user_name()
+        if read_only:
+            return Session(Scene.open(root), annotator=who, by_hand=by_hand, recorder=None)
+        with ExitStack() as locks:
+            _hold(locks, Scene.open(root).root, who)
+            # Read under the lock: what a session before this one wrote at its end.
+            scene = Scene.open(root)
+            recorder = Recorder(scene)
+            session = Session(scene, annotator=who, by_hand=by_hand, recorder=recorder)
+            session.recovery, warnings = recorder.look_back()
+            session.warnings += warnings
+            if session.recovery is not None and recover == "yes":
+                session.recover()
+            elif session.recovery is not None and recover == "no":
+                session.discard_recovery()
+            session._locks = locks.pop_all()
+        return session
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self, *, discard: bool = False) -> None:
+        """End the session. Edits that were not saved stay in the journal, to be recovered.
+
+        Args:
+            discard: edits that were not saved are not wanted; their journal is kept aside all
+                the same.
+        """
+        if self._recorder is not None:
+            unsaved = self.unsaved and not discard
+            outcome = None if unsaved else "discarded" if self.unsaved else "saved"
+            self._recorder.close(outcome=outcome)
+            self._recorder = None
+        self._locks.close()
+
+    # --- recovery --------------------------------------------------------------------------------
+
+    def recover(self) -> None:
+        """Bring back the edits in `recovery`, with undo and redo as they were.
+
+        What others wrote into the scene since is taken over, unless both changed the same: then
+        saving tells.
+
+        Raises:
+            ToolkitError: there is nothing to recover, or it belongs to another recording.
+        """
+        found = self._decided()
+        if found.problem:
+            raise ToolkitError(
+                f"the edits cannot be brought back: {found.problem}",
+                path=found.content.path,
+                hint="discard them; their journal is kept aside",
+            )
+        assert self._recorder is not None
+        theirs = self._ledger.base
+        self._recorder.recover(found)
+        self._ledger = found.ledger
+        self.recovery = None
+        self._record("reread", Resumed, quiet=True)
+        changed = theirs.stored != self._ledger.base.stored
+        # What both changed is asked about when it is saved, as in any session.
+        if changed and not conflicts(self._ledger.base, self._ledger.history, theirs):
+            self._take_over(theirs, prefer="mine")
+        self._tell(Change("reread", "Recover", ()))
+
+    def discard_recovery(self) -> None:
+        """Do without the edits in `recovery`; their journal is kept aside.
+
+        Raises:
+            ToolkitError: there is nothing to recover.
+        """
+        self._decided()
+        assert self._recorder is not None
+        self._recorder.discard()
+        self.recovery = None
+
+    # --- saving ----------------------------------------------------------------------------------
+
+    def save(self, *, on_conflict: Side | None = None) -> SaveReport:
+        """Write what was edited into the scene; undo goes on to work.
+
+        What others wrote since the scene was last read is taken over where we left it alone.
+
+        Args:
+            on_conflict: what to do about objects that others and we changed: keep "mine" or
+                "theirs"; default: an error that lists them.
+
+        Raises:
+            SaveConflict: such a conflict; the edits stay as they are.
+            ToolkitError: another process is writing, or the scene cannot be written; as above.
+        """
+        self._require_editable()
+        if not self.unsaved:
+            return SaveReport()
+        with self._noticing_cameras(), self.scene.lock():
+            sweep_temporaries(self.scene.root)
+            self._renew_cameras()
+            taken = self._meet_others(on_conflict)
+            base = self._ledger.base
+            new = documents_of(self.state, base, self._ledger.hands_on if self._by_hand else None)
+            files = write_documents(self.scene, new)
+            warnings = self._note_saved(new)
+        before = {x.object: x for x in base.stored.labels.labels}
+        names = {o.id: o.name for o in self.state.objects}
+        labelled = [names[x.object] for x in new.labels.labels if before.get(x.object) != x]
+        self._tell(Change("saved", "Save", ()))
+        return SaveReport(files, tuple(labelled), taken, warnings)
+
+    def reload(self, title: str = "Read the scene again") -> None:
+        """Take over what stands in the scene now, as one step that undo takes back.
+
+        Raises:
+            SaveConflict: others changed what was edited here and not saved.
+            ToolkitError: a document is damaged, or the journal cannot be written.
+        """
+        self._require_editable()
+        with self._noticing_cameras():
+            self.scene.reread()
+            self._renew_cameras()
+            theirs = self._read_version()
+            if theirs.stored != self._ledger.base.stored:
+                self._refuse_conflict(theirs, hint="save first, and say whose version to keep")
+                self._record(
+                    "reread", Reread, title=title, stored=theirs.stored, state=theirs.state
+                )
+
+    def propagate(self, options: PropagateOptions | None = None) -> PropagateReport:
+        """Save, carry the labels to all registered frames, and read the result.
+
+        Raises:
+            ToolkitError: as `save` and `std_toolkit.labels.propagate.propagate_labels`.
+        """
+        from std_toolkit.labels.propagate import propagate_labels
+        from std_toolkit.labels.summary import label_lines
+
+        saved = self.save()
+        scene = Scene.open(self.scene.root)
+        labels = propagate_labels(scene, options)
+        self.reload("Propagate")
+        return PropagateReport(saved, tuple(label_lines(scene, labels)))
+
+    def export_edits(self, path: Path | str) -> None:
+        """Write a script that makes the session's edits in force again, here or elsewhere.
+
+        Raises:
+            ToolkitError: the file cannot be written.
+        """
+        from annotator.session.script import export_edits
+
+        export_edits(self, path)
+
+    def _renew_cameras(self) -> None:
+        """Take the camera poses as the scene has them now."""
+        before, self._poses = self._poses, self.scene.poses
+        if before != self._poses:
+            self._cameras = Cameras.of(self.scene)
+
+    @contextmanager
+    def _noticing_cameras(self) -> Iterator[None]:
+        """Listeners hear of new camera poses at the end, also if what is done within fails."""
+        before = self._cameras
+        try:
+            yield
+        finally:
+            if self._cameras is not before:
+                self._tell(Change("reread", "New camera poses", ()))
+
+    def _meet_others(self, on_conflict: Side | None) -> tuple[str, ...]:
+        """Take over what others wrote; returns what that was."""
+        theirs = self._read_version()
+        if theirs.stored == self._ledger.base.stored:
+            return ()
+        if on_conflict is None:
+            hint = "save again and say whose version to keep (on_conflict: mine or theirs)"
+            self._refuse_conflict(theirs, hint=hint)
+        return self._take_over(theirs, prefer=on_conflict or "mine").objects
+
+    def _refuse_conflict(self, theirs: Version, *, hint: str) -> None:
+        clash = conflicts(self._ledger.base, self._ledger.history, theirs)
+        if clash:
+            raise SaveConflict(
+                "others changed these in the scene while you edited them",
+                path=self.scene.root,
+                value=", ".join(clash),
+                hint=hint,
+            )
+
+    def _take_over(self, theirs: Version, *, prefer: Side) -> Effect:
+        return self._record(
+            "reread", TakenOver, stored=theirs.stored, state=theirs.state, prefer=prefer
+        )
+
+    def _note_saved(self, new: Stored) -> tuple[str, ...]:
+        try:
+            self._record("saved", Saved, quiet=True, stored=new)
+        except ToolkitError as error:
+            # The labels are written. Without this line they would be offered for recovery once
+            # more, where nothing of them is found missing.
+            return (f"The labels are saved, but {error.problem}.",)
+        return ()
+
+    def _read_version(self) -> Version:
+        stored = Stored.of(self.scene)
+        opened = state_of(self.scene, self._cameras, stored)
+        self.warnings = list(opened.warnings)
+        return Version(stored, opened.state)
+
+    def _decided(self) -> Recovery:
+        if self.recovery is None:
+            raise ToolkitError("there are no edits to recover", path=self.scene.root)
+        return self.recovery
+
+
+def user_name() -> str:
+    """Name of the user of this computer; "" if it has none."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return ""
+
+
+def _hold(locks: ExitStack, root: Path, annotator: str) -> None:
+    note = f"annotator {annotator}" if annotator else ""
+    try:
+        locks.enter_context(hold_lock(root, LOCK, doing="annotating", note=note))
+    except ToolkitError as error:
+        held = "another process" in error.problem
+        raise ToolkitError(
+            error.problem,
+            path=error.path,
+            hint="close that session first, or open the scene read-only to look at it"
+            if held
+            else "open it read-only (--read-only) to look at it",
+        ) from error

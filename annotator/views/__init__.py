@@ -1,0 +1,8 @@
+"""VTK drawing of an annotation session: image, cloud, handles and mouse; no Qt."""
+
+from annotator.views.model_view import ModelView
+from annotator.views.scene_view import SceneView
+from annotator.views.thumbnails import cached_thumbnail, thumbnail
+from annotator.views.viewset import ViewSet
+
+__all__ = ["ModelView", "SceneView", "ViewSet", "cached_thumbnail", "thumbnail"]

@@ -1,0 +1,158 @@
+"""Which points the cloud of a view consists of, read when they are first looked at."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annotator.controller import Controller
+from annotator.events import Event
+from annotator.view_options import CloudSource
+from std_toolkit.errors import ToolkitError
+
+if TYPE_CHECKING:
+    from annotator.runner import Task
+    from std_toolkit.scene import Scene
+
+# What software rendering draws in a fraction of a second, and what it draws while moving.
+MOST_POINTS = 200_000
+LIGHT_POINTS = 50_000
+# Frames of the fused cloud: more add time, hardly surface.
+MOST_FRAMES = 30
+_KEPT_FRAMES = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points in random order, so that the first few of them show the whole.
+
+    Attributes:
+        points: (N, 3) float32 metres, in the world or in the camera of the frame.
+        colors: (N, 3) uint8 RGB.
+        in_world: the points are in the world.
+        spacing_m: about how far a point is from the next.
+        note: sentence for people on what is shown, or on why nothing is.
+    """
+
+    points: NDArray[np.float32]
+    colors: NDArray[np.uint8]
+    in_world: bool
+    spacing_m: float = 0.0
+    note: str = ""
+
+
+class CloudReader:
+    """The clouds of a scene; those of single frames are read at once, the fused one aside."""
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self._frames: OrderedDict[int, Cloud] = OrderedDict()
+        self._fused: Cloud | None = None
+        self._sparse: Cloud | None = None
+        self._fusing = False
+
+    def get(self, frame: int, source: CloudSource) -> Cloud:
+        """The cloud to show; a note instead of points while it is being made."""
+        if source is CloudSource.FUSED and self._controller.session.posed:
+            return self._fused or _only("Bringing the points of many frames together ...")
+        if frame not in self._frames:
+            self._frames[frame] = self._read(frame)
+            while len(self._frames) > _KEPT_FRAMES:
+                self._frames.popitem(last=False)
+        self._frames.move_to_end(frame)
+        return self._frames[frame]
+
+    def prepare(self, source: CloudSource) -> None:
+        """Begin to fuse, if that cloud is wanted and not there yet."""
+        controller = self._controller
+        wanted = source is CloudSource.FUSED and controller.session.posed
+        if not wanted or self._fused is not None or self._fusing:
+            return
+        self._fusing = True
+        scene = controller.session.scene
+
+        def ended(cloud: Cloud) -> None:
+            self._fused, self._fusing = cloud, False
+            controller.emit(Event("view"))
+
+        controller.start_aside("Point cloud of many frames", lambda task: _fuse(scene, task), ended)
+
+    def clear(self) -> None:
+        """Forget the clouds, as when the camera poses have changed."""
+        self._frames.clear()
+        self._fused = self._sparse = None
+
+    def _read(self, frame_id: int) -> Cloud:
+        from std_toolkit.labels.support.cloud import frame_cloud
+
+        scene = self._controller.session.scene
+        frame = scene.frame(frame_id)
+        if frame.depth is None:
+            return self._instead(
+                "This frame has no sensor depth, so there is no point cloud of it."
+            )
+        camera = scene.camera(frame)
+        stride = max(1, int(np.sqrt(camera.width * camera.height / MOST_POINTS)))
+        try:
+            points, colors = frame_cloud(scene, frame, stride=stride)
+        except ToolkitError as error:
+            return _only(str(error))
+        if len(points) == 0:
+            return self._instead("The sensor measured nothing in this frame.")
+        spacing = stride * float(np.median(points[:, 2])) / camera.fx
+        return _shuffled(points, colors, in_world=False, spacing_m=spacing)
+
+    def _instead(self, reason: str) -> Cloud:
+        """The points of the reconstruction where there is no depth."""
+        from std_toolkit.labels.support.cloud import sparse_points
+
+        if self._sparse is None and self._controller.session.posed:
+            found = sparse_points(self._controller.session.scene)
+            if found is not None:
+                note = f"{reason}\nShown are the points of the reconstruction."
+                points = found[0].astype(np.float32)
+                self._sparse = _shuffled(points, found[1], in_world=True, note=note)
+        if self._sparse is not None:
+            return self._sparse
+        return _only(f"{reason}\nPress Tab for the image.")
+
+
+def _fuse(scene: Scene, task: Task) -> Cloud:
+    from std_toolkit.labels.support.cloud import FusionCancelled, fuse_clouds
+
+    frames = scene.registered_frames()
+    every = max(1, -(-len(frames) // MOST_FRAMES))
+    try:
+        fused = fuse_clouds(
+            scene,
+            frames[::every],
+            limit=MOST_POINTS,
+            progress=task.progress,
+            cancel=lambda: task.cancelled,
+        )
+    except FusionCancelled:
+        return _only("The points of many frames are no longer asked for.")
+    except ToolkitError as error:
+        return _only(str(error))
+    return _shuffled(fused.points, fused.colors, in_world=True, spacing_m=fused.voxel_m)
+
+
+def _shuffled(
+    points: NDArray[np.float32],
+    colors: NDArray[np.uint8],
+    *,
+    in_world: bool,
+    spacing_m: float = 0.0,
+    note: str = "",
+) -> Cloud:
+    order = np.random.default_rng(0).permutation(len(points))[:MOST_POINTS]
+    spacing_m *= float(np.sqrt(len(points) / max(len(order), 1)))
+    return Cloud(points[order], colors[order], in_world, spacing_m, note)
+
+
+def _only(note: str) -> Cloud:
+    return Cloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), False, note=note)

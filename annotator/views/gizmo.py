@@ -1,0 +1,198 @@
+"""Handles with which an object is moved and turned along axes: where they are, what a drag does.
+
+Numbers only: a pinhole (`ScreenCamera`), a centre and axes in eye coordinates, screen positions.
+Drawing them is the business of `gizmo_look.py`, the mouse that of `pointer.py`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from annotator.view_options import Gizmo
+from annotator.views.drags import (
+    NEAREST_M,
+    AxisDrag,
+    DepthDrag,
+    Drag,
+    PlaneDrag,
+    RingDrag,
+    plane_basis,
+)
+from annotator.views.projection import ScreenCamera
+from std_toolkit.geometry import SE3
+
+Array = NDArray[np.float64]
+
+# Parts of the gizmo's size: where arrows begin, the disc, the outermost ring.
+ARROW_START, DISC, VIEW_RING = 0.26, 0.16, 1.22
+# An arrow shorter than this part of its length points at the eye: a pointer could not follow it.
+SHORTEST_ARROW = 0.3
+# A depth handle moves by so many pixels' worth of metres for one pixel of the pointer.
+DEPTH_GAIN = 2.0
+REACH_PX = 8.0
+_RING_POINTS = 72
+
+
+class Part(StrEnum):
+    """Kind of a handle."""
+
+    ARROW = "arrow"  # along an axis
+    DEPTH = "depth"  # along an axis that points at the eye
+    DISC = "disc"  # parallel to the image
+    RING = "ring"  # about an axis
+    VIEW_RING = "view_ring"  # about the line of sight
+
+
+@dataclass(frozen=True)
+class Handle:
+    """One handle; `axis` is 0, 1, 2, or -1 where the part has none."""
+
+    part: Part
+    axis: int = -1
+
+
+@dataclass(frozen=True, eq=False)
+class GizmoFrame:
+    """The handles of an object as they stand on the screen.
+
+    Attributes:
+        camera: pinhole of the view.
+        centre: (3,) what turns turn about, eye coordinates, metres.
+        axes: (3, 3) unit vectors in its columns, eye coordinates.
+        size_px: length of an arrow across the line of sight.
+    """
+
+    camera: ScreenCamera
+    centre: Array
+    axes: Array
+    size_px: float
+
+    @property
+    def length_m(self) -> float:
+        """Length of an arrow in metres: what appears in constant size."""
+        return self.size_px * self.camera.pixel_m(float(self.centre[2]))
+
+    @cached_property
+    def middle(self) -> Array:
+        """(2,) screen position of the centre."""
+        return self.camera.project(self.centre)
+
+    @property
+    def sight(self) -> Array:
+        """(3,) unit vector from the eye to the centre."""
+        sight: Array = self.centre / np.linalg.norm(self.centre)
+        return sight
+
+    def handles(self, gizmo: Gizmo) -> list[Handle]:
+        """The handles shown, foremost last."""
+        if gizmo is Gizmo.MOVE:
+            arrows = [
+                Handle(Part.DEPTH if self._points_at_eye(i) else Part.ARROW, i) for i in range(3)
+            ]
+            arrows.sort(key=lambda h: float(self.axes[2, h.axis]), reverse=True)
+            return [*arrows, Handle(Part.DISC)]
+        if gizmo is Gizmo.TURN:
+            return [Handle(Part.VIEW_RING), *(Handle(Part.RING, i) for i in range(3))]
+        return []
+
+    def line(self, handle: Handle) -> Array:
+        """(N, 2) screen positions along a handle; (0, 2) if it is behind the eye."""
+        if self.centre[2] <= NEAREST_M:
+            return np.zeros((0, 2))
+        if handle.part is Part.DEPTH:
+            return self.middle + self.depth_direction(handle.axis) * self.size_px * np.array(
+                [[ARROW_START], [0.8]]
+            )
+        if handle.part is Part.ARROW:
+            steps = np.array([[ARROW_START], [1.0]]) * self.length_m
+            return self.camera.project(self.centre + steps * self.axes[:, handle.axis])
+        if handle.part is Part.DISC:
+            return self._circle(np.array([0.0, 0.0, 1.0]), DISC)
+        return self._circle(*self._ring(handle))
+
+    def in_front(self, handle: Handle) -> NDArray[np.bool_]:
+        """(N,) which points of `line` lie on the near side of the object."""
+        line = self.line(handle)
+        if handle.part is not Part.RING:
+            return np.ones(len(line), bool)
+        axis, radius = self._ring(handle)
+        out = _circle_directions(axis) * radius * self.length_m
+        near: NDArray[np.bool_] = out @ self.sight <= 1e-9 * self.length_m
+        return near
+
+    def hit(self, gizmo: Gizmo, xy: ArrayLike, *, reach_px: float = REACH_PX) -> Handle | None:
+        """The handle under a screen position, if any; the foremost one of those equally near."""
+        point = np.asarray(xy, dtype=np.float64)
+        best, found = reach_px, None
+        for handle in self.handles(gizmo):
+            line = self.line(handle)
+            if len(line) == 0:
+                continue
+            if handle.part is Part.DISC:
+                distance = float(np.linalg.norm(point - self.middle)) - DISC * self.size_px
+                distance = max(distance, 0.0)
+            else:
+                closed = handle.part in (Part.RING, Part.VIEW_RING)
+                distance = _distance(line, point, self.in_front(handle), closed=closed)
+            if distance <= best:
+                best, found = distance, handle
+        return found
+
+    def grab(self, handle: Handle, xy: ArrayLike, T_eye_obj: SE3) -> Drag:
+        """Begin to drag a handle with the pointer at `xy`."""
+        at = np.asarray(xy, dtype=np.float64)
+        if handle.part is Part.DISC:
+            grabbed = self.camera.ray(at) * self.centre[2]
+            return PlaneDrag(self.camera, grabbed, T_eye_obj)
+        if handle.part is Part.ARROW:
+            return AxisDrag(self.camera, self.centre, self.axes[:, handle.axis], at, T_eye_obj)
+        if handle.part is Part.DEPTH:
+            gain = DEPTH_GAIN * self.camera.pixel_m(float(self.centre[2]))
+            direction = self.depth_direction(handle.axis)
+            return DepthDrag(direction * gain, self.axes[:, handle.axis], at, T_eye_obj)
+        axis, radius = self._ring(handle)
+        return RingDrag(self.camera, self.centre, axis, radius * self.length_m, at, T_eye_obj)
+
+    def depth_direction(self, axis: int) -> Array:
+        """(2,) where the handle of an axis along the line of sight points: away is up right."""
+        away = np.sign(self.axes[:, axis] @ self.sight) or 1.0
+        return away * np.array([1.0, -1.0]) / np.sqrt(2)
+
+    def _points_at_eye(self, axis: int) -> bool:
+        across = np.linalg.norm(np.cross(self.sight, self.axes[:, axis]))
+        return bool(across < SHORTEST_ARROW)
+
+    def _ring(self, handle: Handle) -> tuple[Array, float]:
+        """Axis of a ring and its radius in parts of the gizmo's size."""
+        if handle.part is Part.VIEW_RING:
+            return self.sight, VIEW_RING
+        return self.axes[:, handle.axis], 1.0
+
+    def _circle(self, axis: Array, radius: float) -> Array:
+        return self.camera.project(self.centre + _circle_directions(axis) * radius * self.length_m)
+
+
+def _circle_directions(axis: Array) -> Array:
+    u, v = plane_basis(axis)
+    angle = 2 * np.pi * np.arange(_RING_POINTS) / _RING_POINTS
+    directions: Array = np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v
+    return directions
+
+
+def _distance(line: Array, point: Array, usable: NDArray[np.bool_], *, closed: bool) -> float:
+    """Of a screen position from a chain of lines, whose ends both have to be usable."""
+    a = line if closed else line[:-1]
+    b = np.roll(line, -1, axis=0) if closed else line[1:]
+    good = (usable & np.roll(usable, -1)) if closed else (usable[:-1] & usable[1:])
+    a, b = a[good], b[good]
+    if len(a) == 0:
+        return float("inf")
+    along = b - a
+    share = np.einsum("ij,ij->i", point - a, along) / np.maximum((along**2).sum(axis=1), 1e-12)
+    foot = a + np.clip(share, 0, 1)[:, None] * along
+    return float(np.linalg.norm(foot - point, axis=1).min())

@@ -1,0 +1,169 @@
+"""The layers of one drawing area, from the image at the back to handles and text in front.
+
+0 backdrop: background colour and the image.  1 solids: meshes and clouds in perspective.
+2 veil: the image again, translucent: what shines through the meshes. It makes them evenly
+translucent without sorting triangles.  3 marks: what is painted on surfaces and seen through
+others.  4 outlines: silhouettes.  5 glass: lines and text on top.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
+from vtkmodules.vtkCommonCore import vtkPoints
+from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
+from vtkmodules.vtkCommonMath import vtkMatrix4x4
+from vtkmodules.vtkRenderingCore import (
+    vtkActor,
+    vtkCamera,
+    vtkLight,
+    vtkPolyDataMapper,
+    vtkProp,
+    vtkRenderer,
+    vtkWindowToImageFilter,
+)
+from vtkmodules.vtkRenderingOpenGL2 import vtkGenericOpenGLRenderWindow
+
+from annotator.views.projection import ScreenCamera
+from annotator.views.strokes import Strokes
+from std_toolkit.geometry import SE3
+
+BACKGROUND = (0.105, 0.117, 0.137)
+# Depth range in metres: 24 bits over it leave 10 micrometres at arm's length.
+NEAR_M, FAR_M = 0.01, 60.0
+
+
+class Layers:
+    """The renderers of a plotter's window.
+
+    Args:
+        plotter: a `pyvista.Plotter` or a `pyvistaqt.QtInteractor`; its own renderer is the
+            backdrop.
+    """
+
+    def __init__(self, plotter: Any) -> None:
+        self.window = plotter.render_window
+        if not isinstance(self.window, vtkGenericOpenGLRenderWindow):
+            # A widget's samples were chosen with its graphics; without a window, that is mostly
+            # the processor, for which several per pixel take several times as long.
+            self.window.SetMultiSamples(0)
+        self.backdrop: vtkRenderer = plotter.renderer
+        self.solids, self.veil, self.marks = vtkRenderer(), vtkRenderer(), vtkRenderer()
+        self.outlines, self.glass = vtkRenderer(), vtkRenderer()
+        self.window.SetNumberOfLayers(6)
+        self._flat, self._deep = vtkCamera(), vtkCamera()
+        for layer, renderer in enumerate(self._own, start=1):
+            renderer.SetLayer(layer)
+            renderer.InteractiveOff()
+            self.window.AddRenderer(renderer)
+        for renderer in (self.backdrop, *self._own):
+            renderer.SetUseOIT(False)
+            renderer.SetAutomaticLightCreation(False)
+            renderer.RemoveAllLights()
+            deep = renderer in (self.solids, self.marks, self.outlines)
+            renderer.SetActiveCamera(self._deep if deep else self._flat)
+        self.backdrop.SetBackground(*BACKGROUND)
+        self.backdrop.GradientBackgroundOff()
+        self._deep.SetPosition(0, 0, 0)
+        self._deep.SetFocalPoint(0, 0, 1)
+        self._deep.SetViewUp(0, -1, 0)
+        # A single light at the eye: each further one costs as much again in software.
+        light = vtkLight()
+        light.SetLightTypeToHeadlight()
+        self.solids.AddLight(light)
+
+    @property
+    def _own(self) -> tuple[vtkRenderer, ...]:
+        return self.solids, self.veil, self.marks, self.outlines, self.glass
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in physical pixels."""
+        width, height = self.window.GetSize()
+        return max(width, 1), max(height, 1)
+
+    def look(self, camera: ScreenCamera) -> None:
+        """Draw the layers in perspective with this pinhole, the others in screen positions."""
+        _set_projection(self._deep, camera.clip_matrix(NEAR_M, FAR_M))
+        P = np.diag([2 / camera.width, -2 / camera.height, -1.0, 1.0])
+        P[0, 3], P[1, 3] = -1, 1
+        _set_projection(self._flat, P)
+
+    def read(self) -> NDArray[np.uint8]:
+        """Render now; (H, W, 3) RGB."""
+        self.window.MakeCurrent()
+        self.window.Render()
+        grab = vtkWindowToImageFilter()
+        grab.SetInput(self.window)
+        grab.ShouldRerenderOff()
+        grab.ReadFrontBufferOff()
+        grab.Update()
+        data = grab.GetOutput()
+        width, height, _ = data.GetDimensions()
+        flat = vtk_to_numpy(data.GetPointData().GetScalars())
+        return np.ascontiguousarray(flat.reshape(height, width, -1)[::-1, :, :3])
+
+    def close(self) -> None:
+        self.backdrop.RemoveAllViewProps()
+        for renderer in self._own:
+            renderer.RemoveAllViewProps()
+            self.window.RemoveRenderer(renderer)
+
+
+def _set_projection(camera: vtkCamera, P: NDArray[np.floating]) -> None:
+    matrix = vtkMatrix4x4()
+    matrix.DeepCopy(P.ravel().tolist())
+    camera.SetExplicitProjectionTransformMatrix(matrix)
+    camera.UseExplicitProjectionTransformMatrixOn()
+
+
+def place(prop: vtkProp, T_eye: SE3) -> None:
+    """Put a prop of a layer in perspective at a pose in eye coordinates."""
+    matrix = vtkMatrix4x4()
+    matrix.DeepCopy(T_eye.matrix().ravel().tolist())
+    prop.SetUserMatrix(matrix)  # type: ignore[attr-defined]
+
+
+class Drawing:
+    """Strokes as a prop of a flat layer."""
+
+    def __init__(self, renderer: vtkRenderer) -> None:
+        self._polydata = vtkPolyData()
+        mapper = vtkPolyDataMapper()
+        mapper.SetInputData(self._polydata)
+        self.actor = vtkActor()
+        self.actor.SetMapper(mapper)
+        self.actor.GetProperty().LightingOff()
+        self.actor.ForceTranslucentOn()
+        self.actor.VisibilityOff()
+        renderer.AddActor(self.actor)
+
+    def show(self, strokes: Strokes) -> None:
+        """Replace what is drawn."""
+        points, colors, faces = strokes.arrays()
+        self.actor.SetVisibility(len(faces) > 0)
+        if len(faces):
+            flat = np.concatenate([points, np.zeros((len(points), 1))], axis=1)
+            fill(self._polydata, flat, faces, colors)
+
+
+def fill(
+    polydata: vtkPolyData,
+    points: NDArray[np.floating],
+    faces: NDArray[np.integer],
+    colors: NDArray[np.uint8] | None = None,
+) -> None:
+    """Replace the triangles of a polydata; points (V, 3), faces (F, 3), colours (V, 3 or 4)."""
+    vertices = vtkPoints()
+    vertices.SetData(numpy_to_vtk(np.ascontiguousarray(points, np.float32), deep=True))
+    cells = vtkCellArray()
+    flat = np.ascontiguousarray(faces, np.int64).ravel()
+    cells.SetData(3, numpy_to_vtkIdTypeArray(flat, deep=True))
+    polydata.SetPoints(vertices)
+    polydata.SetPolys(cells)
+    if colors is not None:
+        polydata.GetPointData().SetScalars(numpy_to_vtk(np.ascontiguousarray(colors), deep=True))
+    polydata.Modified()

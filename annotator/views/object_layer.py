@@ -1,0 +1,191 @@
+"""The objects of a session in one view: which of them are drawn, how, and which is hit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annotator.view_options import Mode, Style
+from annotator.views.layers import Layers
+from annotator.views.meshes import ShapeStore
+from annotator.views.projection import ScreenCamera
+from annotator.views.solids import Look, Solid, front_to_back
+from annotator.views.strokes import rgba
+from annotator.views.viewpoint import Viewpoint
+from std_toolkit.checks.palette import object_color
+
+if TYPE_CHECKING:
+    from annotator.session.state import ObjectState
+    from std_toolkit.labels.support.penetration import Penetration
+
+Array = NDArray[np.float64]
+
+# Widths of silhouettes, logical pixels.
+CONTOUR_PX, WIRE_PX, SELECTED_PX = 2.4, 1.4, 2.6
+SELECTED_COLOR = (1.0, 1.0, 1.0)
+
+
+class ObjectLayer:
+    """The objects drawn in one view."""
+
+    def __init__(self, layers: Layers, shapes: ShapeStore) -> None:
+        self._layers, self._shapes = layers, shapes
+        self._solids: dict[str, tuple[str, Solid]] = {}
+        self._penetrations: tuple[Penetration, ...] = ()
+        self._red: dict[str, NDArray[np.int64]] = {}
+
+    def show(self, view: Viewpoint, *, light: bool, off: bool, pixel_ratio: float) -> None:
+        """Draw the objects as they are now.
+
+        Args:
+            light: light meshes.
+            off: they can be picked, but are not seen.
+        """
+        state = view.controller.session.state
+        ids = [o.id for o in state.objects]
+        self.set_penetrations(view.controller.penetrations)
+        looks: dict[str, Look] = {}
+        for name in self._solids.keys() - {o.name for o in state.objects}:
+            self._solids.pop(name)[1].close()
+        for thing in state.objects:
+            solid = self._solid_of(thing)
+            if solid is None:
+                continue
+            color = rgba(object_color(ids, thing.id))[:3]
+            look = _look(view, thing.name, color, light=light, pixel_ratio=pixel_ratio)
+            look = replace(look, red=self._painted(view, thing.name))
+            T_eye_obj = view.T_eye_obj(thing.name) if _is_shown(view, thing.name) else None
+            solid.show(T_eye_obj, look, seen=not off)
+            looks[thing.name] = look
+        self._outline(view, looks)
+
+    def set_penetrations(self, found: tuple[Penetration, ...]) -> None:
+        """Which faces are painted red: those inside another object or the table."""
+        if found is self._penetrations:
+            return
+        self._penetrations = found
+        parts: dict[str, list[NDArray[np.int64]]] = {}
+        for pair in found:
+            parts.setdefault(pair.first, []).append(pair.first_surface.faces)
+            parts.setdefault(pair.second, []).append(pair.second_surface.faces)
+        self._red = {name: np.unique(np.concatenate(f)) for name, f in parts.items()}
+
+    def _painted(self, view: Viewpoint, name: str) -> NDArray[np.int64] | None:
+        # What was found before a drag does not hold during it.
+        controller = view.controller
+        if not controller.options.penetration or controller.dragging == name:
+            return None
+        return self._red.get(name)
+
+    def solid(self, name: str | None) -> Solid | None:
+        """The object as drawn; None if its mesh is not there yet."""
+        found = self._solids.get(name) if name is not None else None
+        return None if found is None else found[1]
+
+    def placed(self) -> dict[str, Solid]:
+        """Those that are drawn at a pose, by name."""
+        return {n: s for n, (_, s) in self._solids.items() if s.T_eye_obj is not None}
+
+    def extent(self, screen: ScreenCamera) -> Array | None:
+        """(2, 2) corners between which the objects lie on the screen; None if there are none."""
+        seen = [
+            screen.project(solid.T_eye_obj @ solid.shape.corners)
+            for solid in self.placed().values()
+            if solid.T_eye_obj is not None
+        ]
+        if not seen:
+            return None
+        corners = np.concatenate(seen)
+        if not np.isfinite(corners).all():
+            # One reaches behind the eye.
+            return np.array([[0.0, 0.0], [screen.width, screen.height]])
+        return np.stack([corners.min(axis=0) - 2, corners.max(axis=0) + 2])
+
+    def pick(self, view: Viewpoint, xy: Array) -> tuple[str, float] | None:
+        """The foremost object at a screen position, and the depth of the point hit there."""
+        ray = view.screen.ray(xy)
+        best: tuple[str, float] | None = None
+        for name, solid in self.placed().items():
+            assert solid.T_eye_obj is not None
+            T_obj_eye = solid.T_eye_obj.inverse()
+            hit = solid.shape.hit(T_obj_eye.t, T_obj_eye.R @ ray)
+            # The ray's direction has z = 1 in eye coordinates: its multiple is the depth.
+            if hit is not None and (best is None or hit[0] < best[1]):
+                best = (name, hit[0])
+        return best
+
+    def pick_on(self, view: Viewpoint, name: str, xy: Array) -> Array | None:
+        """The point (3,) of an object's mesh at a screen position, whatever hides it there."""
+        solid = self.placed().get(name)
+        if solid is None or solid.T_eye_obj is None:
+            return None
+        T_obj_eye = solid.T_eye_obj.inverse()
+        hit = solid.shape.hit(T_obj_eye.t, T_obj_eye.R @ view.screen.ray(xy))
+        return None if hit is None else hit[1]
+
+    def close(self) -> None:
+        for _, solid in self._solids.values():
+            solid.close()
+
+    def _solid_of(self, thing: ObjectState) -> Solid | None:
+        known = self._solids.get(thing.name)
+        if known is not None and known[0] == thing.model:
+            return known[1]
+        shape = self._shapes.get(thing.model)
+        if shape is None:
+            return None
+        if known is not None:
+            known[1].close()
+        solid = Solid(self._layers, shape)
+        self._solids[thing.name] = (thing.model, solid)
+        return solid
+
+    def _outline(self, view: Viewpoint, looks: dict[str, Look]) -> None:
+        by_solid = {id(self._solids[name][1]): look for name, look in looks.items()}
+        selected = self.solid(view.controller.selected)
+        order = front_to_back([self._solids[name][1] for name in looks], selected)
+        # What comes after the last line hides none.
+        while order and not by_solid[id(order[-1])].contour:
+            order.pop()
+        screen = view.screen
+        for slot, solid in enumerate(order):
+            look = by_solid[id(solid)]
+            color = SELECTED_COLOR if solid is selected else look.color
+            solid.outline(screen, look, slot, len(order), (*color, 1.0))
+
+
+def _is_shown(view: Viewpoint, name: str) -> bool:
+    controller = view.controller
+    if controller.options.hidden:
+        return False
+    return not controller.options.only_selected or name == controller.selected
+
+
+def _look(
+    view: Viewpoint,
+    name: str,
+    color: tuple[float, float, float],
+    *,
+    light: bool,
+    pixel_ratio: float,
+) -> Look:
+    controller, options = view.controller, view.controller.options
+    selected = name == controller.selected
+    if options.style is Style.CONTOUR or options.contour_always:
+        rim = CONTOUR_PX
+    else:
+        rim = WIRE_PX if options.style is Style.WIREFRAME else 0.0
+    if selected:
+        # In the cloud it shines through what lies in front.
+        rim = SELECTED_PX if view.mode is Mode.IMAGE or rim else WIRE_PX
+    return Look(
+        color=color,
+        style=options.style,
+        contour=rim * pixel_ratio,
+        light=light,
+        # Over an image the veil makes them translucent.
+        opacity=options.opacity if view.mode is Mode.CLOUD else 1.0,
+    )

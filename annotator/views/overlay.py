@@ -1,0 +1,151 @@
+"""Lines and text over a view: handles, clicked points, cameras, names and hints."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from annotator.view_options import Mode
+from annotator.views.captions import FAINT, PAPER, Captions
+from annotator.views.cloud_layer import draw_camera
+from annotator.views.gizmo_look import draw_gizmo
+from annotator.views.markers import draw_markers
+from annotator.views.strokes import Color, Strokes, rgba
+from std_toolkit.checks.palette import object_color
+
+if TYPE_CHECKING:
+    from annotator.views.scene_view import SceneView
+
+_CAMERA: Color = (0.93, 0.86, 0.62, 0.9)
+_WARNING = (0.98, 0.78, 0.35)
+
+
+def draw_overlay(strokes: Strokes, captions: Captions, view: SceneView) -> None:
+    """Everything that lies over image, cloud and meshes."""
+    if view.mode is Mode.CLOUD:
+        _draw_cameras(strokes, captions, view)
+    frame = view.gizmo_frame()
+    if frame is not None:
+        draw_gizmo(
+            strokes,
+            frame,
+            view.controller.gizmo,
+            hovered=view.hovered,
+            only=view.held,
+            scale=view.pixel_ratio,
+        )
+    draw_markers(strokes, captions, view)
+    _say_captions(captions, view)
+
+
+def _draw_cameras(strokes: Strokes, captions: Captions, view: SceneView) -> None:
+    """Where the frames of the views were taken from."""
+    T_eye_world = view.T_eye_world
+    session, scale = view.controller.session, view.pixel_ratio
+    if T_eye_world is None:
+        return
+    for frame in dict.fromkeys(view.controller.view_frames):
+        T_world_cam = session.T_world_cam(frame)
+        if T_world_cam is None:
+            continue
+        camera = session.scene.camera(session.scene.frame(frame)).without_distortion()
+        at = draw_camera(
+            strokes, view.screen, T_eye_world @ T_world_cam, camera, _CAMERA, scale=scale
+        )
+        if at is not None:
+            x, y = at
+            captions.say(
+                f"camera {frame}",
+                str(frame),
+                (x, y - 6 * scale),
+                size=11 * scale,
+                color=_CAMERA[:3],
+                opacity=0.4,
+                align="center",
+                valign="bottom",
+            )
+
+
+def _say_captions(captions: Captions, view: SceneView) -> None:
+    """Which frame it is, the name of the selected object, and what is missing."""
+    session, scale = view.controller.session, view.pixel_ratio
+    frame = session.scene.frame(view.frame)
+    name = "" if frame.name == f"{frame.id:06d}" else f"  {frame.name}"
+    text = f"Frame {frame.id}{name}"
+    color = FAINT
+    if session.posed and session.T_world_cam(view.frame) is None:
+        text, color = f"{text}  ·  no camera pose", _WARNING
+    elif view.mode is Mode.CLOUD:
+        text += f"  ·  {'points of many frames' if _fused(view) else 'points of this frame'}"
+    captions.say("frame", text, (8 * scale, 8 * scale), size=12 * scale, color=color)
+    _say_name(captions, view)
+    width, height = view.size
+    if view.problem:
+        captions.say(
+            "problem",
+            _wrapped(view.problem, width / scale),
+            (width / 2, height / 2 if view.mode is Mode.IMAGE else height - 40 * scale),
+            size=14 * scale,
+            align="center",
+            valign="center",
+            opacity=0.8,
+        )
+    elif view.slot == 0 and not session.state.objects:
+        captions.say(
+            "empty",
+            "No objects yet\nDrag a mesh from the library onto the image,\nor add one with Ctrl+M.",
+            (width / 2, height - 60 * scale),
+            size=14 * scale,
+            align="center",
+            valign="bottom",
+            opacity=0.8,
+        )
+
+
+def _say_name(captions: Captions, view: SceneView) -> None:
+    """The selected object's name above it."""
+    controller, scale = view.controller, view.pixel_ratio
+    name = controller.selected
+    solid = view.solid(name)
+    if name is None or solid is None or solid.T_eye_obj is None:
+        return
+    seen = view.screen.project(solid.T_eye_obj @ solid.shape.corners)
+    if not np.isfinite(seen).all():
+        return
+    x = float(np.clip(seen[:, 0].mean(), 30 * scale, view.size[0] - 30 * scale))
+    y = float(np.clip(seen[:, 1].min() - 8 * scale, 40 * scale, view.size[1] - 10 * scale))
+    ids = [o.id for o in controller.session.state.objects]
+    color = rgba(object_color(ids, controller.session.object(name).id))
+    captions.say(
+        "name",
+        name,
+        (x, y),
+        size=12 * scale,
+        paper=_darker(color),
+        opacity=0.85,
+        align="center",
+        valign="bottom",
+    )
+
+
+def _fused(view: SceneView) -> bool:
+    from annotator.view_options import CloudSource
+
+    return view.controller.options.cloud is CloudSource.FUSED and view.controller.session.posed
+
+
+def _darker(color: Color) -> tuple[float, float, float]:
+    """The colour mixed with that of the paper, so that white letters can be read on it."""
+    r, g, b = (0.55 * c + 0.45 * p for c, p in zip(color[:3], PAPER, strict=True))
+    return r, g, b
+
+
+def _wrapped(text: str, width: float) -> str:
+    """Lines of at most about the width in logical pixels."""
+    import textwrap
+
+    letters = max(int(width / 9), 20)
+    return "\n".join(
+        line for part in text.split("\n") for line in textwrap.wrap(part, letters) or [""]
+    )

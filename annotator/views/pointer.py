@@ -1,0 +1,297 @@
+"""Mouse and keys of one view: handles, objects, clicks, zoom, pan and orbit.
+
+Events come from the plotter's VTK interactor, so that the same code serves a Qt widget, a plotter
+without a window and a browser.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annotator.controller import Controller
+from annotator.view_options import Mode
+from annotator.views.drags import Drag, PlaneDrag, TrackballDrag
+from annotator.views.gestures import (
+    Gesture,
+    MarkerGesture,
+    OrbitGesture,
+    PanGesture,
+    PoseGesture,
+)
+from annotator.views.gizmo import Handle
+from annotator.views.interaction import Events, interactor_of
+from annotator.views.markers import add_pixel, marker_at, pick_point
+from annotator.views.scene_view import SceneView
+from std_toolkit.geometry import SE3
+
+# Numbers of VTK's pointer shapes (vtkRenderWindow.h).
+VTK_CURSOR_DEFAULT, VTK_CURSOR_HAND, VTK_CURSOR_CROSSHAIR = 0, 9, 10
+# The pointer has to move so far before a press becomes a drag.
+DRAG_PX = 3.0
+ZOOM_STEP = 1.18
+# Notches of the wheel within this time make one edit.
+WHEEL_PAUSE_S = 0.4
+# A small object would spin under a trackball of its own size.
+SMALLEST_TRACKBALL_PX = 60.0
+
+__all__ = ["Pointer", "interactor_of"]
+
+Later = Callable[[float, Callable[[], None]], None]
+
+
+class Motion(Protocol):
+    """Who draws a view that moves by itself, and knows the other pointers."""
+
+    def moved(self, view: SceneView) -> None: ...
+    def end_wheels(self) -> None: ...
+
+
+class Pointer:
+    """Turns the events of a view's interactor into calls of the controller.
+
+    Args:
+        motion: told when the eye of the view moved, or what is highlighted.
+        later: calls a function after some seconds.
+    """
+
+    def __init__(
+        self, view: SceneView, controller: Controller, *, motion: Motion, later: Later
+    ) -> None:
+        self.view, self.controller = view, controller
+        self._motion, self._later = motion, later
+        self._gesture: Gesture | None = None
+        self._pressed_at: NDArray[np.float64] | None = None
+        self._pressing = self._dragging = False
+        self._wheel_turn = 0
+        self._events = Events(
+            view.plotter,
+            {
+                "LeftButtonPressEvent": self._left_pressed,
+                "LeftButtonReleaseEvent": self._released,
+                "MiddleButtonPressEvent": self._other_pressed,
+                "MiddleButtonReleaseEvent": self._released,
+                "RightButtonPressEvent": self._other_pressed,
+                "RightButtonReleaseEvent": self._released,
+                "MouseMoveEvent": self._moved,
+                "MouseWheelForwardEvent": lambda *_: self._wheel(1),
+                "MouseWheelBackwardEvent": lambda *_: self._wheel(-1),
+                "LeaveEvent": lambda *_: self._hover(None),
+                "KeyPressEvent": self._key,
+            },
+        )
+        self._interactor = self._events.interactor
+
+    @property
+    def busy(self) -> bool:
+        """A button is held."""
+        return self._pressing or self._gesture is not None
+
+    def close(self) -> None:
+        self._events.close()
+
+    def at(self) -> NDArray[np.float64]:
+        """(2,) screen position of the pointer: the middle of the pixel it is in."""
+        x, y = self._interactor.GetEventPosition()
+        return np.array([x + 0.5, self.view.size[1] - y - 0.5])
+
+    # --- buttons --------------------------------------------------------------------------------
+
+    def _left_pressed(self, *_: object) -> None:
+        self._pressing = True
+        try:
+            self._press_left()
+        finally:
+            self._pressing = False
+
+    def _press_left(self) -> None:
+        self._motion.end_wheels()
+        self.controller.activate_view(self.view.slot)
+        at = self.at()
+        if self._interactor.GetRepeatCount() and self.view.slot:
+            self.controller.swap_into_main(self.view.slot)
+            return
+        self._begin(self._left_gesture(at), at)
+
+    def _left_gesture(self, at: NDArray[np.float64]) -> Gesture:
+        if self.controller.clicking:
+            index = marker_at(self.view, at)
+            if index is not None and self.controller.session.writable:
+                return MarkerGesture(self.view, index)
+            return self._background()
+        frame = self.view.gizmo_frame()
+        handle = frame.hit(self.controller.gizmo, at) if frame is not None else None
+        shift = bool(self._interactor.GetShiftKey())
+        control = bool(self._interactor.GetControlKey())
+        selected = self.controller.selected
+        if shift or control:
+            handle = None  # these take the object itself
+        if frame is not None and handle is not None and selected is not None:
+            pose = self.view.T_eye_obj(selected)
+            assert pose is not None
+            return self._pose_gesture(selected, frame.grab(handle, at, pose), "gizmo", handle)
+        picked = self.view.objects.pick(self.view, at)
+        if shift and (name := picked[0] if picked else selected) is not None:
+            return self._trackball(name, at)
+        if picked is None:
+            return self._background()
+        name, depth = picked
+        self.controller.select(name)
+        pose = self.view.T_eye_obj(name)
+        assert pose is not None
+        grabbed = self.view.screen.ray(at) * depth
+        normal = self._table_normal() if control else None
+        return self._pose_gesture(name, PlaneDrag(self.view.screen, grabbed, pose, normal), "drag")
+
+    def _table_normal(self) -> NDArray[np.float64] | None:
+        """(3,) eye coordinates; None, and a message, if the table is not known."""
+        controller = self.controller
+        if controller.table is None:
+            problem = controller.table_problem or "it is still searched for"
+            controller.tell(f"The table is not known: {problem}.", "warning")
+            return None
+        return self.view.up()
+
+    def _trackball(self, name: str, at: NDArray[np.float64]) -> Gesture:
+        self.controller.select(name)
+        pose, solid = self.view.T_eye_obj(name), self.view.solid(name)
+        if pose is None or solid is None:
+            return self._background()
+        centre = pose @ solid.shape.centre
+        radius = solid.shape.radius / self.view.screen.pixel_m(float(centre[2]))
+        radius = max(radius, SMALLEST_TRACKBALL_PX * self.view.pixel_ratio)
+        return self._pose_gesture(name, TrackballDrag(centre, radius, at, pose), "drag")
+
+    def _pose_gesture(
+        self, name: str, drag: Drag, method: str, handle: Handle | None = None
+    ) -> Gesture:
+        if not self.controller.session.writable:
+            return self._background()
+        self.view.held = handle
+        return PoseGesture(self.view, name, drag, method)
+
+    def _background(self) -> Gesture:
+        return OrbitGesture(self.view) if self.view.mode is Mode.CLOUD else PanGesture(self.view)
+
+    def _other_pressed(self, *_: object) -> None:
+        self._motion.end_wheels()
+        if self._gesture is None:
+            self._begin(PanGesture(self.view), self.at())
+
+    def _begin(self, gesture: Gesture, at: NDArray[np.float64]) -> None:
+        self._gesture, self._pressed_at, self._dragging = gesture, at, False
+
+    def _moved(self, *_: object) -> None:
+        at = self.at()
+        if self._gesture is None or self._pressed_at is None:
+            self._hover(at)
+            return
+        if not self._dragging:
+            if np.abs(at - self._pressed_at).max() < DRAG_PX * self.view.pixel_ratio:
+                return
+            self._dragging = True
+            self._gesture.start(self._pressed_at)
+        self._gesture.to(at)
+        if self._gesture.moves_view:
+            self._motion.moved(self.view)
+
+    def _released(self, *_: object) -> None:
+        gesture, self._gesture = self._gesture, None
+        if gesture is None:
+            return
+        self.view.held = None
+        if self._dragging:
+            gesture.finish()
+        elif self.controller.clicking and not isinstance(gesture, MarkerGesture):
+            self._click(self.at())
+        self._motion.moved(self.view)
+
+    def _click(self, at: NDArray[np.float64]) -> None:
+        if self.controller.pending_point is None:
+            pick_point(self.view, at)
+        else:
+            add_pixel(self.view, at)
+
+    # --- keys, wheel, hovering ------------------------------------------------------------------
+
+    def _key(self, *_: object) -> None:
+        if self._interactor.GetKeySym() == "Escape":
+            self.cancel()
+
+    def cancel(self) -> None:
+        """Give up what the pointer is doing; without a button held, what the controller does."""
+        gesture, self._gesture = self._gesture, None
+        self.view.held = None
+        if gesture is not None and self._dragging:
+            gesture.cancel()
+        elif gesture is None:
+            self.controller.cancel()
+        self._motion.moved(self.view)
+
+    def give_up_drag(self) -> None:
+        """The drag was ended by something else: the rest of the gesture does nothing."""
+        self._wheel_turn = 0
+        if self._dragging and isinstance(self._gesture, PoseGesture):
+            self._gesture = None
+            self.view.held = None
+
+    def _wheel(self, notches: int) -> None:
+        if self._gesture is not None:
+            return
+        if self._interactor.GetControlKey() or self._interactor.GetShiftKey():
+            self._wheel_depth(notches)
+            return
+        at = self.at()
+        view = self.view
+        if view.mode is Mode.CLOUD:
+            point = view.point_under(at)
+            view.eye.approach(view.T_ref_cam, point, ZOOM_STEP**notches)
+        else:
+            view.eye.zoom(ZOOM_STEP**notches, at, view.camera, view.size)
+        self._motion.moved(view)
+
+    def _wheel_depth(self, notches: int) -> None:
+        """Move the selected object along the viewing ray of its centre: up is away."""
+        controller, view, name = self.controller, self.view, self.controller.selected
+        pose = view.T_eye_obj(name) if name is not None else None
+        solid = view.solid(name) if name is not None else None
+        if name is None or pose is None or solid is None or not controller.session.writable:
+            return
+        controller.activate_view(view.slot)
+        step = controller.step / 1000 * (0.1 if self._interactor.GetShiftKey() else 1.0)
+        centre = pose @ solid.shape.centre
+        sight = centre / np.linalg.norm(centre)
+        shifted = SE3(pose.R, pose.t + notches * step * sight)
+        controller.drag_to(name, view.frame, view.T_eye_cam.inverse() @ shifted)
+        self._wheel_turn += 1
+        turn = self._wheel_turn
+        self._later(WHEEL_PAUSE_S, lambda: self.end_wheel(turn))
+
+    def end_wheel(self, turn: int | None = None) -> None:
+        """What the wheel moved stays where it is: one edit.
+
+        Args:
+            turn: unless the wheel was turned again since this one.
+        """
+        if self._wheel_turn and turn in (None, self._wheel_turn):
+            self._wheel_turn = 0
+            self.controller.end_drag("drag")
+
+    def _hover(self, at: NDArray[np.float64] | None) -> None:
+        frame = self.view.gizmo_frame() if at is not None else None
+        if frame is not None and at is not None:
+            handle = frame.hit(self.controller.gizmo, at)
+        else:
+            handle = None
+        cursor = VTK_CURSOR_DEFAULT
+        if self.controller.clicking:
+            cursor = VTK_CURSOR_CROSSHAIR
+        elif handle is not None:
+            cursor = VTK_CURSOR_HAND
+        self.view.layers.window.SetCurrentCursor(cursor)
+        if handle != self.view.hovered:
+            self.view.hovered = handle
+            self.view.draw()

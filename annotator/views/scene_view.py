@@ -1,0 +1,249 @@
+"""One drawing area: a frame of the session as image or as cloud, with the objects over it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annotator.controller import Controller
+from annotator.events import Event
+from annotator.view_options import Gizmo, Mode, Style
+from annotator.views.captions import Captions
+from annotator.views.cloud_layer import CloudLayer, TableLayer
+from annotator.views.clouds import Cloud, CloudReader
+from annotator.views.gizmo import GizmoFrame, Handle
+from annotator.views.layers import Drawing, Layers
+from annotator.views.meshes import ShapeStore
+from annotator.views.object_layer import ObjectLayer
+from annotator.views.overlay import draw_overlay
+from annotator.views.picture import Picture
+from annotator.views.solids import Solid
+from annotator.views.strokes import Strokes
+from annotator.views.viewpoint import Viewpoint
+from std_toolkit.errors import ToolkitError
+
+Array = NDArray[np.float64]
+
+# Where a table-top scene is, as long as nothing better is known.
+USUAL_DEPTH_M = 0.7
+# Handles: part of the drawing area, smallest and largest length of an arrow.
+GIZMO_SHARE, SMALLEST_GIZMO_PX, LARGEST_GIZMO_PX = 0.16, 38.0, 92.0
+
+
+class SceneView(Viewpoint):
+    """Draws one of the controller's views into a plotter.
+
+    Args:
+        plotter: `pyvista.Plotter(off_screen=True)` or `pyvistaqt.QtInteractor`.
+        controller: what is shown.
+        slot: which of the controller's views: 0 is the main one.
+        shapes, clouds: shared with other views.
+        repaint: has the front end show the plotter anew.
+        pixel_ratio: physical pixels per logical one.
+
+    Attributes:
+        moving: light meshes and few points are drawn.
+        blinked_off: no meshes are drawn.
+        hovered, held: handles under the pointer and in its hand.
+        dragged_marker: index of a clicked pixel in the pointer's hand, and where it is now.
+        problem: why there is no image or cloud, for people.
+        cloud: the points shown; None in an image.
+        captions: the text.
+    """
+
+    def __init__(
+        self,
+        plotter: Any,
+        controller: Controller,
+        *,
+        slot: int,
+        shapes: ShapeStore | None = None,
+        clouds: CloudReader | None = None,
+        repaint: Callable[[], None] | None = None,
+        pixel_ratio: float = 1.0,
+    ) -> None:
+        self.plotter = plotter
+        self.layers = Layers(plotter)
+        super().__init__(controller, slot=slot, size=self.layers.size)
+        self.pixel_ratio = pixel_ratio
+        self.moving = False
+        self.blinked_off = False
+        self.hovered: Handle | None = None
+        self.held: Handle | None = None
+        self.dragged_marker: tuple[int, Array] | None = None
+        self.problem = ""
+        self.cloud: Cloud | None = None
+        self._clouds = clouds or CloudReader(controller)
+        self._repaint = repaint or repainter(plotter)
+        self._picture = Picture(self.layers)
+        self._points, self._table = CloudLayer(self.layers), TableLayer(self.layers)
+        self.objects = ObjectLayer(self.layers, shapes or ShapeStore(controller.session.mesh))
+        self._strokes = Drawing(self.layers.glass)
+        self.captions = Captions(self.layers)
+        self._preparing = False
+        self._observer = self.layers.window.AddObserver("StartEvent", self._before_render)
+
+    # --- what is seen ---------------------------------------------------------------------------
+
+    def solid(self, name: str | None) -> Solid | None:
+        """An object as drawn here; None if its mesh is not there yet."""
+        return self.objects.solid(name)
+
+    def gizmo_frame(self) -> GizmoFrame | None:
+        """The handles of the selected object; None where there are none."""
+        controller = self.controller
+        hidden = controller.gizmo is Gizmo.OFF or controller.clicking or controller.options.hidden
+        solid = self.solid(controller.selected)
+        if hidden or solid is None or solid.T_eye_obj is None or not controller.session.writable:
+            return None
+        T_eye_obj = solid.T_eye_obj
+        centre = T_eye_obj @ solid.shape.centre
+        if centre[2] < 0.02:
+            return None
+        axes = T_eye_obj.R if controller.axes == "object" else self.T_eye_cam.R
+        largest = LARGEST_GIZMO_PX * self.pixel_ratio
+        size = float(np.clip(GIZMO_SHARE * min(self.size), SMALLEST_GIZMO_PX, largest))
+        return GizmoFrame(self.screen, centre, axes, size)
+
+    def point_under(self, xy: Array) -> Array:
+        """(3,) what lies under a screen position, eye coordinates; a guess where nothing does."""
+        picked = self.objects.pick(self, xy)
+        depth = picked[1] if picked is not None else None
+        if depth is None and self.mode is Mode.CLOUD:
+            depth = self._points.depth_at(self.screen, xy, reach=12 * self.pixel_ratio)
+        point: Array = self.screen.ray(xy) * (depth or self._middle_depth())
+        return point
+
+    def pivot(self, xy: Array) -> Array:
+        """(3,) what the eye goes around: the selected object, else what is under the pointer."""
+        solid = self.solid(self.controller.selected)
+        if solid is not None and solid.T_eye_obj is not None:
+            return solid.T_eye_obj @ solid.shape.centre
+        return self.point_under(xy)
+
+    def _middle_depth(self) -> float:
+        depths = [
+            float((s.T_eye_obj @ s.shape.centre)[2])
+            for s in self.objects.placed().values()
+            if s.T_eye_obj is not None
+        ]
+        depths = [d for d in depths if d > 0]
+        return float(np.median(depths)) if depths else USUAL_DEPTH_M
+
+    # --- drawing --------------------------------------------------------------------------------
+
+    def refresh(self, event: Event | None = None) -> None:
+        """Take over what the event may have changed; None for everything. Renders nothing."""
+        if event is not None and event.kind == "look":
+            self._look(event.text)
+        if self.mode is Mode.CLOUD:
+            self._clouds.prepare(self.controller.options.cloud)
+        self._prepare()
+
+    def draw(self) -> None:
+        """Take over the controller's state and have it shown."""
+        self.refresh()
+        self._repaint()
+
+    def screenshot(self) -> NDArray[np.uint8]:
+        """Render now; (H, W, 3) RGB uint8."""
+        self.refresh()
+        return self.layers.read()
+
+    def close(self) -> None:
+        """Take everything out of the plotter, which stays open."""
+        self.layers.window.RemoveObserver(self._observer)
+        self.objects.close()
+        self.captions.close()
+        self.layers.close()
+
+    def _before_render(self, *_: object) -> None:
+        # The front end may render by itself, as when the window got another size.
+        if self.layers.size != self.size:
+            self._prepare()
+
+    def _prepare(self) -> None:
+        if self._preparing:
+            return
+        self._preparing = True
+        try:
+            self.resize(self.layers.size)
+            self.settle_reference()
+            self.layers.look(self.screen)
+            self.objects.show(
+                self, light=self.moving, off=self.blinked_off, pixel_ratio=self.pixel_ratio
+            )
+            self._show_image()
+            self._show_cloud()
+            self._show_glass()
+        finally:
+            self._preparing = False
+
+    def _show_image(self) -> None:
+        image = None
+        self.problem = ""
+        if self.mode is Mode.IMAGE:
+            try:
+                image = self.controller.images.image(self.frame).rgb
+            except ToolkitError as error:
+                self.problem = str(error)
+        self._picture.show(image)
+        options = self.controller.options
+        part = self.objects.extent(self.screen) if options.style is Style.SOLID else None
+        self._picture.place(
+            self.window, veil=0.0 if part is None else 1 - options.opacity, part=part
+        )
+
+    def _show_cloud(self) -> None:
+        if self.mode is not Mode.CLOUD:
+            self.cloud = None
+            self._points.show(None, None, light=False, pixels_per_metre=1.0)
+            self._table.show(None, None)
+            return
+        cloud = self.cloud = self._clouds.get(self.frame, self.controller.options.cloud)
+        self.problem = cloud.note
+        T_eye_points = self.T_eye_world if cloud.in_world else self.T_eye_cam
+        self._points.show(
+            cloud,
+            T_eye_points,
+            light=self.moving,
+            pixels_per_metre=1 / self.screen.pixel_m(self._middle_depth()),
+        )
+        table = self.controller.table
+        if table is None or not self.controller.options.table:
+            self._table.show(None, None)
+        else:
+            plane = (table.plane.normal, table.centre, table.radius_m)
+            self._table.show(plane, self.T_eye_of(table.plane.frame))
+
+    def _show_glass(self) -> None:
+        strokes = Strokes()
+        self.captions.begin()
+        draw_overlay(strokes, self.captions, self)
+        self.captions.end()
+        self._strokes.show(strokes)
+
+    def _look(self, what: str) -> None:
+        if what == "fit":
+            self.eye.fit()
+            return
+        solid, pose = self.solid(self.controller.selected), None
+        if solid is not None and self.controller.selected is not None:
+            pose = self.controller.pose(self.controller.selected, self.frame)
+        if solid is None or pose is None:
+            return
+        centre = pose @ solid.shape.centre
+        if centre[2] > 0:
+            reach = 1.5 * solid.shape.radius * self.camera.fx / float(centre[2])
+            self.eye.T_eye_ref = None
+            self.eye.look_at(self.camera.project(centre), reach, self.size)
+
+
+def repainter(plotter: Any) -> Callable[[], None]:
+    """How a plotter is shown anew: Qt's paints once per pass of its loop, others at once."""
+    # A QOpenGLWidget renders when it is painted; rendering by hand would do it twice.
+    schedule: Callable[[], None] | None = getattr(plotter, "Render", None)
+    return schedule if schedule is not None else plotter.render_window.Render

@@ -1,0 +1,131 @@
+"""What a view looks at and from where; where things of the scene lie on its screen."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annotator.controller import Controller
+from annotator.view_options import Mode
+from annotator.views.eye import Eye
+from annotator.views.projection import ImageWindow, ScreenCamera
+from std_toolkit.geometry import SE3, Camera
+
+Array = NDArray[np.float64]
+
+
+class Viewpoint:
+    """Geometry of one of the controller's views.
+
+    Attributes:
+        slot: which view: 0 is the main one.
+        eye: where it has gone.
+        size: width and height of the drawing area in physical pixels.
+    """
+
+    def __init__(self, controller: Controller, *, slot: int, size: tuple[int, int]) -> None:
+        self.controller = controller
+        self.slot = slot
+        self.eye = Eye()
+        self.size = size
+        self._in_world = True
+
+    @property
+    def frame(self) -> int:
+        """Id of the frame shown."""
+        return self.controller.view_frames[self.slot]
+
+    @property
+    def mode(self) -> Mode:
+        """Side views show the image always."""
+        return self.controller.mode if self.slot == 0 else Mode.IMAGE
+
+    @property
+    def recorded_camera(self) -> Camera:
+        """Of the frame as recorded, with its distortion."""
+        scene = self.controller.session.scene
+        return scene.camera(scene.frame(self.frame))
+
+    @property
+    def camera(self) -> Camera:
+        """Of the frame, without distortion: that of the image shown."""
+        return self.recorded_camera.without_distortion()
+
+    @property
+    def window(self) -> ImageWindow:
+        """The part of the image that is shown."""
+        return self.eye.shown(self.camera, self.size)
+
+    @property
+    def screen(self) -> ScreenCamera:
+        """The pinhole through which the eye sees the drawing area."""
+        return self.window.screen_camera(self.camera, self.size)
+
+    @property
+    def T_ref_cam(self) -> SE3:
+        """The frame's camera in what the eye stays in: the world, or else the camera itself."""
+        T_world_cam = self.controller.session.T_world_cam(self.frame)
+        return SE3.identity() if T_world_cam is None else T_world_cam
+
+    @property
+    def T_eye_cam(self) -> SE3:
+        """Camera coordinates of the frame into those of the eye."""
+        return SE3.identity() if self.mode is Mode.IMAGE else self.eye.T_eye_cam(self.T_ref_cam)
+
+    @property
+    def T_eye_world(self) -> SE3 | None:
+        """World into eye coordinates; None where the frame has no camera pose in metres."""
+        T_world_cam = self.controller.session.T_world_cam(self.frame)
+        return None if T_world_cam is None else self.T_eye_cam @ T_world_cam.inverse()
+
+    def T_eye_obj(self, name: str) -> SE3 | None:
+        """Pose of an object as drawn here; None if it has none in this frame."""
+        T_cam_obj = self.controller.pose(name, self.frame)
+        return None if T_cam_obj is None else self.T_eye_cam @ T_cam_obj
+
+    def T_eye_of(self, frame_name: str) -> SE3 | None:
+        """Coordinates of "world" or of "camera 12" into those of the eye; None if unknown."""
+        if frame_name == "world":
+            return self.T_eye_world
+        if frame_name == f"camera {self.frame}":
+            return self.T_eye_cam
+        T_eye_world = self.T_eye_world
+        T_world_cam = self.controller.session.T_world_cam(int(frame_name.split()[-1]))
+        return None if T_eye_world is None or T_world_cam is None else T_eye_world @ T_world_cam
+
+    def up(self) -> Array:
+        """(3,) eye coordinates: away from the table, or else up in the frame's image."""
+        table = self.controller.table
+        T_eye_plane = None if table is None else self.T_eye_of(table.plane.frame)
+        if table is not None and T_eye_plane is not None:
+            return T_eye_plane.R @ table.plane.normal
+        return self.T_eye_cam.R @ np.array([0.0, -1.0, 0.0])
+
+    def settle_reference(self) -> None:
+        """Bring the eye back into the camera where what it stayed in is no longer there.
+
+        That is so between frames with a camera pose and those without.
+        """
+        in_world = self.controller.session.T_world_cam(self.frame) is not None
+        if in_world != self._in_world:
+            self._in_world = in_world
+            self.eye.T_eye_ref = None
+
+    def resize(self, size: tuple[int, int]) -> None:
+        """The drawing area has another size."""
+        if size != self.size:
+            self.eye.resized(self.camera, self.size, size)
+            self.size = size
+
+    def recorded_pixel(self, xy: Array) -> tuple[float, float]:
+        """Pixel of the recorded image, lens distortion included, at a screen position."""
+        uv = self.window.to_image(xy)
+        if self.recorded_camera.is_distorted:
+            uv = self.recorded_camera.project(self.camera.unproject(uv))
+        return float(uv[0]), float(uv[1])
+
+    def screen_of_recorded(self, uv: Array) -> Array:
+        """Screen positions (N, 2) of pixels (N, 2) of the recorded image."""
+        if self.recorded_camera.is_distorted:
+            uv = self.camera.project(self.recorded_camera.unproject(uv))
+        return self.window.to_screen(uv)

@@ -1,0 +1,1 @@
+"""The annotation session in a browser, for servers without a display."""

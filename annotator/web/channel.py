@@ -1,0 +1,253 @@
+"""The web socket over which browsers get the pictures of the views and tell what hands do.
+
+Each browser takes pictures at its own pace: at most two of a view are on their way to it, so that
+a slow line makes the view coarser in time but never late, and no browser waits for another.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import struct
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import msgspec
+from aiohttp import WSCloseCode, WSMsgType, web
+
+from annotator.web.told import Drop, Key, Pointer, Shown, Sight, Sizes, Told, read_told
+from std_toolkit.log import logger
+
+UNDER_WAY = 2
+# A browser that is gone without saying so is noticed after about this time.
+HEARTBEAT_S = 10.0
+_LONGEST_MESSAGE = 16_384
+_HEAD = struct.Struct("<BxxxI")
+
+
+class Receiver(Protocol):
+    """Who draws the views and follows the hand."""
+
+    def pointer(self, event: Pointer) -> None: ...
+    def give_up(self, view: int) -> None:
+        """The hand that held a button in a view is gone."""
+
+    def key(self, event: Key) -> None: ...
+    def drop(self, event: Drop) -> None: ...
+    def resize(self, sizes: Sequence[tuple[int, int]], ratio: float) -> None: ...
+    def wanted(self, view: int) -> None:
+        """A browser can take a picture of a view again."""
+
+    def failed(self, error: Exception) -> None:
+        """Something went wrong that should not."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What a view looks like now: a JPEG image with its number."""
+
+    number: int
+    jpeg: bytes
+
+
+class ViewChannel:
+    """All browsers that look at a session.
+
+    Args:
+        views: how many views there are.
+        keys: names of the keys that browsers are to send.
+    """
+
+    def __init__(self, receiver: Receiver, *, views: int, keys: Sequence[str]) -> None:
+        self._receiver = receiver
+        self._keys = list(keys)
+        self._latest: list[Picture | None] = [None] * views
+        self._numbers = itertools.count(1)
+        self._browsers: list[_Browser] = []
+        # Whose sizes the views have: the browser in which something was done last.
+        self._leader: _Browser | None = None
+        # While a button is held, the pointers of other browsers rest.
+        self._holder: tuple[_Browser, int] | None = None
+
+    # --- pictures out ----------------------------------------------------------------------------
+
+    def can_take(self, view: int) -> bool:
+        """Some browser waits for a picture of a view."""
+        return any(b.can_take(view) for b in self._browsers)
+
+    def send(self, view: int, jpeg: bytes) -> None:
+        """Show a picture everywhere; a browser that is behind gets the last one when it can."""
+        picture = self._latest[view] = Picture(next(self._numbers), jpeg)
+        for browser in self._browsers:
+            browser.offer(view, picture)
+
+    # --- connections -----------------------------------------------------------------------------
+
+    async def serve(self, request: web.Request) -> web.StreamResponse:
+        """Answer a request for the web socket, as long as it lasts."""
+        # Pictures are compressed already.
+        socket = web.WebSocketResponse(
+            heartbeat=HEARTBEAT_S, compress=False, max_msg_size=_LONGEST_MESSAGE
+        )
+        await socket.prepare(request)
+        browser = _Browser(socket, views=len(self._latest))
+        self._browsers.append(browser)
+        sending = asyncio.create_task(browser.send_all())
+        try:
+            browser.say({"keys": self._keys})
+            async for message in socket:
+                if message.type is not WSMsgType.TEXT or not self._receive(browser, message.data):
+                    await socket.close(code=WSCloseCode.POLICY_VIOLATION)
+        finally:
+            self._leave(browser)
+            sending.cancel()
+        return socket
+
+    async def close(self) -> None:
+        """Say goodbye to every browser."""
+        for browser in list(self._browsers):
+            await browser.socket.close(code=WSCloseCode.GOING_AWAY)
+
+    def _leave(self, browser: _Browser) -> None:
+        self._browsers.remove(browser)
+        if self._holder is not None and self._holder[0] is browser:
+            view, self._holder = self._holder[1], None
+            self._call(lambda: self._receiver.give_up(view))
+        if self._leader is browser:
+            self._leader = None
+            if self._browsers:
+                self._lead(self._browsers[-1])
+
+    # --- messages in -----------------------------------------------------------------------------
+
+    def _receive(self, browser: _Browser, text: str) -> bool:
+        try:
+            told = read_told(text)
+        except msgspec.DecodeError as error:
+            logger.warning("a browser sent what no page of ours does: %s", error)
+            return False
+        if isinstance(told, Pointer | Drop | Shown) and told.view >= len(self._latest):
+            return False
+        self._call(lambda: self._heed(browser, told))
+        return True
+
+    def _call(self, action: Any) -> None:
+        try:
+            action()
+        except Exception as error:  # one event that goes wrong must not end the session
+            logger.exception("an event of a browser")
+            self._receiver.failed(error)
+
+    def _heed(self, browser: _Browser, told: Told) -> None:
+        if isinstance(told, Shown):
+            browser.shown(told.view, told.number)
+            self._refill(browser, told.view)
+        elif isinstance(told, Sight):
+            browser.visible = told.visible
+            self._refill_all(browser)
+        elif isinstance(told, Sizes):
+            self._resized(browser, told)
+        elif isinstance(told, Pointer):
+            self._pointed(browser, told)
+        else:
+            self._lead(browser)
+            if isinstance(told, Key):
+                self._receiver.key(told)
+            elif self._holder is None:
+                self._receiver.drop(told)
+
+    def _resized(self, browser: _Browser, told: Sizes) -> None:
+        sizes = [*told.sizes, *[(0, 0)] * len(self._latest)][: len(self._latest)]
+        first = not any(any(size) for size in browser.sizes)
+        browser.sizes, browser.ratio = sizes, told.ratio
+        if self._leader is None or first:
+            self._leader = browser
+        if self._leader is browser:
+            self._receiver.resize(sizes, told.ratio)
+        self._refill_all(browser)
+
+    def _pointed(self, browser: _Browser, told: Pointer) -> None:
+        if told.kind == "move":
+            browser.say({"moved": told.number})
+        holder = self._holder
+        if holder is not None and (holder[0] is not browser or told.kind in ("down", "wheel")):
+            return
+        if told.kind in ("up", "cancel"):
+            if holder is None or holder[1] != told.view:
+                return
+            self._holder = None
+        elif told.kind in ("down", "wheel", "double"):
+            self._lead(browser)
+        if told.kind == "down":
+            self._holder = (browser, told.view)
+        if told.kind == "cancel":
+            self._receiver.give_up(told.view)
+        else:
+            self._receiver.pointer(told)
+
+    def _lead(self, browser: _Browser) -> None:
+        if self._leader is not browser and any(any(size) for size in browser.sizes):
+            self._leader = browser
+            self._receiver.resize(browser.sizes, browser.ratio)
+
+    def _refill_all(self, browser: _Browser) -> None:
+        for view in range(len(self._latest)):
+            self._refill(browser, view)
+
+    def _refill(self, browser: _Browser, view: int) -> None:
+        latest = self._latest[view]
+        if latest is not None and latest.number > browser.sent[view]:
+            browser.offer(view, latest)
+        if browser.can_take(view):
+            self._receiver.wanted(view)
+
+
+class _Browser:
+    """One page that is connected.
+
+    Attributes:
+        sizes: of its views, physical pixels.
+        sent: number of the last picture of each view that is on its way or shown.
+    """
+
+    def __init__(self, socket: web.WebSocketResponse, *, views: int) -> None:
+        self.socket = socket
+        self.visible = True
+        self.sizes: list[tuple[int, int]] = [(0, 0)] * views
+        self.ratio = 1.0
+        self.sent = [0] * views
+        self._under_way: list[deque[int]] = [deque() for _ in range(views)]
+        self._queue: asyncio.Queue[str | bytes] = asyncio.Queue()
+
+    def can_take(self, view: int) -> bool:
+        return self.visible and any(self.sizes[view]) and len(self._under_way[view]) < UNDER_WAY
+
+    def offer(self, view: int, picture: Picture) -> None:
+        """Send a picture, unless this browser is behind."""
+        if self.can_take(view):
+            self.sent[view] = picture.number
+            self._under_way[view].append(picture.number)
+            self._queue.put_nowait(_HEAD.pack(view, picture.number) + picture.jpeg)
+
+    def shown(self, view: int, number: int) -> None:
+        """It shows a picture, and with it all before."""
+        under_way = self._under_way[view]
+        while under_way and under_way[0] <= number:
+            under_way.popleft()
+
+    def say(self, message: dict[str, Any]) -> None:
+        self._queue.put_nowait(msgspec.json.encode(message).decode())
+
+    async def send_all(self) -> None:
+        """Send what is queued until cancelled; a line that is slow holds up nobody else."""
+        try:
+            while True:
+                message = await self._queue.get()
+                if isinstance(message, bytes):
+                    await self.socket.send_bytes(message)
+                else:
+                    await self.socket.send_str(message)
+        except ConnectionError:
+            pass  # the browser is gone, as its reader will notice

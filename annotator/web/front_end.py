@@ -1,0 +1,260 @@
+"""The page of one session, for however many browsers look at it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from annotator.actions import BY_ID
+from annotator.controller import Controller
+from annotator.events import Event
+from annotator.frames.image_cache import ImageCache
+from annotator.placing import add_object, drop_model, drop_object
+from annotator.runner import ThreadRunner
+from annotator.session import ChangeClick, Session
+from annotator.session.viewpoints import choose_view_frames
+from annotator.upkeep import Upkeep
+from annotator.views import ViewSet
+from annotator.views.landing import recorded_pixel_under
+from annotator.web.channel import ViewChannel
+from annotator.web.dialogs import Dialogs
+from annotator.web.mesh_picker import MeshPicker
+from annotator.web.notices import Notices
+from annotator.web.page import build_page, page_constants
+from annotator.web.question import Question
+from annotator.web.sheet import ACTION_OF
+from annotator.web.shown import shown_pose, shown_state
+from annotator.web.stream import StreamedPlotter
+from annotator.web.thumbnails import Thumbnails
+from annotator.web.told import Drop, Key, Pointer
+from annotator.web.typed_number import type_number
+
+# The panels follow the mouse, and the work under way, no oftener than this.
+REFRESH_S, BUSY_S = 0.05, 0.25
+
+
+class FrontEnd:
+    """Draws a session's views for browsers, and does what their people do.
+
+    Attributes:
+        channel: where the views' pictures go out and pointers and keys come in.
+    """
+
+    def __init__(self, server: Any, session: Session) -> None:
+        self._state = server.state
+        self._loop = asyncio.get_running_loop()
+        self._refresh_planned = False
+        self._wanted_frame: int | None = None
+        self._notices = Notices(lambda notices: self._set(notices=notices), self._later)
+        self._runner = ThreadRunner(self._call_soon)
+        self._images = ImageCache(session.scene)
+        c = self.controller = Controller(
+            session,
+            self._images,
+            runner=self._runner,
+            view_frames=choose_view_frames(session.scene, session),
+        )
+        if session.state.objects:
+            c.select(session.state.objects[0].name)
+        self.dialogs = Dialogs(c, self._show_question)
+        c.dialogs = self.dialogs.names
+        views = len(c.view_frames)
+        self._build_page(server, views)
+        self.channel = ViewChannel(self, views=views + 1, keys=sorted(ACTION_OF))
+        self._streams = [self._stream(i) for i in range(views + 1)]
+        repaint = {id(s.plotter): s.repaint for s in self._streams}
+        self._views = ViewSet(
+            c,
+            [s.plotter for s in self._streams[:-1]],
+            later=self._later,
+            repaint=lambda plotter: repaint[id(plotter)](),
+        )
+        for stream, view in zip(self._streams, self._views.views, strict=False):
+            stream.view = view
+        self._picker = MeshPicker(c, self._streams[-1], self._views.shapes, self._later)
+        c.subscribe(self._on_event)
+        self._upkeep = Upkeep(c)
+        self._thumbnails = Thumbnails(c, lambda pictures: self._set(thumbnails=pictures))
+        self._tell_first()
+
+    def _build_page(self, server: Any, views: int) -> None:
+        session = self.controller.session
+        self._state.update(page_constants(session, dialogs=self.dialogs.names))
+        self._state.update({"dialog": None, "answers": {}, "thumbnails": {}, "notices": []})
+        self._state.update({"busy_share": None, "sliding": None, "mistyped": 0})
+        self._state.client_only("sliding")
+        self._refresh()
+        for name in ("act", "select", "show_frame", "answer", "close_notice", "add_object",
+                     "set_number", "remove_point"):  # fmt: skip
+            server.trigger(name)(getattr(self, name))
+        server.controller.on_client_connected.add(self._connected)
+        build_page(server, views=views)
+
+    def _stream(self, view: int) -> StreamedPlotter:
+        return StreamedPlotter(
+            can_take=lambda: self.channel.can_take(view),
+            send=lambda jpeg: self.channel.send(view, jpeg),
+            later=self._later,
+        )
+
+    def close(self) -> None:
+        """End what runs; the session is the caller's."""
+        if self.controller.task is not None:
+            self.controller.task.cancel()
+        self._thumbnails.close()
+        self._upkeep.close()
+        self._picker.close()
+        self._views.close()
+        self._runner.close()
+        self._images.close()
+        for stream in self._streams:
+            stream.close()
+
+    # --- out -------------------------------------------------------------------------------------
+
+    def _call_soon(self, call: Callable[[], None]) -> None:
+        self._loop.call_soon_threadsafe(call)
+
+    def _later(self, seconds: float, action: Callable[[], None]) -> None:
+        self._loop.call_later(seconds, action)
+
+    def _set(self, **values: Any) -> None:
+        self._state.update(values)
+        self._state.flush()
+
+    def _refresh(self) -> None:
+        self._refresh_planned = False
+        self._set(**shown_state(self.controller))
+
+    def _refresh_pose(self) -> None:
+        self._refresh_planned = False
+        self._set(**shown_pose(self.controller))
+
+    def _show_question(self, question: Question | None) -> None:
+        if question is None:
+            self._set(dialog=None)
+        else:
+            self._set(dialog=question.shown(), answers=question.first_answers())
+
+    def _on_event(self, event: Event) -> None:
+        if event.kind == "message":
+            self._notices.tell(event.text, event.level)
+        elif event.kind == "ask":
+            self.dialogs.ask(event.text)
+        elif event.kind == "busy" and self.controller.task is not None:
+            self._tell_share()
+        if event.kind in ("message", "look") or self._refresh_planned:
+            return
+        self._refresh_planned = True
+        dragging = event.kind == "preview" and self.controller.dragging is not None
+        self._later(REFRESH_S, self._refresh_pose if dragging else self._refresh)
+
+    def _tell_share(self) -> None:
+        """Show how far the computation under way is, until it ends."""
+        task = self.controller.task
+        share = None if task is None or task.fraction is None else round(100 * task.fraction)
+        self._set(busy_share=share)
+        if task is not None:
+            self._later(BUSY_S, self._tell_share)
+
+    def _tell_first(self) -> None:
+        session = self.controller.session
+        for warning in session.warnings:
+            self._notices.tell(warning, "warning")
+        if session.pose_problem is not None:
+            self._notices.tell(session.pose_problem, "warning")
+        if not session.writable:
+            self._notices.tell("This scene is open for looking only: nothing can be changed.")
+
+    def _connected(self, *_: Any, **__: Any) -> None:
+        self.dialogs.recovery()
+
+    def failed(self, error: Exception) -> None:
+        """Something went wrong that should not: tell it, and go on."""
+        self._notices.tell(f"This should not happen: {type(error).__name__}: {error}", "error")
+
+    # --- in: the views ---------------------------------------------------------------------------
+
+    def wanted(self, view: int) -> None:
+        self._streams[view].wanted()
+
+    def resize(self, sizes: Sequence[tuple[int, int]], ratio: float) -> None:
+        for stream, (width, height) in zip(self._streams, sizes, strict=True):
+            stream.resize(width, height, ratio)
+
+    def pointer(self, event: Pointer) -> None:
+        c = self.controller
+        if event.kind == "double":
+            if 0 < event.view < len(c.view_frames):
+                c.swap_into_main(event.view)
+        else:
+            c.attempt(lambda: self._streams[event.view].pointer(event))
+
+    def give_up(self, view: int) -> None:
+        if view < len(self._views.pointers):
+            pointer = self._views.pointers[view]
+            if pointer.busy:
+                pointer.cancel()
+        else:
+            self._streams[view].let_go()
+
+    def key(self, event: Key) -> None:
+        id = ACTION_OF.get(event.name)
+        if id is not None and (BY_ID[id].repeats or not event.repeat):
+            self.act(id)
+
+    def drop(self, event: Drop) -> None:
+        c = self.controller
+        if event.view >= len(self._views.views) or not c.session.writable:
+            return
+        view = self._views.views[event.view]
+        place = self._streams[event.view].place(event.x, event.y)
+        uv = recorded_pixel_under(view, place)
+        c.activate_view(event.view)
+        drop = drop_model if event.what == "model" else drop_object
+        drop(c, event.name, view.frame, uv)
+
+    # --- in: the panels --------------------------------------------------------------------------
+
+    def act(self, id: str) -> None:
+        """Run an action, if it makes sense now."""
+        action = BY_ID.get(id)
+        if action is not None and action.enabled(self.controller):
+            self.controller.attempt(lambda: action.run(self.controller))
+
+    def select(self, name: str) -> None:
+        self.controller.attempt(lambda: self.controller.select(name))
+
+    def show_frame(self, index: int) -> None:
+        """Show a frame by its place; those passed over by a quick hand are not loaded."""
+        waiting, self._wanted_frame = self._wanted_frame, int(index)
+        if waiting is None:
+            self._later(0.0, self._show_wanted_frame)
+
+    def _show_wanted_frame(self) -> None:
+        index, self._wanted_frame = self._wanted_frame, None
+        frames = self.controller.session.scene.frames
+        if index is not None and 0 <= index < len(frames):
+            self.controller.attempt(lambda: self.controller.show_frame(frames[index].id))
+
+    def answer(self, number: int, button: str, answers: dict[str, Any] | None = None) -> None:
+        self.dialogs.answer(number, button, answers or {})
+
+    def close_notice(self, number: int) -> None:
+        self._notices.close(number)
+
+    def add_object(self, model: str) -> None:
+        add_object(self.controller, model)
+
+    def remove_point(self, frame: int, number: int) -> None:
+        if self.controller.selected is not None:
+            edit = ChangeClick(object=self.controller.selected, frame=frame, index=number)
+            self.controller.apply(edit)
+
+    def set_number(self, what: str, axis: int, text: str) -> None:
+        """A number of the pose was typed: position in mm, turn (rotation vector) in degrees."""
+        if not self.controller.attempt(lambda: type_number(self.controller, what, axis, text)):
+            # The field is made anew, with the number as it is.
+            self._set(mistyped=self._state["mistyped"] + 1)
+        self._refresh()

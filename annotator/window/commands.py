@@ -1,0 +1,158 @@
+"""The table of actions as Qt's: menus, tool bar and keys, kept up to date with the controller."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import QEvent, QObject, Qt, QTimer
+from PySide6.QtGui import QAction, QActionGroup, QKeyEvent, QKeySequence
+from PySide6.QtWidgets import (
+    QAbstractSpinBox,
+    QApplication,
+    QLineEdit,
+    QMainWindow,
+    QMenu,
+    QPlainTextEdit,
+    QTextEdit,
+    QWidget,
+)
+
+from annotator.actions import ACTIONS, MENUS, Action
+from annotator.controller import Controller
+from annotator.events import Event
+from annotator.window.icons import icon
+from annotator.window.number_field import NumberField
+
+TEXT_FIELDS = (QLineEdit, QAbstractSpinBox, QPlainTextEdit, QTextEdit)
+
+
+class Commands(QObject):
+    """Every action as a `QAction` of one window.
+
+    Attributes:
+        actions: by the action's id.
+        menus: by name, submenus as "Object/Flip".
+    """
+
+    def __init__(self, window: QMainWindow, controller: Controller) -> None:
+        super().__init__(window)
+        self._controller = controller
+        self._window = window
+        self._items = {a.id: a for a in ACTIONS}
+        self.actions: dict[str, QAction] = {a.id: self._made(a) for a in ACTIONS}
+        self.menus: dict[str, QMenu] = {}
+        self._soon = QTimer(self, singleShot=True, interval=0)
+        self._soon.timeout.connect(self.update)
+        self._unsubscribe = controller.subscribe(self._on_event)
+        self.update()
+
+    def close(self) -> None:
+        self._unsubscribe()
+        self._soon.stop()
+        for action in self.actions.values():
+            self._window.removeAction(action)
+
+    def update(self) -> None:
+        """Enable, check and name every action as the controller is now."""
+        for id, action in self.actions.items():
+            item = self._items[id]
+            action.setEnabled(item.enabled(self._controller))
+            if item.checked is not None:
+                action.setChecked(item.checked(self._controller))
+            if item.label is not None:
+                action.setText(item.label(self._controller))
+
+    def run(self, id: str) -> None:
+        """Do it, if it makes sense now: what the menu shows may be a moment old."""
+        item = self._items[id]
+        if item.enabled(self._controller):
+            self._controller.attempt(lambda: item.run(self._controller))
+        # A checkable action changes its mark by itself, whatever came of it.
+        self._soon.start()
+
+    def fill_menu_bar(self) -> None:
+        """The menus of the window; entries of a group stand together."""
+        bar = self._window.menuBar()
+        bar.clear()
+        for name in MENUS:
+            menu = bar.addMenu(name)
+            self.menus[name] = menu
+            self._fill_menu(menu, [a for a in ACTIONS if a.menu == name])
+
+    def _fill_menu(self, menu: QMenu, items: list[Action]) -> None:
+        menu.setToolTipsVisible(True)
+        for group in dict.fromkeys(a.group for a in items):
+            members = [self.actions[a.id] for a in items if a.group == group]
+            if group[:1].isupper():
+                submenu = self.menus[f"{menu.title()}/{group}"] = menu.addMenu(group)
+                submenu.setToolTipsVisible(True)
+                submenu.addActions(members)
+            else:
+                if not menu.isEmpty():
+                    menu.addSeparator()
+                menu.addActions(members)
+
+    def _made(self, item: Action) -> QAction:
+        action = QAction(icon(item.id), item.title, self._window)
+        action.setShortcuts([QKeySequence(key) for key in item.keys])
+        # The views, the panels and whatever else has the focus: keys reach all of the window.
+        action.setShortcutContext(Qt.ShortcutContext.WindowShortcut)
+        action.setAutoRepeat(item.repeats)
+        keys = " or ".join(QKeySequence(k).toString(_NATIVE) for k in item.keys)
+        action.setToolTip(f"<b>{item.title}</b>{f' &nbsp;{keys}' if keys else ''}<br>{item.tip}")
+        action.setStatusTip(item.tip)
+        action.setCheckable(item.checked is not None)
+        action.setMenuRole(QAction.MenuRole.NoRole)
+        action.triggered.connect(lambda _=False, id=item.id: self.run(id))
+        self._window.addAction(action)
+        return action
+
+    def _on_event(self, event: Event) -> None:
+        if event.kind not in ("preview", "message", "look"):
+            self._soon.start()
+
+
+_NATIVE = QKeySequence.SequenceFormat.NativeText
+
+
+class TypingGuard(QObject):
+    """Keys typed into a field stay there: they move no object and switch no view.
+
+    Qt asks whoever has the focus whether it wants a key before it looks for shortcuts; fields
+    claim letters but neither page keys nor Tab, which would then reach the window.
+    """
+
+    def __init__(self, app: QApplication) -> None:
+        super().__init__(app)
+        app.focusChanged.connect(self._on_focus)
+
+    def _on_focus(self, old: QWidget | None, new: QWidget | None) -> None:
+        if isinstance(old, TEXT_FIELDS):
+            old.removeEventFilter(self)
+        if isinstance(new, TEXT_FIELDS):
+            new.installEventFilter(self)
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        if event.type() == QEvent.Type.ShortcutOverride and isinstance(event, QKeyEvent):
+            if not _is_command(event):
+                event.accept()
+                return True
+            if isinstance(watched, NumberField) and not watched.edited:
+                # Nothing was typed since: undo means the edit, not the text.
+                event.ignore()
+                return True
+        return super().eventFilter(watched, event)
+
+
+def _is_command(event: QKeyEvent) -> bool:
+    """Keys with Ctrl or Alt, and function keys, are commands wherever they are pressed."""
+    if Qt.Key.Key_F1 <= event.key() <= Qt.Key.Key_F12:
+        return True
+    strong = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.AltModifier
+    return bool(event.modifiers() & strong)
+
+
+def exclusive(parent: QWidget, actions: list[QAction]) -> QActionGroup:
+    """Buttons of which one is down."""
+    group = QActionGroup(parent)
+    for action in actions:
+        group.addAction(action)
+    return group

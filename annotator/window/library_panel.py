@@ -1,0 +1,202 @@
+"""The mesh library: thumbnails to drag onto an image."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PySide6.QtCore import QMimeData, QSize, Qt, Signal
+from PySide6.QtGui import QDragEnterEvent, QDragMoveEvent, QDropEvent, QIcon, QImage, QPixmap
+from PySide6.QtWidgets import (
+    QHBoxLayout,
+    QLabel,
+    QListWidget,
+    QListWidgetItem,
+    QSizePolicy,
+    QStackedLayout,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from annotator.controller import Controller
+from annotator.events import Event
+from annotator.placing import add_object
+from annotator.window.commands import Commands
+from annotator.window.icons import pixmap
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.mesh import MESH_SUFFIXES
+from std_toolkit.scene import Model
+
+MODEL_MIME = "application/x-std-annotate-model"
+THUMBNAIL = 60
+_EMPTY = "No meshes yet.\n\nAdd the CAD mesh of each object (Ctrl+M), or drop mesh files here."
+
+
+class LibraryPanel(QWidget):
+    """Meshes of the scene.
+
+    Signals:
+        files_dropped: mesh files (list of Path) that were dropped onto the library.
+    """
+
+    files_dropped = Signal(list)
+
+    def __init__(self, controller: Controller, commands: Commands) -> None:
+        super().__init__()
+        self._controller = controller
+        self._pictures: dict[tuple[str, str], QIcon] = {}
+        self.list = _Meshes()
+        self.list.itemDoubleClicked.connect(
+            lambda item: add_object(controller, item.data(Qt.ItemDataRole.UserRole))
+        )
+        heading = QLabel("Mesh library")
+        heading.setObjectName("heading")
+        add = QToolButton()
+        add.setObjectName("labelled")
+        add.setDefaultAction(commands.actions["add_mesh"])
+        add.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+        add.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        top = QHBoxLayout()
+        top.addWidget(heading)
+        top.addStretch(1)
+        top.addWidget(add)
+
+        empty = QLabel(_EMPTY)
+        empty.setObjectName("empty")
+        empty.setWordWrap(True)
+        empty.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        empty.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)
+        self.stack = QStackedLayout()
+        self.stack.addWidget(self.list)
+        self.stack.addWidget(empty)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(6, 4, 6, 4)
+        layout.setSpacing(4)
+        layout.addLayout(top)
+        layout.addLayout(self.stack, 1)
+        self.setAcceptDrops(True)
+        self._unsubscribe = controller.subscribe(self._on_event)
+        self.refresh()
+
+    def close_panel(self) -> None:
+        self._unsubscribe()
+
+    def refresh(self) -> None:
+        """Show the meshes that the session has now."""
+        models = self._controller.session.state.models
+        shown = [self.list.item(i).text() for i in range(self.list.count())]
+        if shown != [m.id for m in models]:
+            self.list.clear()
+            for model in models:
+                item = QListWidgetItem(self._picture(model), model.id)
+                item.setData(Qt.ItemDataRole.UserRole, model.id)
+                self.list.addItem(item)
+        for i, model in enumerate(models):
+            self.list.item(i).setToolTip(_described(model))
+        self.stack.setCurrentIndex(0 if models else 1)
+
+    def draw_pictures(self) -> None:
+        """Draw the thumbnails that are missing, beside the work."""
+        snapshot = self._controller.session.snapshot()
+        models = [m for m in snapshot.state.models if (m.id, m.mesh) not in self._pictures]
+        size = round(THUMBNAIL * self.devicePixelRatioF())
+        if not models:
+            return
+
+        def draw(model: Model) -> NDArray[np.uint8] | None:
+            from annotator.views import cached_thumbnail, thumbnail
+
+            try:
+                mesh = snapshot.meshes.mesh(model)
+            except ToolkitError:
+                return None  # told where the mesh itself is drawn
+            if snapshot.writable:
+                return cached_thumbnail(snapshot.scene.root, mesh, size)
+            return thumbnail(mesh, size)
+
+        def finish(pictures: list[NDArray[np.uint8] | None]) -> None:
+            for model, picture in zip(models, pictures, strict=True):
+                self._set_picture(model, picture)
+
+        self._controller.start_aside("Thumbnails", lambda _: [draw(m) for m in models], finish)
+
+    def _set_picture(self, model: Model, rgb: NDArray[np.uint8] | None) -> None:
+        if rgb is None:
+            self._pictures[model.id, model.mesh] = QIcon(pixmap("error", 32))
+        else:
+            pixels = np.ascontiguousarray(rgb)
+            height, width = pixels.shape[:2]
+            image = QImage(pixels.data, width, height, 3 * width, QImage.Format.Format_RGB888)
+            self._pictures[model.id, model.mesh] = QIcon(QPixmap.fromImage(image.copy()))
+        for i in range(self.list.count()):
+            if self.list.item(i).text() == model.id:
+                self.list.item(i).setIcon(self._picture(model))
+
+    def _picture(self, model: Model) -> QIcon:
+        return self._pictures.get((model.id, model.mesh)) or QIcon(pixmap("style_wireframe", 32))
+
+    def _on_event(self, event: Event) -> None:
+        if event.kind == "edited":
+            self.refresh()
+            self.draw_pictures()
+
+    # --- mesh files from the desktop -------------------------------------------------------------
+
+    def dragEnterEvent(self, event: QDragEnterEvent) -> None:
+        if mesh_files(event.mimeData()) and self._controller.session.writable:
+            event.acceptProposedAction()
+
+    def dragMoveEvent(self, event: QDragMoveEvent) -> None:
+        event.acceptProposedAction()
+
+    def dropEvent(self, event: QDropEvent) -> None:
+        files = mesh_files(event.mimeData())
+        if files:
+            event.acceptProposedAction()
+            self.files_dropped.emit(files)
+
+
+class _Meshes(QListWidget):
+    def __init__(self) -> None:
+        super().__init__()
+        self.setViewMode(QListWidget.ViewMode.IconMode)
+        self.setIconSize(QSize(THUMBNAIL, THUMBNAIL))
+        line = self.fontMetrics().height()
+        self.setGridSize(QSize(THUMBNAIL + 26, THUMBNAIL + line + 10))
+        self.setMinimumHeight(THUMBNAIL + line + 18)
+        self.setResizeMode(QListWidget.ResizeMode.Adjust)
+        self.setMovement(QListWidget.Movement.Static)
+        self.setDragEnabled(True)
+        self.setTextElideMode(Qt.TextElideMode.ElideMiddle)
+        self.setVerticalScrollMode(QListWidget.ScrollMode.ScrollPerPixel)
+        self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+
+    def mimeTypes(self) -> list[str]:
+        return [MODEL_MIME]
+
+    def mimeData(self, items: list[QListWidgetItem]) -> QMimeData:  # type: ignore[override]
+        data = QMimeData()
+        data.setData(MODEL_MIME, items[0].data(Qt.ItemDataRole.UserRole).encode())
+        return data
+
+
+def mesh_files(data: QMimeData) -> list[Path]:
+    """Mesh files among what is dragged."""
+    paths = [Path(url.toLocalFile()) for url in data.urls() if url.isLocalFile()]
+    return [p for p in paths if p.suffix.lower() in MESH_SUFFIXES]
+
+
+def _described(model: Model) -> str:
+    size = " x ".join(f"{1000 * x:.0f}" for x in model.size_m)
+    symmetry = model.symmetry
+    turns = "no symmetry told"
+    if symmetry.continuous:
+        turns = "symmetric about an axis"
+    elif symmetry.discrete:
+        turns = f"{len(symmetry.discrete)} turns that look the same"
+    return (
+        f"<b>{model.id}</b><br>{size} mm, category {model.category}, {turns}<br>"
+        "Drag it onto an image, or double-click."
+    )

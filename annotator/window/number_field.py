@@ -1,0 +1,81 @@
+"""A field for one number of a pose."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import QLocale, Qt, Signal
+from PySide6.QtGui import QKeyEvent, QWheelEvent
+from PySide6.QtWidgets import QDoubleSpinBox, QWidget
+
+
+class NumberField(QDoubleSpinBox):
+    """Shows a number rounded, and says when a person gave another one.
+
+    Attributes:
+        edited: what is being typed is not entered yet.
+
+    Signals:
+        typed: a person entered this number, or stepped to it.
+        left: Esc was pressed: what was typed is forgotten, and the field wants to be left.
+    """
+
+    typed = Signal(float)
+    left = Signal()
+
+    def __init__(self, unit: str, decimals: int, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._exact = 0.0
+        self.edited = False
+        self.setRange(-1e6, 1e6)
+        self.setDecimals(decimals)
+        self.setSuffix(f" {unit}")
+        self.setLocale(QLocale.c())
+        self.setKeyboardTracking(False)
+        self.setAccelerated(False)
+        self.setAlignment(Qt.AlignmentFlag.AlignRight)
+        self.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
+        self.setButtonSymbols(QDoubleSpinBox.ButtonSymbols.NoButtons)
+        self.lineEdit().textEdited.connect(self._on_edited)
+        self.editingFinished.connect(self._enter)
+
+    def show_number(self, value: float) -> None:
+        """Show a number that nobody typed."""
+        self._exact = value
+        if not self.edited:
+            self.setValue(value)
+
+    def stepBy(self, steps: int) -> None:
+        self._tell(self._exact + steps * self.singleStep())
+
+    def _on_edited(self) -> None:
+        self.edited = True
+
+    def _enter(self) -> None:
+        # Leaving a field that nobody changed must not round the number behind it.
+        if self.edited:
+            self._tell(self.value())
+
+    def _tell(self, value: float) -> None:
+        self.edited = False
+        self._exact = value
+        self.setValue(value)
+        self.typed.emit(value)
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        if event.key() == Qt.Key.Key_Escape:
+            self.edited = False
+            self.setValue(self._exact)
+            self.left.emit()
+            return
+        if event.text() == ",":
+            # The comma of a keyboard that has one as its decimal sign.
+            self.lineEdit().insert(".")
+            self.edited = True
+            return
+        super().keyPressEvent(event)
+
+    def wheelEvent(self, event: QWheelEvent) -> None:
+        # A wheel that scrolls the panel must not move the object.
+        if self.hasFocus():
+            super().wheelEvent(event)
+        else:
+            event.ignore()

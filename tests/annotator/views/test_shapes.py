@@ -1,0 +1,176 @@
+"""What is drawn of a mesh: the light one, silhouettes, sections, rays."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from vtkmodules.util.numpy_support import vtk_to_numpy
+
+from annotator.views import meshes
+from annotator.views.meshes import LIGHT_FACES, Shape, ShapeStore
+from annotator.views.surfaces import SECTIONS
+from annotator.views.upright import front_rotation
+from std_toolkit.errors import ToolkitError
+
+
+def make_shape(mesh: trimesh.Trimesh) -> Shape:
+    """A complete shape."""
+    shape = meshes.make_shape(mesh)
+    shape.complete()
+    return shape
+
+
+def bumpy(count: int = 160) -> trimesh.Trimesh:
+    """A closed solid of about count * count * 2 faces."""
+    mesh = trimesh.creation.uv_sphere(radius=0.06, count=[count, count])
+    points = np.asarray(mesh.vertices)
+    points = points * (1 + 0.1 * np.sin(80 * points[:, [1, 2, 0]]))
+    return trimesh.Trimesh(points, mesh.faces, process=False)
+
+
+def points_of(polydata: object) -> NDArray[np.float64]:
+    return vtk_to_numpy(polydata.GetPoints().GetData()).astype(float)  # type: ignore[attr-defined]
+
+
+@pytest.fixture(scope="module")
+def shape() -> object:
+    return make_shape(bumpy())
+
+
+def test_the_full_mesh_keeps_its_faces_in_order() -> None:
+    mesh = trimesh.creation.cylinder(0.03, 0.1)  # with creases, where vertices are doubled
+    vertices, faces = make_shape(mesh).full.corners
+    assert vertices[faces] == pytest.approx(np.asarray(mesh.vertices)[mesh.faces], abs=1e-8)
+
+
+def test_the_light_mesh_is_small_and_close(shape: object) -> None:
+    assert shape.full.faces > 50_000  # type: ignore[attr-defined]
+    assert 0.5 * LIGHT_FACES < shape.light.faces <= LIGHT_FACES  # type: ignore[attr-defined]
+    full, light = points_of(shape.full.polydata), points_of(shape.light.polydata)  # type: ignore[attr-defined]
+    # In a view of 1000 px of 0.6 m a pixel is 0.6 mm; its vertices lie 0.8 mm apart.
+    assert cKDTree(full).query(light)[0].max() < 1e-3
+    vertices, faces = shape.light.corners  # type: ignore[attr-defined]
+    dense, _ = trimesh.sample.sample_surface(
+        trimesh.Trimesh(vertices, faces, process=False), 50_000, seed=0
+    )
+    assert cKDTree(dense).query(full)[0].max() < 2.5e-3  # of samples 1 mm apart
+
+
+def test_a_small_mesh_is_its_own_light_mesh() -> None:
+    shape = make_shape(trimesh.creation.box((0.1, 0.1, 0.1)))
+    assert shape.light.faces == shape.full.faces == 12
+
+
+def test_a_silhouette_is_closed(shape: object) -> None:
+    ends = shape.full.silhouette(np.array([0.1, 0.3, 0.5]))  # type: ignore[attr-defined]
+    _, count = np.unique(ends.reshape(-1, 3).round(9), axis=0, return_counts=True)
+    assert len(ends) > 100
+    # Every vertex on it is left as often as it is entered.
+    assert (count % 2 == 0).all()
+
+
+def test_a_box_seen_from_its_front_has_four_silhouette_edges() -> None:
+    shape = make_shape(trimesh.creation.box((0.2, 0.1, 0.06)))
+    ends = shape.full.silhouette(np.array([0.0, 0.0, 1.0]))
+    assert len(ends) == 4
+    assert np.unique(ends.reshape(-1, 3)[:, 2].round(6)) == pytest.approx([0.03])
+
+
+def test_borders_belong_to_the_silhouette() -> None:
+    sheet = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+    assert len(make_shape(sheet).full.silhouette(np.array([0.3, 0.3, 1.0]))) == 4
+
+
+def test_creases_of_a_box_are_its_edges() -> None:
+    ends = make_shape(trimesh.creation.box((0.2, 0.1, 0.06))).full.creases()
+    assert len(ends) == 12
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    assert list(np.unique(lengths.round(6))) == pytest.approx([0.06, 0.1, 0.2])
+
+
+def test_a_wireframe_lies_on_the_surface() -> None:
+    radius = 0.05
+    shape = make_shape(trimesh.creation.icosphere(4, radius))
+    distance = np.linalg.norm(points_of(shape.wire), axis=1)
+    assert distance.max() <= radius + 1e-6
+    assert distance.min() > 0.998 * radius
+    # Sections across each axis, none of them at the very ends.
+    assert len(np.unique(points_of(shape.wire).round(4)[:, 0])) > 2 * SECTIONS
+
+
+def test_a_ray_hits_the_front_exactly() -> None:
+    shape = make_shape(trimesh.creation.box((0.2, 0.1, 0.06)))
+    hit = shape.hit(np.array([0.01, 0.02, 1.0]), np.array([0.0, 0.0, -2.0]))
+    assert hit is not None
+    assert hit[0] == pytest.approx((1 - 0.03) / 2)
+    assert hit[1] == pytest.approx([0.01, 0.02, 0.03])
+
+
+@pytest.mark.parametrize(
+    ("origin", "direction"),
+    [([0.5, 0, 1.0], [0, 0, -1.0]), ([0, 0, 1.0], [0, 0, 1.0])],
+    ids=["beside", "away"],
+)
+def test_a_ray_that_misses_hits_nothing(origin: list[float], direction: list[float]) -> None:
+    shape = make_shape(trimesh.creation.box((0.2, 0.1, 0.06)))
+    assert shape.hit(np.array(origin), np.array(direction)) is None
+
+
+class TestStore:
+    def test_a_shape_is_made_once_for_all_views(self) -> None:
+        asked = []
+        store = ShapeStore(lambda m: asked.append(m) or bumpy(20))
+        assert store.get("a") is store.get("a") is not None
+        assert asked == ["a"]
+
+    def test_in_the_background_nobody_waits(self) -> None:
+        go = threading.Event()
+
+        def mesh(_: str) -> trimesh.Trimesh:
+            assert go.wait(10)
+            return bumpy(20)
+
+        store = ShapeStore(mesh, background=True)
+        assert store.get("a") is None and store.pending
+        assert not store.collect()
+        go.set()
+        while not store.collect():
+            pass
+        shape = store.get("a")
+        assert shape is not None and shape.light is shape.full  # it can be drawn
+        while store.pending:
+            store.collect()
+        assert shape.wire.GetNumberOfLines() > 0
+        store.close()
+
+    def test_a_mesh_that_cannot_be_read_is_told_once(self) -> None:
+        def mesh(_: str) -> trimesh.Trimesh:
+            raise ToolkitError("no faces")
+
+        store = ShapeStore(mesh)
+        assert store.get("a") is None
+        assert list(store.problems()) == ["a"]
+        assert store.get("a") is None
+        assert store.problems() == {}
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_what_is_round_stands_upright(axis: int) -> None:
+    can = trimesh.creation.cylinder(0.033, 0.1)
+    points = np.roll(np.asarray(can.vertices), axis - 2, axis=1)
+    R = front_rotation(points, can.faces)
+    assert np.linalg.det(R) == pytest.approx(1)
+    up = R @ np.eye(3)[axis]
+    assert up[0] == pytest.approx(0, abs=1e-12) and up[1] < -0.8  # up on the screen
+    assert up[2] < 0  # its upper side turned to the eye
+
+
+def test_where_nothing_is_round_z_is_up() -> None:
+    box = trimesh.creation.box((0.2, 0.1, 0.04))
+    R = front_rotation(np.asarray(box.vertices), box.faces)
+    assert (R @ [0, 0, 1.0])[1] < -0.8
