@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO ?= build/demo
 
-.PHONY: help env demo test test-quick lint format perf schemas clean
+.PHONY: help env demo test test-quick test-programs lint format perf schemas clean
 
 help:
 	@echo "make demo   record a synthetic scene, curate it, show the label error, the report, the exports"
@@ -22,11 +22,15 @@ $(VENV)/.complete: pyproject.toml constraints.txt tools/make-env tools/system-li
 demo: env
 	@$(BIN)/python -m sensors.synthetic demo "$(DEMO)"
 
-test: env
+test: env test-programs
 	@$(BIN)/python -m pytest
 
-test-quick: env
+test-quick: env test-programs
 	@$(BIN)/python -m pytest -m "not slow"
+
+# Only tests need a virtual display and a browser.
+test-programs:
+	@tools/system-libraries test
 
 lint: env
 	@$(BIN)/ruff check .
