@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from annotator.controller import Controller
+    from annotator.desk.controller import Controller
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from annotator import alignment
 from annotator.actions.action import Action, can_compute, has_selected, is_idle
+from annotator.desk import alignment
 
 if TYPE_CHECKING:
-    from annotator.controller import Controller
+    from annotator.desk.controller import Controller
 
 
 def _has_points(c: Controller) -> bool:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from annotator import alignment
 from annotator.actions.action import Action, asking, has_placed, has_selected
+from annotator.desk import alignment
+from annotator.desk.view_options import Gizmo
 from annotator.session import ChangeObject, RemoveObject
-from annotator.view_options import Gizmo
 from std_toolkit.scene.model import Material
 
 if TYPE_CHECKING:
-    from annotator.controller import Controller
+    from annotator.desk.controller import Controller
 
 
 def _step(

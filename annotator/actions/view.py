@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from annotator import alignment
 from annotator.actions.action import Action, has_placed
-from annotator.view_options import CloudSource, Mode, Style
+from annotator.desk import alignment
+from annotator.desk.view_options import CloudSource, Mode, Style
 
 if TYPE_CHECKING:
-    from annotator.controller import Controller
+    from annotator.desk.controller import Controller
 
 
 def _style(style: Style, key: str, tip: str) -> Action:

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.controller import Controller
-from annotator.events import Event
-from annotator.view_options import CloudSource
+from annotator.desk.controller import Controller
+from annotator.desk.events import Event
+from annotator.desk.view_options import CloudSource
 from std_toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
-    from annotator.runner import Task
+    from annotator.desk.runner import Task
     from std_toolkit.scene import Scene
 
 # What software rendering draws in a fraction of a second, and what it draws while moving.

@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from annotator.desk.view_options import Mode
 from annotator.session import ChangeClick
-from annotator.view_options import Mode
 from annotator.views.drags import Drag
 from annotator.views.scene_view import SceneView
 

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from annotator.view_options import Gizmo
+from annotator.desk.view_options import Gizmo
 from annotator.views.drags import (
     NEAREST_M,
     AxisDrag,

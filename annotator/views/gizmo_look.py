@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.view_options import Gizmo
+from annotator.desk.view_options import Gizmo
 from annotator.views.gizmo import ARROW_START, DISC, GizmoFrame, Handle, Part
 from annotator.views.strokes import Color, Strokes
 

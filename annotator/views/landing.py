@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.view_options import Mode
+from annotator.desk.view_options import Mode
 from annotator.views.scene_view import SceneView
 
 

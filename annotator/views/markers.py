@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.events import Event
+from annotator.desk.events import Event
+from annotator.desk.view_options import Mode
 from annotator.session import AddClick, Click
-from annotator.view_options import Mode
 from annotator.views.captions import Captions
 from annotator.views.strokes import Color, Strokes
 

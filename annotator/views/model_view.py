@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.view_options import Style
+from annotator.desk.view_options import Style
 from annotator.views.captions import Captions
 from annotator.views.interaction import Events
 from annotator.views.layers import Drawing, Layers

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.view_options import Mode, Style
+from annotator.desk.view_options import Mode, Style
 from annotator.views.layers import Layers
 from annotator.views.meshes import ShapeStore
 from annotator.views.projection import ScreenCamera

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from annotator.view_options import Mode
+from annotator.desk.view_options import Mode
 from annotator.views.captions import FAINT, PAPER, Captions
 from annotator.views.cloud_layer import draw_camera
 from annotator.views.gizmo_look import draw_gizmo
@@ -130,7 +130,7 @@ def _say_name(captions: Captions, view: SceneView) -> None:
 
 
 def _fused(view: SceneView) -> bool:
-    from annotator.view_options import CloudSource
+    from annotator.desk.view_options import CloudSource
 
     return view.controller.options.cloud is CloudSource.FUSED and view.controller.session.posed
 

@@ -12,8 +12,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.controller import Controller
-from annotator.view_options import Mode
+from annotator.desk.controller import Controller
+from annotator.desk.view_options import Mode
 from annotator.views.drags import Drag, PlaneDrag, TrackballDrag
 from annotator.views.gestures import (
     Gesture,

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.controller import Controller
-from annotator.events import Event
-from annotator.view_options import Gizmo, Mode, Style
+from annotator.desk.controller import Controller
+from annotator.desk.events import Event
+from annotator.desk.view_options import Gizmo, Mode, Style
 from annotator.views.captions import Captions
 from annotator.views.cloud_layer import CloudLayer, TableLayer
 from annotator.views.clouds import Cloud, CloudReader

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from vtkmodules.vtkCommonDataModel import vtkPolyData
 from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkRenderer
 
-from annotator.view_options import Style
+from annotator.desk.view_options import Style
 from annotator.views.layers import Layers, fill, place
 from annotator.views.meshes import Shape
 from annotator.views.projection import ScreenCamera

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.upright import round_axis
+from annotator.placing.upright import round_axis
 
 Array = NDArray[np.float64]
 

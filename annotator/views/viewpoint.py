@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.controller import Controller
-from annotator.view_options import Mode
+from annotator.desk.controller import Controller
+from annotator.desk.view_options import Mode
 from annotator.views.eye import Eye
 from annotator.views.projection import ImageWindow, ScreenCamera
 from std_toolkit.geometry import SE3, Camera

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from annotator import alignment
-from annotator.controller import Controller
-from annotator.mesh_unit import MeshSize, measure_mesh
+from annotator.desk import alignment
+from annotator.desk.controller import Controller
+from annotator.placing.mesh_unit import MeshSize, measure_mesh
 from annotator.session import ChangeObject, SetSymmetry
 from annotator.web.question import CANCEL, Answers, Field, Question, button, whole_number
 from annotator.web.sheet import key_rows

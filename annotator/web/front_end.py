@@ -7,14 +7,14 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from annotator.actions import BY_ID
-from annotator.controller import Controller
-from annotator.events import Event
+from annotator.desk.controller import Controller
+from annotator.desk.events import Event
+from annotator.desk.runner import ThreadRunner
+from annotator.desk.upkeep import Upkeep
 from annotator.frames.image_cache import ImageCache
-from annotator.placing import add_object, drop_model, drop_object
-from annotator.runner import ThreadRunner
+from annotator.placing.placement import add_object, drop_model, drop_object
 from annotator.session import ChangeClick, Session
 from annotator.session.viewpoints import choose_view_frames
-from annotator.upkeep import Upkeep
 from annotator.views import ViewSet
 from annotator.views.landing import recorded_pixel_under
 from annotator.web.channel import ViewChannel

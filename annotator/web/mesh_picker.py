@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from annotator.controller import Controller
-from annotator.events import Event
+from annotator.desk.controller import Controller
+from annotator.desk.events import Event
 from annotator.views import ModelView
 from annotator.views.meshes import ShapeStore
 from annotator.web.stream import Later, StreamedPlotter

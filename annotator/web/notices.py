@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from annotator.events import Level
+from annotator.desk.events import Level
 
 # News vanish when there was time to read them; warnings and errors stay until they are closed.
 INFO_S = 8.0

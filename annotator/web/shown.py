@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from annotator.actions import ACTIONS
-from annotator.click_residuals import click_rows
-from annotator.controller import Controller
-from annotator.hints import next_hint
-from annotator.object_summary import progress, summarize
+from annotator.desk.click_residuals import click_rows
+from annotator.desk.controller import Controller
+from annotator.desk.hints import next_hint
+from annotator.desk.object_summary import progress, summarize
 from annotator.pose_text import RotationForm, rotation_numbers
 from std_toolkit.checks.palette import object_color
 

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.controller import Controller
-from annotator.events import Event
-from annotator.runner import Task
+from annotator.desk.controller import Controller
+from annotator.desk.events import Event
+from annotator.desk.runner import Task
 from std_toolkit.errors import ToolkitError
 
 SIZE_PX = 96

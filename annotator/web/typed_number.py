@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from annotator.controller import Controller
+from annotator.desk.controller import Controller
 from annotator.pose_text import RotationForm, rotation_from_numbers, rotation_numbers
 from annotator.session import SetPoses
 from std_toolkit.errors import ToolkitError

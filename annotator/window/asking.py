@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import QObject
 from PySide6.QtWidgets import QFileDialog, QInputDialog
 
-from annotator import alignment
-from annotator.controller import Controller
-from annotator.events import Event
+from annotator.desk import alignment
+from annotator.desk.controller import Controller
+from annotator.desk.events import Event
 from annotator.session import ChangeObject, SetSymmetry
 from annotator.window.dialogs.about import about_box
 from annotator.window.dialogs.mesh_unit import ask_unit

@@ -5,7 +5,7 @@ from __future__ import annotations
 from PySide6.QtCore import QEvent, QObject, Qt, QTimer
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QToolButton, QVBoxLayout, QWidget
 
-from annotator.events import Level
+from annotator.desk.events import Level
 from annotator.window import theme
 from annotator.window.icons import icon, pixmap
 

@@ -16,8 +16,8 @@ from PySide6.QtWidgets import (
 )
 
 from annotator.actions import ACTIONS, MENUS, Action
-from annotator.controller import Controller
-from annotator.events import Event
+from annotator.desk.controller import Controller
+from annotator.desk.events import Event
 from annotator.window.icons import icon
 from annotator.window.number_field import NumberField
 

@@ -6,8 +6,8 @@ from PySide6.QtCore import QPointF, QRectF, QSize, Qt, QTimer, Signal
 from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPolygonF, QWheelEvent
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QSpinBox, QToolButton, QWidget
 
-from annotator.controller import Controller
-from annotator.events import Event
+from annotator.desk.controller import Controller
+from annotator.desk.events import Event
 from annotator.window import theme
 from annotator.window.commands import Commands
 

@@ -20,9 +20,9 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from annotator.controller import Controller
-from annotator.events import Event
-from annotator.placing import add_object
+from annotator.desk.controller import Controller
+from annotator.desk.events import Event
+from annotator.placing.placement import add_object
 from annotator.window.commands import Commands
 from annotator.window.icons import pixmap
 from std_toolkit.errors import ToolkitError

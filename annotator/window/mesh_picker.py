@@ -5,8 +5,8 @@ from __future__ import annotations
 from PySide6.QtCore import QTimer
 from PySide6.QtWidgets import QVBoxLayout, QWidget
 
-from annotator.controller import Controller
-from annotator.events import Event
+from annotator.desk.controller import Controller
+from annotator.desk.events import Event
 from annotator.views import ModelView
 from annotator.views.meshes import ShapeStore
 from annotator.window.view_widget import ViewWidget

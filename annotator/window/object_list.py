@@ -17,7 +17,7 @@ from PySide6.QtCore import (
 from PySide6.QtGui import QColor, QFont, QFontMetrics, QPainter
 from PySide6.QtWidgets import QListView, QStyle, QStyledItemDelegate, QStyleOptionViewItem, QWidget
 
-from annotator.object_summary import ObjectSummary
+from annotator.desk.object_summary import ObjectSummary
 from annotator.window import theme
 from annotator.window.icons import pixmap
 from std_toolkit.checks.palette import object_color

@@ -15,9 +15,9 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from annotator.controller import Controller
-from annotator.events import Event
-from annotator.object_summary import progress, summarize
+from annotator.desk.controller import Controller
+from annotator.desk.events import Event
+from annotator.desk.object_summary import progress, summarize
 from annotator.session import ChangeObject
 from annotator.window.commands import Commands
 from annotator.window.icons import icon

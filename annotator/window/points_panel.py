@@ -18,9 +18,9 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from annotator.click_residuals import ClickRow, click_rows
-from annotator.controller import Controller
-from annotator.events import Event
+from annotator.desk.click_residuals import ClickRow, click_rows
+from annotator.desk.controller import Controller
+from annotator.desk.events import Event
 from annotator.session import ChangeClick, Click
 from annotator.window import theme
 from annotator.window.commands import Commands

@@ -17,8 +17,8 @@ from PySide6.QtWidgets import (
 )
 
 from annotator.clock import local_minute
-from annotator.controller import STEPS, Controller
-from annotator.events import Event
+from annotator.desk.controller import STEPS, Controller
+from annotator.desk.events import Event
 from annotator.pose_text import (
     RotationForm,
     matrix_text,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from PySide6.QtCore import QObject, Qt, Signal, Slot
 
-from annotator.runner import ThreadRunner
+from annotator.desk.runner import ThreadRunner
 
 
 class _Postman(QObject):

@@ -16,9 +16,9 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from annotator.controller import Controller
-from annotator.events import Event
-from annotator.object_summary import (
+from annotator.desk.controller import Controller
+from annotator.desk.events import Event
+from annotator.desk.object_summary import (
     CHANCE_SHARE,
     DEPTH_MM,
     EDGE_PX,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from PySide6.QtCore import QSize, Qt, QTimer
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QSizePolicy, QToolButton, QWidget
 
-from annotator.controller import Controller
-from annotator.events import Event
-from annotator.hints import next_hint
+from annotator.desk.controller import Controller
+from annotator.desk.events import Event
+from annotator.desk.hints import next_hint
 from annotator.window import theme
 from annotator.window.icons import icon
 

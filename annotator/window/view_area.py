@@ -8,9 +8,9 @@ import numpy as np
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtWidgets import QSplitter, QVBoxLayout, QWidget
 
-from annotator.controller import Controller
-from annotator.events import Event
-from annotator.placing import drop_model, drop_object
+from annotator.desk.controller import Controller
+from annotator.desk.events import Event
+from annotator.placing.placement import drop_model, drop_object
 from annotator.views import ViewSet
 from annotator.views.landing import recorded_pixel_under
 from annotator.views.meshes import ShapeStore

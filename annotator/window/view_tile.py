@@ -5,7 +5,7 @@ from __future__ import annotations
 from PySide6.QtCore import QEvent, QObject, QSize, Qt
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QToolButton, QVBoxLayout, QWidget
 
-from annotator.controller import Controller
+from annotator.desk.controller import Controller
 from annotator.window import theme
 from annotator.window.commands import Commands
 from annotator.window.icons import icon

@@ -6,9 +6,9 @@ from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QMainWindow, QSplitter, QTabWidget, QVBoxLayout, QWidget
 
-from annotator.controller import Controller
-from annotator.events import Event
-from annotator.upkeep import Upkeep
+from annotator.desk.controller import Controller
+from annotator.desk.events import Event
+from annotator.desk.upkeep import Upkeep
 from annotator.window.banner import Banner
 from annotator.window.commands import Commands
 from annotator.window.frame_bar import FrameBar

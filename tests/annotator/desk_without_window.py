@@ -7,10 +7,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from annotator.controller import Controller
-from annotator.events import Event
+from annotator.desk.controller import Controller
+from annotator.desk.events import Event
+from annotator.desk.runner import ThreadRunner
 from annotator.frames import ImageCache
-from annotator.runner import ThreadRunner
 from annotator.session import Session
 
 

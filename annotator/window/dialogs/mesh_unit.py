@@ -6,7 +6,7 @@ from pathlib import Path
 
 from PySide6.QtWidgets import QWidget
 
-from annotator.mesh_unit import MeshSize, Unit, measure_mesh
+from annotator.placing.mesh_unit import MeshSize, Unit, measure_mesh
 from annotator.window.dialogs.question import Answer, Question
 
 _NAMES: dict[Unit, str] = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}

@@ -9,7 +9,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from annotator.controller import Controller
+from annotator.desk.controller import Controller
 from annotator.window.dialogs.question import Answer, Question
 from std_toolkit.labels.propagate import PropagateOptions
 

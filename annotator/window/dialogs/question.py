@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QDialog, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
-from annotator.events import Level
+from annotator.desk.events import Level
 from annotator.window import theme
 from annotator.window.icons import pixmap
 

@@ -12,7 +12,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from annotator.controller import Controller
+from annotator.desk.controller import Controller
 from annotator.window.dialogs.question import Answer, Question
 from std_toolkit.labels.symmetry_argument import parse_symmetry
 from std_toolkit.scene import Model

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from views_desk import LENS, Desk
 
+from annotator.desk.view_options import Gizmo, Mode
 from annotator.session import AddClick, Click
-from annotator.view_options import Gizmo, Mode
 from annotator.views.gizmo import Handle, Part
 from std_toolkit.geometry import SE3, rotation_angle
 
@@ -217,7 +217,7 @@ class TestLooking:
         assert edits(desk) == []
 
     def test_the_whole_image_comes_back_with_the_key(self, desk: Desk) -> None:
-        from annotator import alignment
+        from annotator.desk import alignment
 
         desk.event("MouseWheelForward", (320, 240))
         desk.event("MouseWheelForward", (100, 80), view=1)
@@ -229,7 +229,7 @@ class TestLooking:
         assert desk.views.views[1].eye.window is None
 
     def test_zooming_to_the_object_brings_it_to_the_middle_of_every_view(self, desk: Desk) -> None:
-        from annotator import alignment
+        from annotator.desk import alignment
 
         desk.controller.select("box_1")
         alignment.zoom_to_object(desk.controller)
@@ -341,7 +341,7 @@ class TestCloud:
         assert len(edits(cloud)) == 1
 
     def test_home_goes_back_to_the_camera_of_the_frame(self, cloud: Desk) -> None:
-        from annotator import alignment
+        from annotator.desk import alignment
 
         cloud.drag((8, 470), (80, 30))
         assert cloud.main.eye.T_eye_ref is not None

@@ -10,8 +10,8 @@ import pyvista
 from numpy.typing import NDArray
 from views_desk import CAMERA, GREY, Desk
 
+from annotator.desk.view_options import CloudSource, Gizmo, Mode, Style
 from annotator.session import AddClick, ClearPose, Click, RemoveObject
-from annotator.view_options import CloudSource, Gizmo, Mode, Style
 from annotator.views.captions import Captions
 from std_toolkit.labels.support.plane import Plane, TablePlane
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from views_desk import CAMERA, LENS, Desk, meshes
 
+from annotator.desk.view_options import Gizmo, Mode, Style
 from annotator.session import ClearPose
-from annotator.view_options import Gizmo, Mode, Style
 from annotator.views.projection import ImageWindow
 from std_toolkit.rendering.mesh import prepare_mesh
 from std_toolkit.rendering.protocol import Window

@@ -14,7 +14,7 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QDialog, QWidget
 from pytestqt.qtbot import QtBot
 
-from annotator.controller import Controller
+from annotator.desk.controller import Controller
 from annotator.session import Session
 from annotator.window.app import make_application
 from annotator.window.dialogs.question import Question

@@ -8,8 +8,8 @@ from bench import Bench
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtTest import QTest
 
-from annotator.events import Event
-from annotator.view_options import Gizmo
+from annotator.desk.events import Event
+from annotator.desk.view_options import Gizmo
 
 CONTROL = Qt.KeyboardModifier.ControlModifier
 

@@ -8,8 +8,8 @@ from bench import Bench
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtTest import QTest
 
+from annotator.desk.view_options import Gizmo
 from annotator.session import SetPoses
-from annotator.view_options import Gizmo
 from std_toolkit.geometry import SE3, rotation_angle
 
 Key = Qt.Key

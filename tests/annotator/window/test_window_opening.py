@@ -11,8 +11,8 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from window_scene import write_window_scene
 
+from annotator.desk.view_options import Mode
 from annotator.session import Session
-from annotator.view_options import Mode
 from std_toolkit.scene import Scene
 
 OpenBench = Callable[..., Bench]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from annotator.controller import Controller
+from annotator.desk.controller import Controller
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from annotator.controller import Controller
-from annotator.object_summary import is_refined, summarize
+from annotator.desk.controller import Controller
+from annotator.desk.object_summary import is_refined, summarize
 
 # A pose from points needs four that do not lie in one line.
 POINTS_FOR_A_POSE = 4

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator import alignment
-from annotator.controller import Controller
-from annotator.events import Event
-from annotator.runner import Task
+from annotator.desk import alignment
+from annotator.desk.controller import Controller
+from annotator.desk.events import Event
+from annotator.desk.runner import Task
 from annotator.session import Snapshot
 from std_toolkit.errors import ToolkitError
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from annotator.dropping import USUAL_DISTANCE_M, USUAL_UP, dropped_pose, upright_rotation
-from annotator.upright import round_axis
+from annotator.placing.dropping import USUAL_DISTANCE_M, USUAL_UP, dropped_pose, upright_rotation
+from annotator.placing.upright import round_axis
 from std_toolkit.geometry import Camera, so3_exp
 from std_toolkit.labels.support.plane import Plane
 

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
-from annotator.controller import Controller
-from annotator.events import Event
-from annotator.mesh_name import model_names
-from annotator.runner import Task
+from annotator.desk.controller import Controller
+from annotator.desk.events import Event
+from annotator.desk.runner import Task
+from annotator.placing.mesh_name import model_names
 from annotator.session import ClearPose
 from std_toolkit.errors import ToolkitError
 

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.controller import Controller
-from annotator.dropping import USUAL_UP, dropped_pose, upright_rotation
+from annotator.desk.controller import Controller
+from annotator.placing.dropping import USUAL_UP, dropped_pose, upright_rotation
+from annotator.placing.upright import round_axis
 from annotator.session import AddObject, SetPoses
 from annotator.session.edits import SingleEdit, Together
-from annotator.upright import round_axis
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.scene.names import safe_name

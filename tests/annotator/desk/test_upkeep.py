@@ -10,8 +10,8 @@ import pytest
 from desk_without_window import Desk
 from scene_on_disk import camera_pose, camera_poses, write_scene
 
+from annotator.desk.upkeep import Upkeep
 from annotator.session import AddObject, Move, SetPoses
-from annotator.upkeep import Upkeep
 from std_toolkit.geometry import SE3
 from std_toolkit.scene import Scene
 

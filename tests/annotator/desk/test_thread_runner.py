@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from annotator.runner import Task, ThreadRunner
+from annotator.desk.runner import Task, ThreadRunner
 
 
 class Loop:

@@ -9,8 +9,8 @@ import pytest
 from desk_without_window import Desk
 from scene_on_disk import write_scene
 
-from annotator import alignment
-from annotator.hints import next_hint
+from annotator.desk import alignment
+from annotator.desk.hints import next_hint
 from annotator.session import AddClick, AddObject, Click, SetPoses
 from annotator.session.edits import ChangeObject
 from annotator.session.residuals import FrameResidual

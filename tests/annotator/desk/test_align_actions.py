@@ -12,7 +12,7 @@ import trimesh
 from desk_without_window import Desk
 from scene_on_disk import write_scene
 
-from annotator import alignment
+from annotator.desk import alignment
 from annotator.session import Move, RemoveObject, SetPoses, Snapshot
 from annotator.session.requests import Outcome, Request
 from annotator.session.requests.base import Watch

@@ -10,8 +10,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from annotator.events import Event, Level
-from annotator.runner import Runner, Task
+from annotator.desk.events import Event, Level
+from annotator.desk.runner import Runner, Task
+from annotator.desk.view_options import Gizmo, Mode, ViewOptions
+from annotator.desk.work import Work
 from annotator.session import (
     ChangeObject,
     Move,
@@ -20,8 +22,6 @@ from annotator.session import (
 )
 from annotator.session.edits import AnyEdit, Axes
 from annotator.session.session import Change
-from annotator.view_options import Gizmo, Mode, ViewOptions
-from annotator.work import Work
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from annotator.events import Event
-from annotator.runner import Runner, Task
+from annotator.desk.events import Event
+from annotator.desk.runner import Runner, Task
 from std_toolkit.errors import ToolkitError
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import TYPE_CHECKING, Literal
 
-from annotator.controller import Controller
+from annotator.desk.controller import Controller
 from annotator.session.state import ObjectState, Placement
 
 if TYPE_CHECKING:
