@@ -111,3 +111,20 @@ def wait_for_look(page: Page, old: np.ndarray, view: str = MAIN, difference: flo
 def notice(page: Page, text: str) -> None:
     """Wait for a message."""
     page.wait_for_selector(f".notice:has-text('{text}')")
+
+
+def dismiss_notices(page: Page) -> None:
+    """Close all messages; one may go by itself while it is reached for."""
+    page.wait_for_function(
+        """() => {
+            document.querySelectorAll('.notice button').forEach((button) => button.click());
+            return !document.querySelector('.notice');
+        }"""
+    )
+
+
+def escape_dialog(page: Page) -> None:
+    """Close a dialog by its key, which it hears only once it has come to the front."""
+    while page.locator("#dialog").count():
+        page.keyboard.press("Escape")
+        page.wait_for_timeout(200)

@@ -12,6 +12,8 @@ from pages import (
     MAIN,
     SIDE,
     centre,
+    dismiss_notices,
+    escape_dialog,
     looks,
     notice,
     on_screen,
@@ -176,8 +178,7 @@ def test_typed_numbers_set_the_pose_and_nonsense_is_told(served: Served, page: P
         field.press("Tab")
         notice(page, "not a number")
         wait_until_at(page, np.array([*before[:2], 700.5]))
-    while page.locator(".notice").count():
-        page.locator(".notice button").first.click()
+    dismiss_notices(page)
     page.keyboard.press("Control+z")
     wait_until_at(page, before)
 
@@ -252,8 +253,7 @@ def test_every_key_stands_on_the_sheet_and_every_action_in_a_menu(
     text = page.locator("#dialog .sheet").inner_text()
     missing = {a.title for a in ACTIONS if a.keys and a.title not in text}
     assert missing == {"Open scene...", "Close"}  # a page is one scene, and has no end
-    page.keyboard.press("Escape")
-    page.wait_for_selector("#dialog", state="detached")
+    escape_dialog(page)
     page.locator("[data-menu='Align']").click()
     shown = page.locator(".v-menu").inner_text()
     assert all(a.title in shown for a in ACTIONS if a.menu == "Align")

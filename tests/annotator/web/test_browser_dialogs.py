@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 import trimesh
-from pages import MAIN, notice, opened, position, scale, wait_for_move, wait_until_at
+from pages import (
+    MAIN,
+    escape_dialog,
+    notice,
+    opened,
+    position,
+    scale,
+    wait_for_move,
+    wait_until_at,
+)
 from scene_on_disk import CAMERA, write_scene
 from serving import Served
 
@@ -100,8 +109,7 @@ def test_name_note_and_symmetry_are_asked_for(served: Served, page: Page) -> Non
     page.wait_for_selector("#dialog", state="detached")
     page.keyboard.press("F4")
     page.wait_for_selector("#dialog:has-text('As it is: 3 turns')")
-    page.keyboard.press("Escape")
-    page.wait_for_selector("#dialog", state="detached")
+    escape_dialog(page)
 
 
 def test_others_changes_are_asked_about_and_labels_are_carried_to_all_frames(

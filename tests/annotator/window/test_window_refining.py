@@ -120,7 +120,10 @@ def test_objects_that_run_into_each_other_are_told(bench: Bench) -> None:
 
 
 def test_the_window_answers_while_something_is_computed(bench: Bench) -> None:
-    """A key takes effect about as soon as without; the machine may be busy with other things."""
+    """A key takes effect while a computation runs that never ends by itself.
+
+    It holds the interpreter's lock, as hardly any does for long, on a machine that may be busy.
+    """
 
     def busy(task: object) -> None:
         values = np.random.default_rng(0).normal(size=20_000).tolist()
@@ -133,10 +136,9 @@ def test_the_window_answers_while_something_is_computed(bench: Bench) -> None:
         assert bench.pose().t[0] > before.t[0]
         return time.monotonic() - began
 
-    idle = [press() for _ in range(5)]
     bench.controller.start("Refine box_1", busy, lambda _: None)
     waits = [press() for _ in range(5)]
     assert bench.controller.task is not None
     bench.press(Qt.Key.Key_Escape)
     _idle(bench)
-    assert np.median(waits) < 5 * np.median(idle) + 0.1
+    assert np.median(waits) < 2.0
