@@ -1,0 +1,198 @@
+"""One material with all its numbers, drawn from the library at random, and recorded as JSON."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from sensors.materials.library import (
+    PARAMETERS,
+    Color,
+    Document,
+    GlassMaterial,
+    MaterialClass,
+    MaterialLibrary,
+    OpaqueMaterial,
+    Range,
+    Share,
+    TextureKind,
+    class_id,
+    load_library,
+)
+from std_toolkit.errors import ToolkitError
+
+
+class DrawnTexture(Document, frozen=True, kw_only=True):
+    """A procedural texture with all its numbers; `textures.make_texture` draws it.
+
+    Attributes:
+        tile_m: extent of one tile on the surface, metres.
+        contrast: 0..1.
+        seed: of the pattern.
+    """
+
+    kind: TextureKind
+    tile_m: float
+    contrast: Share
+    seed: int
+
+
+class Glass(Document, frozen=True, kw_only=True):
+    """The transparent part of a material; see `GlassMaterial` for the meaning."""
+
+    ior: float
+    roughness: Share
+    see_through: Share
+    gloss: Share
+    gloss_roughness: Share
+
+
+class DrawnMaterial(Document, frozen=True, kw_only=True):
+    """A material as a renderer takes it: plain numbers only.
+
+    Attributes:
+        name: the library's material, or "raw".
+        material_class: raw, diffuse, transparent or specular.
+        color: linear RGB; of a glass its transmittance.
+        own_share: share of the object's own texture or colour in the final base colour.
+        metallic .. clearcoat_gloss: parameters of the principled BSDF, 0..1.
+        texture: pattern that multiplies `color`, or None.
+        glass: for transparent materials only.
+    """
+
+    name: str
+    material_class: MaterialClass
+    color: Color
+    own_share: Share
+    metallic: Share = 0.0
+    specular: Share = 0.5
+    spec_tint: Share = 0.0
+    roughness: Share = 0.5
+    anisotropic: Share = 0.0
+    sheen: Share = 0.0
+    sheen_tint: Share = 0.0
+    clearcoat: Share = 0.0
+    clearcoat_gloss: Share = 0.9
+    texture: DrawnTexture | None = None
+    glass: Glass | None = None
+
+    @property
+    def class_id(self) -> int:
+        """0 raw, 1 diffuse, 2 transparent, 3 specular."""
+        return class_id(self.material_class)
+
+
+def draw_material(
+    rng: np.random.Generator,
+    material_class: MaterialClass,
+    *,
+    textured: bool = False,
+    name: str | None = None,
+    library: MaterialLibrary | None = None,
+) -> DrawnMaterial:
+    """Draw a material of a class: which one, its parameters, its share of the object's own look.
+
+    Args:
+        rng: consumed; the same state gives the same material.
+        material_class: `raw` keeps the object's own texture or colour alone.
+        textured: whether the object has a texture image (its own look then gets a larger share).
+        name: take this material instead of a random one of the class.
+        library: the built-in one by default.
+
+    Raises:
+        ToolkitError: no such class or name, or the library has no material of the class.
+    """
+    library = library or load_library()
+    class_id(material_class)  # refuses an unknown one
+    if material_class == "raw":
+        return DrawnMaterial(
+            name="raw",
+            material_class="raw",
+            color=(0.5, 0.5, 0.5),
+            own_share=1.0,
+            roughness=_uniform(rng, library.raw.roughness),
+            specular=_uniform(rng, library.raw.specular),
+        )
+    choices = library.of_class(material_class)
+    if name is not None:
+        choices = tuple(m for m in choices if m.name == name)
+    if not choices:
+        raise ToolkitError(
+            f"the library has no {material_class} material" + (" of this name" if name else ""),
+            value=name,
+        )
+    chosen = choices[int(rng.integers(len(choices)))]
+    if isinstance(chosen, GlassMaterial):
+        return _draw_glass(rng, chosen)
+    return _draw_opaque(rng, chosen, library, textured=textured)
+
+
+def _draw_opaque(
+    rng: np.random.Generator, chosen: OpaqueMaterial, library: MaterialLibrary, *, textured: bool
+) -> DrawnMaterial:
+    family = library.families[chosen.family]
+    jitter = {**family.jitter, **chosen.jitter}
+    values: dict[str, Any] = {}
+    # Every parameter consumes one number whether it varies or not, so that a library with another
+    # range changes that parameter of a seeded scene and nothing after it.
+    for parameter in PARAMETERS:
+        shift = _uniform(rng, jitter.get(parameter, (0.0, 0.0)))
+        values[parameter] = float(np.clip(getattr(chosen.base, parameter) + shift, 0, 1))
+    mixed = rng.random() < family.mix_probability
+    share = _uniform(rng, library.own_share.texture if textured else library.own_share.color)
+    color = _color(rng, chosen.color)
+    texture = None
+    if chosen.texture is not None:
+        texture = DrawnTexture(
+            kind=chosen.texture.kind,
+            tile_m=_uniform(rng, chosen.texture.tile_m),
+            contrast=_uniform(rng, chosen.texture.contrast),
+            seed=int(rng.integers(2**32)),
+        )
+    return DrawnMaterial(
+        name=chosen.name,
+        material_class=family.material_class,
+        color=color,
+        own_share=share if mixed else 0.0,
+        texture=texture,
+        **values,
+    )
+
+
+def _draw_glass(rng: np.random.Generator, chosen: GlassMaterial) -> DrawnMaterial:
+    return DrawnMaterial(
+        name=chosen.name,
+        material_class="transparent",
+        color=_color(rng, chosen.tint),
+        own_share=0.0,
+        glass=Glass(
+            ior=_uniform(rng, chosen.ior),
+            roughness=_uniform(rng, chosen.roughness),
+            see_through=_uniform(rng, chosen.see_through),
+            gloss=_uniform(rng, chosen.gloss),
+            gloss_roughness=_uniform(rng, chosen.gloss_roughness),
+        ),
+    )
+
+
+def _uniform(rng: np.random.Generator, bounds: Range) -> float:
+    return float(rng.uniform(*bounds))
+
+
+def _color(rng: np.random.Generator, box: tuple[Color, Color]) -> Color:
+    r, g, b = (float(x) for x in rng.uniform(box[0], box[1]))
+    return (r, g, b)
+
+
+def decode_material(data: bytes) -> DrawnMaterial:
+    """A material from its JSON record (`msgspec.json.encode` writes it).
+
+    Raises:
+        ToolkitError: not such a record.
+    """
+    try:
+        return msgspec.json.decode(data, type=DrawnMaterial)
+    except msgspec.DecodeError as error:
+        raise ToolkitError(f"not a material record: {error}") from error

@@ -1,0 +1,277 @@
+"""The library of materials: base values and ranges, read from `materials.json` or a user's file.
+
+One unified description covers every opaque material (the parameters of a "principled" BSDF) and
+every glass. A surface scatters like its class by its values, not by a separate shader: this is
+what lets a renderer keep one compiled kernel for all materials.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import InvalidDocument, read_document
+
+MaterialClass = Literal["raw", "diffuse", "transparent", "specular"]
+MATERIAL_CLASSES: tuple[MaterialClass, ...] = ("raw", "diffuse", "transparent", "specular")
+"""Position in this tuple is the class id that the DREDS layout stores."""
+
+TextureKind = Literal[
+    "brushed",
+    "checks",
+    "grain",
+    "leather",
+    "marble",
+    "paper",
+    "print",
+    "speckle",
+    "stripes",
+    "weave",
+    "wood",
+]
+PARAMETERS = (
+    "metallic",
+    "specular",
+    "spec_tint",
+    "roughness",
+    "anisotropic",
+    "sheen",
+    "sheen_tint",
+    "clearcoat",
+    "clearcoat_gloss",
+)
+BUILT_IN = Path(__file__).with_name("materials.json")
+
+Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
+Range = tuple[float, float]
+Color = tuple[Share, Share, Share]
+
+
+class Document(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Base of everything in a material file: unknown keys are refused, they are typing errors."""
+
+
+class TextureRange(Document, frozen=True, kw_only=True):
+    """A procedural texture of a material.
+
+    Attributes:
+        kind: which pattern; see `textures.make_texture`.
+        tile_m: range of the extent of one tile on the surface, metres.
+        contrast: range of the pattern's contrast, 0..1.
+    """
+
+    kind: TextureKind
+    tile_m: Range
+    contrast: Range
+
+    def __post_init__(self) -> None:
+        _check_range(self.tile_m, "tile_m", 1e-3, 5.0)
+        _check_range(self.contrast, "contrast", 0.0, 1.0)
+
+
+class Family(Document, frozen=True, kw_only=True):
+    """What materials of one kind have in common.
+
+    Attributes:
+        material_class: the class of its members.
+        jitter: parameter to the range that is added to the base value.
+        mix_probability: how often the object's own colour is mixed in at all.
+    """
+
+    material_class: MaterialClass
+    jitter: dict[str, Range]
+    mix_probability: Share = 1.0
+
+    def __post_init__(self) -> None:
+        _check_jitter(self.jitter)
+
+
+class BaseValues(Document, frozen=True, kw_only=True):
+    """Parameters of the BSDF before the jitter, each 0..1."""
+
+    metallic: Share
+    specular: Share
+    spec_tint: Share
+    roughness: Share
+    anisotropic: Share
+    sheen: Share
+    sheen_tint: Share
+    clearcoat: Share
+    clearcoat_gloss: Share
+
+
+class OpaqueMaterial(Document, frozen=True, kw_only=True):
+    """A specular or diffuse material.
+
+    Attributes:
+        color: two corners of the box of linear RGB reflectances to draw from.
+        jitter: ranges that replace the family's, by parameter.
+    """
+
+    name: str
+    family: str
+    base: BaseValues
+    color: tuple[Color, Color]
+    texture: TextureRange | None = None
+    jitter: dict[str, Range] = msgspec.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _check_box(self.color, "color")
+        _check_jitter(self.jitter)
+
+
+class GlassMaterial(Document, frozen=True, kw_only=True):
+    """A transparent material: a mixture of a refracting, a straight-through and a glossy part.
+
+    Attributes:
+        ior: range of the index of refraction.
+        roughness: range of the roughness of the refracting surface, 0..1.
+        see_through: range of the share of light that passes a surface unbent. Only this share
+            of a point projector's light reaches what lies behind glass in a path tracer.
+        gloss: range of the strength of the glossy coat, 0..1.
+        gloss_roughness: range of the coat's roughness, 0..1.
+        tint: two corners of the box of linear RGB transmittances.
+    """
+
+    name: str
+    family: str
+    ior: Range
+    roughness: Range
+    see_through: Range
+    gloss: Range
+    gloss_roughness: Range
+    tint: tuple[Color, Color]
+
+    def __post_init__(self) -> None:
+        _check_range(self.ior, "ior", 1.01, 3.0)
+        for name in ("roughness", "see_through", "gloss", "gloss_roughness"):
+            _check_range(getattr(self, name), name, 0.0, 1.0)
+        _check_box(self.tint, "tint")
+
+
+class OwnShare(Document, frozen=True, kw_only=True):
+    """How much of the object's own appearance is mixed into a material's colour.
+
+    Attributes:
+        texture: range for objects with a texture image.
+        color: range for objects with one flat colour.
+    """
+
+    texture: Range
+    color: Range
+
+    def __post_init__(self) -> None:
+        _check_range(self.texture, "texture", 0.0, 1.0)
+        _check_range(self.color, "color", 0.0, 1.0)
+
+
+class RawRange(Document, frozen=True, kw_only=True):
+    """Ranges of the surface that objects with nothing but their own texture get."""
+
+    roughness: Range
+    specular: Range
+
+    def __post_init__(self) -> None:
+        _check_range(self.roughness, "roughness", 0.0, 1.0)
+        _check_range(self.specular, "specular", 0.0, 1.0)
+
+
+class MaterialLibrary(Document, frozen=True, kw_only=True):
+    """All materials.
+
+    Attributes:
+        about, sources: for the reader of the file.
+        own_share: see `OwnShare`.
+        raw: see `RawRange`.
+        families: name to what its members have in common.
+        opaque, glass: the materials.
+    """
+
+    about: str = ""
+    sources: dict[str, str] = msgspec.field(default_factory=dict)
+    own_share: OwnShare
+    raw: RawRange
+    families: dict[str, Family]
+    opaque: tuple[OpaqueMaterial, ...]
+    glass: tuple[GlassMaterial, ...]
+
+    def __post_init__(self) -> None:
+        names = [m.name for m in (*self.opaque, *self.glass)]
+        if len(set(names)) != len(names):
+            twice = next(n for i, n in enumerate(names) if n in names[:i])
+            raise InvalidDocument("a material's name appears twice", field="name", value=twice)
+        for kind, allowed in (("opaque", {"diffuse", "specular"}), ("glass", {"transparent"})):
+            for i, material in enumerate(getattr(self, kind)):
+                family = self.families.get(material.family)
+                if family is None or family.material_class not in allowed:
+                    raise InvalidDocument(
+                        f"needs a family whose class is one of {', '.join(sorted(allowed))}",
+                        field=f"{kind}[{i}].family",
+                        value=material.family,
+                        hint=f"families: {', '.join(self.families)}",
+                    )
+
+    def of_class(self, material_class: MaterialClass) -> tuple[OpaqueMaterial | GlassMaterial, ...]:
+        """The materials of a class, in the file's order; none for `raw`."""
+        return tuple(
+            m
+            for m in (*self.opaque, *self.glass)
+            if self.families[m.family].material_class == material_class
+        )
+
+
+def load_library(path: Path | str | None = None) -> MaterialLibrary:
+    """Read the built-in library, or a user's file of the same form.
+
+    Raises:
+        ToolkitError: unreadable, or a value out of its range; names the file and the field.
+    """
+    return _built_in() if path is None else read_document(path, MaterialLibrary)
+
+
+@lru_cache(maxsize=1)
+def _built_in() -> MaterialLibrary:
+    return read_document(BUILT_IN, MaterialLibrary)
+
+
+def class_id(material_class: MaterialClass) -> int:
+    """0 raw, 1 diffuse, 2 transparent, 3 specular.
+
+    Raises:
+        ToolkitError: no such class.
+    """
+    try:
+        return MATERIAL_CLASSES.index(material_class)
+    except ValueError:
+        raise ToolkitError(
+            "no such material class",
+            value=material_class,
+            hint=f"one of {', '.join(MATERIAL_CLASSES)}",
+        ) from None
+
+
+def _check_range(value: Range, field: str, low: float, high: float) -> None:
+    if not low <= value[0] <= value[1] <= high:
+        raise InvalidDocument(
+            f"must be a rising pair within {low}..{high}", field=field, value=list(value)
+        )
+
+
+def _check_jitter(jitter: dict[str, Range]) -> None:
+    for name, value in jitter.items():
+        if name not in PARAMETERS:
+            raise InvalidDocument(
+                "no such parameter",
+                field=f"jitter.{name}",
+                hint=f"one of {', '.join(PARAMETERS)}",
+            )
+        _check_range(value, f"jitter.{name}", -1.0, 1.0)
+
+
+def _check_box(box: tuple[Color, Color], field: str) -> None:
+    if any(low > high for low, high in zip(*box, strict=True)):
+        raise InvalidDocument("the first corner must not exceed the second", field=field, value=box)
