@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 # What software rendering draws in a fraction of a second, and what it draws while moving.
 MOST_POINTS = 200_000
-LIGHT_POINTS = 50_000
+LIGHT_POINTS = 20_000
 # Frames of the fused cloud: more add time, hardly surface.
 MOST_FRAMES = 30
 _KEPT_FRAMES = 6

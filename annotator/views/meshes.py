@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -25,10 +26,12 @@ from std_toolkit.errors import ToolkitError
 if TYPE_CHECKING:
     import trimesh
 
+    from std_toolkit.scene import Model
+
 Array = NDArray[np.float64]
 
 # Faces of the light mesh: six of them in four views are drawn in software within 50 ms.
-LIGHT_FACES = 4000
+LIGHT_FACES = 2500
 
 
 class Shape:
@@ -119,41 +122,52 @@ def _wire(surface: Surface, bounds: Array) -> vtkPolyData:
     return lines(np.concatenate([surface.creases(), sections(surface, bounds)]))
 
 
+@dataclass
+class _Entry:
+    """What is known of a model: its document, and what was made of the mesh that it has."""
+
+    model: Model
+    mesh: trimesh.Trimesh | None = None
+    shape: Shape | None = None
+
+
 class ShapeStore:
     """The shapes of a session's models, made when they are first asked for.
 
+    A model of the same id may come to have another mesh, as when it is taken back and added again
+    in another unit: a model that is new is looked at anew, and its old shape shown no more.
+
     Args:
-        mesh: mesh of a model by id; may be called in another thread.
+        mesh: mesh of a model by id, the same object as long as its file is the same; may be called
+            in another thread.
         background: make them in a thread: `get` answers None until a shape is ready.
     """
 
     def __init__(self, mesh: Callable[[str], trimesh.Trimesh], *, background: bool = False) -> None:
         self._mesh = mesh
-        self._shapes: dict[str, Shape] = {}
-        self._making: dict[str, Future[Shape]] = {}
+        self._entries: dict[str, _Entry] = {}
+        self._making: dict[str, tuple[_Entry, Future[_Entry]]] = {}
         self._completing: list[Future[None]] = []
-        self._failed: set[str] = set()
         self._problems: dict[str, ToolkitError] = {}
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="meshes") if background else None
 
-    def get(self, model_id: str) -> Shape | None:
+    def get(self, model: Model) -> Shape | None:
         """The shape; None if it is still being made or its mesh cannot be read."""
-        if model_id in self._shapes or model_id in self._failed:
-            return self._shapes.get(model_id)
-        if self._pool is None:
-            self._finish(model_id, lambda: make_shape(self._mesh(model_id)))
-        elif model_id not in self._making:
-            self._making[model_id] = self._pool.submit(lambda: make_shape(self._mesh(model_id)))
-        return self._shapes.get(model_id)
+        known = self._entries.get(model.id)
+        if known is None or known.model is not model:
+            known = self._begin(model, known)
+        return known.shape
 
     def collect(self) -> bool:
         """Take over what the thread has finished; True if something looks different now."""
-        done = [m for m, future in self._making.items() if future.done()]
+        done = [m for m, (_, future) in self._making.items() if future.done()]
+        new = False
         for model_id in done:
-            self._finish(model_id, self._making.pop(model_id).result)
+            entry, future = self._making.pop(model_id)
+            new |= self._finish(entry, future.result)
         before = len(self._completing)
         self._completing = [f for f in self._completing if not f.done()]
-        return bool(done) or (before > 0 and not self._completing)
+        return new or (before > 0 and not self._completing)
 
     @property
     def pending(self) -> bool:
@@ -169,15 +183,45 @@ class ShapeStore:
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
 
-    def _finish(self, model_id: str, result: Callable[[], Shape]) -> None:
-        try:
-            shape = self._shapes[model_id] = result()
-        except ToolkitError as error:
-            self._failed.add(model_id)
-            self._problems[model_id] = error
-            return
+    def _begin(self, model: Model, before: _Entry | None) -> _Entry:
+        entry = self._entries[model.id] = _Entry(model)
+        if before is not None and _alike(before.model, model):
+            # Most likely nothing but its category or symmetry is another: what is seen stays.
+            entry.mesh, entry.shape = before.mesh, before.shape
+        known = _Entry(model, entry.mesh, entry.shape)
         if self._pool is None:
-            shape.complete()
+            self._finish(entry, lambda: self._made(known))
+        else:
+            self._making[model.id] = entry, self._pool.submit(self._made, known)
+        return entry
+
+    def _made(self, known: _Entry) -> _Entry:
+        """The entry with the mesh as it is now; its shape is kept if that is the same."""
+        mesh = self._mesh(known.model.id)
+        if mesh is known.mesh and known.shape is not None:
+            return known
+        return _Entry(known.model, mesh, make_shape(mesh))
+
+    def _finish(self, entry: _Entry, result: Callable[[], _Entry]) -> bool:
+        """True if the shape is another one now."""
+        before = entry.shape
+        try:
+            found = result()
+        except ToolkitError as error:
+            entry.shape = None
+            self._problems[entry.model.id] = error
+            return True
+        entry.mesh, entry.shape = found.mesh, found.shape
+        if entry.shape is before or entry.shape is None:
+            return False
+        if self._pool is None:
+            entry.shape.complete()
         else:
             # After the shapes that wait to be seen at all.
-            self._completing.append(self._pool.submit(shape.complete))
+            self._completing.append(self._pool.submit(entry.shape.complete))
+        return True
+
+
+def _alike(one: Model, other: Model) -> bool:
+    """Both tell the same of the mesh, as far as their documents go."""
+    return (one.mesh, one.size_m, one.diameter_m) == (other.mesh, other.size_m, other.diameter_m)

@@ -126,7 +126,7 @@ class Camera:
         return Crop(width, height, self.fx, self.fy, self.cx - x, self.cy - y, self.distortion)
 
     def without_distortion(self) -> Camera:
-        return replace(self, distortion=())
+        return replace(self, distortion=()) if self.distortion else self
 
     def _normalised(self, uv: Array) -> Array:
         if not self.is_distorted:
