@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from annotator.desk.controller import Controller
 from annotator.placing.dropping import USUAL_UP, dropped_pose, upright_rotation
-from annotator.placing.upright import round_axis
+from annotator.placing.standing import library_axes
+from annotator.placing.upright import up_axis
 from annotator.session import AddObject, SetPoses
 from annotator.session.edits import SingleEdit, Together
 from std_toolkit.errors import ToolkitError
@@ -106,8 +107,8 @@ def _first_rotation(
 ) -> NDArray[np.float64]:
     """How a mesh is turned that was not placed before.
 
-    As another object of the same mesh; else upright, by its shape, by how the other meshes of this
-    library stand, or with z up.
+    As another object of the same mesh; else upright, by its shape, by how objects of other meshes
+    stand, by the round meshes of the library, or with z up.
     """
     up_cam = np.asarray(USUAL_UP if table is None else table.normal)
     axes: list[int] = []
@@ -119,11 +120,9 @@ def _first_rotation(
             return np.asarray(pose.R, dtype=np.float64)
         along = pose.R.T @ up_cam
         axes += [int(np.argmax(along))] if along.max() > _UPRIGHT * np.linalg.norm(up_cam) else []
-    mesh = c.session.mesh(model_id)
-    axis = round_axis(np.asarray(mesh.vertices), np.asarray(mesh.faces))
-    if axis is None:
-        axis = max(set(axes), key=axes.count, default=2)
-    return upright_rotation(up_cam, axis)
+    own = c.session.meshes.round_axis(c.session.state.model(model_id))
+    library = () if own is not None or axes else library_axes(c.session)
+    return upright_rotation(up_cam, up_axis(own, axes, library))
 
 
 def table_in(c: Controller, frame: int) -> Plane | None:

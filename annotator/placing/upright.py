@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,6 +38,23 @@ def round_axis(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> in
         rims = [np.delete(extents, axis) for axis in range(3)]
         turned = [axis for axis in turned if rims[axis].max() <= _RIM * rims[axis].min()]
     return turned[0] if len(turned) == 1 else None
+
+
+def up_axis(own: int | None, *others: Iterable[int | None]) -> int:
+    """The coordinate axis (0, 1, 2) of a mesh that is up when it is shown or placed.
+
+    Args:
+        own: the axis about which its shape is turned; None where that does not tell.
+        others: the axes that are up in meshes that most likely follow the same habit; of several
+            groups the first that tells anything decides. Where none does, z is up.
+    """
+    if own is not None:
+        return own
+    for group in others:
+        axes = [axis for axis in group if axis is not None]
+        if axes:
+            return max(sorted(set(axes)), key=axes.count)
+    return 2
 
 
 def _turned_share(places: Array, normals: Array) -> float:

@@ -2,7 +2,7 @@
 
 from annotator.views.model_view import ModelView
 from annotator.views.scene_view import SceneView
-from annotator.views.thumbnails import cached_thumbnail, thumbnail
+from annotator.views.thumbnails import model_picture
 from annotator.views.viewset import ViewSet
 
-__all__ = ["ModelView", "SceneView", "ViewSet", "cached_thumbnail", "thumbnail"]
+__all__ = ["ModelView", "SceneView", "ViewSet", "model_picture"]

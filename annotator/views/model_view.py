@@ -55,6 +55,7 @@ class ModelView:
         self.zoom = 1.0
         self.R_eye_obj = np.eye(3)
         self._shift = np.zeros(2)
+        self._up = 2
         self._solid: Solid | None = None
         self._look = Look(color=(0.7, 0.75, 0.8), style=Style.SOLID, contour=0.0, light=False)
         self._points: list[Array] = []
@@ -83,8 +84,15 @@ class ModelView:
 
     # --- what is shown --------------------------------------------------------------------------
 
-    def show(self, shape: Shape | None, color: str | Sequence[float] = "#b0bec9") -> None:
-        """Show a mesh, or nothing; another mesh than before is seen from its front."""
+    def show(
+        self, shape: Shape | None, color: str | Sequence[float] = "#c0c0c0", *, up: int = 2
+    ) -> None:
+        """Show a mesh, or nothing; another mesh than before is seen from its front.
+
+        Args:
+            up: the coordinate axis of the mesh (0, 1, 2) that is up.
+        """
+        self._up = up
         if shape is not (self._solid.shape if self._solid else None):
             if self._solid is not None:
                 self._solid.close()
@@ -103,7 +111,7 @@ class ModelView:
         """See all of the mesh from above its front."""
         self.zoom, self._shift = 1.0, np.zeros(2)
         if self._solid is not None:
-            self.R_eye_obj = front_rotation(*self._solid.shape.light.corners)
+            self.R_eye_obj = front_rotation(self._up)
 
     def draw(self) -> None:
         """Have it shown."""

@@ -18,8 +18,8 @@ from annotator.views.viewpoint import Viewpoint
 from std_toolkit.checks.palette import object_color
 
 if TYPE_CHECKING:
-    from annotator.session.state import ObjectState
     from std_toolkit.labels.support.penetration import Penetration
+    from std_toolkit.scene import Model
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class ObjectLayer:
 
     def __init__(self, layers: Layers, shapes: ShapeStore) -> None:
         self._layers, self._shapes = layers, shapes
-        self._solids: dict[str, tuple[str, Solid]] = {}
+        self._solids: dict[str, Solid] = {}
         self._penetrations: tuple[Penetration, ...] = ()
         self._red: dict[str, NDArray[np.int64]] = {}
 
@@ -49,9 +49,9 @@ class ObjectLayer:
         self.set_penetrations(view.controller.penetrations)
         looks: dict[str, Look] = {}
         for name in self._solids.keys() - {o.name for o in state.objects}:
-            self._solids.pop(name)[1].close()
+            self._solids.pop(name).close()
         for thing in state.objects:
-            solid = self._solid_of(thing)
+            solid = self._solid_of(thing.name, state.model(thing.model))
             if solid is None:
                 continue
             color = rgba(object_color(ids, thing.id))[:3]
@@ -82,12 +82,11 @@ class ObjectLayer:
 
     def solid(self, name: str | None) -> Solid | None:
         """The object as drawn; None if its mesh is not there yet."""
-        found = self._solids.get(name) if name is not None else None
-        return None if found is None else found[1]
+        return self._solids.get(name) if name is not None else None
 
     def placed(self) -> dict[str, Solid]:
         """Those that are drawn at a pose, by name."""
-        return {n: s for n, (_, s) in self._solids.items() if s.T_eye_obj is not None}
+        return {n: s for n, s in self._solids.items() if s.T_eye_obj is not None}
 
     def extent(self, screen: ScreenCamera) -> Array | None:
         """(2, 2) corners between which the objects lie on the screen; None if there are none."""
@@ -127,26 +126,23 @@ class ObjectLayer:
         return None if hit is None else hit[1]
 
     def close(self) -> None:
-        for _, solid in self._solids.values():
+        for solid in self._solids.values():
             solid.close()
 
-    def _solid_of(self, thing: ObjectState) -> Solid | None:
-        known = self._solids.get(thing.name)
-        if known is not None and known[0] == thing.model:
-            return known[1]
-        shape = self._shapes.get(thing.model)
-        if shape is None:
-            return None
-        if known is not None:
-            known[1].close()
-        solid = Solid(self._layers, shape)
-        self._solids[thing.name] = (thing.model, solid)
-        return solid
+    def _solid_of(self, name: str, model: Model) -> Solid | None:
+        known, shape = self._solids.get(name), self._shapes.get(model)
+        if known is not None and known.shape is not shape:
+            # Of another mesh than the object has now.
+            self._solids.pop(name).close()
+            known = None
+        if known is None and shape is not None:
+            known = self._solids[name] = Solid(self._layers, shape)
+        return known
 
     def _outline(self, view: Viewpoint, looks: dict[str, Look]) -> None:
-        by_solid = {id(self._solids[name][1]): look for name, look in looks.items()}
+        by_solid = {id(self._solids[name]): look for name, look in looks.items()}
         selected = self.solid(view.controller.selected)
-        order = front_to_back([self._solids[name][1] for name in looks], selected)
+        order = front_to_back([self._solids[name] for name in looks], selected)
         # What comes after the last line hides none.
         while order and not by_solid[id(order[-1])].contour:
             order.pop()

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from annotator.placing.standing import standing_axis
 from annotator.views.upright import front_rotation
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
@@ -18,16 +19,38 @@ from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
 if TYPE_CHECKING:
     import trimesh
 
-PAPER = (38, 43, 51)
-CLAY = (176, 190, 204)
+    from annotator.session import Snapshot
+    from std_toolkit.scene import Model
+
+# Neutral, as the window: nothing tints the judgement of an image.
+PAPER = (38, 38, 38)
+CLAY = (192, 192, 192)
 _SAMPLES = 3
 _FOLDER = Path(".std") / "annotate" / "thumbnails"
 
 
-def thumbnail(mesh: trimesh.Trimesh | RenderMesh, size: int) -> NDArray[np.uint8]:
+def model_picture(snapshot: Snapshot, model: Model, size: int) -> NDArray[np.uint8] | None:
+    """The thumbnail of a model of the library, standing as it is placed; None without its mesh.
+
+    Kept in the scene folder where that can be written. May run in any thread.
+    """
+    try:
+        mesh = snapshot.meshes.mesh(model)
+        axis = standing_axis(snapshot, model)
+    except ToolkitError:
+        return None  # told where the mesh itself is drawn
+    if snapshot.writable:
+        return cached_thumbnail(snapshot.scene.root, mesh, size, axis)
+    return thumbnail(mesh, size, axis)
+
+
+def thumbnail(mesh: trimesh.Trimesh | RenderMesh, size: int, axis: int = 2) -> NDArray[np.uint8]:
     """A mesh standing upright, from above its front: (size, size, 3) RGB uint8.
 
     Takes some tenths of a second for 50,000 faces, and may run in any thread.
+
+    Args:
+        axis: the coordinate axis (0, 1, 2) that is up.
     """
     from std_toolkit.rendering.maps import compose, surface_maps
     from std_toolkit.rendering.protocol import PlacedMesh
@@ -39,7 +62,7 @@ def thumbnail(mesh: trimesh.Trimesh | RenderMesh, size: int) -> NDArray[np.uint8
     radius = prepared.diagonal / 2
     f = 10 * 0.96 * large / 2
     camera = Camera(large, large, f, f, (large - 1) / 2, (large - 1) / 2)
-    T_cam_obj = _front_view(prepared, 10 * radius)
+    T_cam_obj = _front_view(prepared, axis, 10 * radius)
     placed = [PlacedMesh(1, prepared, T_cam_obj)]
     drawn = compose(RaycastRenderer(threads=1), camera, placed, canvas=1)
     _, normals = surface_maps(camera, placed, drawn)
@@ -48,17 +71,18 @@ def thumbnail(mesh: trimesh.Trimesh | RenderMesh, size: int) -> NDArray[np.uint8
 
 
 def cached_thumbnail(
-    root: Path, mesh: trimesh.Trimesh | RenderMesh, size: int
+    root: Path, mesh: trimesh.Trimesh | RenderMesh, size: int, axis: int = 2
 ) -> NDArray[np.uint8]:
     """`thumbnail`, kept in the scene folder under the mesh's digest if that can be written."""
     prepared = prepare_mesh(mesh)
-    path = root / _FOLDER / f"{prepared.digest[:24]}-{size}.png"
+    # With the look in its name: what an earlier version drew is not shown.
+    path = root / _FOLDER / f"{prepared.digest[:24]}-{size}-{'xyz'[axis]}-grey.png"
     if path.is_file():
         try:
             return read_color(path, size=(size, size))
         except ToolkitError:  # damaged, or of an earlier version: drawn anew
             pass
-    picture = thumbnail(prepared, size)
+    picture = thumbnail(prepared, size, axis)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_color(path, picture)
@@ -68,8 +92,8 @@ def cached_thumbnail(
     return picture
 
 
-def _front_view(mesh: RenderMesh, distance: float) -> SE3:
-    R = front_rotation(mesh.vertices, mesh.faces)
+def _front_view(mesh: RenderMesh, axis: int, distance: float) -> SE3:
+    R = front_rotation(axis)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     middle = mesh.centre + (low + high) / 2
     return SE3(R, np.array([0.0, 0.0, distance]) - R @ middle)

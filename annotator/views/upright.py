@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.placing.upright import round_axis
+from annotator.placing.dropping import upright_rotation
+from std_toolkit.geometry import so3_exp
 
 Array = NDArray[np.float64]
 
@@ -13,20 +14,13 @@ Array = NDArray[np.float64]
 AZIMUTH_DEG, ELEVATION_DEG = 35.0, 24.0
 
 
-def front_rotation(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Array:
+def front_rotation(axis: int) -> Array:
     """(3, 3) mesh axes into eye axes (x right, y down, z forward), the mesh standing upright.
 
-    Data sets differ in which axis is up: z where nothing speaks against it, else the axis about
-    which the mesh is nearly round, as bottles, cans, bowls and mugs are.
+    Args:
+        axis: the coordinate axis of the mesh (0, 1, 2) that is up.
     """
-    axis = round_axis(vertices, faces)
-    up = np.eye(3)[2 if axis is None else axis]
-    side = np.roll(up, 1)
-    front = np.cross(up, side)
     azimuth, elevation = np.deg2rad([AZIMUTH_DEG, ELEVATION_DEG])
-    across = np.sin(azimuth) * side - np.cos(azimuth) * front
-    forward = -(np.cos(elevation) * across + np.sin(elevation) * up)
-    right = np.cross(forward, up)
-    right /= np.linalg.norm(right)
-    rotation: Array = np.stack([right, np.cross(forward, right), forward])
+    up = np.array([0.0, -np.cos(elevation), -np.sin(elevation)])
+    rotation: Array = so3_exp(-azimuth * up) @ upright_rotation(up, axis)
     return rotation

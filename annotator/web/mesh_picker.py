@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from annotator.desk.controller import Controller
 from annotator.desk.events import Event
+from annotator.placing.standing import standing_axis
 from annotator.views import ModelView
 from annotator.views.meshes import ShapeStore
 from annotator.web.stream import Later, StreamedPlotter
@@ -47,12 +48,15 @@ class MeshPicker:
             self._view.set_points([])
         else:
             thing = c.session.object(c.selected)
-            shape = self._shapes.get(thing.model)
+            model = c.session.state.model(thing.model)
+            shape = self._shapes.get(model)
             if shape is None and self._shapes.pending and not self._waiting:
                 self._waiting = True
                 self._later(_POLL_S, self._refresh)
             ids = [o.id for o in c.session.state.objects]
-            self._view.show(shape, object_color(ids, thing.id))
+            # Where there is no shape its mesh may be what cannot be read.
+            up = 2 if shape is None else standing_axis(c.session, model)
+            self._view.show(shape, object_color(ids, thing.id), up=up)
             clicks = thing.clicks.get(c.active_frame, [])
             self._view.set_points([x.point for x in clicks], c.pending_point)
         self._view.draw()

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from annotator.desk.controller import Controller
 from annotator.desk.events import Event
 from annotator.desk.runner import Task
-from std_toolkit.errors import ToolkitError
+from annotator.session.meshes import Version
+from std_toolkit.scene import Model
 
 SIZE_PX = 96
 
@@ -26,9 +27,9 @@ class Thumbnails:
 
     def __init__(self, controller: Controller, show: Callable[[dict[str, str]], None]) -> None:
         self._c, self._show = controller, show
-        # By id and file: a mesh may be replaced.
-        self._pictures: dict[tuple[str, str], str] = {}
-        self._drawing = False
+        # By mesh, with the meshes that there were: how boxes stand is told by the others.
+        self._pictures: dict[Version, tuple[frozenset[Version], str]] = {}
+        self._shown: dict[str, str] = {}
         self._unsubscribe = controller.subscribe(self._on_event)
         self._draw_next()
 
@@ -37,35 +38,43 @@ class Thumbnails:
 
     def _on_event(self, event: Event) -> None:
         if event.kind == "edited":
+            self._show_all()
             self._draw_next()
 
     def _draw_next(self) -> None:
-        models = self._c.session.state.models
-        model = next((m for m in models if (m.id, m.mesh) not in self._pictures), None)
-        if model is None or self._drawing:
-            return
-        self._drawing = True
         snapshot = self._c.session.snapshot()
+        models, meshes = snapshot.state.models, snapshot.meshes
+        versions = {m.id: meshes.version(m) for m in models}
+        library = frozenset(versions.values())
+
+        def is_missing(model: Model) -> bool:
+            drawn, _ = self._pictures.get(versions[model.id], (frozenset(), ""))
+            return not library <= drawn
+
+        model = next((m for m in models if is_missing(m)), None)
+        if model is None:
+            return
 
         def work(_: Task) -> NDArray[np.uint8] | None:
-            from annotator.views import cached_thumbnail, thumbnail
+            from annotator.views import model_picture
 
-            try:
-                mesh = snapshot.meshes.mesh(model)
-            except ToolkitError:
-                return None  # told where the mesh itself is drawn
-            if snapshot.writable:
-                return cached_thumbnail(snapshot.scene.root, mesh, SIZE_PX)
-            return thumbnail(mesh, SIZE_PX)
+            return model_picture(snapshot, model, SIZE_PX)
 
         def finish(rgb: NDArray[np.uint8] | None) -> None:
-            self._drawing = False
-            self._pictures[model.id, model.mesh] = "" if rgb is None else _as_png(rgb)
-            models = self._c.session.state.models
-            self._show({m.id: self._pictures.get((m.id, m.mesh), "") for m in models})
+            picture = "" if rgb is None else _as_png(rgb)
+            self._pictures[versions[model.id]] = library, picture
+            self._show_all()
             self._draw_next()
 
         self._c.start_aside("Thumbnails", work, finish)
+
+    def _show_all(self) -> None:
+        session = self._c.session
+        versions = {m.id: session.meshes.version(m) for m in session.state.models}
+        pictures = {i: self._pictures.get(v, (None, ""))[1] for i, v in versions.items()}
+        if pictures != self._shown:
+            self._shown = pictures
+            self._show(pictures)
 
 
 def _as_png(rgb: NDArray[np.uint8]) -> str:

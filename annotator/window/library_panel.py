@@ -22,10 +22,11 @@ from PySide6.QtWidgets import (
 
 from annotator.desk.controller import Controller
 from annotator.desk.events import Event
+from annotator.desk.runner import Task
 from annotator.placing.placement import add_object
+from annotator.session.meshes import Version
 from annotator.window.commands import Commands
 from annotator.window.icons import pixmap
-from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import MESH_SUFFIXES
 from std_toolkit.scene import Model
 
@@ -46,7 +47,9 @@ class LibraryPanel(QWidget):
     def __init__(self, controller: Controller, commands: Commands) -> None:
         super().__init__()
         self._controller = controller
-        self._pictures: dict[tuple[str, str], QIcon] = {}
+        # By id, with the meshes that there were: how boxes stand is told by the others.
+        self._pictures: dict[str, tuple[Version, QIcon]] = {}
+        self._drawn: frozenset[Version] = frozenset()
         self.list = _Meshes()
         self.list.itemDoubleClicked.connect(
             lambda item: add_object(controller, item.data(Qt.ItemDataRole.UserRole))
@@ -90,52 +93,42 @@ class LibraryPanel(QWidget):
         if shown != [m.id for m in models]:
             self.list.clear()
             for model in models:
-                item = QListWidgetItem(self._picture(model), model.id)
+                item = QListWidgetItem(model.id)
                 item.setData(Qt.ItemDataRole.UserRole, model.id)
                 self.list.addItem(item)
         for i, model in enumerate(models):
             self.list.item(i).setToolTip(_described(model))
+            self.list.item(i).setIcon(self._picture(model))
         self.stack.setCurrentIndex(0 if models else 1)
 
     def draw_pictures(self) -> None:
         """Draw the thumbnails that are missing, beside the work."""
         snapshot = self._controller.session.snapshot()
-        models = [m for m in snapshot.state.models if (m.id, m.mesh) not in self._pictures]
+        models = snapshot.state.models
+        versions = {m.id: snapshot.meshes.version(m) for m in models}
+        wanted = frozenset(versions.values())
         size = round(THUMBNAIL * self.devicePixelRatioF())
-        if not models:
+        if wanted <= self._drawn:
             return
 
-        def draw(model: Model) -> NDArray[np.uint8] | None:
-            from annotator.views import cached_thumbnail, thumbnail
+        def draw(_: Task) -> list[NDArray[np.uint8] | None]:
+            from annotator.views import model_picture
 
-            try:
-                mesh = snapshot.meshes.mesh(model)
-            except ToolkitError:
-                return None  # told where the mesh itself is drawn
-            if snapshot.writable:
-                return cached_thumbnail(snapshot.scene.root, mesh, size)
-            return thumbnail(mesh, size)
+            return [model_picture(snapshot, m, size) for m in models]
 
         def finish(pictures: list[NDArray[np.uint8] | None]) -> None:
+            self._drawn = wanted
             for model, picture in zip(models, pictures, strict=True):
-                self._set_picture(model, picture)
+                self._pictures[model.id] = versions[model.id], _as_icon(picture)
+            self.refresh()
 
-        self._controller.start_aside("Thumbnails", lambda _: [draw(m) for m in models], finish)
-
-    def _set_picture(self, model: Model, rgb: NDArray[np.uint8] | None) -> None:
-        if rgb is None:
-            self._pictures[model.id, model.mesh] = QIcon(pixmap("error", 32))
-        else:
-            pixels = np.ascontiguousarray(rgb)
-            height, width = pixels.shape[:2]
-            image = QImage(pixels.data, width, height, 3 * width, QImage.Format.Format_RGB888)
-            self._pictures[model.id, model.mesh] = QIcon(QPixmap.fromImage(image.copy()))
-        for i in range(self.list.count()):
-            if self.list.item(i).text() == model.id:
-                self.list.item(i).setIcon(self._picture(model))
+        self._controller.start_aside("Thumbnails", draw, finish)
 
     def _picture(self, model: Model) -> QIcon:
-        return self._pictures.get((model.id, model.mesh)) or QIcon(pixmap("style_wireframe", 32))
+        version, picture = self._pictures.get(model.id, (None, None))
+        if picture is None or version != self._controller.session.meshes.version(model):
+            return QIcon(pixmap("style_wireframe", 32))
+        return picture
 
     def _on_event(self, event: Event) -> None:
         if event.kind == "edited":
@@ -180,6 +173,15 @@ class _Meshes(QListWidget):
         data = QMimeData()
         data.setData(MODEL_MIME, items[0].data(Qt.ItemDataRole.UserRole).encode())
         return data
+
+
+def _as_icon(rgb: NDArray[np.uint8] | None) -> QIcon:
+    if rgb is None:
+        return QIcon(pixmap("error", 32))
+    pixels = np.ascontiguousarray(rgb)
+    height, width = pixels.shape[:2]
+    image = QImage(pixels.data, width, height, 3 * width, QImage.Format.Format_RGB888)
+    return QIcon(QPixmap.fromImage(image.copy()))
 
 
 def mesh_files(data: QMimeData) -> list[Path]:

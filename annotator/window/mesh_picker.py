@@ -7,6 +7,7 @@ from PySide6.QtWidgets import QVBoxLayout, QWidget
 
 from annotator.desk.controller import Controller
 from annotator.desk.events import Event
+from annotator.placing.standing import standing_axis
 from annotator.views import ModelView
 from annotator.views.meshes import ShapeStore
 from annotator.window.view_widget import ViewWidget
@@ -60,11 +61,14 @@ class MeshPicker(QWidget):
             self.view.set_points([])
         else:
             thing = c.session.object(c.selected)
-            shape = self._shapes.get(thing.model)
+            model = c.session.state.model(thing.model)
+            shape = self._shapes.get(model)
             if shape is None and self._shapes.pending:
                 self._again.start()
             ids = [o.id for o in c.session.state.objects]
-            self.view.show(shape, object_color(ids, thing.id))
+            # Where there is no shape its mesh may be what cannot be read.
+            up = 2 if shape is None else standing_axis(c.session, model)
+            self.view.show(shape, object_color(ids, thing.id), up=up)
             clicks = thing.clicks.get(c.active_frame, [])
             self.view.set_points([x.point for x in clicks], c.pending_point)
         self.view.draw()

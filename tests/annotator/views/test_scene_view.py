@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 import pyvista
+import trimesh
 from numpy.typing import NDArray
 from views_desk import CAMERA, GREY, Desk
 
 from annotator.desk.view_options import CloudSource, Gizmo, Mode, Style
-from annotator.session import AddClick, ClearPose, Click, RemoveObject
+from annotator.session import AddClick, AddObject, ClearPose, Click, RemoveObject, SetPoses
+from annotator.session.requests import ImportMesh
 from annotator.views.captions import Captions
+from std_toolkit.geometry import SE3
 from std_toolkit.labels.support.plane import Plane, TablePlane
 
 RING, BOX = (0, 114, 178), (230, 159, 0)  # of the palette
@@ -273,8 +277,29 @@ class TestOddSituations:
         from annotator.views.meshes import ShapeStore
 
         store = ShapeStore(desk.session.mesh)
-        assert store.get("ring") is None
+        assert store.get(desk.session.state.model("ring")) is None
         assert "ring" in store.problems()
+
+    def test_a_mesh_that_is_added_again_in_another_unit_is_drawn_anew(
+        self, desk: Desk, tmp_path: Path
+    ) -> None:
+        path = tmp_path / "brick.obj"
+        trimesh.creation.box((60.0, 40.0, 20.0)).export(path)
+
+        def drawn_width(unit: str) -> float:
+            desk.session.perform(ImportMesh(mesh=str(path), unit=unit))  # type: ignore[arg-type]
+            pose = SE3(np.eye(3), np.array([0.0, 0.0, 2.0]))
+            desk.session.apply(AddObject(object="brick", model="brick"))
+            desk.session.apply(SetPoses.one("brick", 0, pose, method="typed"))
+            desk.settle()
+            solid = desk.main.solid("brick")
+            assert solid is not None
+            return float(np.ptp(solid.shape.bounds, axis=0)[0])
+
+        assert drawn_width("mm") == pytest.approx(0.06)
+        for _ in range(3):
+            desk.controller.undo()
+        assert drawn_width("cm") == pytest.approx(0.6)
 
     def test_another_size_of_the_window_keeps_the_middle(self, desk: Desk) -> None:
         for _ in range(5):

@@ -8,9 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scene_on_disk import write_scene
 
+from annotator.placing.standing import standing_axis
+from annotator.session import Session
+from annotator.session.requests import ImportMesh
 from annotator.views import thumbnails as module
-from annotator.views.thumbnails import PAPER, cached_thumbnail, thumbnail
+from annotator.views.thumbnails import PAPER, cached_thumbnail, model_picture, thumbnail
 from std_toolkit.io.images import read_color
 
 
@@ -56,6 +60,38 @@ def test_a_damaged_one_is_drawn_anew(tmp_path: Path) -> None:
     file.write_bytes(b"no picture")
     assert (cached_thumbnail(tmp_path, can(), 48) == first).all()
     assert (read_color(file) == first).all()
+
+
+def test_another_axis_has_a_picture_of_its_own(tmp_path: Path) -> None:
+    upright = cached_thumbnail(tmp_path, can(), 48)
+    lying = cached_thumbnail(tmp_path, can(), 48, 0)
+    assert (upright != lying).any()
+    assert (cached_thumbnail(tmp_path, can(), 48) == upright).all()
+
+
+def test_its_background_and_its_clay_are_grey() -> None:
+    picture = thumbnail(can(), 48).astype(int)
+    assert np.ptp(picture, axis=2).max() == 0
+
+
+def test_a_box_stands_as_the_round_meshes_of_its_library_do(tmp_path: Path) -> None:
+    """As it is placed: its own shape does not tell."""
+    session = Session.open(write_scene(tmp_path / "scene").root)
+    box, y_up = tmp_path / "carton.ply", tmp_path / "can.ply"
+    mesh = trimesh.creation.box((0.11, 0.16, 0.05))
+    mesh.export(box)
+    turned = can()
+    turned.vertices = np.roll(turned.vertices, -1, axis=1)
+    turned.export(y_up)
+    session.perform(ImportMesh(mesh=str(box)))
+    model = session.state.model("carton")
+    assert standing_axis(session, model) == 2
+    session.perform(ImportMesh(mesh=str(y_up)))
+    assert standing_axis(session, model) == standing_axis(session, session.state.model("can")) == 1
+    picture = model_picture(session.snapshot(), model, 48)
+    assert picture is not None
+    assert (picture == thumbnail(mesh, 48, 1)).all()
+    session.close()
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")

@@ -7,11 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from bench import Bench
+from numpy.typing import NDArray
 from PySide6.QtCore import QMimeData, Qt, QUrl
+from PySide6.QtGui import QImage
 from PySide6.QtTest import QTest
 from window_scene import write_box
 
+from annotator.desk import alignment
 from annotator.window.library_panel import MODEL_MIME
 from annotator.window.object_list import OBJECT_MIME
 
@@ -205,3 +209,31 @@ def test_another_mesh_of_the_same_name_gets_a_number_and_the_same_one_does_not(
     bench.space.library.files_dropped.emit([one])
     _idle(bench)
     assert [m.id for m in bench.session.state.models] == ["ball", "box", "brick", "brick_2"]
+
+
+def test_another_mesh_of_the_same_name_has_another_picture(bench: Bench, tmp_path: Path) -> None:
+    """As when the first one was taken back."""
+    path, panel = tmp_path / "brick.obj", bench.space.library
+
+    def picture() -> NDArray[np.uint8] | None:
+        """What the list shows of it."""
+        found = panel.list.findItems("brick", Qt.MatchFlag.MatchExactly)
+        if not found:
+            return None
+        image = found[0].icon().pixmap(60).toImage().convertToFormat(QImage.Format.Format_RGB888)
+        return np.frombuffer(image.constBits(), np.uint8).copy()
+
+    def add(extents: tuple[int, int, int]) -> NDArray[np.uint8]:
+        trimesh.creation.box(extents).export(path)
+        alignment.import_meshes(bench.controller, [(path, "mm")])
+        _idle(bench)
+        # Until its picture is drawn there is a smaller sign.
+        bench.qtbot.waitUntil(lambda: len(picture()) == 60 * 60 * 3, timeout=30_000)
+        drawn = picture()
+        assert drawn is not None
+        return drawn
+
+    lying = add((60, 40, 20))
+    bench.controller.undo()
+    assert picture() is None
+    assert (add((20, 40, 60)) != lying).any()
