@@ -7,6 +7,7 @@ what lets a renderer keep one compiled kernel for all materials.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Literal
@@ -200,12 +201,16 @@ class MaterialLibrary(Document, frozen=True, kw_only=True):
     glass: tuple[GlassMaterial, ...]
 
     def __post_init__(self) -> None:
-        names = [m.name for m in (*self.opaque, *self.glass)]
+        names = [m.name for m in self.opaque] + [m.name for m in self.glass]
         if len(set(names)) != len(names):
             twice = next(n for i, n in enumerate(names) if n in names[:i])
             raise InvalidDocument("a material's name appears twice", field="name", value=twice)
-        for kind, allowed in (("opaque", {"diffuse", "specular"}), ("glass", {"transparent"})):
-            for i, material in enumerate(getattr(self, kind)):
+        parts: tuple[tuple[str, Sequence[OpaqueMaterial | GlassMaterial], set[str]], ...] = (
+            ("opaque", self.opaque, {"diffuse", "specular"}),
+            ("glass", self.glass, {"transparent"}),
+        )
+        for kind, materials, allowed in parts:
+            for i, material in enumerate(materials):
                 family = self.families.get(material.family)
                 if family is None or family.material_class not in allowed:
                     raise InvalidDocument(
@@ -217,10 +222,9 @@ class MaterialLibrary(Document, frozen=True, kw_only=True):
 
     def of_class(self, material_class: MaterialClass) -> tuple[OpaqueMaterial | GlassMaterial, ...]:
         """The materials of a class, in the file's order; none for `raw`."""
+        everything: list[OpaqueMaterial | GlassMaterial] = [*self.opaque, *self.glass]
         return tuple(
-            m
-            for m in (*self.opaque, *self.glass)
-            if self.families[m.family].material_class == material_class
+            m for m in everything if self.families[m.family].material_class == material_class
         )
 
 

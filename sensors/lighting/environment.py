@@ -1,0 +1,105 @@
+"""One environment map: the light that arrives from every direction, as a lat-long image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.exr import read_exr
+
+SUFFIXES = (".hdr", ".exr")
+WIDTH = 1024
+"""Wider maps are reduced to this: a sphere seen in a mirror of 10 cm shows no more."""
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class EnvironmentMap:
+    """Light from all directions.
+
+    Attributes:
+        name: file name without suffix, or what the map was made from.
+        pixels: (H, W, 3) float32 linear RGB radiance of mean luminance 1 over the sphere. Rows
+            run from straight up to straight down, columns once around.
+    """
+
+    name: str
+    pixels: NDArray[np.float32]
+
+    @staticmethod
+    def normalised(name: str, pixels: NDArray[np.floating]) -> EnvironmentMap:
+        """Scaled to mean luminance 1: files of different makers differ by orders of magnitude.
+
+        Raises:
+            ToolkitError: the map is black.
+        """
+        pixels = np.asarray(pixels, np.float32)
+        mean = mean_luminance(pixels)
+        if mean <= 0:
+            raise ToolkitError("the environment map is black", field=name)
+        return EnvironmentMap(name, np.ascontiguousarray(pixels / np.float32(mean)))
+
+
+def mean_luminance(pixels: NDArray[np.float32]) -> float:
+    """Mean over the sphere; rows near the poles cover less of it."""
+    height = len(pixels)
+    weight = np.sin((np.arange(height) + 0.5) / height * np.pi)
+    return float(np.average((pixels @ LUMINANCE).mean(axis=1), weights=weight))
+
+
+def read_environment(path: Path | str) -> EnvironmentMap:
+    """Read a .hdr (Radiance) or .exr lat-long map.
+
+    Raises:
+        ToolkitError: unreadable, not twice as wide as high, or values that light cannot have.
+    """
+    path = Path(path)
+    pixels = _read_exr_color(path) if path.suffix.lower() == ".exr" else _read_hdr(path)
+    height, width = pixels.shape[:2]
+    if abs(width - 2 * height) > 0.02 * width or height < 8:
+        raise ToolkitError(
+            "an environment map is a lat-long image, twice as wide as high",
+            path=path,
+            value=f"{width}x{height}",
+        )
+    if not np.isfinite(pixels).all() or pixels.min() < 0:
+        raise ToolkitError("the environment map holds negative or infinite light", path=path)
+    if width > WIDTH:
+        smaller = cv2.resize(pixels, (WIDTH, WIDTH // 2), interpolation=cv2.INTER_AREA)
+        pixels = np.asarray(smaller, np.float32)
+    try:
+        return EnvironmentMap.normalised(path.stem, pixels)
+    except ToolkitError as error:
+        raise ToolkitError(error.problem, path=path) from error
+
+
+def _read_hdr(path: Path) -> NDArray[np.float32]:
+    try:
+        data = np.fromfile(path, np.uint8)
+    except OSError as error:
+        raise ToolkitError(
+            f"cannot read the environment map: {error.strerror}", path=path
+        ) from error
+    image = None
+    if data[:2].tobytes() == b"#?":
+        try:
+            image = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+        except cv2.error:  # a damaged file raises or gives None, by where the damage is
+            image = None
+    if image is None or image.dtype != np.float32:
+        raise ToolkitError("not a readable Radiance .hdr file", path=path)
+    return np.ascontiguousarray(image[..., ::-1])
+
+
+def _read_exr_color(path: Path) -> NDArray[np.float32]:
+    channels = read_exr(path)
+    if not {"R", "G", "B"} <= set(channels):
+        raise ToolkitError(
+            "an environment map needs the channels R, G and B", path=path, value=sorted(channels)
+        )
+    return np.stack([channels[c].astype(np.float32) for c in "RGB"], axis=-1)
