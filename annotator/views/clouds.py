@@ -46,18 +46,29 @@ class Cloud:
 
 
 class CloudReader:
-    """The clouds of a scene; those of single frames are read at once, the fused one aside."""
+    """The clouds of a scene; those of single frames are read at once, the fused one aside.
+
+    Whatever they are made of may change while the session is open, such as by refining the scale of
+    the camera poses: then they are read anew.
+    """
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
         self._frames: OrderedDict[int, Cloud] = OrderedDict()
         self._fused: Cloud | None = None
         self._sparse: Cloud | None = None
-        self._fusing = False
+        # What is being fused, and why it could not be: of the scene as it is, or None.
+        self._fusing: object | None = None
+        self._problem: str | None = None
+        session = controller.session
+        self._made_of = session.scene.info, session.scene.frame_table, session.cameras
 
     def get(self, frame: int, source: CloudSource) -> Cloud:
         """The cloud to show; a note instead of points while it is being made."""
+        self._notice_changes()
         if source is CloudSource.FUSED and self._controller.session.posed:
+            if self._problem is not None:
+                return _only(f"{self._problem}\nPress U for the points of this frame.")
             return self._fused or _only("Bringing the points of many frames together ...")
         if frame not in self._frames:
             self._frames[frame] = self._read(frame)
@@ -67,24 +78,58 @@ class CloudReader:
         return self._frames[frame]
 
     def prepare(self, source: CloudSource) -> None:
-        """Begin to fuse, if that cloud is wanted and not there yet."""
-        controller = self._controller
-        wanted = source is CloudSource.FUSED and controller.session.posed
-        if not wanted or self._fused is not None or self._fusing:
-            return
-        self._fusing = True
-        scene = controller.session.scene
+        """Begin to fuse, if that cloud is wanted and not there yet.
 
-        def ended(cloud: Cloud) -> None:
-            self._fused, self._fusing = cloud, False
+        What failed is tried again once it was not wanted for a while: by asking for it anew.
+        """
+        self._notice_changes()
+        controller = self._controller
+        if source is not CloudSource.FUSED or not controller.session.posed:
+            self._problem = None
+            return
+        if self._fused is not None or self._fusing is not None or self._problem is not None:
+            return
+        mine = self._fusing = object()
+        # Of its own: saving reads the documents of the session's scene anew.
+        scene = controller.session.snapshot().scene
+
+        def work(task: Task) -> Cloud | str:
+            try:
+                return _fuse(scene, task)
+            except ToolkitError as error:
+                return str(error)
+            except Exception as error:  # such as too little memory; told, and can be tried again
+                return f"The points cannot be brought together: {type(error).__name__}: {error}"
+
+        def ended(found: Cloud | str) -> None:
+            if self._fusing is not mine:
+                return  # of a scene that has changed since
+            self._fusing = None
+            if isinstance(found, Cloud):
+                self._fused = found
+            else:
+                self._problem = found
+                controller.tell(found, "warning")
             controller.emit(Event("view"))
 
-        controller.start_aside("Point cloud of many frames", lambda task: _fuse(scene, task), ended)
+        controller.start_aside("Point cloud of many frames", work, ended)
 
     def clear(self) -> None:
-        """Forget the clouds, as when the camera poses have changed."""
+        """Forget the clouds, and what is being made of them."""
         self._frames.clear()
-        self._fused = self._sparse = None
+        self._fused = self._sparse = self._fusing = self._problem = None
+
+    def _notice_changes(self) -> None:
+        """Forget what was made of other documents; labels and meshes take no part in clouds."""
+        session = self._controller.session
+        made_of = session.scene.info, session.scene.frame_table, session.cameras
+        if all(a is b for a, b in zip(made_of, self._made_of, strict=True)):
+            return
+        (*documents, cameras), (*earlier, before) = made_of, self._made_of
+        self._made_of = made_of
+        # Saving reads the documents anew: they are others then, and mostly equal.
+        if documents != earlier or cameras is not before:
+            self.clear()
 
     def _read(self, frame_id: int) -> Cloud:
         from std_toolkit.labels.support.cloud import frame_cloud
@@ -122,22 +167,17 @@ class CloudReader:
 
 
 def _fuse(scene: Scene, task: Task) -> Cloud:
-    from std_toolkit.labels.support.cloud import FusionCancelled, fuse_clouds
+    from std_toolkit.labels.support.cloud import fuse_clouds
 
     frames = scene.registered_frames()
     every = max(1, -(-len(frames) // MOST_FRAMES))
-    try:
-        fused = fuse_clouds(
-            scene,
-            frames[::every],
-            limit=MOST_POINTS,
-            progress=task.progress,
-            cancel=lambda: task.cancelled,
-        )
-    except FusionCancelled:
-        return _only("The points of many frames are no longer asked for.")
-    except ToolkitError as error:
-        return _only(str(error))
+    fused = fuse_clouds(
+        scene,
+        frames[::every],
+        limit=MOST_POINTS,
+        progress=task.progress,
+        cancel=lambda: task.cancelled,
+    )
     return _shuffled(fused.points, fused.colors, in_world=True, spacing_m=fused.voxel_m)
 
 
