@@ -1,0 +1,157 @@
+"""A shape that scenes are made of, in its canonical frame."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.symmetry import Symmetry
+from std_toolkit.scene.model import CATEGORY_CLASS_IDS
+from std_toolkit.scene.names import check_name
+
+if TYPE_CHECKING:
+    import trimesh
+
+Array = NDArray[np.float64]
+NO_SYMMETRY = Symmetry()
+# Full turns about the vertical axis through the centre.
+TURN_Y = Symmetry(continuous=(((0.0, 1.0, 0.0), (0.0, 0.0, 0.0)),))
+# How far a mesh may be from the canonical frame: the rounding of float32 files.
+_TOLERANCE = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Asset:
+    """One instance of a category.
+
+    The mesh is in the canonical frame of NOCS and ShapeNet: bounding box centred at the origin,
+    its diagonal 1, y up. Multiplied by a diagonal in metres it is an object (`scaled`). Shapes
+    with a front have it towards -z; the handle of a mug made here is towards +x.
+
+    Attributes:
+        id: safe name, unique within its source; `AssetSource.load` takes it.
+        category: such as "mug".
+        mesh: triangles of the surface; its visual is left aside. Watertight where the source's is.
+        symmetry: in the canonical frame.
+        face_colors: (F, 3) uint8 RGB of each face, or None.
+        corner_uv: (F, 3, 2) float32 texture coordinates of each face's corners, u right and v up
+            (they may leave [0, 1] where the texture repeats), or None.
+        texture: (H, W, 3) uint8 RGB picture for `corner_uv`, first row at v = 1, or None.
+        diagonal_m: the real object's bounding-box diagonal in metres where the source knows it.
+
+    Raises:
+        ToolkitError: a mesh without faces or outside the canonical frame, arrays of other lengths.
+    """
+
+    id: str
+    category: str
+    mesh: trimesh.Trimesh
+    symmetry: Symmetry = NO_SYMMETRY
+    face_colors: NDArray[np.uint8] | None = None
+    corner_uv: NDArray[np.float32] | None = None
+    texture: NDArray[np.uint8] | None = None
+    diagonal_m: float | None = None
+
+    def __post_init__(self) -> None:
+        check_name(self.id, field="id")
+        check_name(self.category, field="category")
+        count = len(self.mesh.faces)
+        if count == 0:
+            raise ToolkitError("the asset has no faces", field="mesh", value=self.id)
+        low, high = _bounds(self.vertices, self.faces)
+        if np.abs(low + high).max() > _TOLERANCE or abs(np.linalg.norm(high - low) - 1) > 1e-4:
+            raise ToolkitError(
+                "the asset is not centred with a bounding-box diagonal of 1",
+                field="mesh",
+                value=(self.id, low.tolist(), high.tolist()),
+            )
+        for name, array, shape in (
+            ("face_colors", self.face_colors, (count, 3)),
+            ("corner_uv", self.corner_uv, (count, 3, 2)),
+        ):
+            if array is not None and array.shape != shape:
+                raise ToolkitError(
+                    f"must have the shape {shape}", field=name, value=tuple(array.shape)
+                )
+        if self.texture is not None and (self.texture.ndim != 3 or self.corner_uv is None):
+            raise ToolkitError("a texture is (H, W, 3) and needs corner_uv", field="texture")
+
+    @property
+    def class_id(self) -> int:
+        """Number of the category in the DREDS and STD layouts; 0 for all others."""
+        return CATEGORY_CLASS_IDS.get(self.category, 0)
+
+    @property
+    def vertices(self) -> Array:
+        """(V, 3) canonical coordinates."""
+        return np.asarray(self.mesh.vertices, dtype=np.float64)
+
+    @property
+    def faces(self) -> NDArray[np.int64]:
+        """(F, 3) vertex indices, counter-clockwise from outside."""
+        return np.asarray(self.mesh.faces, dtype=np.int64)
+
+    @cached_property
+    def content_hash(self) -> str:
+        """Hexadecimal SHA-256 of the geometry alone: what collision bodies are kept by."""
+        digest = hashlib.sha256(b"asset-geometry-1")
+        digest.update(self.vertices.astype("<f8").tobytes())
+        digest.update(self.faces.astype("<i8").tobytes())
+        return digest.hexdigest()
+
+    def scaled(self, diagonal_m: float) -> trimesh.Trimesh:
+        """The object with a bounding-box diagonal in metres, still centred and y up."""
+        import trimesh
+
+        return trimesh.Trimesh(self.vertices * diagonal_m, self.faces, process=False)
+
+
+def canonical_frame(
+    vertices: NDArray[np.floating], faces: NDArray[np.integer]
+) -> tuple[Array, float]:
+    """Vertices moved and scaled so that the bounding box is centred with a diagonal of 1.
+
+    They come out rounded to float32, so that a file of them holds the same numbers.
+
+    Args:
+        vertices: (V, 3); those that no face uses have no part in the box.
+        faces: (F, 3) vertex indices.
+
+    Returns:
+        (V, 3) canonical vertices, and the diagonal that they had.
+
+    Raises:
+        ToolkitError: all vertices in one place.
+    """
+    v = np.asarray(vertices, dtype=np.float64)
+    low, high = _bounds(v, faces)
+    diagonal = float(np.linalg.norm(high - low))
+    if not diagonal > 0:
+        raise ToolkitError("all vertices of the mesh lie in one place", field="mesh")
+    canonical = (v - (low + high) / 2) / diagonal
+    return canonical.astype(np.float32).astype(np.float64), diagonal
+
+
+def welded(
+    vertices: Array, faces: NDArray[np.integer]
+) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_]]:
+    """Vertices at one place made one, faces that vanish by that left out.
+
+    Returns:
+        (P, 3) distinct vertices, (K, 3) faces of them, and (F,) which faces these are.
+    """
+    places, place_of = np.unique(vertices, axis=0, return_inverse=True)
+    corners = place_of.reshape(-1)[faces].astype(np.int64)
+    kept = (corners != np.roll(corners, 1, axis=1)).all(axis=1)
+    return places, corners[kept], kept
+
+
+def _bounds(vertices: Array, faces: NDArray[np.integer]) -> tuple[Array, Array]:
+    used = vertices[np.unique(faces)]
+    return used.min(axis=0), used.max(axis=0)
