@@ -1,0 +1,159 @@
+"""What stands in a scene: objects, sizes, materials, light and floor, drawn from its seed.
+
+Every aspect has random numbers of its own, so that a switch which changes the materials leaves
+shapes, sizes, places and light as they were: ablations differ in what they switch, nothing else.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from sensors.assets import Asset, AssetSource, draw_diagonal
+from sensors.lighting import EnvironmentSource, FloorDraw, LightingDraw, draw_floor, draw_lighting
+from sensors.lighting.environment import EnvironmentMap
+from sensors.materials import DrawnMaterial, draw_material, draw_material_class
+from sensors.simulation.options import SimulationOptions
+from std_toolkit.errors import ToolkitError
+
+Aspect = Literal["objects", "sizes", "materials", "light", "floor", "drop", "views", "noise"]
+ASPECTS: tuple[Aspect, ...] = (
+    "objects",
+    "sizes",
+    "materials",
+    "light",
+    "floor",
+    "drop",
+    "views",
+    "noise",
+)
+# In every scene of DREDS, and the only ones that may be transparent.
+ALWAYS = ("bottle", "bowl", "mug")
+SOMETIMES = ("camera", "can", "car", "aeroplane")
+DISTRACTOR = "other"
+SOMETIMES_COUNT = (1, 4)
+DISTRACTOR_COUNT = (1, 3)
+
+
+class ObjectDraw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """An object of a scene.
+
+    Attributes:
+        instance: 1, 2, ...: its value in the masks.
+        asset: id within the asset source.
+        category: of the asset.
+        diagonal_m: of its bounding box, metres.
+        material: its surface.
+    """
+
+    instance: int
+    asset: str
+    category: str
+    diagonal_m: float
+    material: DrawnMaterial
+
+
+class SceneDraw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """All that is drawn at random before anything moves or is rendered.
+
+    Attributes:
+        seed: of the scene.
+        objects: in the order of their instances.
+        floor: the material of the floor.
+        light: of each view.
+    """
+
+    seed: int
+    objects: list[ObjectDraw]
+    floor: FloorDraw
+    light: list[LightingDraw]
+
+
+def generator(seed: int, aspect: Aspect) -> np.random.Generator:
+    """Random numbers of one aspect of one scene.
+
+    Raises:
+        ToolkitError: a negative seed.
+    """
+    if seed < 0:
+        raise ToolkitError("must not be negative", field="seed", value=seed)
+    return np.random.default_rng([seed, ASPECTS.index(aspect)])
+
+
+def draw_scene(
+    seed: int,
+    options: SimulationOptions,
+    assets: AssetSource,
+    environments: EnvironmentSource,
+) -> tuple[SceneDraw, list[Asset], EnvironmentMap]:
+    """Draw a scene.
+
+    Returns:
+        What was drawn, the assets in the order of the objects, and the scene's environment map.
+
+    Raises:
+        ToolkitError: the sources lack what is asked for.
+    """
+    chosen = _draw_assets(generator(seed, "objects"), options, assets)
+    sizes, looks = generator(seed, "sizes"), generator(seed, "materials")
+    objects = []
+    for instance, asset in enumerate(chosen, start=1):
+        # A seed for each object: one more random number in a material changes no other object.
+        rng = np.random.default_rng(int(looks.integers(2**63)))
+        material_class = draw_material_class(rng, asset.category, allowed=options.material_classes)
+        objects.append(
+            ObjectDraw(
+                instance=instance,
+                asset=asset.id,
+                category=asset.category,
+                diagonal_m=draw_diagonal(sizes, asset),
+                material=draw_material(rng, material_class, textured=asset.texture is not None),
+            )
+        )
+    rng = generator(seed, "light")
+    environment = environments.draw(rng)
+    light = [draw_lighting(rng, environment.name) for _ in range(options.views)]
+    floor = draw_floor(generator(seed, "floor"), folder=options.floors, split=options.split)
+    return SceneDraw(seed=seed, objects=objects, floor=floor, light=light), chosen, environment
+
+
+def draw_categories(
+    rng: np.random.Generator, options: SimulationOptions, known: tuple[str, ...]
+) -> list[str]:
+    """Categories of a scene's objects: one bottle, bowl and mug each, at most one of the others.
+
+    Args:
+        rng: consumed.
+        options: the number of objects lies within its limits.
+        known: categories of the asset source; what it lacks is left out, and a source of other
+            categories gives any of them.
+
+    Raises:
+        ToolkitError: there is no category at all.
+    """
+    if not known:
+        raise ToolkitError("the asset source has no categories", field="assets")
+    named = [c for c in (*ALWAYS, *SOMETIMES) if c in known]
+    if not named:
+        count = int(rng.integers(options.min_objects, options.max_objects + 1))
+        return [known[int(i)] for i in rng.integers(len(known), size=count)]
+    always = [c for c in ALWAYS if c in known]
+    others = [c for c in SOMETIMES if c in known]
+    low, high = SOMETIMES_COUNT
+    count = min(int(rng.integers(low, high + 1)), len(others))
+    picked = [others[int(i)] for i in np.sort(rng.permutation(len(others))[:count])]
+    spare = [c for c in known if c not in (*ALWAYS, *SOMETIMES)]
+    low, high = DISTRACTOR_COUNT
+    extra = int(rng.integers(low, high + 1))
+    extra = max(extra, options.min_objects - len(always) - count)
+    distractors = [spare[int(i)] for i in rng.integers(len(spare), size=extra)] if spare else []
+    return [*always, *picked, *distractors][: options.max_objects]
+
+
+def _draw_assets(
+    rng: np.random.Generator, options: SimulationOptions, source: AssetSource
+) -> list[Asset]:
+    categories = draw_categories(rng, options, tuple(source.categories()))
+    return [source.sample(rng, category) for category in categories]

@@ -1,0 +1,83 @@
+"""What a simulated data set is made of, and the switches of the ablations."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+
+from sensors.materials import MATERIAL_CLASSES, MaterialClass
+from std_toolkit.errors import ToolkitError
+
+Count = Annotated[int, msgspec.Meta(ge=1)]
+ViewOrder = Literal["random", "arc", "spiral"]
+DepthInput = Literal["sensor", "cut"]
+MaterialSwitch = Literal["mixed", "fixed", "opaque"]
+
+
+class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One data set. Together with a scene's seed these numbers decide every pixel of it.
+
+    Attributes:
+        sensor: built-in specification ("d415", ...) or path of one.
+        views: frames of a scene.
+        order: viewpoints drawn independently, or along a smooth way ("arc", "spiral"), as the
+            curation pipeline needs them.
+        width, height: of the infrared images, the depth and the labels.
+        color_factor: the colour image is so many times as large.
+        min_objects, max_objects: objects of a scene, distractors among them.
+        assets, assets_root: asset source and the folder of its files.
+        environments: folder of environment maps; None for the procedural ones.
+        floors: folder of floor images; None for procedural textures.
+        split: which assets, maps and floors: "train" and "test" share none.
+        quality: samples per pixel, see `sensors.render`.
+        matcher: stereo matcher, see `sensors.stereo`.
+        materials: "mixed" as in DREDS; "fixed": objects keep their own look, class raw; "opaque":
+            no transparent ones.
+        infrared_noise: shot and read noise in the infrared images.
+        depth: "sensor", or "cut": exact depth from which transparent and specular objects are
+            cut out, the input that needs no sensor simulation.
+    """
+
+    sensor: str = "d415"
+    views: Count = 30
+    order: ViewOrder = "random"
+    width: Count = 640
+    height: Count = 360
+    color_factor: Annotated[int, msgspec.Meta(ge=1, le=4)] = 1
+    min_objects: Count = 6
+    max_objects: Count = 10
+    assets: str = "procedural"
+    assets_root: str | None = None
+    environments: str | None = None
+    floors: str | None = None
+    split: Literal["train", "test", "all"] = "train"
+    quality: str = "draft"
+    matcher: str = "local"
+    materials: MaterialSwitch = "mixed"
+    infrared_noise: bool = True
+    depth: DepthInput = "sensor"
+
+    def __post_init__(self) -> None:
+        for name in ("views", "width", "height", "color_factor", "min_objects"):
+            if getattr(self, name) < 1:
+                raise ToolkitError("must be at least 1", field=name, value=getattr(self, name))
+        if self.min_objects > self.max_objects:
+            raise ToolkitError(
+                "must not exceed max_objects", field="min_objects", value=self.min_objects
+            )
+        if self.max_objects > 20:
+            raise ToolkitError(
+                "the DREDS layout tells at most 20 objects apart",
+                field="max_objects",
+                value=self.max_objects,
+            )
+
+    @property
+    def material_classes(self) -> tuple[MaterialClass, ...]:
+        """The classes that `materials` leaves."""
+        if self.materials == "fixed":
+            return ("raw",)
+        if self.materials == "opaque":
+            return tuple(c for c in MATERIAL_CLASSES if c != "transparent")
+        return MATERIAL_CLASSES

@@ -1,0 +1,91 @@
+"""What a seed decides, and what the switches of the ablations change of it."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import msgspec
+import numpy as np
+import pytest
+
+from sensors.assets import open_source
+from sensors.lighting import environment_source
+from sensors.simulation.draw import (
+    ALWAYS,
+    SOMETIMES,
+    SceneDraw,
+    draw_categories,
+    draw_scene,
+    generator,
+)
+from sensors.simulation.options import SimulationOptions
+from std_toolkit.errors import ToolkitError
+
+OPTIONS = SimulationOptions(views=3)
+KNOWN = (*ALWAYS, *SOMETIMES, "other")
+
+
+def drawn(seed: int, options: SimulationOptions = OPTIONS) -> SceneDraw:
+    return draw_scene(seed, options, open_source("procedural"), environment_source())[0]
+
+
+def test_a_seed_is_a_scene() -> None:
+    assert drawn(5) == drawn(5)
+    assert drawn(5) != drawn(6)
+    assert msgspec.json.decode(msgspec.json.encode(drawn(5)), type=SceneDraw) == drawn(5)
+
+
+@pytest.mark.parametrize("materials", ["fixed", "opaque"])
+def test_other_materials_leave_everything_else_as_it_was(materials: str) -> None:
+    """Ablations differ in what they switch and in nothing else."""
+    plain = drawn(2)
+    switched = drawn(2, msgspec.structs.replace(OPTIONS, materials=materials))
+    assert [
+        msgspec.structs.replace(o, material=p.material)
+        for o, p in zip(switched.objects, plain.objects, strict=True)
+    ] == plain.objects
+    assert (switched.floor, switched.light) == (plain.floor, plain.light)
+    classes = {o.material.material_class for o in switched.objects}
+    assert classes <= ({"raw"} if materials == "fixed" else {"raw", "diffuse", "specular"})
+
+
+def test_scenes_hold_what_those_of_dreds_hold() -> None:
+    counts = []
+    for seed in range(300):
+        categories = draw_categories(generator(seed, "objects"), OPTIONS, KNOWN)
+        each = Counter(categories)
+        assert all(each[c] == 1 for c in ALWAYS)
+        assert all(each[c] <= 1 for c in SOMETIMES)
+        assert 1 <= sum(each[c] for c in SOMETIMES) <= 4
+        assert each["other"] >= 1
+        counts.append(len(categories))
+    assert set(counts) == {6, 7, 8, 9, 10}
+
+
+def test_sources_with_other_categories_serve_as_well() -> None:
+    categories = draw_categories(np.random.default_rng(0), OPTIONS, ("drill", "clamp"))
+    assert set(categories) == {"drill", "clamp"}
+    assert 6 <= len(categories) <= 10
+    only_mugs = draw_categories(np.random.default_rng(0), OPTIONS, ("mug",))
+    assert only_mugs == ["mug"]
+
+
+def test_only_vessels_are_transparent_and_instances_are_counted() -> None:
+    for seed in range(6):
+        scene = drawn(seed)
+        assert [o.instance for o in scene.objects] == list(range(1, len(scene.objects) + 1))
+        for thing in scene.objects:
+            if thing.material.material_class == "transparent":
+                assert thing.category in ALWAYS
+        assert len(scene.light) == OPTIONS.views
+
+
+def test_bad_options_name_the_field() -> None:
+    with pytest.raises(ToolkitError, match="min_objects"):
+        SimulationOptions(min_objects=8, max_objects=7)
+    with pytest.raises(ToolkitError, match="max_objects"):
+        SimulationOptions(max_objects=21)
+    with pytest.raises(ToolkitError, match="seed"):
+        generator(-1, "drop")
+    with pytest.raises(ToolkitError, match="no categories"):
+        draw_categories(np.random.default_rng(0), OPTIONS, ())
