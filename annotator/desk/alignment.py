@@ -6,26 +6,26 @@ meanwhile keeps the hand's pose: the person is told, and nothing is overwritten.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 from annotator.desk.controller import Controller
 from annotator.desk.events import Event
 from annotator.desk.runner import Task
-from annotator.placing.mesh_name import model_names
 from annotator.session import ClearPose
-from std_toolkit.errors import ToolkitError
+from annotator.session.propagating import carry_labels
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from annotator.session import Snapshot
     from annotator.session.merging import Side
     from annotator.session.requests import Outcome, Request
     from std_toolkit.labels.propagate import PropagateOptions
 
 Unit = Literal["m", "cm", "mm"]
+# What the residuals of objects that are not selected are measured under.
+OTHER_RESIDUALS = "Residuals of the others"
 
 
 def refine(controller: Controller, *, all_objects: bool = False) -> None:
@@ -97,36 +97,61 @@ def perform(
 def measure_residuals(controller: Controller, *, delay: float = 0.0) -> None:
     """Measure the selected object against the edges and the depth of the frames in the views.
 
+    Others whose poses changed follow, in the background: refining all changes all.
+
     Args:
         delay: seconds to wait first, as when it moves with every key.
     """
-    from annotator.session.residuals import FrameResidual, measure_residuals
-
     name = controller.selected
     if name is None or not controller.session.object(name).placements:
-        return
+        _measure_others(controller, delay=delay)
+    else:
+        _measure(controller, "Residuals", [name], _measure_others, delay=delay)
+
+
+def _measure_others(controller: Controller, *, delay: float = 0.0) -> None:
+    state = controller.session.state
+    names = [o.name for o in state.objects if o.name in controller.unmeasured and o.placements]
+    if names:
+        _measure(controller, OTHER_RESIDUALS, names, lambda _: None, delay=delay)
+
+
+def _measure(
+    controller: Controller,
+    key: str,
+    names: Sequence[str],
+    then: Callable[[Controller], None],
+    *,
+    delay: float,
+) -> None:
+    """Measure objects, and `then` go on."""
+    from annotator.session.residuals import FrameResidual, measure_residuals
+
     snapshot = controller.session.snapshot()
     frames = list(dict.fromkeys(controller.view_frames))
-    thing = controller.session.object(name)
+    things = [snapshot.object(n) for n in names]
 
-    def work(task: Task) -> list[FrameResidual]:
-        poses = {o.id: partial(snapshot.pose, o.name) for o in snapshot.state.objects}
-        meshes = {o.id: snapshot.mesh(o.model) for o in snapshot.state.objects if o.placements}
-        rows: list[FrameResidual] = []
-        for frame in frames:
-            if not task.cancelled:
-                rows += measure_residuals(
-                    snapshot.scene, poses, thing.id, thing.material, meshes, [frame]
-                )
-        return rows
+    def work(task: Task) -> dict[int, list[FrameResidual]]:
+        return measure_residuals(
+            snapshot.scene,
+            {o.id: partial(snapshot.pose, o.name) for o in snapshot.state.objects},
+            {o.id: o.material for o in things},
+            {o.id: snapshot.mesh(o.model) for o in snapshot.state.objects if o.placements},
+            frames,
+            cancelled=lambda: task.cancelled,
+        )
 
-    def finish(rows: list[FrameResidual]) -> None:
-        now = next((o for o in controller.session.state.objects if o.name == name), None)
-        if now is not None and now.placements == thing.placements:
-            controller.residuals[name] = rows
-            controller.emit(Event("residuals", objects=(name,)))
+    def finish(rows: dict[int, list[FrameResidual]]) -> None:
+        now = {o.name: o.placements for o in controller.session.state.objects}
+        measured = [o for o in things if now.get(o.name) == o.placements]
+        for thing in measured:
+            controller.residuals[thing.name] = rows[thing.id]
+            controller.unmeasured.discard(thing.name)
+        if measured:
+            controller.emit(Event("residuals", objects=tuple(o.name for o in measured)))
+        then(controller)
 
-    controller.start_aside("Residuals", work, finish, delay=delay)
+    controller.start_aside(key, work, finish, delay=delay)
 
 
 def toggle_done(controller: Controller) -> None:
@@ -174,34 +199,12 @@ def propagate(controller: Controller, options: PropagateOptions | None = None) -
     if not save(controller):
         return
 
-    def work(_: Task) -> list[str]:
-        from std_toolkit.labels.propagate import propagate_labels
-        from std_toolkit.labels.summary import label_lines
-        from std_toolkit.scene import Scene
-
-        scene = Scene.open(session.scene.root)
-        return list(label_lines(scene, propagate_labels(scene, options)))
-
-    def finish(lines: list[str]) -> None:
+    def finish(lines: tuple[str, ...]) -> None:
         session.reload("Propagate")
-        told = "; ".join(line.strip() for line in lines)
-        controller.tell(f"Carried to {len(session.frames)} frames: {told}.")
+        controller.tell(f"Carried to {len(session.frames)} frames: {'; '.join(lines)}.")
 
-    controller.start("Propagate", work, finish, alone=True)
-
-
-def _imported(snapshot: Snapshot, path: Path, unit: Unit) -> Outcome:
-    """The same file twice is one model; another mesh of the same name gets a number."""
-    from annotator.session.requests import ImportMesh
-
-    for name in model_names(path):
-        known = next((m for m in snapshot.state.models if m.id == name), None)
-        try:
-            return ImportMesh(mesh=str(path), unit=unit, model=name).resolve(snapshot)
-        except ToolkitError as error:
-            if known is None or "another mesh" not in error.problem:
-                raise
-    raise AssertionError("names do not end")
+    root = session.scene.root
+    controller.start("Propagate", lambda _: carry_labels(root, options), finish, alone=True)
 
 
 def import_meshes(controller: Controller, files: Sequence[tuple[Path, Unit]]) -> None:
@@ -211,6 +214,7 @@ def import_meshes(controller: Controller, files: Sequence[tuple[Path, Unit]]) ->
         files: each with the unit of its numbers.
     """
     from annotator.session.edits import EnterModel, SingleEdit, Together
+    from annotator.session.requests import ImportMesh
 
     start = controller.session.snapshot()
     names = _listed([path.name for path, _ in files])
@@ -220,7 +224,7 @@ def import_meshes(controller: Controller, files: Sequence[tuple[Path, Unit]]) ->
         report: list[str] = []
         snapshot = start
         for place, (path, unit) in enumerate(files):
-            outcome = _imported(snapshot, path, unit)
+            outcome = ImportMesh(mesh=str(path), unit=unit).resolve(snapshot)
             assert isinstance(outcome.edit, EnterModel)
             edits.append(outcome.edit)
             # Two files of one name must not become one model.

@@ -1,1 +1,1 @@
-"""Where a mesh comes to lie when it is added: its unit, its name, its first pose."""
+"""Where a mesh comes to lie when it is added: its unit, its first pose, which way up it stands."""

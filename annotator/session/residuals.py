@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from std_toolkit.checks.caster import LabelCaster
 from std_toolkit.checks.contours import trace_contour
@@ -48,72 +50,98 @@ class FrameResidual:
 def measure_residuals(
     scene: Scene,
     poses: Mapping[int, Callable[[int], SE3 | None]],
-    object_id: int,
-    material: str,
+    materials: Mapping[int, str],
     meshes: Mapping[int, object],
     frames: Sequence[int],
-) -> list[FrameResidual]:
-    """Residuals of one object in several frames, its neighbours hiding what they hide.
+    *,
+    cancelled: Callable[[], bool] = lambda: False,
+) -> dict[int, list[FrameResidual]]:
+    """Residuals of objects in several frames, their neighbours hiding what they hide.
+
+    Several objects take little longer than one: images are read once.
 
     Args:
         poses: object id to T_cam_obj by frame id; None where it has none.
-        object_id: the object to measure.
-        material: depth is compared on "raw" and "diffuse" objects only.
+        materials: by the ids of the objects to measure; depth is compared on "raw" and "diffuse"
+            ones only.
         meshes: object id to mesh, metres.
-        frames: ids; those in which the object has no pose are left out.
+        frames: ids; those in which an object has no pose are left out.
+        cancelled: asked now and then; what was measured until then comes back.
+
+    Returns:
+        By object id.
     """
-    rows = []
+    rows: dict[int, list[FrameResidual]] = {i: [] for i in materials}
     for frame in frames:
         placed = {i: T for i, pose in poses.items() if (T := pose(frame)) is not None}
-        if object_id in placed:
+        wanted = [i for i in materials if i in placed]
+        view = _View(scene, frame, placed, meshes) if wanted else None
+        for i in wanted:
+            if cancelled():
+                return rows
+            assert view is not None
             try:
-                rows.append(_measure(scene, placed, object_id, material, meshes, frame))
+                rows[i].append(view.measure(i, materials[i]))
             except ToolkitError as error:
-                rows.append(FrameResidual(frame, problem=str(error)))
+                rows[i].append(FrameResidual(frame, problem=str(error)))
     return rows
 
 
-def _measure(
-    scene: Scene,
-    placed: Mapping[int, SE3],
-    object_id: int,
-    material: str,
-    meshes: Mapping[int, object],
-    frame_id: int,
-) -> FrameResidual:
-    frame = scene.frame(frame_id)
-    camera, eye = scene.camera(frame), SE3.identity()
-    caster = LabelCaster(
-        {
-            i: (T @ np.asarray(meshes[i].vertices), np.asarray(meshes[i].faces))  # type: ignore[attr-defined]
-            for i, T in placed.items()
-        }
-    )
-    window = caster.window(object_id, camera, eye)
-    if window is None:
-        return FrameResidual(frame_id, problem="out of view")
-    x0, y0, x1, y1 = window
-    v, u = np.mgrid[y0:y1, x0:x1]
-    hits = caster.cast(camera, eye, np.stack([u, v], axis=-1).astype(np.float64))
-    mask = hits.object_id == object_id
-    visible = int(mask.sum())
-    contour = trace_contour(caster, camera, eye, object_id, mask, origin=(x0, y0))
-    if visible == 0 or contour is None:
-        return FrameResidual(frame_id, visible, problem="hidden")
-    image = scene.read_color(frame)
-    profiles = read_profiles(
-        smooth_image(image), contour, reach_px=REACH_PX, noise=noise_level(image)
-    )
-    edges = edge_distance(profiles) if profiles is not None else None
-    depth_mm = None
-    if material in DIFFUSE_MATERIALS and (sensor := scene.read_depth(frame)) is not None:
-        found = depth_residual(hits.depth, sensor[y0:y1, x0:x1], mask)
-        depth_mm = None if found is None else 1000 * found.median_m
-    return FrameResidual(
-        frame_id,
-        visible,
-        edges.median_px if edges else None,
-        edges.chance_px if edges else None,
-        edges.support if edges else 0.0,
-        depth_mm,
-    )
+class _View:
+    """One frame with what is placed in it; its images are read when they are first needed."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        frame_id: int,
+        placed: Mapping[int, SE3],
+        meshes: Mapping[int, object],
+    ) -> None:
+        self._scene, self._frame = scene, scene.frame(frame_id)
+        self._caster = LabelCaster(
+            {
+                i: (T @ np.asarray(meshes[i].vertices), np.asarray(meshes[i].faces))  # type: ignore[attr-defined]
+                for i, T in placed.items()
+            }
+        )
+
+    @cached_property
+    def _image(self) -> tuple[NDArray[np.floating], float]:
+        """The image as edges are looked for in it, and its noise."""
+        image = self._scene.read_color(self._frame)
+        return smooth_image(image), noise_level(image)
+
+    @cached_property
+    def _depth(self) -> NDArray[np.float32] | None:
+        return self._scene.read_depth(self._frame)
+
+    def measure(self, object_id: int, material: str) -> FrameResidual:
+        """Raises ToolkitError for an image that cannot be read."""
+        frame_id, caster = self._frame.id, self._caster
+        camera, eye = self._scene.camera(self._frame), SE3.identity()
+        window = caster.window(object_id, camera, eye)
+        if window is None:
+            return FrameResidual(frame_id, problem="out of view")
+        x0, y0, x1, y1 = window
+        v, u = np.mgrid[y0:y1, x0:x1]
+        hits = caster.cast(camera, eye, np.stack([u, v], axis=-1).astype(np.float64))
+        mask = hits.object_id == object_id
+        visible = int(mask.sum())
+        contour = trace_contour(caster, camera, eye, object_id, mask, origin=(x0, y0))
+        if visible == 0 or contour is None:
+            return FrameResidual(frame_id, visible, problem="hidden")
+        smooth, noise = self._image
+        profiles = read_profiles(smooth, contour, reach_px=REACH_PX, noise=noise)
+        edges = edge_distance(profiles) if profiles is not None else None
+        depth_mm = None
+        if material in DIFFUSE_MATERIALS and self._depth is not None:
+            found = depth_residual(hits.depth, self._depth[y0:y1, x0:x1], mask)
+            depth_mm = None if found is None else 1000 * found.median_m
+        return FrameResidual(
+            frame_id,
+            visible,
+            edges.median_px if edges else None,
+            edges.chance_px if edges else None,
+            edges.support if edges else 0.0,
+            depth_mm,
+        )

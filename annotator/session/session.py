@@ -17,6 +17,7 @@ from annotator.session.editing import Change, Editing
 from annotator.session.journal import Reread, Resumed, Saved, TakenOver
 from annotator.session.ledger import Effect
 from annotator.session.merging import Side, Version, conflicts
+from annotator.session.propagating import carry_labels
 from annotator.session.recorder import Recorder
 from annotator.session.recovery import Recovery
 from annotator.session.saving import SaveReport, documents_of, write_documents
@@ -47,7 +48,7 @@ class PropagateReport:
     lines: tuple[str, ...]
 
     def __str__(self) -> str:
-        return "; ".join(line.strip() for line in self.lines) + "."
+        return f"{'; '.join(self.lines)}."
 
 
 class SaveConflict(ToolkitError):
@@ -231,14 +232,10 @@ class Session(Editing):
         Raises:
             ToolkitError: as `save` and `std_toolkit.labels.propagate.propagate_labels`.
         """
-        from std_toolkit.labels.propagate import propagate_labels
-        from std_toolkit.labels.summary import label_lines
-
         saved = self.save()
-        scene = Scene.open(self.scene.root)
-        labels = propagate_labels(scene, options)
+        lines = carry_labels(self.scene.root, options)
         self.reload("Propagate")
-        return PropagateReport(saved, tuple(label_lines(scene, labels)))
+        return PropagateReport(saved, lines)
 
     def export_edits(self, path: Path | str) -> None:
         """Write a script that makes the session's edits in force again, here or elsewhere.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -29,6 +30,7 @@ from annotator.web.stream import StreamedPlotter
 from annotator.web.thumbnails import Thumbnails
 from annotator.web.told import Drop, Key, Pointer
 from annotator.web.typed_number import type_number
+from std_toolkit.log import logger
 
 # The panels follow the mouse, and the work under way, no oftener than this.
 REFRESH_S, BUSY_S = 0.05, 0.25
@@ -99,14 +101,22 @@ class FrontEnd:
         )
 
     def close(self) -> None:
-        """End what runs; the session is the caller's."""
-        if self.controller.task is not None:
-            self.controller.task.cancel()
+        """End what runs; the session is the caller's.
+
+        What writes to the scene is waited for: whoever closes the session then lets others have it.
+        """
+        task = self.controller.task
+        if task is not None:
+            task.cancel()
         self._thumbnails.close()
         self._upkeep.close()
         self._picker.close()
         self._views.close()
-        self._runner.close()
+        if task is not None and task.alone:
+            logger.info("%s: ends when it is done", task.title)
+            self._runner.close(timeout=threading.TIMEOUT_MAX)
+        else:
+            self._runner.close()
         self._images.close()
         for stream in self._streams:
             stream.close()

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from annotator.session.edits import EnterModel
+from annotator.session.mesh_name import model_name
 from annotator.session.requests.base import Outcome, Request, Watch
 from annotator.session.snapshot import Snapshot
 from std_toolkit.errors import ToolkitError
@@ -21,8 +22,8 @@ class ImportMesh(Request, frozen=True, kw_only=True, tag="import_mesh"):
         mesh: path of the file.
         unit: of the file: "m", "cm" or "mm"; stored in metres.
         category: such as "mug".
-        model: id of the model; default: from the file's name, with a number where another mesh has
-            that id.
+        model: id of the model; default: from the file's name, or from its folder's for names such
+            as "textured", with a number where another mesh has that id.
         symmetry: as on the command line: "axis:z", "fold:z:4", a JSON file; default: none.
     """
 
@@ -62,7 +63,7 @@ class ImportMesh(Request, frozen=True, kw_only=True, tag="import_mesh"):
                     mesh_unit=self.unit,
                     category=self.category,
                     symmetry=symmetry,
-                    model_id=self.model,
+                    model_id=self.model or model_name(path),
                     number=self.model is None,
                 )
             except ToolkitError as error:

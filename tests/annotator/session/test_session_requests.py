@@ -119,6 +119,17 @@ class TestImportMesh:
         assert np.ptp(session.mesh("can_2").vertices, axis=0) == pytest.approx([0.1] * 3)
         assert np.ptp(session.mesh("can").vertices, axis=0) != pytest.approx([0.1] * 3)
 
+    def test_a_name_that_tells_nothing_gives_way_to_the_folder_s(
+        self, session: Session, tmp_path: Path
+    ) -> None:
+        for i, folder in enumerate(("006_mustard_bottle", "025_mug", "more/025_mug")):
+            path = tmp_path / folder / "textured.obj"
+            path.parent.mkdir(parents=True)
+            trimesh.creation.box((0.1, 0.1, 0.1 + 0.01 * i)).export(path)
+            session.perform(ImportMesh(mesh=str(path)))
+        ids = [m.id for m in session.state.models]
+        assert ids == ["006_mustard_bottle", "025_mug", "025_mug_2", "box"]
+
     def test_files_that_are_no_mesh_are_named(self, session: Session, tmp_path: Path) -> None:
         bad = tmp_path / "bad.obj"
         bad.write_text("not a mesh")

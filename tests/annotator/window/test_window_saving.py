@@ -11,6 +11,7 @@ from bench import Bench
 from PySide6.QtCore import Qt
 
 from annotator.session import Session
+from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.labels.label import set_pose
 from std_toolkit.scene import Scene
@@ -155,6 +156,37 @@ def test_an_edit_while_propagating_is_refused(bench: Bench) -> None:
     bench.qtbot.waitUntil(lambda: bench.controller.task is None)
     bench.press(Key.Key_Right)
     assert bench.pose().flat() != before
+
+
+def test_the_scene_is_nobody_else_s_before_its_labels_are_propagated(
+    bench: Bench, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import threading
+
+    from std_toolkit.labels import propagate
+
+    go_on, real = threading.Event(), propagate.propagate_labels
+
+    def held(scene: Scene, *args: object) -> object:
+        assert go_on.wait(30)
+        return real(scene, *args)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(propagate, "propagate_labels", held)
+    bench.answering("go")
+    bench.press("p", CONTROL)
+    bench.qtbot.waitUntil(lambda: bench.controller.task is not None)
+    for _ in range(2):  # who is told to wait tries again
+        assert not bench.shell.close()
+        assert "wait until it is done" in bench.message()
+        with pytest.raises(ToolkitError, match="another process is annotating"):
+            Session.open(root, annotator="next")
+    go_on.set()
+    bench.qtbot.waitUntil(lambda: bench.controller.task is None, timeout=20_000)
+    assert bench.shell.close()
+    with Session.open(root, annotator="next") as session:
+        assert session.recovery is None
+    label = Scene.open(root).labels.of(1)
+    assert label is not None and label.T_world_obj is not None
 
 
 def test_closing_while_something_is_computed_is_safe(bench: Bench, root: Path) -> None:

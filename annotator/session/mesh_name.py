@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import count
 from pathlib import Path
 
 from std_toolkit.scene.names import safe_name
@@ -14,16 +12,10 @@ _GENERIC = frozenset(
 )
 
 
-def model_names(path: Path) -> Iterator[str]:
-    """Ids for the model of a mesh file, the best first: its name, or its folder's; then numbered.
-
-    Endless, so that there is a free one.
-    """
+def model_name(path: Path) -> str:
+    """Id for the model of a mesh file: its name, or that of its folder where it tells nothing."""
     stem, folder = path.stem, path.resolve().parent.name
     words = stem.lower().replace("-", "_").split("_")
-    name = safe_name(
+    return safe_name(
         folder if folder and all(w in _GENERIC or w.isdigit() for w in words) else stem
     )
-    yield name
-    for number in count(2):
-        yield f"{name}_{number}"

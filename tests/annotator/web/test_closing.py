@@ -1,0 +1,60 @@
+"""The server ends: what writes to the scene ends first."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from pathlib import Path
+
+import pytest
+from scene_on_disk import write_scene
+
+pytest.importorskip("trame")
+
+from trame.app import get_server
+
+from annotator.desk import alignment
+from annotator.desk.runner import ThreadRunner
+from annotator.session import Session
+from annotator.web.front_end import FrontEnd
+from std_toolkit.errors import ToolkitError
+from std_toolkit.labels import propagate
+from std_toolkit.scene import Scene
+
+
+def test_the_scene_is_nobody_else_s_before_its_labels_are_propagated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = write_scene(tmp_path / "scene").root
+    began, closing = threading.Event(), threading.Event()
+    seen: list[str] = []
+    real = propagate.propagate_labels
+
+    def held(scene: Scene, *args: object) -> object:
+        began.set()
+        assert closing.wait(30)
+        # Longer than what can be cancelled is waited for.
+        threading.Event().wait(1.0)
+        try:
+            Session.open(root, annotator="other").close()
+        except ToolkitError as error:
+            seen.append(error.problem.split(":")[0])
+        labels = real(scene, *args)  # type: ignore[arg-type]
+        seen.append("propagated")
+        return labels
+
+    async def work(session: Session) -> None:
+        front_end = FrontEnd(get_server("closing", client_type="vue3"), session)
+        alignment.propagate(front_end.controller)
+        while not began.is_set():
+            await asyncio.sleep(0.01)
+        closing.set()
+        front_end.close()
+
+    monkeypatch.setattr(propagate, "propagate_labels", held)
+    monkeypatch.setattr(ThreadRunner.close, "__defaults__", (0.2,))
+    with Session.open(root, annotator="mk") as session:
+        asyncio.run(work(session))
+    assert seen == ["another process is annotating this scene", "propagated"]
+    with Session.open(root, annotator="other") as session:
+        assert session.recovery is None
