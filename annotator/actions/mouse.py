@@ -19,7 +19,11 @@ class MouseGesture:
 
 
 MOUSE = (
-    MouseGesture("Drag an object", "Move it across the view; also in the side views"),
+    MouseGesture(
+        "Drag an object",
+        "Move it across the view; also in the side views. The selected one is taken even where it "
+        "is behind another",
+    ),
     MouseGesture("Ctrl + drag an object", "Slide it along the table"),
     MouseGesture("Shift + drag an object", "Turn it like a ball"),
     MouseGesture("Drag a handle", "Move along an arrow, or turn along a ring"),
@@ -28,7 +32,7 @@ MOUSE = (
     MouseGesture("Wheel", "Zoom at the pointer"),
     MouseGesture("Drag the background", "Move the image; in the cloud: go around"),
     MouseGesture("Middle or right drag", "Move the image or the cloud"),
-    MouseGesture("Click an object", "Select it"),
+    MouseGesture("Click an object", "Select it: of several the foremost"),
     MouseGesture("Double-click a side view", "Its frame into the main view"),
     MouseGesture("Drag a mesh from the library", "Place it on the image"),
     MouseGesture("Points: click mesh, then image", "Add a correspondence"),

@@ -12,7 +12,9 @@ if TYPE_CHECKING:
 
 
 def _undo_label(c: Controller) -> str:
-    return "Undo" if c.session.undoable is None else f"Undo {c.session.undoable.title}"
+    if c.dragging is not None or c.session.undoable is None:
+        return "Undo"
+    return f"Undo {c.session.undoable.title}"
 
 
 def _redo_label(c: Controller) -> str:
@@ -82,7 +84,7 @@ SCENE_ACTIONS: tuple[Action, ...] = (
         ("Ctrl+Z",),
         "Take the last edit back; there is no limit.",
         lambda c: c.undo(),
-        enabled=lambda c: c.session.undoable is not None,
+        enabled=lambda c: c.can_undo,
         label=_undo_label,
     ),
     Action(

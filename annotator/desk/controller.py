@@ -26,9 +26,6 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from annotator.frames.image_cache import ImageCache
     from annotator.session.residuals import FrameResidual
     from std_toolkit.labels.support.penetration import Penetration
@@ -61,7 +58,8 @@ class Controller:
         table: the plane on which the objects stand, as far as it was found.
         table_problem: why there is none, for people.
         penetrations: where objects run into each other or into the table, the deepest first.
-        penetration: the same by object name: (F,) which faces of its mesh lie in something.
+        penetrations_frame: the frame in which they do; None if it is so in all frames.
+        unmeasured: names of objects whose residuals went with their last edit.
     """
 
     def __init__(
@@ -86,7 +84,8 @@ class Controller:
         self.table: TablePlane | None = None
         self.table_problem = ""
         self.penetrations: tuple[Penetration, ...] = ()
-        self.penetration: dict[str, NDArray[np.bool_]] = {}
+        self.penetrations_frame: int | None = None
+        self.unmeasured: set[str] = set()
         self._work = Work(runner, self.emit)
         self._listeners: list[Callable[[Event], None]] = []
         self._drag: tuple[str, int, SE3] | None = None
@@ -137,6 +136,7 @@ class Controller:
         for name in moved:
             self.residuals.pop(name, None)
             self.weak_directions.pop(name, None)
+        self.unmeasured = (self.unmeasured | set(moved)) & names
         self.emit(Event("edited", objects=change.objects, text=change.title))
 
     # --- looking ------------------------------------------------------------------------------
@@ -242,12 +242,24 @@ class Controller:
         return self._edit(lambda: self.session.apply(edit))
 
     def undo(self) -> None:
-        self.cancel_drag()
-        self._edit(self.session.undo)
+        """Take the last edit back; what is being dragged, or was by the wheel just now, is it."""
+        if self.end_drag():
+            self._edit(self.session.undo)
 
     def redo(self) -> None:
-        self.cancel_drag()
-        self._edit(self.session.redo)
+        """Make an edit again that was taken back; after something was moved there is none."""
+        if self._drag is not None:
+            self.end_drag()
+        else:
+            self._edit(self.session.redo)
+
+    @property
+    def can_undo(self) -> bool:
+        return self._drag is not None or self.session.undoable is not None
+
+    def penetrations_in(self, frame: int) -> tuple[Penetration, ...]:
+        """Those that are known of a frame."""
+        return self.penetrations if self.penetrations_frame in (None, frame) else ()
 
     def _edit(self, action: Callable[[], None]) -> bool:
         if self.task is not None and self.task.alone:
@@ -296,14 +308,16 @@ class Controller:
         self._drag = (name, frame, T_cam_obj)
         self.emit(Event("preview", objects=(name,)))
 
-    def end_drag(self, method: str = "drag") -> None:
-        """What was dragged stays where it is: one edit."""
+    def end_drag(self, method: str = "drag") -> bool:
+        """What was dragged stays where it is: one edit. False if that cannot be made."""
         if self._drag is None:
-            return
+            return True
         name, frame, T = self._drag
         self._drag = None
-        if not self.apply(SetPoses.one(name, frame, T, method=method)):
-            self.emit(Event("preview", objects=(name,)))
+        if self.apply(SetPoses.one(name, frame, T, method=method)):
+            return True
+        self.emit(Event("preview", objects=(name,)))
+        return False
 
     def cancel(self) -> None:
         """Give up the drag, the half-clicked point or the computation under way."""

@@ -14,6 +14,10 @@ def next_hint(c: Controller) -> str:
     state = c.session.state
     if c.dragging is not None:
         return f"Moving {c.dragging}: let go to keep it, Esc to put it back."
+    if c.task is not None and c.task.alone:
+        return f"{c.task.title} is under way: look around; nothing can be changed until it is done."
+    if c.task is not None and not c.clicking:
+        return f"{c.task.title} is under way: go on meanwhile, or press Esc to cancel it."
     if not c.session.writable:
         return "This scene is open for looking only: nothing can be changed."
     if not state.models:

@@ -135,7 +135,7 @@ def _summary(c: Controller, thing: ObjectState) -> ObjectSummary:
 
 def _alarm(c: Controller, name: str) -> str:
     """The deepest penetration of an object."""
-    for found in c.penetrations:
+    for found in c.penetrations_in(c.frame):
         if name in (found.first, found.second):
             other = found.second if name == found.first else found.first
             other = "the table" if other == "table" else other

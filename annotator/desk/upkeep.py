@@ -8,14 +8,10 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
 from annotator.desk import alignment
 from annotator.desk.controller import Controller
 from annotator.desk.events import Event
 from annotator.desk.runner import Task
-from annotator.session import Snapshot
 from std_toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
@@ -26,7 +22,7 @@ if TYPE_CHECKING:
 PENETRATION_DELAY_S = 0.3
 RESIDUAL_DELAY_S = 0.8
 TABLE_DELAY_S = 1.0
-_KEYS = ("Table", "Penetration", "Residuals")
+_KEYS = ("Table", "Penetration", "Residuals", alignment.OTHER_RESIDUALS)
 # Images read ahead on each side of the one in the main view.
 AHEAD = 4
 
@@ -132,8 +128,7 @@ class Upkeep:
 
         def finish(found: tuple[Penetration, ...]) -> None:
             if found or c.penetrations:
-                c.penetrations = found
-                c.penetration = _painted(found, snapshot)
+                c.penetrations, c.penetrations_frame = found, camera_frame
                 c.emit(Event("penetration"))
 
         c.start_aside("Penetration", work, finish, delay=PENETRATION_DELAY_S)
@@ -148,17 +143,6 @@ def _import_heavy(_: Task) -> None:
         "std_toolkit.labels.refine.auto",
     ):
         import_module(name)
-
-
-def _painted(found: tuple[Penetration, ...], snapshot: Snapshot) -> dict[str, NDArray[np.bool_]]:
-    """Which faces of each object's mesh lie in something else."""
-    painted: dict[str, NDArray[np.bool_]] = {}
-    for one in found:
-        for name, surface in ((one.first, one.first_surface), (one.second, one.second_surface)):
-            if len(surface.faces):
-                faces = len(snapshot.mesh(snapshot.object(name).model).faces)
-                painted.setdefault(name, np.zeros(faces, bool))[surface.faces] = True
-    return painted
 
 
 def _common_camera(c: Controller) -> int | None:

@@ -74,9 +74,11 @@ class ObjectLayer:
         self._red = {name: np.unique(np.concatenate(f)) for name, f in parts.items()}
 
     def _painted(self, view: Viewpoint, name: str) -> NDArray[np.int64] | None:
-        # What was found before a drag does not hold during it.
+        # It does not hold during a drag, nor in a frame that has poses of its own.
         controller = view.controller
         if not controller.options.penetration or controller.dragging == name:
+            return None
+        if not controller.penetrations_in(view.frame):
             return None
         return self._red.get(name)
 
@@ -105,25 +107,31 @@ class ObjectLayer:
 
     def pick(self, view: Viewpoint, xy: Array) -> tuple[str, float] | None:
         """The foremost object at a screen position, and the depth of the point hit there."""
-        ray = view.screen.ray(xy)
-        best: tuple[str, float] | None = None
-        for name, solid in self.placed().items():
-            assert solid.T_eye_obj is not None
-            T_obj_eye = solid.T_eye_obj.inverse()
-            hit = solid.shape.hit(T_obj_eye.t, T_obj_eye.R @ ray)
-            # The ray's direction has z = 1 in eye coordinates: its multiple is the depth.
-            if hit is not None and (best is None or hit[0] < best[1]):
-                best = (name, hit[0])
-        return best
+        hits = {name: self._hit(view, name, xy) for name in self.placed()}
+        depths = {name: hit[0] for name, hit in hits.items() if hit is not None}
+        if not depths:
+            return None
+        name = min(depths, key=depths.__getitem__)
+        return name, depths[name]
+
+    def depth_on(self, view: Viewpoint, name: str, xy: Array) -> float | None:
+        """Depth of an object at a screen position, whatever hides it there; None beside it."""
+        hit = self._hit(view, name, xy)
+        return None if hit is None else hit[0]
 
     def pick_on(self, view: Viewpoint, name: str, xy: Array) -> Array | None:
         """The point (3,) of an object's mesh at a screen position, whatever hides it there."""
+        hit = self._hit(view, name, xy)
+        return None if hit is None else hit[1]
+
+    def _hit(self, view: Viewpoint, name: str, xy: Array) -> tuple[float, Array] | None:
+        """Depth of the point of an object that is hit, and the point (3,) on its mesh."""
         solid = self.placed().get(name)
         if solid is None or solid.T_eye_obj is None:
             return None
         T_obj_eye = solid.T_eye_obj.inverse()
-        hit = solid.shape.hit(T_obj_eye.t, T_obj_eye.R @ view.screen.ray(xy))
-        return None if hit is None else hit[1]
+        # The ray's direction has z = 1 in eye coordinates: its multiple is the depth.
+        return solid.shape.hit(T_obj_eye.t, T_obj_eye.R @ view.screen.ray(xy))
 
     def close(self) -> None:
         for solid in self._solids.values():

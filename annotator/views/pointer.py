@@ -66,6 +66,7 @@ class Pointer:
         self._gesture: Gesture | None = None
         self._pressed_at: NDArray[np.float64] | None = None
         self._pressing = self._dragging = False
+        self._in_front: str | None = None
         self._wheel_turn = 0
         self._events = Events(
             view.plotter,
@@ -133,7 +134,7 @@ class Pointer:
             pose = self.view.T_eye_obj(selected)
             assert pose is not None
             return self._pose_gesture(selected, frame.grab(handle, at, pose), "gizmo", handle)
-        picked = self.view.objects.pick(self.view, at)
+        picked = self._grabbed(at)
         if shift and (name := picked[0] if picked else selected) is not None:
             return self._trackball(name, at)
         if picked is None:
@@ -145,6 +146,20 @@ class Pointer:
         grabbed = self.view.screen.ray(at) * depth
         normal = self._table_normal() if control else None
         return self._pose_gesture(name, PlaneDrag(self.view.screen, grabbed, pose, normal), "drag")
+
+    def _grabbed(self, at: NDArray[np.float64]) -> tuple[str, float] | None:
+        """What a drag takes, and the depth of the point under the pointer.
+
+        The selected object where the pointer is on it, even behind others: it was chosen, and its
+        contour is seen. A click that does not become a drag selects what lies in front.
+        """
+        objects, selected = self.view.objects, self.controller.selected
+        foremost = objects.pick(self.view, at)
+        depth = None if selected is None else objects.depth_on(self.view, selected, at)
+        if foremost is None or selected is None or depth is None:
+            return foremost
+        self._in_front = foremost[0]
+        return selected, depth
 
     def _table_normal(self) -> NDArray[np.float64] | None:
         """(3,) eye coordinates; None, and a message, if the table is not known."""
@@ -200,6 +215,7 @@ class Pointer:
 
     def _released(self, *_: object) -> None:
         gesture, self._gesture = self._gesture, None
+        in_front, self._in_front = self._in_front, None
         if gesture is None:
             return
         self.view.held = None
@@ -207,6 +223,8 @@ class Pointer:
             gesture.finish()
         elif self.controller.clicking and not isinstance(gesture, MarkerGesture):
             self._click(self.at())
+        elif in_front is not None:
+            self.controller.select(in_front)
         self._motion.moved(self.view)
 
     def _click(self, at: NDArray[np.float64]) -> None:

@@ -39,6 +39,7 @@ class Commands(QObject):
         self._items = {a.id: a for a in ACTIONS}
         self.actions: dict[str, QAction] = {a.id: self._made(a) for a in ACTIONS}
         self.menus: dict[str, QMenu] = {}
+        self._moving = False
         self._soon = QTimer(self, singleShot=True, interval=0)
         self._soon.timeout.connect(self.update)
         self._unsubscribe = controller.subscribe(self._on_event)
@@ -106,7 +107,11 @@ class Commands(QObject):
         return action
 
     def _on_event(self, event: Event) -> None:
-        if event.kind not in ("preview", "message", "look"):
+        moving = self._controller.dragging is not None
+        # What is being moved can be undone; how far it moved changes nothing.
+        begins_or_ends = event.kind == "preview" and moving != self._moving
+        self._moving = moving
+        if begins_or_ends or event.kind not in ("preview", "message", "look"):
             self._soon.start()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -84,3 +85,22 @@ def test_each_frame_is_on_its_own_without_camera_poses(tmp_path: Path) -> None:
     c.show_frame(2)
     assert "Drag box_1" in next_hint(c)
     desk.close()
+
+
+def test_while_something_is_computed_the_line_tells_that(desk: Desk) -> None:
+    """And does not ask for what is under way already."""
+    c, go_on = desk.controller, threading.Event()
+    c.select("box_1")
+    c.apply(SetPoses.one("box_1", 0, POSE, method="typed"))
+    c.apply(ChangeObject(object="box_1", status="done"))
+    before = next_hint(c)
+    c.start("Propagate", lambda _: go_on.wait(30), lambda _: None, alone=True)
+    assert next_hint(c).startswith("Propagate is under way")
+    assert "Ctrl+P" not in next_hint(c)
+    go_on.set()
+    desk.wait_until_idle()
+    assert next_hint(c) == before
+    c.start("Refine box_1", lambda _: None, lambda _: None)
+    assert next_hint(c).startswith("Refine box_1 is under way")
+    assert "Esc" in next_hint(c)
+    desk.wait_until_idle()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from views_desk import LENS, Desk
 
+from annotator.actions import BY_ID
 from annotator.desk.view_options import Gizmo, Mode
 from annotator.session import AddClick, Click
 from annotator.views.gizmo import Handle, Part
@@ -21,6 +22,19 @@ def edits(desk: Desk) -> list[str]:
 def pixel_middle(at: np.ndarray) -> np.ndarray:
     """The screen position that an event in the pixel of `at` tells."""
     return np.floor(at) + 0.5
+
+
+# In the middle of the ring's body, mesh frame.
+ON_RING = np.array([0.05, 0.0, 0.0])
+
+
+def over_both(desk: Desk) -> np.ndarray:
+    """Where the ring is behind the box."""
+    at = desk.main.screen.project(desk.pose("ring_1") @ ON_RING)
+    picked = desk.main.objects.pick(desk.main, at)
+    assert picked is not None and picked[0] == "box_1"
+    assert desk.main.objects.pick_on(desk.main, "ring_1", at) is not None
+    return np.asarray(at)
 
 
 class TestObjects:
@@ -115,6 +129,49 @@ class TestObjects:
         desk.settle()
         desk.click(desk.on("box_1"))
         assert desk.controller.selected == "box_1"
+
+    @pytest.fixture
+    def hidden(self, desk: Desk) -> Desk:
+        """The ring is selected, and the box stands right before it."""
+        desk.controller.set_tool(gizmo=Gizmo.OFF)
+        pose = desk.pose("ring_1")
+        desk.controller.drag_to("box_1", 0, SE3(pose.R, 0.7 * (pose @ ON_RING)))
+        desk.controller.end_drag()
+        desk.controller.select("ring_1")
+        desk.settle()
+        return desk
+
+    @pytest.mark.parametrize("keys", [{}, {"shift": True}, {"ctrl": True}])
+    def test_the_selected_one_is_taken_even_behind_another(
+        self, hidden: Desk, keys: dict[str, bool]
+    ) -> None:
+        at = over_both(hidden)
+        ring, box = hidden.pose("ring_1").matrix(), hidden.pose("box_1").matrix()
+        hidden.drag(at, (20, 10), (40, 20), **keys)
+        assert hidden.controller.selected == "ring_1"
+        assert (hidden.pose("ring_1").matrix() != ring).any()
+        assert (hidden.pose("box_1").matrix() == box).all()
+
+    def test_the_point_of_the_hidden_one_stays_under_the_pointer(self, hidden: Desk) -> None:
+        at = pixel_middle(over_both(hidden))
+        point = hidden.main.objects.pick_on(hidden.main, "ring_1", at)
+        assert point is not None
+        hidden.drag(at, (30, -12))
+        seen = hidden.main.screen.project(hidden.pose("ring_1") @ point)
+        assert seen == pytest.approx(at + np.array([30, -12]), abs=1e-6)
+
+    def test_a_click_selects_what_lies_in_front_of_the_selected_one(self, hidden: Desk) -> None:
+        hidden.click(over_both(hidden))
+        assert hidden.controller.selected == "box_1"
+        assert len(edits(hidden)) == 1  # of the fixture
+
+    def test_a_click_that_escape_ends_selects_nothing(self, hidden: Desk) -> None:
+        at = over_both(hidden)
+        hidden.event("LeftButtonPress", at)
+        hidden.press("Escape")
+        hidden.event("LeftButtonRelease", at)
+        hidden.click((8, 470), button="Right")
+        assert hidden.controller.selected == "ring_1"
 
     def test_shift_turns_about_the_centre(self, desk: Desk) -> None:
         before = desk.pose()
@@ -270,6 +327,43 @@ class TestLooking:
         desk.event("LeftButtonRelease", (5, 470))
         desk.settle()
         assert len(edits(desk)) == 1
+
+    def test_undo_right_after_the_wheel_takes_back_what_the_wheel_did(self, desk: Desk) -> None:
+        desk.controller.select("ring_1")
+        desk.controller.nudge(shift=(5, 0, 0))
+        placed = desk.pose().matrix()
+        desk.event("MouseWheelForward", (300, 200), ctrl=True)
+        moved = desk.main.T_eye_obj("ring_1")
+        assert moved is not None and (moved.matrix() != placed).any()
+        desk.controller.undo()  # within the pause that ends a turn of the wheel
+        assert (desk.pose().matrix() == placed).all()
+        desk.settle()
+        assert (desk.pose().matrix() == placed).all()
+        desk.controller.redo()
+        assert desk.pose().matrix() == pytest.approx(moved.matrix(), abs=1e-12)
+
+    def test_the_wheel_can_be_undone_before_anything_else_was_edited(self, desk: Desk) -> None:
+        undo = BY_ID["undo"]
+        desk.controller.select("ring_1")
+        assert not undo.enabled(desk.controller)
+        desk.event("MouseWheelForward", (300, 200), ctrl=True)
+        assert undo.enabled(desk.controller)
+        before = desk.pose().matrix()
+        undo.run(desk.controller)
+        assert (desk.pose().matrix() == before).all()
+        assert desk.controller.dragging is None
+
+    def test_redo_right_after_the_wheel_keeps_what_the_wheel_did(self, desk: Desk) -> None:
+        desk.controller.select("ring_1")
+        desk.controller.nudge(shift=(5, 0, 0))
+        desk.controller.undo()
+        desk.event("MouseWheelForward", (300, 200), ctrl=True)
+        moved = desk.main.T_eye_obj("ring_1")
+        desk.controller.redo()
+        desk.settle()
+        assert moved is not None
+        assert desk.pose().matrix() == pytest.approx(moved.matrix(), abs=1e-12)
+        assert desk.messages() == []
 
     def test_a_press_in_another_view_ends_it_too(self, desk: Desk) -> None:
         desk.controller.select("ring_1")

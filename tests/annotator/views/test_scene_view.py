@@ -145,6 +145,33 @@ class TestEditing:
         desk.controller.set_options(penetration=False)
         assert share(desk.main.screenshot(), red) < NOTHING
 
+    def test_penetration_is_painted_where_it_was_found(
+        self, open_desk: Callable[..., Desk]
+    ) -> None:
+        """Without camera poses each frame has poses of its own."""
+        from std_toolkit.labels.support.penetration import find_penetrations
+        from std_toolkit.labels.support.solid import PlacedThing
+
+        desk = open_desk({"posed": False})
+        pose, red = desk.pose("ring_1"), (237, 20, 26)
+        for name in ("ring_1", "box_1"):
+            for frame in (0, 1):
+                desk.session.apply(SetPoses.one(name, frame, pose, method="typed"))
+        desk.settle()
+        things = [
+            PlacedThing(o.name, desk.session.mesh(o.model), pose)
+            for o in desk.session.state.objects
+        ]
+        side = desk.views.views[1]
+        without = side.screenshot()
+        desk.controller.penetrations = tuple(find_penetrations(things))
+        desk.controller.penetrations_frame = 0
+        assert share(desk.main.screenshot(), red) > 0.001
+        assert (side.screenshot() == without).all()
+        desk.controller.penetrations_frame = 1
+        assert share(desk.main.screenshot(), red) < NOTHING
+        assert (side.screenshot() != without).any()
+
 
 class TestCloud:
     def test_points_are_where_the_camera_saw_them(self, desk: Desk) -> None:
