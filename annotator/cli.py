@@ -143,7 +143,8 @@ def _run_scene(args: argparse.Namespace) -> int:
         return int(importlib.import_module("annotator.session.script").run(args))
     if args.web is not None:
         args.token = args.token or os.environ.get(TOKEN_VARIABLE)
-        app = _front_end("annotator.web.app", "web", ("pyvista", "trame"), "a browser")
+        needs = ("aiohttp", "pyvista", "trame", "trame_vuetify")
+        app = _front_end("annotator.web.app", "web", needs, "a browser")
         return int(app.run(args))
     # What is missing is told before the display: installing it may be done without one.
     app = _front_end("annotator.window.app", "gui", ("PySide6", "pyvista", "pyvistaqt"), "a window")

@@ -94,13 +94,23 @@ def _say_captions(captions: Captions, view: SceneView) -> None:
     elif view.slot == 0 and not session.state.objects:
         captions.say(
             "empty",
-            "No objects yet\nDrag a mesh from the library onto the image,\nor add one with Ctrl+M.",
+            _first_step(view),
             (width / 2, height - 60 * scale),
             size=14 * scale,
             align="center",
             valign="bottom",
             opacity=0.8,
         )
+
+
+def _first_step(view: SceneView) -> str:
+    """What there is to do in a scene without objects."""
+    session = view.controller.session
+    if not session.writable:
+        return "No objects"
+    if not session.state.models:
+        return "No objects yet\nAdd the CAD mesh of each object with Ctrl+M."
+    return "No objects yet\nDrag a mesh from the library onto the image, or double-click it."
 
 
 def _say_name(captions: Captions, view: SceneView) -> None:

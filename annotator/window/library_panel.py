@@ -32,7 +32,7 @@ from std_toolkit.scene import Model
 
 MODEL_MIME = "application/x-std-annotate-model"
 THUMBNAIL = 60
-_EMPTY = "No meshes yet.\n\nAdd the CAD mesh of each object (Ctrl+M), or drop mesh files here."
+_EMPTY = "No meshes yet: drop mesh files here."
 
 
 class LibraryPanel(QWidget):

@@ -31,7 +31,8 @@ _MENU = (
     ("quarter_x", "quarter_y", "quarter_z"),
     ("unplace", "remove_object"),
 )
-_EMPTY = "No objects yet.\n\nDrag a mesh from the library onto the image, or double-click it."
+# What to do about it stands in the view and in the status line.
+_EMPTY = "No objects yet."
 
 
 class ObjectPanel(QWidget):

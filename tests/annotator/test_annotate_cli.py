@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import ast
 import json
+import re
 import subprocess
 import sys
 import time
+import tomllib
 import types
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
@@ -16,6 +20,7 @@ from annotator import cli
 from annotator.cli import main
 from std_toolkit import __version__
 
+REPOSITORY = Path(__file__).resolve().parents[2]
 HEAVY = (
     "numpy", "PySide6", "vtkmodules", "pyvista", "trame", "trimesh", "scipy", "cv2", "open3d",
 )  # fmt: skip
@@ -108,6 +113,27 @@ def test_a_scene_called_like_a_command_can_be_opened(
     assert main(["--annotator", "merge", "./compare", "--script", "edits.json"]) == 0
 
 
+@pytest.mark.parametrize(
+    ("package", "extra"), [("web", "web"), ("views", "web"), ("window", "gui")]
+)
+def test_what_a_front_end_imports_is_in_its_extra(package: str, extra: str) -> None:
+    """Also what others of its libraries bring along today."""
+    imported: set[str] = set()
+    for path in (Path(cli.__file__).parent / package).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                imported.add(node.module.split(".")[0])
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    wanted = [*project["dependencies"], *project["optional-dependencies"][extra]]
+    named = {re.split(r"[^\w-]", w)[0].lower().replace("-", "_") for w in wanted}
+    owners = packages_distributions()
+    ours = {"annotator", "std_toolkit", "__future__"}
+    for module in sorted(imported - ours - set(sys.stdlib_module_names)):
+        assert named & {n.lower().replace("-", "_") for n in owners[module]}, module
+
+
 class TestWithoutAWindow:
     @pytest.fixture
     def scene(self, tmp_path: Path) -> str:
@@ -124,6 +150,20 @@ class TestWithoutAWindow:
         assert error.startswith("error: there is no display")
         assert "--web PORT" in error
         assert "--script FILE" in error
+
+    @pytest.mark.parametrize("name", ["aiohttp", "pyvista", "trame", "trame_vuetify"])
+    def test_each_library_of_the_browser_is_looked_for(
+        self,
+        scene: str,
+        name: str,
+        monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str],
+    ) -> None:
+        monkeypatch.setattr(
+            cli.importlib.util, "find_spec", lambda wanted: None if wanted == name else object()
+        )
+        assert main([scene, "--web", "0"]) == 1
+        assert f"annotating in a browser needs {name}" in capsys.readouterr().err
 
     @pytest.mark.parametrize(("options", "extra"), [([], "gui"), (["--web", "0"], "web")])
     def test_missing_libraries_are_named_with_the_way_to_get_them(

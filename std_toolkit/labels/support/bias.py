@@ -79,8 +79,7 @@ def correction_by_points(
         shift,
         factor,
         max(2 * error, 0.0005),
-        f"moved by {1000 * shift:+.1f} mm onto the points of the reconstruction: the sensor reads "
-        f"{_percent(factor)}",
+        _told(shift, factor, "the points of the reconstruction"),
     )
 
 
@@ -120,11 +119,16 @@ def correction_by_heights(
         shift,
         factor,
         2 * float(np.sqrt(covariance[0, 0])) + 0.0005,
-        f"moved by {1000 * shift:+.1f} mm: seen from different heights, the sensor reads "
-        f"{_percent(factor)}",
+        _told(shift, factor, "what cameras at different heights see"),
     )
 
 
-def _percent(factor: float) -> str:
-    bias = 100 * (factor - 1)
-    return f"{abs(bias):.1f} % too {'far' if bias > 0 else 'near'}"
+def _told(shift_m: float, factor: float, evidence: str) -> str:
+    """Note on a correction; what is below the digits that are told is none."""
+    millimetres, percent = f"{1000 * shift_m:+.1f}", f"{100 * abs(factor - 1):.1f}"
+    if float(millimetres) == 0:
+        return f"confirmed by {evidence}"
+    sensor = f"the sensor reads {percent} % too {'far' if factor > 1 else 'near'}"
+    if float(percent) == 0:
+        sensor = "the sensor reads right to 0.1 %"
+    return f"moved by {millimetres} mm onto {evidence}: {sensor}"

@@ -286,7 +286,8 @@ class TestOddSituations:
 
     def test_a_scene_without_objects_says_what_to_do(self, open_desk: Callable[..., Desk]) -> None:
         desk = open_desk({"objects": False})
-        assert "mesh" in said(desk)
+        assert "Add the CAD mesh" in said(desk)
+        assert "library" not in said(desk)  # which is empty
         assert "mesh" not in said(desk, view=1)
 
     def test_an_image_that_is_gone_leaves_a_sentence(self, desk: Desk) -> None:

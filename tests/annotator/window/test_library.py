@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PySide6.QtCore import QMimeData, Qt, QUrl
 from PySide6.QtGui import QImage
 from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QLabel
 from window_scene import write_box
 
 from annotator.desk import alignment
@@ -125,6 +126,10 @@ def test_an_empty_scene_tells_what_to_do_first(
     assert bench.space.library.stack.currentIndex() == 1
     assert bench.space.objects.stack.currentIndex() == 1
     assert "Add mesh" in bench.space.status.hint.text()
+    # What to do stands where one looks, and in the status line: the panels tell how things are.
+    told = "\n".join(label.text() for label in bench.space.side.findChildren(QLabel))
+    assert "Ctrl+M" not in told
+    assert "onto the image" not in told
     bench.space.library.files_dropped.emit([write_box(tmp_path / "brick.obj")])
     _idle(bench)
     bench.qtbot.waitUntil(lambda: "Drag a mesh" in bench.space.status.hint.text())
