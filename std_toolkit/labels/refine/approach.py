@@ -13,6 +13,7 @@ from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.refine.descent import descend
 from std_toolkit.labels.refine.edge_score import EdgeScore, ScoreLevel
 from std_toolkit.labels.refine.edge_search import SearchRange, search_edges, spread_views
+from std_toolkit.labels.refine.layers import LayerStore
 from std_toolkit.labels.refine.measure import PoseState, coarse_to_fine
 from std_toolkit.labels.refine.problem import RefineObject, RefineOptions, RefineView
 
@@ -38,6 +39,7 @@ def approach(
     """
     around = SearchRange(reach_m=options.rough_m, turn=options.rough_turn)
     found = list(objects)
+    layers = LayerStore()
     for i, thing in enumerate(objects):
         if thing.fixed or not thing.rough:
             continue
@@ -46,14 +48,14 @@ def approach(
         judge = EdgeScore(few, thing, others, _JUDGED, reach_m=1.3 * around.reach_m)
         if not judge.views:
             continue
-        tried = [_settled(few, thing, others, options, judge)]
+        tried = [_settled(few, thing, others, options, judge, layers)]
         for thorough in (False, True):
             candidates = search_edges(
                 few, thing, others, around, count=_CANDIDATES, thorough=thorough
             )
             for T in candidates:
                 start = replace(thing, T_world_obj=T)
-                tried.append(_settled(few, start, others, options, judge))
+                tried.append(_settled(few, start, others, options, judge, layers))
                 if _agreed(tried, thing):
                     break
             best = max(tried, key=lambda t: t.score)
@@ -77,8 +79,9 @@ def _settled(
     others: Sequence[RefineObject],
     options: RefineOptions,
     judge: EdgeScore,
+    layers: LayerStore,
 ) -> _Settled:
-    T = _follow(views, thing, others, options)
+    T = _follow(views, thing, others, options, layers)
     return _Settled(T, float(judge.of([T])[0]))
 
 
@@ -98,13 +101,14 @@ def _follow(
     thing: RefineObject,
     others: Sequence[RefineObject],
     options: RefineOptions,
+    layers: LayerStore,
 ) -> SE3:
     size = max(_size_px(v, thing) for v in views)
     levels = coarse_to_fine(views, replace(options, search_px=_LEFT * size, refine_scale=False))
     state = PoseState([thing.T_world_obj, *(o.T_world_obj for o in others)])
     try:
         # The two finest levels decide fractions of a pixel: not which pose is right.
-        descend(views, [thing, *others], state, levels[:-2], options)
+        descend(views, [thing, *others], state, levels[:-2], options, layers=layers)
     except ToolkitError:  # out of view in all of them
         return thing.T_world_obj
     return state.poses[0]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.refine.layers import LayerStore, image_box
 from std_toolkit.labels.refine.object_surface import surface_of, turned
 from std_toolkit.labels.refine.problem import RefineObject
 
@@ -39,13 +40,30 @@ class WorldCaster:
     Args:
         objects: meshes.
         poses: T_world_obj of each.
+        layers: of earlier casters, so that what did not move since need not be cast again.
     """
 
-    def __init__(self, objects: Sequence[RefineObject], poses: Sequence[SE3]) -> None:
+    def __init__(
+        self,
+        objects: Sequence[RefineObject],
+        poses: Sequence[SE3],
+        layers: LayerStore | None = None,
+    ) -> None:
         self._placed = [(surface_of(thing), T) for thing, T in zip(objects, poses, strict=True)]
+        self._layers = LayerStore() if layers is None else layers
 
-    def cast(self, camera: Camera, T_world_cam: SE3, pixels: NDArray[np.floating]) -> Hits:
-        """Rays through pixels (..., 2) of an undistorted camera."""
+    def cast(
+        self,
+        camera: Camera,
+        T_world_cam: SE3,
+        pixels: NDArray[np.floating],
+        among: Sequence[int] | None = None,
+    ) -> Hits:
+        """Rays through pixels (..., 2) of an undistorted camera.
+
+        Args:
+            among: indices of the objects that the rays may meet; default: all.
+        """
         uv = np.asarray(pixels)
         rays = np.ones((uv.size // 2, 3), np.float32)
         rays[:, 0] = ((uv[..., 0] - camera.cx) / camera.fx).ravel()
@@ -54,7 +72,8 @@ class WorldCaster:
         index = np.full(len(rays), NONE, np.int32)
         normal = np.zeros((len(rays), 3), np.float32)
         T_cam_world = T_world_cam.inverse()
-        for i, (surface, T_world_obj) in enumerate(self._placed):
+        for i in range(len(self._placed)) if among is None else among:
+            surface, T_world_obj = self._placed[i]
             T_cam_obj = T_cam_world @ T_world_obj
             (tried,) = np.nonzero(surface.may_meet(rays, T_cam_obj))
             if not len(tried):
@@ -68,6 +87,34 @@ class WorldCaster:
         shape = uv.shape[:-1]
         return Hits(index.reshape(shape), nearest.reshape(shape), normal.reshape(*shape, 3))
 
+    def window(
+        self, camera: Camera, T_world_cam: SE3, box: tuple[int, int, int, int]
+    ) -> tuple[Hits, tuple[int, ...]]:
+        """All pixels of a box x0, y0, x1, y1 (inclusive), and which objects reach into it."""
+        x0, y0, x1, y1 = box
+        shape = y1 + 1 - y0, x1 + 1 - x0
+        nearest = np.full(shape, np.inf, np.float32)
+        index = np.full(shape, NONE, np.int32)
+        normal = np.zeros((3, *shape), np.float32)
+        among = []
+        for i, (surface, T_world_obj) in enumerate(self._placed):
+            layer = self._layers.layer(surface, T_world_obj, camera, T_world_cam)
+            if layer is None:
+                continue
+            h, w = layer.depth.shape
+            left, right = max(layer.x, x0), min(layer.x + w, x1 + 1)
+            top, bottom = max(layer.y, y0), min(layer.y + h, y1 + 1)
+            if left >= right or top >= bottom:
+                continue
+            among.append(i)
+            here = slice(top - y0, bottom - y0), slice(left - x0, right - x0)
+            there = slice(top - layer.y, bottom - layer.y), slice(left - layer.x, right - layer.x)
+            nearer = layer.depth[there] < nearest[here]
+            np.copyto(nearest[here], layer.depth[there], where=nearer)
+            np.copyto(normal[(slice(None), *here)], layer.normal[(slice(None), *there)], where=nearer)
+            index[here][nearer] = i
+        return Hits(index, nearest, np.moveaxis(normal, 0, -1)), tuple(among)
+
 
 @dataclass(frozen=True, eq=False)
 class Patch:
@@ -76,11 +123,13 @@ class Patch:
     Attributes:
         x, y: pixel of the top-left corner.
         hits: for the (h, w) pixels of the patch.
+        among: indices of the objects that reach into it.
     """
 
     x: int
     y: int
     hits: Hits
+    among: tuple[int, ...]
 
 
 def cast_patch(
@@ -93,26 +142,13 @@ def cast_patch(
     margin: int,
 ) -> Patch | None:
     """All pixels around an object, `margin` wide; None where the object is out of view."""
-    T_cam_obj = T_world_cam.inverse() @ T_world_obj
-    used = _corners(thing)
-    p = T_cam_obj @ used
-    if (p[:, 2] < 0.02).any():
+    around = image_box(surface_of(thing), T_world_cam.inverse() @ T_world_obj, camera)
+    if around is None:
         return None
-    uv = camera.project(p)
-    low = np.floor(uv.min(axis=0)).astype(int) - margin
-    high = np.ceil(uv.max(axis=0)).astype(int) + margin
-    low = np.maximum(low, 0)
-    high = np.minimum(high, [camera.width - 1, camera.height - 1])
-    if (high - low < 4).any():
+    x0, y0 = max(around[0] - margin, 0), max(around[1] - margin, 0)
+    x1 = min(around[2] + margin, camera.width - 1)
+    y1 = min(around[3] + margin, camera.height - 1)
+    if x1 - x0 < 4 or y1 - y0 < 4:
         return None
-    v, u = np.mgrid[low[1] : high[1] + 1, low[0] : high[0] + 1]
-    hits = caster.cast(camera, T_world_cam, np.stack([u, v], axis=-1).astype(np.float64))
-    return Patch(int(low[0]), int(low[1]), hits)
-
-
-def _corners(thing: RefineObject) -> NDArray[np.float64]:
-    used = thing.vertices[np.unique(thing.faces)] if len(thing.vertices) < 64 else thing.vertices
-    low, high = used.min(axis=0), used.max(axis=0)
-    return np.array(
-        [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
-    )
+    hits, among = caster.window(camera, T_world_cam, (x0, y0, x1, y1))
+    return Patch(x0, y0, hits, among)

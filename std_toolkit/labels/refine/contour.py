@@ -8,10 +8,9 @@ evidence: their edges are strong, and the silhouette would be drawn to them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -27,14 +26,19 @@ Flags = NDArray[np.bool_]
 
 # The boundary is searched this far outside the outermost pixel of the surface.
 _REACH_PX = 2.0
-_BISECTIONS = 6
+# It is enclosed by so many rays along each normal at once, so many times: to 1/64 of the reach.
+_RAYS, _ROUNDS = 4, 3
 # A step in depth inside an object is a contour from here on: metres, and pixel footprints.
 _SMALLEST_JUMP_M = 0.005
 _SMALLEST_JUMP_FOOTPRINTS = 4.0
 # Faces that meet at a larger angle make an edge in the image.
 _CREASE_COSINE = float(np.cos(np.deg2rad(40)))
+# Samples whose normals have at least this cosine face the same way.
+_SAME_WAY = 0.7
 # Half width of the window in which the direction of a contour is found.
 _WINDOW = 4
+_AROUND = np.stack(np.meshgrid(*[np.arange(-_WINDOW, _WINDOW + 1)] * 2), axis=-1).reshape(-1, 2)
+_BELL = np.exp(-0.5 * (_AROUND**2).sum(axis=1) / 2.0**2)
 
 
 class Kind(IntEnum):
@@ -63,14 +67,26 @@ class Contour:
     kind: NDArray[np.int8]
     thinning: float
 
-    @cached_property
-    def neighbours(self) -> Array:
-        """(N, N) squared pixel distances, inf between samples that face different ways."""
-        p, n = self.pixels, self.normals
-        square = (p**2).sum(axis=1)
-        distance = np.maximum(square[:, None] + square[None] - 2 * p @ p.T, 0)
-        same = (n @ n.T > 0.7) & (self.kind[:, None] == self.kind[None])
-        return np.where(same, distance, np.inf)
+    def near(self, reach: float) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+        """Pairs of samples within `reach` pixels that face about the same way, each both ways.
+
+        Returns:
+            Indices (M,) and (M,) of the samples, each with itself too, and their squared
+            distances (M,) in pixels.
+        """
+        from scipy.spatial import cKDTree
+
+        a, b = cKDTree(self.pixels).query_pairs(reach, output_type="ndarray").T
+        n = self.normals
+        same = ((n[a] * n[b]).sum(axis=1) > _SAME_WAY) & (self.kind[a] == self.kind[b])
+        a, b = a[same], b[same]
+        square = ((self.pixels[a] - self.pixels[b]) ** 2).sum(axis=1)
+        self_ = np.arange(len(n))
+        return (
+            np.concatenate([a, b, self_]),
+            np.concatenate([b, a, self_]),
+            np.concatenate([square, square, np.zeros(len(n))]),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,40 +121,30 @@ def trace_contour(
     thinning = max(1.0, len(sides.v) / limit)
     keep = np.unique(np.linspace(0, len(sides.v) - 1, min(limit, len(sides.v))).round().astype(int))
     sides = _Sides(*(getattr(sides, f)[keep] for f in ("v", "u", "other_v", "other_u", "kind")))
-    near = depth[sides.v, sides.u].astype(np.float64)
-    # Halfway between the near surface and the far one.
-    far = np.minimum(depth[sides.other_v, sides.other_u], near + 10.0)
-    border = (near + far) / 2
-    n_here = patch.hits.normal[sides.v, sides.u]
-    n_there = patch.hits.normal[sides.other_v, sides.other_u]
-
-    def on_near_side(
-        is_object: NDArray[np.bool_], d: NDArray[np.float32], normal: NDArray[np.float32]
-    ) -> NDArray[np.bool_]:
-        shape = (-1,) + (1,) * (is_object.ndim - 1)
-        inner = d < border.reshape(shape)
-        axes = (n_here - n_there).reshape(*shape, 3)
-        crease = (normal * axes).sum(axis=-1) > 0
-        kind = sides.kind.reshape(shape)
-        return is_object & ((kind != Kind.INNER) | inner) & ((kind != Kind.CREASE) | crease)
-
-    normals, clear = _normals(mask, depth, patch.hits.normal, sides, on_near_side)
+    border = _Border.of(depth, patch.hits.normal, sides)
+    normals, clear = _normals(mask, depth, patch.hits.normal, sides, border)
     start = np.stack([sides.u + patch.x, sides.v + patch.y], axis=1).astype(np.float64)
-
-    def inside(offset: Array) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
-        hits = caster.cast(camera, T_world_cam, start + offset[:, None] * normals)
-        return on_near_side(hits.object == index, hits.depth, hits.normal), hits.depth
-
-    low, high = np.zeros(len(start)), np.full(len(start), _REACH_PX)
-    out, out_depth = inside(high)
-    valid = clear & ~out & ((out_depth > near) | (sides.kind == Kind.CREASE))
     beyond = start + _REACH_PX * normals
-    valid &= ((beyond >= 1) & (beyond <= np.array(camera.size) - 2)).all(axis=1)
-    for _ in range(_BISECTIONS):
-        middle = (low + high) / 2
-        is_in, d = inside(middle)
-        low, high = np.where(is_in, middle, low), np.where(is_in, high, middle)
-        near = np.where(is_in, d, near)
+    valid = clear & ((beyond >= 1) & (beyond <= np.array(camera.size) - 2)).all(axis=1)
+    near = depth[sides.v, sides.u].astype(np.float64)
+    low, high = np.zeros(len(start)), np.full(len(start), _REACH_PX)
+    share = np.arange(1, _RAYS + 1) / _RAYS
+    rows = np.arange(len(start))
+    for round_ in range(_ROUNDS):
+        # The end of the range is known to be outside from the first round.
+        along = low[:, None] + (high - low)[:, None] * (share if round_ == 0 else share[:-1])
+        at = start[:, None] + along[..., None] * normals[:, None]
+        hits = caster.cast(camera, T_world_cam, at, among=patch.among)
+        within = border.on_near_side(hits.object == index, hits.depth, hits.normal)
+        if round_ == 0:
+            valid &= ~within[:, -1]
+            valid &= (hits.depth[:, -1] > near) | (sides.kind == Kind.CREASE)
+        passed = np.logical_and.accumulate(within, axis=1).sum(axis=1)
+        last = np.maximum(passed - 1, 0)
+        some, all_ = passed > 0, passed == along.shape[1]
+        near = np.where(some, hits.depth[rows, last], near)
+        high = np.where(all_, high, along[rows, np.minimum(passed, along.shape[1] - 1)])
+        low = np.where(some, along[rows, last], low)
     pixels = start + ((low + high) / 2)[:, None] * normals
     if valid.sum() < 8:
         return None
@@ -146,91 +152,141 @@ def trace_contour(
     return Contour(pixels[valid], normals[valid], points, sides.kind[valid], thinning)
 
 
-def contour_image(patch: Patch) -> NDArray[np.float32]:
+@dataclass(frozen=True, eq=False)
+class _Border:
+    """What tells the near side of each of N contour pixels from the other side.
+
+    Attributes:
+        inner, crease: (N,) the kinds of contour that lie within the object.
+        depth: (N,) between the near surface and the far one.
+        axis: (N, 3) from the other side's normal to the near side's.
+    """
+
+    inner: Flags
+    crease: Flags
+    depth: Array
+    axis: Array32
+
+    @staticmethod
+    def of(depth: Array32, normal: Array32, sides: _Sides) -> _Border:
+        near = depth[sides.v, sides.u].astype(np.float64)
+        # Halfway between the near surface and the far one.
+        far = np.minimum(depth[sides.other_v, sides.other_u], near + 10.0)
+        axis = normal[sides.v, sides.u] - normal[sides.other_v, sides.other_u]
+        kind = sides.kind
+        return _Border(kind == Kind.INNER, kind == Kind.CREASE, (near + far) / 2, axis)
+
+    def on_near_side(self, is_object: Flags, depth: Array32, normal: Array32) -> Flags:
+        """(N, M) for M points of each contour pixel, of which `is_object` and so on are known."""
+        near = is_object.copy()
+        near[self.inner] &= depth[self.inner] < self.depth[self.inner, None]
+        axis = self.axis[self.crease, None]
+        near[self.crease] &= (normal[self.crease] * axis).sum(axis=-1) > 0
+        return near
+
+    def on_near_side_at(
+        self, is_object: Flags, depth: Array32, normal: Array32, at: NDArray[np.intp]
+    ) -> Flags:
+        """The same for pixels of an image, by their places (N, M) in it row by row."""
+        near = is_object.copy()
+        inner, crease = self.inner, self.crease
+        near[inner] &= depth.ravel()[at[inner]] < self.depth[inner, None]
+        v, u = np.divmod(at[crease], depth.shape[1])
+        near[crease] &= (normal[v, u] * self.axis[crease, None]).sum(axis=-1) > 0
+        return near
+
+
+def contour_image(patch: Patch) -> Array32:
     """(h, w) 1 on every predicted contour of any object, 0 elsewhere."""
     depth = np.where(patch.hits.object >= 0, patch.hits.depth, np.float32(1e3))
-    ids = patch.hits.object
-    edge = np.zeros(ids.shape, np.float32)
-    for axis in (0, 1):
-        a = np.moveaxis(edge, axis, 0)
-        i, d = np.moveaxis(ids, axis, 0), np.moveaxis(depth, axis, 0)
-        n = np.moveaxis(patch.hits.normal, axis, 0)
+    edge = np.zeros(depth.shape, np.float32)
+    for a, i, d, n in zip(
+        _both_ways(edge),
+        _both_ways(patch.hits.object),
+        _both_ways(depth),
+        _both_ways(np.moveaxis(patch.hits.normal, -1, 0)),
+        strict=True,
+    ):
         changed = (i[1:] != i[:-1]) | (np.abs(d[1:] - d[:-1]) > 0.012)
-        changed |= (i[1:] >= 0) & ((n[1:] * n[:-1]).sum(axis=-1) < _CREASE_COSINE)
+        changed |= (i[1:] >= 0) & (_cosine(n[:, 1:], n[:, :-1]) < _CREASE_COSINE)
         a[1:][changed] = 1
         a[:-1][changed] = 1
     return edge
 
 
-def _find(
-    mask: NDArray[np.bool_],
-    depth: NDArray[np.float32],
-    normal: NDArray[np.float32],
-    footprint: float,
-) -> _Sides:
+def _both_ways(image: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Views of an image (..., h, w) whose rows, or columns, come next to last."""
+    return image, image.swapaxes(-1, -2)
+
+
+def _cosine(a: Array32, b: Array32) -> Array32:
+    """(...) of unit vectors (3, ...): component by component, which is several times as fast."""
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+# What `_find` notes of each pixel: the neighbour on the other side of its contour, as (v, u).
+_TOWARD = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+
+
+def _find(mask: Flags, depth: Array32, normal: Array32, footprint: float) -> _Sides:
     """Pixels of the object with a contour to one of their four neighbours, the largest step."""
     threshold = max(_SMALLEST_JUMP_M, _SMALLEST_JUMP_FOOTPRINTS * footprint)
-    best = np.zeros(mask.shape, np.float32)
-    kinds = np.full(mask.shape, -1, np.int8)
-    toward = np.zeros((*mask.shape, 2), np.int8)
+    # The object with one pixel around it is all that is looked at.
+    v, u = (np.flatnonzero(mask.any(axis=k)) for k in (1, 0))
+    top, left = max(v[0] - 1, 0), max(u[0] - 1, 0)
+    box = slice(top, v[-1] + 2), slice(left, u[-1] + 2)
+    masks = _both_ways(mask[box])
+    depths = _both_ways(depth[box])
+    normals = _both_ways(np.moveaxis(normal[box], -1, 0))
+    best = np.zeros(masks[0].shape, np.float32)
+    kinds = np.full(best.shape, -1, np.int8)
+    toward = np.zeros(best.shape, np.int8)
+    bests, all_kinds, towards = _both_ways(best), _both_ways(kinds), _both_ways(toward)
 
-    def note(axis: int, direction: int, kind: Kind, where: Flags, step: Array32) -> None:
-        b, k, t = (np.moveaxis(x, axis, 0)[::direction][1:-1] for x in (best, kinds, toward))
+    def note(axis: int, direction: int, kind: Kind, where: Flags, step: Array32 | float) -> None:
+        inner = slice(1, -1)
+        b, k, t = (x[axis][::direction][inner] for x in (bests, all_kinds, towards))
         better = where & (step > b)
-        b[better], k[better] = step[better], kind
-        t[better] = (direction, 0) if axis == 0 else (0, direction)
+        np.copyto(b, np.float32(step) if isinstance(step, float) else step, where=better)
+        np.copyto(k, np.int8(kind), where=better)
+        np.copyto(t, np.int8(2 * axis + (direction < 0)), where=better)
 
-    for kind in Kind:
-        if kind != Kind.SILHOUETTE:
-            # Next to the silhouette surfaces turn away: what looks like a step there is none.
-            outer = (kinds == Kind.SILHOUETTE).astype(np.uint8)
-            near_outer = cv2.dilate(outer, np.ones((5, 5), np.uint8)) > 0
-        for axis, direction in ((0, 1), (0, -1), (1, 1), (1, -1)):
-            m: Flags = np.moveaxis(mask, axis, 0)[::direction]
-            d: Array32 = np.moveaxis(depth, axis, 0)[::direction]
-            n: Array32 = np.moveaxis(normal, axis, 0)[::direction]
-            step = d[2:] - d[1:-1]
-            if kind == Kind.SILHOUETTE:
-                note(axis, direction, kind, m[1:-1] & ~m[2:] & (step > 0), step)
-                continue
-            free = ~np.moveaxis(near_outer, axis, 0)[::direction][1:-1]
-            # What a slanted surface would do anyway is no step.
-            slope = np.maximum(np.where(m[:-2], d[1:-1] - d[:-2], 0), 0)
-            hides = step - slope > threshold
-            same = m[1:-1] & m[2:] & m[:-2] & free
-            if kind == Kind.INNER:
-                note(axis, direction, kind, same & hides, step)
-            elif direction == 1:
-                turn = (n[2:] * n[1:-1]).sum(axis=-1) < _CREASE_COSINE
-                flat = np.abs(step) < threshold
-                note(
-                    axis, direction, kind, same & turn & flat, np.full(step.shape, 1e-6, np.float32)
-                )
+    steps = {}
+    for axis, direction in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        m, d = masks[axis][::direction], depths[axis][::direction]
+        step = steps[axis, direction] = d[2:] - d[1:-1]
+        note(axis, direction, Kind.SILHOUETTE, m[1:-1] & ~m[2:] & (step > 0), step)
+    # Next to the silhouette surfaces turn away: what looks like a step there is none.
+    outer = (kinds == Kind.SILHOUETTE).astype(np.uint8)
+    free = _both_ways(cv2.dilate(outer, np.ones((5, 5), np.uint8)) == 0)
+    same = [m[1:-1] & m[2:] & m[:-2] & f[1:-1] for m, f in zip(masks, free, strict=True)]
+    for (axis, direction), step in steps.items():
+        # What a slanted surface would do anyway is no step.
+        slope = np.maximum(-steps[axis, -direction][::-1], 0)
+        hides = step - slope > threshold
+        note(axis, direction, Kind.INNER, same[axis][::direction] & hides, step)
+    for axis in (0, 1):
+        n, flat = normals[axis], np.abs(steps[axis, 1]) < threshold
+        crease = same[axis] & flat & (_cosine(n[:, 2:], n[:, 1:-1]) < _CREASE_COSINE)
+        note(axis, 1, Kind.CREASE, crease, 1e-6)
     v, u = np.nonzero(kinds >= 0)
-    return _Sides(v, u, v + toward[v, u, 0], u + toward[v, u, 1], kinds[v, u])
+    other = _TOWARD[toward[v, u]]
+    kind = kinds[v, u]
+    v, u = v + top, u + left
+    return _Sides(v, u, v + other[:, 0], u + other[:, 1], kind)
 
 
 def _normals(
-    mask: NDArray[np.bool_],
-    depth: NDArray[np.float32],
-    normal: NDArray[np.float32],
-    sides: _Sides,
-    on_near_side: Callable[..., NDArray[np.bool_]],
-) -> tuple[Array, NDArray[np.bool_]]:
+    mask: Flags, depth: Array32, normal: Array32, sides: _Sides, border: _Border
+) -> tuple[Array, Flags]:
     """Outward unit normals (N, 2), and which are clear: from the near side's centre of mass."""
-    w = _WINDOW
-    grid = np.meshgrid(np.arange(-w, w + 1), np.arange(-w, w + 1))
-    offsets = np.stack(grid, axis=-1).reshape(-1, 2)
-    bell = np.exp(-0.5 * (offsets**2).sum(axis=1) / 2.0**2)
-    around = [(w, w), (w, w)]
-    rows = sides.v[:, None] + w + offsets[None, :, 1]
-    columns = sides.u[:, None] + w + offsets[None, :, 0]
-    near = on_near_side(
-        np.pad(mask, around)[rows, columns],
-        np.pad(depth, around, constant_values=1e3)[rows, columns],
-        np.pad(normal, [*around, (0, 0)])[rows, columns],
-    )
-    moment = (near * bell) @ offsets
+    rows = sides.v[:, None] + _AROUND[None, :, 1]
+    columns = sides.u[:, None] + _AROUND[None, :, 0]
+    h, w = mask.shape
+    known = (rows >= 0) & (rows < h) & (columns >= 0) & (columns < w)
+    at = np.where(known, rows * w + columns, 0)
+    near = border.on_near_side_at(mask.ravel()[at] & known, depth, normal, at)
+    moment = (near * _BELL) @ _AROUND
     length = np.linalg.norm(moment, axis=1)
     normals = -moment / np.maximum(length, 1e-9)[:, None]
-    return normals, length > 0.15 * bell.sum()
+    return normals, length > 0.15 * _BELL.sum()

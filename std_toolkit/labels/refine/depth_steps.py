@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.refine.object_surface import ObjectSurface
-from std_toolkit.labels.refine.observed import ObservedPixels
+from std_toolkit.labels.refine.observed import ObservedRays
 from std_toolkit.labels.refine.problem import RefineObject
 
 Array = NDArray[np.float64]
@@ -52,66 +52,51 @@ class DepthResiduals:
 
 def depth_residuals(
     surface: ObjectSurface,
-    views: Sequence[ObservedPixels],
+    seen: ObservedRays,
     T_world_obj: SE3,
     *,
     gate_m: float,
     reverse_weight: float,
 ) -> DepthResiduals:
-    """Residuals of all views.
+    """Residuals of all rays.
 
     Args:
         gate_m: measured points further than this from the surface belong to something else.
         reverse_weight: of the residuals from the sensor to the model; 0 leaves them out.
     """
-    parts: list[tuple[Array, Array, Array, Array]] = []
-    for view in views:
-        T_cam_obj = view.T_world_cam.inverse() @ T_world_obj
-        rays = view.directions @ T_cam_obj.R
-        origin = T_cam_obj.inverse().t
-        hits = surface.cast(view.directions, T_cam_obj)
-        shown = np.isfinite(hits.depth) & (hits.depth < view.others)
-        cosine = -np.einsum("ij,ij->i", hits.normal, rays) / np.linalg.norm(rays, axis=1)
-        use = shown & view.steady & (cosine > _SMALLEST_COSINE)
-        use &= np.abs(view.sensor - np.where(shown, hits.depth, 0)) < gate_m
-        n, ray = hits.normal[use], rays[use]
-        along = np.einsum("ij,ij->i", n, ray)
-        parts.append(
-            (
-                along * (view.sensor[use] - hits.depth[use]),
-                origin + ray * hits.depth[use, None],
-                n,
-                np.ones(len(n)),
-            )
-        )
-        if reverse_weight <= 0:
-            continue
-        expected = np.minimum(view.others, view.background)
-        known = np.isfinite(expected)
-        stands_out = view.steady & known & (view.sensor < expected - _STANDS_OUT_M)
-        points = origin + rays[stands_out] * view.sensor[stands_out, None]
-        if not len(points):
-            continue
-        nearest, normal = surface.closest(points)
-        away = points - nearest
-        distance = np.linalg.norm(away, axis=1)
-        near = distance < _NEAR_M
-        direction = np.where(near[:, None], normal, away / np.maximum(distance, 1e-9)[:, None])
-        use = distance < gate_m
-        parts.append(
-            (
-                np.einsum("ij,ij->i", direction, away)[use],
-                nearest[use],
-                direction[use],
-                np.full(int(use.sum()), reverse_weight),
-            )
-        )
-    r = np.concatenate([p[0] for p in parts])
-    points = np.concatenate([p[1] for p in parts])
-    n = np.concatenate([p[2] for p in parts])
+    rays = seen.directions @ T_world_obj.R
+    origins = (seen.origins - T_world_obj.t) @ T_world_obj.R
+    hits = surface.cast_from(seen.origins, seen.directions, T_world_obj)
+    shown = np.isfinite(hits.depth) & (hits.depth < seen.others)
+    cosine = -np.einsum("ij,ij->i", hits.normal, rays) / np.linalg.norm(rays, axis=1)
+    use = shown & seen.steady & (cosine > _SMALLEST_COSINE)
+    use &= np.abs(seen.sensor - np.where(shown, hits.depth, 0)) < gate_m
+    n, ray = hits.normal[use], rays[use]
+    r = np.einsum("ij,ij->i", n, ray) * (seen.sensor[use] - hits.depth[use])
+    points = origins[use] + ray * hits.depth[use, None]
+    forward = DepthResiduals(r, _derivative(points, n), np.ones(len(n)))
+    expected = np.minimum(seen.others, seen.background)
+    stands_out = seen.steady & np.isfinite(expected) & (seen.sensor < expected - _STANDS_OUT_M)
+    if reverse_weight <= 0 or not stands_out.any():
+        return forward
+    measured = origins[stands_out] + rays[stands_out] * seen.sensor[stands_out, None]
+    nearest, normal = surface.closest(measured)
+    away = measured - nearest
+    distance = np.linalg.norm(away, axis=1)
+    near = distance < _NEAR_M
+    direction = np.where(near[:, None], normal, away / np.maximum(distance, 1e-9)[:, None])
+    use = distance < gate_m
+    r = np.einsum("ij,ij->i", direction, away)[use]
     return DepthResiduals(
-        r, np.hstack([n, np.cross(points, n)]), np.concatenate([p[3] for p in parts])
+        np.concatenate([forward.r, r]),
+        np.concatenate([forward.J, _derivative(nearest[use], direction[use])]),
+        np.concatenate([forward.weight, np.full(len(r), reverse_weight)]),
     )
+
+
+def _derivative(points: Array, directions: Array) -> Array:
+    """(N, 6) of points of the object along directions, by a right perturbation of its pose."""
+    return np.hstack([directions, np.cross(points, directions)])
 
 
 def icp_step(thing: RefineObject, residuals: DepthResiduals, *, spread_m: float) -> Array:
@@ -162,7 +147,7 @@ def _balance(thing: RefineObject) -> Array:
 def icp(
     surface: ObjectSurface,
     thing: RefineObject,
-    views: Sequence[ObservedPixels],
+    seen: ObservedRays,
     T_world_obj: SE3,
     *,
     gates_m: Sequence[float],
@@ -172,7 +157,7 @@ def icp(
     """Steps with a narrowing gate; ends early at the last gate when nothing moves any more."""
     T = T_world_obj
     for k, gate in enumerate(gates_m):
-        rows = depth_residuals(surface, views, T, gate_m=gate, reverse_weight=reverse_weight)
+        rows = depth_residuals(surface, seen, T, gate_m=gate, reverse_weight=reverse_weight)
         if len(rows.r) < 20:
             return T
         xi = icp_step(thing, rows, spread_m=gate / 3)

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.refine.layers import LayerStore
 from std_toolkit.labels.refine.measure import Level, Measured, PoseState, measure
 from std_toolkit.labels.refine.problem import RefineObject, RefineOptions, RefineView
-from std_toolkit.labels.refine.system import NormalEquations
+from std_toolkit.labels.refine.system import NormalEquations, Step
 
 Array = NDArray[np.float64]
 
@@ -22,8 +23,9 @@ Array = NDArray[np.float64]
 _CONTOUR_CORRELATION_PX = 100.0
 _SMALLEST_EDGE_STD_PX = 0.25
 _SMALLEST_DEPTH_STD_M = 0.001
-# Steps below this (mm of the object's surface) change no label; coarse levels stop earlier.
-_SETTLED_MM = 0.06
+# Moves below this (mm of the object's surface) change no label, and less than the contour's
+# sampling does from one step to the next; coarse levels stop earlier.
+_SETTLED_MM = 0.1
 _SETTLED_COARSE_MM = 0.5
 
 
@@ -48,29 +50,61 @@ def descend(
     state: PoseState,
     levels: Sequence[Level],
     options: RefineOptions,
+    *,
+    layers: LayerStore | None = None,
 ) -> Descent:
     """Move `state` level by level until the steps are small.
+
+    Args:
+        layers: of descents with the same objects and views before this one.
 
     Raises:
         ToolkitError: no object is visible in any view.
     """
-    measured = Measured([], [])
-    step, scale = np.inf, 1.0
+    layers = LayerStore() if layers is None else layers
+    measured = made = Measured([], [])
+    largest, scale = np.inf, 1.0
     for number, level in enumerate(levels):
-        last = number == len(levels) - 1
+        enough = _SETTLED_MM if number == len(levels) - 1 else _SETTLED_COARSE_MM
         scale = level.scale
         scaled = [v.at_scale(scale) for v in views]
+        # How far each object has moved since it was last compared with the images, mm.
+        moved = np.full(len(objects), np.inf)
+        moved[[o.fixed for o in objects]] = 0
         for _ in range(level.iterations):
-            measured = measure(views, scaled, objects, state, level, use_depth=options.use_depth)
+            again = np.flatnonzero(moved > enough)
+            if not len(again):
+                break
+            measured = measured + measure(
+                views,
+                scaled,
+                objects,
+                state,
+                level,
+                use_depth=options.use_depth,
+                layers=layers,
+                chosen=again,
+            )
             if not measured.contours and not measured.depths:
                 raise ToolkitError(
                     "no object is visible in the views of the refinement",
                     hint="is the annotated pose of one of them far off?",
                 )
-            step = _advance(objects, state, measured, scale, options)
-            if step < (_SETTLED_MM if last else _SETTLED_COARSE_MM):
-                break
-    return Descent(measured, scale, step)
+            made = measured
+            steps = _advance(objects, state, measured, scale, options)
+            size = np.array([_size_mm(o, s) for o, s in zip(objects, steps, strict=True)])
+            moved[again] = 0
+            moved += size
+            largest = float(size.max())
+            measured = measured.after({k: steps[k] for k in np.flatnonzero(moved <= enough)})
+        measured = Measured([], [])
+    return Descent(made, scale, largest)
+
+
+def _size_mm(thing: RefineObject, step: Step) -> float:
+    """How far a step moves the surface at most."""
+    shift, turn = np.linalg.norm(step.xi[:3]), np.linalg.norm(step.xi[3:])
+    return 1000 * float(shift + turn * thing.radius)
 
 
 def _advance(
@@ -79,24 +113,25 @@ def _advance(
     measured: Measured,
     scale: float,
     options: RefineOptions,
-) -> float:
-    """One Gauss-Newton step with robust weights; returns the largest move, mm."""
+) -> list[Step]:
+    """One Gauss-Newton step with robust weights; returns what it did to each object."""
     delta = np.zeros(6 * len(objects) + 2)
     for _ in range(3):
         # Weights for the residuals that the step leaves, so that outliers do not vote on it.
         system, _, _ = assemble(objects, state, measured, scale, options, delta)
         delta = system.solve([o.radius for o in objects])
-    largest = 0.0
+    log_scale, factor = float(delta[system.SCALE]), float(delta[system.FACTOR])
+    steps = []
     for i, thing in enumerate(objects):
         xi = delta[6 * i : 6 * i + 6]
         shift, turn = float(np.linalg.norm(xi[:3])), float(np.linalg.norm(xi[3:]))
         # Linearisation holds for moves that are small against the object.
-        excess = max(shift / (0.25 * thing.radius), turn / 0.2, 1.0)
-        state.poses[i] = state.poses[i] @ SE3.exp(xi / excess)
-        largest = max(largest, shift + turn * thing.radius)
-    state.log_scale += float(delta[system.SCALE])
-    state.depth_factor *= 1 + float(delta[system.FACTOR])
-    return 1000 * largest
+        xi = xi / max(shift / (0.25 * thing.radius), turn / 0.2, 1.0)
+        state.poses[i] = state.poses[i] @ SE3.exp(xi)
+        steps.append(Step(xi, log_scale, factor))
+    state.log_scale += log_scale
+    state.depth_factor *= 1 + factor
+    return steps
 
 
 def assemble(

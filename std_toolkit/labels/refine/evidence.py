@@ -115,7 +115,7 @@ def measure_edges(
     pad = 3
     wide = np.arange(-reach - pad, reach + pad + 1, dtype=np.float64)
     at = contour.pixels[:, None] + wide[None, :, None] * contour.normals[:, None]
-    share = _sharing(contour.neighbours, along)
+    share = _sharing(contour, along)
     crop, corner = _around(image, at)
     step = _derivative(_sample(crop, at - corner))[:, pad:-pad]
     step = (share @ step.reshape(len(step), -1)).reshape(step.shape)
@@ -148,16 +148,16 @@ def measure_edges(
     return EdgeMeasurements(offset, np.where(at_end, 0, weight))
 
 
-def _sharing(square_distance: Array, along: float) -> csr_array:
+def _sharing(contour: Contour, along: float) -> csr_array:
     """(N, N) weights by which samples share their evidence; rows sum to 1."""
     from scipy.sparse import csr_array
 
-    reach = (_SHARED_SIGMAS * along) ** 2
-    near, far = np.nonzero(square_distance <= reach)
-    weight = np.exp(-0.5 * square_distance[near, far] / max(along, 1e-3) ** 2).astype(np.float32)
-    total = np.bincount(near, weight, len(square_distance)).astype(np.float32)
+    size = len(contour.pixels)
+    here, there, square = contour.near(_SHARED_SIGMAS * along)
+    weight = np.exp(-0.5 * square / max(along, 1e-3) ** 2).astype(np.float32)
+    total = np.bincount(here, weight, size).astype(np.float32)
     # Few neighbours count: a dense product would take most of a refinement's time.
-    return csr_array((weight / total[near], (near, far)), shape=square_distance.shape)
+    return csr_array((weight / total[here], (here, there)), shape=(size, size))
 
 
 def _around(image: NDArray[np.uint8], at: Array) -> tuple[Array32, Array]:

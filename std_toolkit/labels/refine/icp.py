@@ -19,7 +19,7 @@ from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.refine.depth_fit import DepthAgreement, measure_depth
 from std_toolkit.labels.refine.depth_steps import depth_residuals, pose_covariance
 from std_toolkit.labels.refine.object_surface import ObjectSurface, surface_of
-from std_toolkit.labels.refine.observed import ObservedView, observe
+from std_toolkit.labels.refine.observed import ObservedRays, ObservedView, observe
 from std_toolkit.labels.refine.pose_search import SearchRange, search_pose
 from std_toolkit.labels.refine.problem import (
     RefineObject,
@@ -133,9 +133,8 @@ def refine_on_depth(
         finished = _finish(views, found, surface, observed, agreement, others)
         if finished is not None:
             return finished
-    rows = depth_residuals(
-        surface, [o.thinned(3000) for o in observed], pose, gate_m=0.008, reverse_weight=0.0
-    )
+    rays = ObservedRays.of([o.thinned(3000) for o in observed])
+    rows = depth_residuals(surface, rays, pose, gate_m=0.008, reverse_weight=0.0)
     covariance = pose_covariance(thing, rows)
     return DepthFit(
         thing.name,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -15,8 +15,9 @@ from std_toolkit.labels.refine.caster import WorldCaster, cast_patch
 from std_toolkit.labels.refine.contour import contour_image, trace_contour
 from std_toolkit.labels.refine.depth_term import sample_depth
 from std_toolkit.labels.refine.evidence import colour_odds, measure_edges
+from std_toolkit.labels.refine.layers import LayerStore
 from std_toolkit.labels.refine.problem import RefineObject, RefineOptions, RefineView
-from std_toolkit.labels.refine.system import ContourRows, DepthRows, contour_rows, depth_rows
+from std_toolkit.labels.refine.system import ContourRows, DepthRows, Step, contour_rows, depth_rows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +95,16 @@ class Measured:
     contours: list[tuple[int, ContourRows]]
     depths: list[tuple[int, DepthRows]]
 
+    def after(self, steps: Mapping[int, Step]) -> Measured:
+        """The residuals of the objects that made these steps, by index, to first order."""
+        return Measured(
+            [(k, rows.after(steps[k])) for k, rows in self.contours if k in steps],
+            [(k, rows.after(steps[k])) for k, rows in self.depths if k in steps],
+        )
+
+    def __add__(self, other: Measured) -> Measured:
+        return Measured(self.contours + other.contours, self.depths + other.depths)
+
 
 def measure(
     views: Sequence[RefineView],
@@ -103,19 +114,23 @@ def measure(
     level: Level,
     *,
     use_depth: bool,
+    layers: LayerStore | None = None,
+    chosen: Collection[int] | None = None,
 ) -> Measured:
     """Render all objects together in every view and compare with the images.
 
     Args:
         scaled: camera and image of every view at the level's scale.
+        layers: kept from step to step: what did not move is not rendered again.
+        chosen: indices of the objects to compare; default: all that are not fixed.
     """
-    caster = WorldCaster(objects, state.poses)
+    caster = WorldCaster(objects, state.poses, layers)
     found = Measured([], [])
     for view, (camera, image) in zip(views, scaled, strict=True):
         T_world_cam = state.camera_pose(view)
         sensor = _sensor(view, camera, state) if use_depth else None
         for i, thing in enumerate(objects):
-            if thing.fixed:
+            if thing.fixed or (chosen is not None and i not in chosen):
                 continue
             patch = cast_patch(
                 caster, thing, state.poses[i], camera, T_world_cam, margin=level.reach + 8

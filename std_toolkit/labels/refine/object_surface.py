@@ -46,13 +46,16 @@ class ObjectSurface:
     Attributes:
         centre: (3,) of the bounding box.
         radius: largest distance of a vertex from it, metres.
+        corners: (8, 3) of the bounding box.
     """
 
     def __init__(self, vertices: Array, faces: NDArray[np.integer]) -> None:
         import open3d as o3d
 
         used = vertices[np.unique(faces)]
-        self.centre: Array = (used.min(axis=0) + used.max(axis=0)) / 2
+        bounds = np.stack([used.min(axis=0), used.max(axis=0)], axis=1)
+        self.centre: Array = bounds.mean(axis=1)
+        self.corners: Array = np.array(np.meshgrid(*bounds)).reshape(3, -1).T
         self.radius = float(np.linalg.norm(used - self.centre, axis=1).max())
         self._tensor = o3d.core.Tensor.from_numpy
         self._scene = o3d.t.geometry.RaycastingScene()
@@ -68,10 +71,21 @@ class ObjectSurface:
         Args:
             directions: (N, 3) in the camera frame, z = 1: what comes back is the z-depth.
         """
-        T_obj_cam = T_cam_obj.inverse()
+        return self.cast_from(np.zeros(3), directions, T_cam_obj)
+
+    def cast_from(
+        self, origins: Array, directions: NDArray[np.floating], T_world_obj: SE3
+    ) -> SurfaceHits:
+        """Rays of several cameras against the object at a pose.
+
+        Args:
+            origins: (N, 3) of the cameras, world frame, or one for all.
+            directions: (N, 3) in the world frame, z = 1 in the camera of each.
+        """
+        T_obj_world = T_world_obj.inverse()
         rays = np.empty((len(directions), 6), np.float32)
-        rays[:, :3] = T_obj_cam.t - self.centre
-        rays[:, 3:] = turned(directions, T_obj_cam.R)
+        rays[:, :3] = T_obj_world @ origins - self.centre
+        rays[:, 3:] = turned(directions, T_obj_world.R)
         found = self._scene.cast_rays(self._tensor(rays))
         normal = found["primitive_normals"].numpy()
         away = np.einsum("ij,ij->i", normal, rays[:, 3:]) > 0
@@ -112,6 +126,15 @@ class ObjectSurface:
             found["points"].numpy().astype(np.float64) + self.centre,
             found["primitive_normals"].numpy().astype(np.float64),
         )
+
+
+def rotated(vectors: NDArray[np.float32], R: Array) -> NDArray[np.float32]:
+    """(3, ...) R applied to vectors (3, ...), component by component."""
+    x, y, z = vectors
+    out = np.empty_like(vectors)
+    for k, (a, b, c) in enumerate(R.astype(np.float32)):
+        out[k] = a * x + b * y + c * z
+    return out
 
 
 def turned(vectors: NDArray[np.floating], R: Array) -> NDArray[np.float32]:

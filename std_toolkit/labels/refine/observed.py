@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property, partial
 
 import cv2
 import numpy as np
@@ -62,14 +63,16 @@ class ObservedView:
             self.steady[v, u],
             self.others[v, u].astype(np.float64),
             behind,
-            self._smooth_color(stride)[v, u],
             columns,
+            partial(self._smooth_color, u, v, 0.5 * stride),
         )
 
-    def _smooth_color(self, stride: int) -> NDArray[np.float32]:
+    def _smooth_color(
+        self, u: NDArray[np.intp], v: NDArray[np.intp], sigma: float
+    ) -> NDArray[np.float32]:
         h, w = self.sensor.shape
         crop = self.view.color[self.y : self.y + h, self.x : self.x + w].astype(np.float32)
-        return np.asarray(cv2.GaussianBlur(crop, (0, 0), 0.5 * stride), dtype=np.float32)
+        return np.asarray(cv2.GaussianBlur(crop, (0, 0), sigma), dtype=np.float32)[v, u]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +87,8 @@ class ObservedPixels:
         steady: (N,) measured, and away from steps in depth.
         others: (N,) z-depth of the other objects, inf = none.
         background: (N,) z-depth of the background plane, inf = unknown.
-        color: (N, 3) float32 RGB, smoothed to the grid's pitch.
         columns: of the grid that the pixels form, row by row.
+        read_color: gives `color`.
     """
 
     T_world_cam: SE3
@@ -95,8 +98,46 @@ class ObservedPixels:
     steady: NDArray[np.bool_]
     others: Array
     background: Array
-    color: NDArray[np.float32]
     columns: int
+    read_color: Callable[[], NDArray[np.float32]]
+
+    @cached_property
+    def color(self) -> NDArray[np.float32]:
+        """(N, 3) float32 RGB, smoothed to the grid's pitch."""
+        return self.read_color()
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedRays:
+    """The pixels of several views as one set of rays, since a cast costs as much as many rays.
+
+    Attributes:
+        origins, directions: (N, 3) of the rays in the world; z = 1 in the camera of each.
+        sensor, steady, others, background: (N,) as of the pixels.
+    """
+
+    origins: Array
+    directions: Array
+    sensor: Array
+    steady: NDArray[np.bool_]
+    others: Array
+    background: Array
+
+    @staticmethod
+    def of(views: Sequence[ObservedPixels]) -> ObservedRays:
+        """All pixels of the views, which are at least one."""
+        return ObservedRays(
+            np.concatenate([np.tile(v.T_world_cam.t, (len(v.uv), 1)) for v in views]),
+            np.concatenate([v.directions @ v.T_world_cam.R.T for v in views]),
+            *(
+                np.concatenate([getattr(v, name) for v in views])
+                for name in ("sensor", "steady", "others", "background")
+            ),
+        )
+
+    def only(self, chosen: NDArray[np.bool_]) -> ObservedRays:
+        """Those of the rays (N,) that are chosen."""
+        return ObservedRays(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
 
 def observe(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.refine.object_surface import ObjectSurface
-from std_toolkit.labels.refine.observed import ObservedPixels
+from std_toolkit.labels.refine.observed import ObservedPixels, ObservedRays
 
 Array = NDArray[np.float64]
 
@@ -48,27 +48,21 @@ class DepthCost:
     ) -> None:
         self._surface = surface
         self._tolerance = tolerance_m
-        self._views = []
-        for view in views:
-            use = view.sensor > 0
-            behind = np.minimum(view.others, view.background)[use]
-            sensor = view.sensor[use]
-            # What lies behind the expected background is other background.
-            empty = pixel_cost(np.maximum(behind, sensor), sensor, tolerance_m)
-            empty[np.isinf(behind)] = _UNKNOWN
-            self._views.append(
-                (view.T_world_cam.inverse(), view.directions[use], sensor, view.others[use], empty)
-            )
+        rays = ObservedRays.of(views)
+        rays = rays.only(rays.sensor > 0)
+        behind = np.minimum(rays.others, rays.background)
+        # What lies behind the expected background is other background.
+        empty = pixel_cost(np.maximum(behind, rays.sensor), rays.sensor, tolerance_m)
+        empty[np.isinf(behind)] = _UNKNOWN
+        self._rays, self._empty = rays, empty
 
     def __call__(self, T_world_obj: SE3) -> float:
         """Sum of the costs of the pixels, less that of the scene without the object.
 
         Negative where the object explains what was measured. In pixels.
         """
-        total = 0.0
-        for T_cam_world, directions, sensor, others, empty in self._views:
-            depth = self._surface.cast(directions, T_cam_world @ T_world_obj).depth
-            shown = np.isfinite(depth) & (depth < others)
-            cost = pixel_cost(depth[shown], sensor[shown], self._tolerance)
-            total += float((cost - empty[shown]).sum())
-        return total
+        rays = self._rays
+        depth = self._surface.cast_from(rays.origins, rays.directions, T_world_obj).depth
+        shown = np.isfinite(depth) & (depth < rays.others)
+        cost = pixel_cost(depth[shown], rays.sensor[shown], self._tolerance)
+        return float((cost - self._empty[shown]).sum())

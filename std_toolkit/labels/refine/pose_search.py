@@ -12,7 +12,7 @@ from std_toolkit.geometry.pose_error import rotation_error
 from std_toolkit.geometry.se3 import SE3, so3_exp
 from std_toolkit.labels.refine.depth_steps import icp
 from std_toolkit.labels.refine.object_surface import ObjectSurface
-from std_toolkit.labels.refine.observed import ObservedPixels, ObservedView
+from std_toolkit.labels.refine.observed import ObservedRays, ObservedView
 from std_toolkit.labels.refine.pose_judge import PoseJudge
 from std_toolkit.labels.refine.problem import RefineObject
 
@@ -68,23 +68,24 @@ def search_pose(
     """The best T_world_obj by sensor depth (and print, where the mesh has one)."""
     coarse = [o.thinned(_share(_COARSE, observed)) for o in observed]
     fine = [o.thinned(_share(_FINE, observed)) for o in observed]
+    coarse_rays, fine_rays = ObservedRays.of(coarse), ObservedRays.of(fine)
     first = PoseJudge(thing, surface, coarse, tolerance_m=0.03, reach_m=search.reach_m)
     starts = _starts(thing, search)
     ranked = np.argsort([first.depth(T) for T in starts], kind="stable")[:_SHORT_FITS]
     # The start itself always has its chance.
     chosen = list(dict.fromkeys([0, *(int(k) for k in ranked)]))
-    short = [icp(surface, thing, coarse, starts[k], gates_m=_SHORT) for k in chosen]
+    short = [icp(surface, thing, coarse_rays, starts[k], gates_m=_SHORT) for k in chosen]
     middle = PoseJudge(thing, surface, fine, tolerance_m=0.015, reach_m=search.reach_m)
     short.sort(key=lambda T: middle(T).total)
-    full = [icp(surface, thing, fine, T, gates_m=_FULL) for T in short[:_FULL_FITS]]
+    full = [icp(surface, thing, fine_rays, T, gates_m=_FULL) for T in short[:_FULL_FITS]]
     judge = PoseJudge(thing, surface, fine, tolerance_m=0.008, reach_m=search.reach_m)
     near = [T for T in full if search.holds(thing, T)]
     best = min(near or full, key=lambda T: judge(T).total)
     if not search.flips:
         return best
     full += [
-        icp(surface, thing, fine, T, gates_m=_FULL)
-        for T in _rivals(thing, surface, best, coarse, middle)[:_FULL_FITS]
+        icp(surface, thing, fine_rays, T, gates_m=_FULL)
+        for T in _rivals(thing, surface, best, coarse_rays, middle)[:_FULL_FITS]
     ]
     rival = min(full, key=lambda T: judge(T).total)
     return rival if judge(rival).total < judge(best).total - _TURN_MARGIN else best
@@ -94,12 +95,12 @@ def _rivals(
     thing: RefineObject,
     surface: ObjectSurface,
     best: SE3,
-    coarse: Sequence[ObservedPixels],
+    seen: ObservedRays,
     judge: PoseJudge,
 ) -> list[SE3]:
     """Turns of a pose that the shape may tell apart, and that fit but for the print; best first."""
     turned = _turned(best, thing.centre, _PLAIN_TURNS)
-    rivals = [icp(surface, thing, coarse, T, gates_m=_SHORT) for T in turned]
+    rivals = [icp(surface, thing, seen, T, gates_m=_SHORT) for T in turned]
     if thing.colors is not None:
         limit = judge.depth(best) + _TURN_SLACK
         printed = _turned(best, thing.centre, _PRINT_TURNS)

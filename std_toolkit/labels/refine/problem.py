@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import cv2
@@ -18,6 +17,7 @@ from std_toolkit.scene.model import DIFFUSE_MATERIALS
 
 if TYPE_CHECKING:
     from std_toolkit.labels.refine.appearance import SurfaceColors
+    from std_toolkit.labels.refine.object_surface import ObjectSurface
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,17 +106,22 @@ class RefineObject:
     def trusts_depth(self) -> bool:
         return self.material in DIFFUSE_MATERIALS
 
-    @cached_property
+    @property
     def centre(self) -> NDArray[np.float64]:
         """(3,) centre of the bounding box, mesh frame."""
-        used = self.vertices[np.unique(self.faces)]
-        return np.asarray((used.min(axis=0) + used.max(axis=0)) / 2)
+        return self._surface.centre
 
-    @cached_property
+    @property
     def radius(self) -> float:
         """Largest distance of a vertex from `centre`, metres."""
-        used = self.vertices[np.unique(self.faces)]
-        return float(np.linalg.norm(used - self.centre, axis=1).max())
+        return self._surface.radius
+
+    @property
+    def _surface(self) -> ObjectSurface:
+        from std_toolkit.labels.refine.object_surface import surface_of
+
+        # Known once for all copies of the object at other poses.
+        return surface_of(self)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,20 @@ from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.refine.depth_term import DepthSamples
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A change of the unknowns that concerns one object.
+
+    Attributes:
+        xi: (6,) right perturbation of its pose.
+        scale, factor: change of the log scale, and relative change of the depth factor.
+    """
+
+    xi: Array
+    scale: float
+    factor: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +45,11 @@ class ContourRows:
     scale: Array
     weight: Array
 
+    def after(self, step: Step) -> ContourRows:
+        """The same rows once a small step was made, to first order."""
+        left = self.residual - self.pose @ step.xi - self.scale * step.scale
+        return replace(self, residual=left)
+
 
 @dataclass(frozen=True, eq=False)
 class DepthRows:
@@ -46,6 +65,11 @@ class DepthRows:
     pose: Array
     scale: Array
     factor: Array
+
+    def after(self, step: Step) -> DepthRows:
+        """The same rows once a small step was made, to first order."""
+        left = self.residual - self.pose @ step.xi - self.scale * step.scale
+        return replace(self, residual=left + self.factor * step.factor)
 
 
 def contour_rows(
