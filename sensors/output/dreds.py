@@ -1,0 +1,242 @@
+"""Simulated scenes in the layout of DREDS-CatKnown, as the public loaders read it.
+
+OUT/DREDS-CatKnown/<split>/<scene>/NNNN_*   images and maps of the frames
+OUT/cad_model/syn_<split>/<synset>/<asset>/ meshes of unit diagonal and their boxes
+OUT/parameters/<split>/<scene>.json         full record of a scene: cameras, poses, seed
+
+Loaders glob `<split>/*/*<suffix>` for every suffix, sort, and pair by position, so every frame has
+every file; the records lie where no loader looks. Facts of the layout that are easily missed:
+
+- colour and infrared pictures may be larger than the label maps; raw depth is a label map, aligned
+  to colour, and -0.001 where nothing was measured;
+- depth files have three equal channels (loaders take the first, or R);
+- masks hold id/255 as float32 (loaders multiply by 255 and truncate, which half floats fail) with
+  background 1, NOCS pictures have B = 1 - z;
+- the quaternions of the meta lines are those of the inverse rotation, camera to object;
+- `_depth_120` is the exact depth of everything, table and floor included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.output.frame import Image8, Map, SimulatedFrame, SimulatedObject, SimulatedScene
+from sensors.output.intake import Intake
+from sensors.output.record import SceneRecord, scene_record
+from sensors.output.staging import staged_folder
+from std_toolkit.errors import ToolkitError
+from std_toolkit.exporters.mesh_export import obj_files, write_files
+from std_toolkit.geometry.mesh import mesh_bounds
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.exr import write_exr
+from std_toolkit.io.images import write_color, write_png
+from std_toolkit.scene.model import MATERIAL_IDS
+
+Split = Literal["train", "val", "test"]
+# Validation scenes are made of the training shapes.
+_CAD_FOLDERS: dict[str, str] = {"train": "syn_train", "val": "syn_train", "test": "syn_test"}
+SPLITS: tuple[Split, ...] = ("train", "val", "test")
+DATA_SET = "DREDS-CatKnown"
+SUFFIXES = (
+    "_color.png",
+    "_ir_l.png",
+    "_ir_r.png",
+    "_simDepthImage.exr",
+    "_depth_120.exr",
+    "_mask.exr",
+    "_coord.png",
+    "_normal.exr",
+    "_meta.txt",
+)
+SYNSETS = {
+    0: "00000000",
+    1: "02876657",
+    2: "02880940",
+    3: "02942699",
+    4: "02946921",
+    5: "02958343",
+    6: "03797390",
+    7: "02691156",
+}
+NO_MEASUREMENT = np.float32(-0.001)
+BACKGROUND = 255
+# Loaders pad the meta lines of a frame to 30, and frame numbers have four digits.
+MOST_OBJECTS = 30
+MOST_FRAMES = 10_000
+
+
+class DredsWriter:
+    """Writes the frames of one scene; see `dreds_scene`."""
+
+    def __init__(self, folder: Path, intake: Intake) -> None:
+        self._folder = folder
+        self._intake = intake
+
+    def add(self, frame: SimulatedFrame) -> None:
+        """Write the nine files of a frame. Frames may come in any order.
+
+        Raises:
+            ToolkitError: the frame does not belong to the scene, or the disk is full.
+        """
+        self._intake.accept(frame)
+        if frame.color_camera.is_distorted:
+            raise ToolkitError("the layout knows pinhole cameras only", field="color_camera")
+        base = self._folder / f"{frame.index:04d}"
+
+        def path(suffix: str) -> Path:
+            return base.with_name(base.name + suffix)
+
+        write_color(path("_color.png"), frame.color)
+        write_png(path("_ir_l.png"), frame.infrared_left)
+        write_png(path("_ir_r.png"), frame.infrared_right)
+        raw = np.where(frame.depth_aligned > 0, frame.depth_aligned, NO_MEASUREMENT)
+        _write_equal(path("_simDepthImage.exr"), raw)
+        _write_equal(path("_depth_120.exr"), frame.depth_exact)
+        _write_equal(path("_mask.exr"), mask_values(frame.mask))
+        write_png(path("_coord.png"), nocs_picture(frame.nocs, frame.mask))
+        _write_channels(path("_normal.exr"), frame.normals)
+        meta = meta_text(self._intake.scene, frame)
+        write_bytes_atomic(path("_meta.txt"), meta.encode("ascii"))
+
+
+@contextmanager
+def dreds_scene(out: Path, scene: SimulatedScene, *, split: Split) -> Iterator[DredsWriter]:
+    """A writer of a scene, which appears in the data set when the block ends without an error.
+
+    Until then nothing of it is where a loader looks; its meshes and its record come first.
+
+    Args:
+        out: top of the data set.
+        scene: what all frames share.
+        split: which part of the data set it belongs to.
+
+    Raises:
+        ToolkitError: the scene is there already, has more than the layout holds, a mesh of the same
+            name but another shape is there, or not every frame was written.
+    """
+    if split not in SPLITS:
+        raise ToolkitError("unknown split", field="split", value=split, hint=f"one of {SPLITS}")
+    for what, count, most in (
+        ("objects", len(scene.objects), MOST_OBJECTS),
+        ("frames", scene.frames, MOST_FRAMES),
+    ):
+        if count > most:
+            raise ToolkitError(f"the DREDS layout holds at most {most} {what}", value=count)
+    intake = Intake(scene)
+    target = scene_folder(out, split, scene.name)
+    record = record_path(out, split, scene.name)
+    try:
+        with staged_folder(out, target.relative_to(out).as_posix()) as folder:
+            yield DredsWriter(folder, intake)
+            intake.require_all()
+            for item in scene.objects:
+                _write_model(out, f"cad_model/{_CAD_FOLDERS[split]}/{_cad_name(item)}", item)
+            write_document(record, scene_record(intake))
+    except BaseException:
+        if not target.exists():
+            record.unlink(missing_ok=True)
+        raise
+
+
+def scene_folder(out: Path, split: Split, name: str) -> Path:
+    """Where the scene is; it exists exactly when the scene is complete."""
+    return out / DATA_SET / split / name
+
+
+def record_path(out: Path, split: Split, name: str) -> Path:
+    """Where the record of a scene is."""
+    return out / "parameters" / split / f"{name}.json"
+
+
+def read_record(out: Path, split: Split, name: str) -> SceneRecord:
+    """The record of a complete scene.
+
+    Raises:
+        ToolkitError: no such scene, or its record is missing or damaged.
+    """
+    folder = scene_folder(out, split, name)
+    if not folder.is_dir():
+        raise ToolkitError("no such scene", path=folder)
+    return read_document(record_path(out, split, name), SceneRecord)
+
+
+def mask_values(mask: Image8) -> Map:
+    """(H, W) float32 id/255, background 255/255."""
+    ids = np.where(mask == 0, BACKGROUND, mask)
+    return ids.astype(np.float32) / np.float32(255)
+
+
+def nocs_picture(nocs: Map, mask: Image8) -> Image8:
+    """(H, W, 3) uint8: R = x, G = y, B = 1 - z, black background."""
+    values = nocs.copy()
+    values[..., 2] = 1 - values[..., 2]
+    picture = np.rint(values * 255).astype(np.uint8)
+    picture[mask == 0] = 0
+    return picture
+
+
+def meta_text(scene: SimulatedScene, frame: SimulatedFrame) -> str:
+    """A line of 13 fields, each followed by a space, for every object that is in the view.
+
+    mask id, class, synset, instance, diagonal in metres, material, quaternion w x y z of the
+    rotation camera to object, origin of the object in the camera frame in metres.
+    """
+    T_cam_world = frame.T_world_cam.inverse()
+    lines = []
+    for item in scene.objects:
+        if item.instance_id in frame.hidden:
+            continue
+        T_cam_obj = T_cam_world @ item.T_world_obj
+        q = SE3(T_cam_obj.R.T, np.zeros(3)).quat()
+        numbers = " ".join(f"{x:.9f}" for x in (*q, *T_cam_obj.t))
+        lines.append(
+            f"{item.instance_id} {item.class_id} {SYNSETS[item.class_id]} {item.asset_id} "
+            f"{item.scale_m:.9f} {MATERIAL_IDS[item.material_class]} {numbers} \n"
+        )
+    return "".join(lines)
+
+
+def _cad_name(item: SimulatedObject) -> str:
+    return f"{SYNSETS[item.class_id]}/{item.asset_id}"
+
+
+def _write_model(out: Path, relative: str, item: SimulatedObject) -> None:
+    """`model.obj` and `bbox.txt` (row 0 maxima, row 1 minima), unless the same are there."""
+    files = obj_files(item.mesh, "model.obj")
+    low, high = mesh_bounds(item.mesh)
+    box = "\n".join(" ".join(f"{x:.9f}" for x in row) for row in (high, low)) + "\n"
+    files["bbox.txt"] = box.encode("ascii")
+    if not (out / relative).is_dir():
+        try:
+            with staged_folder(out, relative) as folder:
+                write_files(folder, files)
+        except ToolkitError:
+            # Another process may have been quicker with the same model.
+            if not (out / relative).is_dir():
+                raise
+    path = out / relative / "model.obj"
+    if not path.is_file() or path.read_bytes() != files["model.obj"]:
+        raise ToolkitError(
+            "another mesh of this name is here",
+            path=path,
+            hint="asset ids must be unique over all asset sources of a data set",
+        )
+
+
+def _write_equal(path: Path, values: Map) -> None:
+    _write_channels(path, np.repeat(values[..., None], 3, axis=2))
+
+
+def _write_channels(path: Path, values: Map) -> None:
+    pixels: dict[str, NDArray[np.generic]] = {
+        name: np.ascontiguousarray(values[..., i], np.float32) for i, name in enumerate("RGB")
+    }
+    write_exr(path, pixels, compression="zip")

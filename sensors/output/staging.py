@@ -1,0 +1,120 @@
+"""Folders of a data set that appear complete or not at all, made out of sight of its readers.
+
+Readers of the public layouts glob for files two levels below a split. A folder in the making that
+lay beside the finished ones would be read half-written, hidden name or not; so it is made below
+`.partial` at the top of the data set and moved into place when it is whole.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import sync_folder
+
+WAITING = ".partial"
+_ATTEMPTS = 100
+
+
+@contextmanager
+def staged_folder(top: Path, relative: str) -> Iterator[Path]:
+    """A folder that becomes `top / relative` when the block ends without an error.
+
+    When the block raises, the folder goes. What a killed process left of the same folder is removed
+    by the next call for it; a lock tells that from the folder of a process still at work.
+
+    Args:
+        top: of the data set; on one file system.
+        relative: where the folder belongs.
+
+    Raises:
+        ToolkitError: there is something already, or it cannot be written.
+    """
+    target = top / relative
+    refuse_existing(target)
+    waiting = top / WAITING
+    name = relative.replace("/", "+")
+    try:
+        _sweep(waiting, name)
+        staging, descriptor = _make(waiting, name)
+    except OSError as error:
+        raise ToolkitError(f"cannot write here: {error.strerror}", path=top) from error
+    try:
+        yield staging
+        sync_folder(staging)
+        refuse_existing(target)
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            staging.rename(target)
+            sync_folder(target.parent)
+        except OSError as error:
+            raise ToolkitError(
+                f"cannot put the finished folder in place: {error.strerror}", path=target
+            ) from error
+    except BaseException as error:
+        shutil.rmtree(staging, ignore_errors=True)
+        if isinstance(error, ToolkitError) and str(staging) in (error.path or ""):
+            # The user knows the place that was asked for, not where it was in the making.
+            raise ToolkitError(
+                error.problem,
+                path=str(error.path).replace(str(staging), str(target)),
+                field=error.field,
+                value=error.value,
+                hint=error.hint,
+            ) from error
+        raise
+    finally:
+        os.close(descriptor)
+        with suppress(OSError):
+            waiting.rmdir()  # fails while others are at work in it
+
+
+def refuse_existing(target: Path) -> None:
+    """Raises ToolkitError if there is anything at `target`."""
+    if target.is_symlink() or target.exists():
+        raise ToolkitError("there is something here already", path=target)
+
+
+def _make(waiting: Path, name: str) -> tuple[Path, int]:
+    for _ in range(_ATTEMPTS):
+        waiting.mkdir(parents=True, exist_ok=True)
+        staging = waiting / f"{name}.{secrets.token_hex(6)}"
+        try:
+            staging.mkdir()
+            descriptor = os.open(staging, os.O_RDONLY)
+        except FileNotFoundError:
+            continue  # another process, finishing, removed the empty folder of folders
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(descriptor)
+            continue  # swept by another process between the two calls above
+        if staging.exists():
+            return staging, descriptor
+        os.close(descriptor)
+    raise ToolkitError("cannot make a folder to work in", path=waiting)
+
+
+def _sweep(waiting: Path, name: str) -> None:
+    if not waiting.is_dir():
+        return
+    pattern = re.compile(rf"{re.escape(name)}\.[0-9a-f]{{12}}")
+    for left in waiting.iterdir():
+        if not (pattern.fullmatch(left.name) and left.is_dir() and not left.is_symlink()):
+            continue
+        with suppress(FileNotFoundError):
+            descriptor = os.open(left, os.O_RDONLY)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(left, ignore_errors=True)
+            except BlockingIOError:
+                continue  # another process makes the same folder; the move decides
+            finally:
+                os.close(descriptor)
