@@ -1,15 +1,26 @@
-"""What a simulation leaves on disk: data sets in public layouts, toolkit scenes, recordings."""
+"""What a simulation leaves on disk: data sets in public layouts, toolkit scenes, recordings.
+
+Every writer is a context manager that takes frames by `add`, in any order; what it writes appears
+when all of them were added and the block ends without an error.
+"""
 
 from sensors.output.dreds import DredsWriter, dreds_scene, read_record
 from sensors.output.frame import SimulatedFrame, SimulatedObject, SimulatedScene
 from sensors.output.record import SceneRecord
+from sensors.output.recording import RecordingWriter, simulated_recording
+from sensors.output.toolkit_scene import ToolkitSceneWriter, read_simulation, toolkit_scene
 
 __all__ = [
     "DredsWriter",
+    "RecordingWriter",
     "SceneRecord",
     "SimulatedFrame",
     "SimulatedObject",
     "SimulatedScene",
+    "ToolkitSceneWriter",
     "dreds_scene",
     "read_record",
+    "read_simulation",
+    "simulated_recording",
+    "toolkit_scene",
 ]

@@ -9,7 +9,13 @@ import trimesh
 
 from sensors.output import SimulatedFrame, SimulatedObject, SimulatedScene
 from sensors.synthetic.shapes import default_shapes
-from sensors.viewpoints import ViewpointOptions, hidden_objects, random_viewpoints
+from sensors.viewpoints import (
+    TrajectoryOptions,
+    ViewpointOptions,
+    hidden_objects,
+    random_viewpoints,
+    smooth_trajectory,
+)
 from std_toolkit.geometry import SE3, Camera, so3_exp
 from std_toolkit.geometry.mesh import nocs_frame
 from std_toolkit.rendering.maps import render_scene_maps
@@ -142,3 +148,16 @@ def random_frames(scene: SimulatedScene) -> Iterator[SimulatedFrame]:
     for i, view in enumerate(random_viewpoints(scene.seed, options)):
         hidden = hidden_objects(view.T_world_cam, COLOR, centres)
         yield make_frame(scene, i, view.T_world_cam, hidden=hidden)
+
+
+def followed_frames(scene: SimulatedScene) -> Iterator[SimulatedFrame]:
+    """Frames of a smooth arc with pictures that show the objects, labels of colour's size."""
+    from sensors.synthetic.camera_image import render_frame
+    from sensors.synthetic.world import World
+
+    world = World(default_shapes(), [o.T_world_obj for o in scene.objects], seed=scene.seed)
+    options = TrajectoryOptions(frames=scene.frames, sweep_deg=60, distance_m=(0.6, 0.7))
+    for i, T_world_cam in enumerate(smooth_trajectory(scene.seed, options)):
+        rng = np.random.default_rng([scene.seed, i])
+        color = render_frame(world, COLOR, T_world_cam, rng=rng).color
+        yield make_frame(scene, i, T_world_cam, labels=COLOR.size, color=color)

@@ -1,0 +1,261 @@
+"""Simulated scenes as toolkit scenes, with exact camera poses, labels and ground truth.
+
+Colour of another size than the label maps is brought to theirs; the scene's camera is theirs. The
+sensor's depth is the frames' depth, aligned to colour; the exact depth of everything, table and
+floor included, lies in `reference/depth`, that of the objects with their other maps in `gt`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from sensors.output.frame import Image8, SimulatedFrame, SimulatedScene
+from sensors.output.intake import Intake
+from sensors.output.models import MetricObject, metric_objects
+from sensors.output.record import SceneRecord, scene_record
+from std_toolkit import __version__
+from std_toolkit.importers.mesh_files import write_mesh
+from std_toolkit.importers.staging import new_folder
+from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.exr import write_exr
+from std_toolkit.io.images import write_color
+from std_toolkit.rendering import encoding
+from std_toolkit.rendering.ground_truth import FrameTruth, ObjectTruth, info_path, map_paths
+from std_toolkit.rendering.inputs import frame_inputs
+from std_toolkit.rendering.mesh import RenderMesh
+from std_toolkit.rendering.raycast import RaycastRenderer
+from std_toolkit.rendering.silhouette import mask_box, object_silhouette
+from std_toolkit.scene.model import (
+    CameraModel,
+    CameraPoses,
+    Frame,
+    FramePose,
+    Frames,
+    Label,
+    Labels,
+    Object,
+    ObjectTable,
+    SceneInfo,
+)
+from std_toolkit.scene.provenance import digest_file, digest_of
+from std_toolkit.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from std_toolkit.geometry.se3 import SE3
+
+SOURCE = "simulated"
+
+
+class ToolkitSceneWriter:
+    """Writes the frames of one scene; see `toolkit_scene`."""
+
+    def __init__(self, folder: Path, intake: Intake) -> None:
+        self._folder = folder
+        self._intake = intake
+        self._objects = metric_objects(intake.scene)
+        self._renderer = RaycastRenderer()
+        self._prepared = {
+            o.item.instance_id: RenderMesh.from_arrays(o.mesh.vertices, o.mesh.faces)
+            for o in self._objects
+        }
+        self._rows: dict[int, list[ObjectTruth]] = {}
+
+    def add(self, frame: SimulatedFrame) -> None:
+        """Write the images and maps of a frame. Frames may come in any order.
+
+        Raises:
+            ToolkitError: the frame does not belong to the scene, or the disk is full.
+        """
+        self._intake.accept(frame)
+        folder, name = self._folder, frame_name(frame.index)
+        write_color(folder / f"color/{name}.png", label_color(frame))
+        write_exr(folder / f"depth/{name}.exr", {"Y": frame.depth_aligned}, compression="zip")
+        write_exr(
+            folder / f"reference/depth/{name}.exr", {"Y": frame.depth_exact}, compression="zip"
+        )
+        rows = self._truth_rows(frame)
+        if not rows:  # ground truth is of labelled objects
+            return
+        seen = frame.mask > 0
+        paths = map_paths(folder, frame.index)
+        encoding.write_depth(paths["depth"], np.where(seen, frame.depth_exact, 0))
+        encoding.write_mask(paths["mask"], frame.mask)
+        encoding.write_nocs(paths["nocs"], frame.nocs)
+        encoding.write_normals(paths["normals"], frame.normals, frame.mask)
+        self._rows[frame.index] = rows
+
+    def finish(self) -> None:
+        """Write the documents, when every frame was added.
+
+        Raises:
+            ToolkitError: frames are missing.
+        """
+        self._intake.require_all()
+        scene, folder = self._intake.scene, self._folder
+        for thing in self._objects:
+            write_mesh(folder / thing.model.mesh, thing.mesh)
+        info = SceneInfo(
+            name=scene.name,
+            cameras={"color": CameraModel.of(self._intake.label_camera)},
+            source=f"{SOURCE}:{scene.sensor}",
+        )
+        names = [(i, frame_name(i)) for i in range(scene.frames)]
+        frames = Frames(
+            frames=[
+                Frame(id=i, name=name, color=f"color/{name}.png", depth=f"depth/{name}.exr")
+                for i, name in names
+            ]
+        )
+        written = Scene.create(folder, info, frames, _object_table(self._objects))
+        written.save_poses(
+            CameraPoses(
+                frames=[
+                    FramePose(frame=i, status="registered", T_world_cam=self._T_world_cam(i).flat())
+                    for i, _ in names
+                ],
+                source=SOURCE,
+                notes=["exact poses of the simulation, in metres"],
+            )
+        )
+        labels = [label for thing in self._objects if (label := self._label(thing)) is not None]
+        written.save_labels(Labels(labels=labels))
+        for frame, rows in sorted(self._rows.items()):
+            self._write_info(written, frame, rows)
+        write_document(record_path(folder), scene_record(self._intake))
+
+    def _T_world_cam(self, frame: int) -> SE3:
+        return self._intake.poses[frame][0]
+
+    def _truth_rows(self, frame: SimulatedFrame) -> list[ObjectTruth]:
+        T_cam_world = frame.T_world_cam.inverse()
+        camera = frame.label_camera
+        rows = []
+        for thing in self._objects:
+            key = thing.item.instance_id
+            if key in frame.hidden:
+                continue
+            T_cam_obj = T_cam_world @ thing.item.T_world_obj
+            alone = object_silhouette(
+                self._renderer, camera, self._prepared[key], T_cam_obj, canvas=3
+            )
+            visible = frame.mask == key
+            px_visible = int(np.count_nonzero(visible))
+            box, visible_box = alone.box, mask_box(visible)
+            inside = alone.image_mask(camera) & (frame.depth_aligned > 0)
+            rows.append(
+                ObjectTruth(
+                    object=key,
+                    T_cam_obj=T_cam_obj.flat(),
+                    px_all=alone.px_all,
+                    px_valid=int(np.count_nonzero(inside)),
+                    px_visible=px_visible,
+                    visible_fraction=min(1.0, px_visible / alone.px_all) if alone.px_all else 0.0,
+                    bbox_amodal=None if box is None else list(box),
+                    bbox_visible=None if visible_box is None else list(visible_box),
+                )
+            )
+        return rows
+
+    def _label(self, thing: MetricObject) -> Label | None:
+        """The exact pose; one per view where the object was left out of some views."""
+        key = thing.item.instance_id
+        shown = [i for i in range(self._intake.scene.frames) if key not in self._intake.hidden[i]]
+        if not shown:
+            return None
+        everywhere = len(shown) == self._intake.scene.frames
+        poses = {i: (self._T_world_cam(i).inverse() @ thing.item.T_world_obj).flat() for i in shown}
+        return Label(
+            object=key,
+            frame=shown[0],
+            T_cam_obj=poses[shown[0]],
+            # A pose in the world would put it into the views that it was left out of.
+            T_world_obj=thing.item.T_world_obj.flat() if everywhere else None,
+            method=SOURCE,
+            views={} if everywhere else {str(i): poses[i] for i in shown[1:]},
+        )
+
+    def _write_info(self, scene: Scene, frame: int, rows: list[ObjectTruth]) -> None:
+        paths = map_paths(scene.root, frame)
+        outputs = {p.relative_to(scene.root).as_posix(): digest_file(p) for p in paths.values()}
+        inputs = frame_inputs(scene, frame)
+        write_document(
+            info_path(scene.root, frame),
+            FrameTruth(
+                frame=frame,
+                policy="models",
+                delta_m=None,
+                # Maps for other cameras, as half-size labels, are drawn by it.
+                renderer=self._renderer.name,
+                smooth_normals=True,
+                objects=rows,
+                version=__version__,
+                inputs=inputs,
+                digest=digest_of(SOURCE, frame, inputs, outputs),
+                outputs=outputs,
+            ),
+        )
+
+
+@contextmanager
+def toolkit_scene(out: Path, scene: SimulatedScene) -> Iterator[ToolkitSceneWriter]:
+    """A writer of a scene, which appears at `out` when the block ends without an error.
+
+    Objects that were left out of some views have their poses in the others only (`views` of the
+    label), which is true but makes `std-curate check` report them as not propagated; for curation
+    leave nothing out.
+
+    Raises:
+        ToolkitError: something is at `out` already, or not every frame was written.
+    """
+    with new_folder(out) as folder:
+        writer = ToolkitSceneWriter(folder, Intake(scene))
+        yield writer
+        writer.finish()
+
+
+def frame_name(index: int) -> str:
+    """Name of a frame's files."""
+    return f"{index:06d}"
+
+
+def label_color(frame: SimulatedFrame) -> Image8:
+    """Colour at the size of the label maps: areas are averaged."""
+    size = frame.label_camera.size
+    if size == frame.color_camera.size:
+        return frame.color
+    return cv2.resize(frame.color, size, interpolation=cv2.INTER_AREA)  # type: ignore[return-value]
+
+
+def record_path(scene: Path) -> Path:
+    """Where the full record of a simulated toolkit scene is."""
+    return scene / ".std" / "simulation.json"
+
+
+def read_simulation(scene: Path) -> SceneRecord:
+    """What a toolkit scene was simulated from.
+
+    Raises:
+        ToolkitError: the scene is none of a simulation, or the record is damaged.
+    """
+    return read_document(record_path(scene), SceneRecord)
+
+
+def _object_table(things: list[MetricObject]) -> ObjectTable:
+    return ObjectTable(
+        models=[t.model for t in things],
+        objects=[
+            Object(
+                id=t.item.instance_id,
+                name=t.name,
+                model=t.model.id,
+                material=t.item.material_class,
+            )
+            for t in things
+        ],
+    )
