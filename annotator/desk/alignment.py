@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from std_toolkit.labels.propagate import PropagateOptions
 
 Unit = Literal["m", "cm", "mm"]
+# A message of more lines would hide the view.
+MOST_LINES = 8
 # What the residuals of objects that are not selected are measured under.
 OTHER_RESIDUALS = "Residuals of the others"
 
@@ -238,7 +240,8 @@ def import_meshes(controller: Controller, files: Sequence[tuple[Path, Unit]]) ->
     def finish(found: tuple[list[SingleEdit], list[str]]) -> None:
         edits, report = found
         controller.session.apply(Together(edits=edits, label=f"Add {names}"))
-        controller.tell("Added " + "; ".join(report))
+        between = "\n" if len(report) <= MOST_LINES else "; "
+        controller.tell(f"Added {between.join(report)}")
 
     controller.start(f"Add {names}", work, finish)
 

@@ -155,6 +155,9 @@ def _residual(rows: Sequence[FrameResidual]) -> tuple[str, Grade, str]:
         return f"{value:.1f} px", _graded(value, EDGE_PX), told
     if depths:
         value = median(depths)
-        told = f"Surface {value:.0f} mm from the sensor depth, median of {len(depths)} frames."
+        told = (
+            f"Surface {value:.0f} mm from the sensor depth, median of {len(depths)} frames; edges "
+            "tell nothing here, so judge the contour by eye."
+        )
         return f"{value:.0f} mm", _graded(value, DEPTH_MM), told
     return "?", "unknown", "No edge and no depth told its place apart from chance: judge by eye."

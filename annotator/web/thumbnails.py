@@ -30,6 +30,7 @@ class Thumbnails:
         # By mesh, with the meshes that there were: how boxes stand is told by the others.
         self._pictures: dict[Version, tuple[frozenset[Version], str]] = {}
         self._shown: dict[str, str] = {}
+        self._asked_for: tuple[Version, frozenset[Version]] | None = None
         self._unsubscribe = controller.subscribe(self._on_event)
         self._draw_next()
 
@@ -52,8 +53,9 @@ class Thumbnails:
             return not library <= drawn
 
         model = next((m for m in models if is_missing(m)), None)
-        if model is None:
+        if model is None or self._asked_for == (versions[model.id], library):
             return
+        self._asked_for = versions[model.id], library
 
         def work(_: Task) -> NDArray[np.uint8] | None:
             from annotator.views import model_picture

@@ -49,7 +49,7 @@ class LibraryPanel(QWidget):
         self._controller = controller
         # By id, with the meshes that there were: how boxes stand is told by the others.
         self._pictures: dict[str, tuple[Version, QIcon]] = {}
-        self._drawn: frozenset[Version] = frozenset()
+        self._asked_for: frozenset[Version] = frozenset()
         self.list = _Meshes()
         self.list.itemDoubleClicked.connect(
             lambda item: add_object(controller, item.data(Qt.ItemDataRole.UserRole))
@@ -94,6 +94,8 @@ class LibraryPanel(QWidget):
             self.list.clear()
             for model in models:
                 item = QListWidgetItem(model.id)
+                # All alike, or long names would crowd the others.
+                item.setSizeHint(self.list.gridSize())
                 item.setData(Qt.ItemDataRole.UserRole, model.id)
                 self.list.addItem(item)
         for i, model in enumerate(models):
@@ -108,8 +110,9 @@ class LibraryPanel(QWidget):
         versions = {m.id: snapshot.meshes.version(m) for m in models}
         wanted = frozenset(versions.values())
         size = round(THUMBNAIL * self.devicePixelRatioF())
-        if wanted <= self._drawn:
+        if wanted <= self._asked_for:
             return
+        self._asked_for = wanted
 
         def draw(_: Task) -> list[NDArray[np.uint8] | None]:
             from annotator.views import model_picture
@@ -117,7 +120,6 @@ class LibraryPanel(QWidget):
             return [model_picture(snapshot, m, size) for m in models]
 
         def finish(pictures: list[NDArray[np.uint8] | None]) -> None:
-            self._drawn = wanted
             for model, picture in zip(models, pictures, strict=True):
                 self._pictures[model.id] = versions[model.id], _as_icon(picture)
             self.refresh()

@@ -115,6 +115,7 @@ class ObjectPanel(QWidget):
             self.material.setCurrentText(c.session.object(c.selected).material)
         else:
             selection.clear()
+            self.material.setCurrentIndex(-1)
         self.material.setEnabled(c.selected in names and c.session.writable)
 
     def _on_current(self) -> None:

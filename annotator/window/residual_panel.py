@@ -152,4 +152,6 @@ def _sentence(c: Controller, rows: list[FrameResidual]) -> str:
     worst = [r.frame for r in rows if grade_row(r) == "poor"]
     if worst:
         return f"Off in frame {', '.join(map(str, worst))}: look there."
+    if all(edge_grade(r) is None for r in rows):
+        return "The depth agrees, but the edges tell nothing here: judge the contour by eye."
     return "It fits in every frame where it could be measured."

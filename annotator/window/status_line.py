@@ -82,9 +82,12 @@ class StatusLine(QWidget):
 
     def _show_progress(self) -> None:
         task = self._controller.task
-        for widget in (self.busy, self.progress, self.cancel):
-            if widget.isHidden() != (task is None):
-                widget.setVisible(task is not None)
+        # What nothing may be edited beside cannot be stopped halfway.
+        shown = {self.busy: task, self.progress: task}
+        shown[self.cancel] = None if task is None or task.alone else task
+        for widget, reason in shown.items():
+            if widget.isHidden() != (reason is None):
+                widget.setVisible(reason is not None)
         if task is None:
             self._watch.stop()
             return

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PySide6.QtCore import QMimeData, QPoint, QPointF, Qt, QTimer, QUrl
+from PySide6.QtCore import QEventLoop, QMimeData, QPoint, QPointF, Qt, QTimer, QUrl
 from PySide6.QtGui import QDragEnterEvent, QDropEvent, QImage
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QDialog, QWidget
@@ -17,6 +17,13 @@ from annotator.window.library_panel import MODEL_MIME
 from annotator.window.shell import Shell
 
 LEFT, PLAIN = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
+
+
+def let_work(milliseconds: int) -> None:
+    """Let the window and its threads work; `QTest.qWait` would keep Python from the threads."""
+    loop = QEventLoop()
+    QTimer.singleShot(milliseconds, loop.quit)
+    loop.exec()
 
 
 class Hands:
@@ -45,16 +52,16 @@ class Hands:
         for _ in range(round(seconds / 0.05)):
             if until():
                 return
-            QTest.qWait(50)
+            let_work(50)
         raise TimeoutError
 
     def settle(self) -> None:
         """Until every computation is over and every view is in full detail."""
         views = self.space.views.views
-        QTest.qWait(200)
+        let_work(200)
         self.wait(lambda: self.controller.task is None)
         self.wait(lambda: not views.shapes.pending and not any(v.moving for v in views.views))
-        QTest.qWait(800)
+        let_work(800)
 
     # --- doing -----------------------------------------------------------------------------------
 
@@ -67,7 +74,7 @@ class Hands:
     def click(self, widget: QWidget, place: QPoint | None = None) -> None:
         QTest.mouseClick(widget, LEFT, PLAIN, place or widget.rect().center())
         self.actions += 1
-        QTest.qWait(100)
+        let_work(100)
 
     def drag(self, start: QPoint, by: QPoint, modifiers: Any = PLAIN, *, drop: bool = True) -> None:
         """In the main view."""
@@ -76,7 +83,7 @@ class Hands:
         QTest.mousePress(view, LEFT, modifiers, start)
         for i in range(1, 9):
             QTest.mouseMove(view, start + by * i / 8)
-            QTest.qWait(20)
+            let_work(20)
         if drop:
             QTest.mouseRelease(view, LEFT, modifiers, start + by)
             self.actions += 1
@@ -131,7 +138,7 @@ class Hands:
 
     def picture(self, *widgets: QWidget) -> NDArray[np.uint8]:
         """The window, or the part of it that holds some widgets: (H, W, 3) RGB."""
-        QTest.qWait(400)
+        let_work(400)
         image = self.shell.grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
         rows = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), -1)
         rgb = rows[:, : 3 * image.width()].reshape(image.height(), image.width(), 3).copy()
