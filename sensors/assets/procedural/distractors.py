@@ -79,7 +79,7 @@ def _candle(rng: np.random.Generator, paint: Paint) -> Manifold:
 
 def _spool(rng: np.random.Generator, paint: Paint) -> Manifold:
     h = float(rng.uniform(4, 7))
-    made = paint(turned(outline_of_turn([(2.2, 0), (2.2, h)])), vivid(rng))
+    made = paint(turned(outline_of_turn([(2.2, -0.3), (2.2, h + 0.3)])), vivid(rng))
     for low in (-0.6, h):
         disc = turned(rounded(outline_of_turn([(3.4, low), (3.4, low + 0.6)]), 0.15))
         made = made + paint(disc, hsv(0.09, 0.4, 0.75))

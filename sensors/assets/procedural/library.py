@@ -25,13 +25,17 @@ CATEGORIES = ("aeroplane", "bottle", "bowl", "camera", "can", "car", "mug", OTHE
 # Bodies that turning about y leaves as they are, colours included.
 _TURNED = ("bottle", "bowl", "can")
 _SEEDS = 1_000_000
+# `sample` draws from so many shapes of a category, as a data set has so many models: what is made
+# of a shape once, such as its convex parts, is then made once for many scenes.
+INSTANCES = 500
 _ID = re.compile(r"([a-z]+)-p(\d+)-(\d{6})")
 
 
 class ProceduralSource:
     """Parametric objects. A category and a seed below a million are an object, bit for bit.
 
-    Even seeds are the training split, odd ones the test split.
+    Sampling draws from the first 500 seeds: the even ones are the training split, the odd ones
+    the test split.
 
     Args:
         options: `split` is heeded; there are no files.
@@ -44,7 +48,7 @@ class ProceduralSource:
         return CATEGORIES
 
     def sample(self, rng: np.random.Generator, category: str) -> Asset:
-        seed = int(rng.integers(_SEEDS))
+        seed = int(rng.integers(INSTANCES))
         if self._split != "all":
             seed = seed - seed % 2 + (self._split == "test")
         return make(category, seed)
@@ -90,15 +94,18 @@ def make(category: str, seed: int) -> Asset:
     body, is_turned = _body(category, rng, paint)
     vertices, faces, colors = paint.mesh(body)
     vertices, _ = canonical_frame(vertices, faces)
-    # Rounding may have brought corners of slivers together.
-    vertices, faces, kept = welded(vertices, faces)
+    places, corners, kept = welded(vertices, faces)
+    # Rounding brings corners of slivers together, which then go. Where two parts touch in an edge
+    # they stay apart: welded, four faces would meet there.
+    if trimesh.Trimesh(places, corners, process=False).is_watertight:
+        vertices, faces, colors = places, corners, colors[kept]
     wrap = wrapped_uv if category in (*_TURNED, "mug") else box_uv
     return Asset(
         id=f"{category}-p{EDITION}-{seed:06d}",
         category=category,
         mesh=trimesh.Trimesh(vertices, faces, process=False),
         symmetry=TURN_Y if is_turned else Symmetry(),
-        face_colors=colors[kept],
+        face_colors=colors,
         corner_uv=wrap(vertices, faces),
     )
 

@@ -1,0 +1,192 @@
+"""A surface cut into convex parts that hold all of it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.log import logger
+
+Array = NDArray[np.float64]
+# Of a body with a bounding-box diagonal of 1: details that cost time and change nothing.
+_SIMPLIFIED = 0.0015
+# A body that fills so much of its hull is taken for it.
+_CONVEX = 0.98
+_TIME_LIMIT_S = 300.0
+# Flat parts get this thickness: the physics engine needs a volume.
+_THINNEST = 4e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Decomposition:
+    """Convex parts of a body.
+
+    Attributes:
+        parts: corners (N, 3) of each part's hull.
+        lasting: whether trying again would give the same; false after a killed process.
+    """
+
+    parts: tuple[Array, ...]
+    lasting: bool = True
+
+
+def decompose(
+    vertices: Array, faces: NDArray[np.int64], *, time_limit_s: float = _TIME_LIMIT_S
+) -> Decomposition:
+    """Cut a surface with a bounding-box diagonal of 1 into convex parts (CoACD).
+
+    Every vertex lies in a part, so that nothing of the surface sticks out of what collides. Closed
+    hollows are filled. Where CoACD fails, a warning tells so and the body is its convex hull.
+
+    Raises:
+        ToolkitError: coacd is not installed.
+    """
+    shells, preprocess = _outer_shells(vertices, faces)
+    corners = np.concatenate([v for v, _ in shells])
+    if _filling(shells, corners) >= _CONVEX:
+        return Decomposition((_hull(vertices),))
+    starts = np.cumsum([0, *(len(v) for v, _ in shells[:-1])])
+    joined = np.concatenate([f + s for (_, f), s in zip(shells, starts, strict=True)])
+    try:
+        found = _by_coacd(corners, joined, preprocess, time_limit_s)
+    except _Failed as failure:
+        logger.warning("CoACD failed (%s): the object collides as its convex hull", failure)
+        return Decomposition((_hull(vertices),), lasting=failure.lasting)
+    return Decomposition(_holding_all([_hull(p) for p in found], vertices))
+
+
+def _outer_shells(
+    vertices: Array, faces: NDArray[np.int64]
+) -> tuple[list[tuple[Array, NDArray[np.int64]]], str]:
+    """Closed outer surfaces with few faces, and CoACD's preprocessing; the input if not closed."""
+    from manifold3d import Error, Manifold, Mesh64
+
+    mesh = Mesh64(np.ascontiguousarray(vertices), np.ascontiguousarray(faces, dtype=np.uint64))
+    solid = Manifold(mesh)
+    if solid.status() != Error.NoError or solid.volume() <= 0:
+        return [(vertices, faces)], "auto"
+    shells = []
+    for part in solid.simplify(_SIMPLIFIED).decompose():
+        if part.volume() > 0:
+            got = part.to_mesh64()
+            shells.append((np.array(got.vert_properties[:, :3]), np.array(got.tri_verts, np.int64)))
+    # Already edge-manifold: remeshing, which "auto" does at any self-contact, would blow it up.
+    return (shells, "off") if shells else ([(vertices, faces)], "auto")
+
+
+def _filling(shells: list[tuple[Array, NDArray[np.int64]]], corners: Array) -> float:
+    """Share of the convex hull that the shells fill."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = float(ConvexHull(corners).volume)
+    except QhullError:
+        return 1.0
+    volume = 0.0
+    for v, f in shells:
+        a, b, c = (v[f[:, i]] for i in range(3))
+        volume += float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6
+    return volume / hull
+
+
+class _Failed(Exception):
+    def __init__(self, reason: str, *, lasting: bool) -> None:
+        super().__init__(reason)
+        self.lasting = lasting
+
+
+def _by_coacd(
+    vertices: Array, faces: NDArray[np.int64], preprocess: str, time_limit_s: float
+) -> list[Array]:
+    from importlib.util import find_spec
+
+    if find_spec("coacd") is None:
+        raise ToolkitError("coacd is not installed", hint="pip install 'std-toolkit[sim]'")
+    with tempfile.TemporaryDirectory(prefix="std-coacd-") as folder:
+        source, target = Path(folder, "in.npz"), Path(folder, "out.npz")
+        np.savez(source, vertices=vertices, faces=faces, preprocess=preprocess)
+        status, said = _run(source, target, Path(folder, "said.txt"), time_limit_s)
+        if status:
+            killed = status in (-signal.SIGKILL, -signal.SIGTERM, -signal.SIGINT)
+            reason = f"status {status}" + "".join(f", {line[:200]}" for line in said[-1:])
+            raise _Failed(reason, lasting=not killed)
+        with np.load(target, allow_pickle=False) as data:
+            return np.split(data["vertices"], np.cumsum(data["sizes"])[:-1])
+
+
+def _run(source: Path, target: Path, said: Path, time_limit_s: float) -> tuple[int, list[str]]:
+    """Status of the process and the lines that it said."""
+    # The same parts on every machine: one thread, and its own random numbers.
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
+    with said.open("wb") as file:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "sensors.physics.coacd_process", source, target],
+            # Held open: its end tells the process that its parent died.
+            stdin=subprocess.PIPE,
+            stdout=file,
+            stderr=file,
+            env=environment,
+            start_new_session=True,
+        )
+        try:
+            status = process.wait(time_limit_s)
+        except subprocess.TimeoutExpired as error:
+            raise _Failed(f"no result in {time_limit_s:g} s", lasting=True) from error
+        finally:
+            process.kill()
+            process.wait()
+            assert process.stdin is not None
+            process.stdin.close()
+    return status, said.read_text(errors="replace").strip().splitlines()
+
+
+def _hull(points: Array) -> Array:
+    """Corners of the convex hull; flat sets of points get a little thickness."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    centred = points - points.mean(axis=0)
+    axes = np.linalg.svd(centred, full_matrices=False)[2] if len(points) > 2 else np.eye(3)
+    thin = [axis for axis in axes if np.ptp(centred @ axis) < _THINNEST]
+    thick = points
+    for axis in thin:
+        thick = np.concatenate([thick - _THINNEST / 2 * axis, thick + _THINNEST / 2 * axis])
+    try:
+        return thick[ConvexHull(thick).vertices]
+    except QhullError:
+        return _box_corners(points)
+
+
+def _box_corners(points: Array) -> Array:
+    low, high = points.min(axis=0) - _THINNEST / 2, points.max(axis=0) + _THINNEST / 2
+    return np.array(list(product(*zip(low, high, strict=True))))
+
+
+def _holding_all(parts: list[Array], vertices: Array) -> tuple[Array, ...]:
+    """Parts grown by the vertices that lie outside all of them."""
+    from scipy.spatial import ConvexHull
+
+    outside = np.full(len(vertices), np.inf)
+    nearest = np.zeros(len(vertices), dtype=np.int64)
+    for k, part in enumerate(parts):
+        planes = ConvexHull(part).equations
+        out = np.full(len(vertices), -np.inf)
+        for block in np.array_split(np.arange(len(vertices)), max(1, len(vertices) // 4096)):
+            distance = vertices[block] @ planes[:, :3].T + planes[:, 3]
+            out[block] = distance.max(axis=1)
+        closer = out < outside
+        outside[closer], nearest[closer] = out[closer], k
+    grown = []
+    for k, part in enumerate(parts):
+        mine = vertices[(nearest == k) & (outside > 1e-7)]
+        grown.append(_hull(np.concatenate([part, mine])) if len(mine) else part)
+    return tuple(grown)

@@ -1,0 +1,137 @@
+"""Objects dropped at random until they lie still."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.physics.world import PhysicalObject, World, come_to_rest
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.se3 import SE3, so3_exp
+from std_toolkit.log import logger
+
+Array = NDArray[np.float64]
+# From the canonical frame, y up, to the world, z up.
+UPRIGHT = so3_exp([np.pi / 2, 0, 0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class SettleOptions:
+    """How objects are dropped.
+
+    Attributes:
+        half_width_m: of the square that they fall on, centred at the origin.
+        tilt: largest turn away from upright at the start about each horizontal axis, radians.
+        longest_s: simulated seconds to come to rest in, per attempt.
+        attempts: drops tried, each from another start, before giving up.
+        deepest_m: overlap of collision bodies at rest that is still taken for a contact.
+    """
+
+    half_width_m: float = 0.3
+    tilt: float = np.pi / 4
+    longest_s: float = 6.0
+    attempts: int = 8
+    deepest_m: float = 0.0005
+
+    def __post_init__(self) -> None:
+        if not 0.05 <= self.half_width_m <= 5:
+            raise ToolkitError(
+                "must lie between 0.05 and 5", field="half_width_m", value=self.half_width_m
+            )
+        if self.attempts < 1:
+            raise ToolkitError("must be at least 1", field="attempts", value=self.attempts)
+
+
+@dataclass(frozen=True)
+class Settled:
+    """Objects that lie still.
+
+    Attributes:
+        poses: T_world_obj of each, metres; z up, the floor at z = 0.
+        attempts: drops that it took.
+        simulated_s: of the last one.
+    """
+
+    poses: tuple[SE3, ...]
+    attempts: int
+    simulated_s: float
+
+
+def settle(
+    objects: Sequence[PhysicalObject], seed: int, options: SettleOptions | None = None
+) -> Settled:
+    """Let objects fall on the floor and wait until they lie still.
+
+    Invisible walls hold them together while they fall; none leans on one in the end. The same
+    objects and seed give the same poses, bit for bit, on the same machine.
+
+    Args:
+        objects: scaled, with their convex parts.
+        seed: of starting poses; further attempts follow from it.
+
+    Raises:
+        ToolkitError: no attempt came to rest within the square, as with too many objects for it.
+    """
+    options = options or SettleOptions()
+    world = World(objects, half_width_m=options.half_width_m)
+    reasons: list[str] = []
+    for attempt in range(options.attempts):
+        rng = np.random.default_rng([seed, attempt])
+        if attempt:
+            world = World(objects, half_width_m=options.half_width_m)
+        world.place(_start(objects, rng, options))
+        reason = _fall(world, options)
+        if reason is None:
+            return Settled(tuple(world.poses()), attempt + 1, float(world.data.time))
+        logger.debug("drop %d of seed %d: %s", attempt + 1, seed, reason)
+        reasons.append(reason)
+    raise ToolkitError(
+        f"the objects did not settle in {options.attempts} attempts (last: {reasons[-1]})",
+        field="seed",
+        value=seed,
+        hint="fewer objects or a larger half_width_m",
+    )
+
+
+def _fall(world: World, options: SettleOptions) -> str | None:
+    """Simulate one attempt; why it is of no use, or None."""
+    if not come_to_rest(world, options.longest_s):
+        return "did not come to rest"
+    if world.touches_wall():
+        world.remove_walls()
+        if not come_to_rest(world, options.longest_s):
+            return "did not come to rest without walls"
+    if world.depth() > options.deepest_m:
+        return f"overlap of {1000 * world.depth():.2f} mm"
+    centres = np.array([T.t for T in world.poses()])
+    if np.abs(centres[:, :2]).max() > options.half_width_m or centres[:, 2].min() < 0:
+        return "an object left the square"
+    return None
+
+
+def _start(
+    objects: Sequence[PhysicalObject], rng: np.random.Generator, options: SettleOptions
+) -> list[SE3]:
+    """Poses above the floor, each so high that its ball touches no other one."""
+    poses: list[SE3] = []
+    placed: list[tuple[Array, float]] = []
+    for thing in objects:
+        radius = thing.diagonal_m / 2
+        room = max(options.half_width_m - radius, 0.0)
+        x, y = rng.uniform(-room, room, 2)
+        a, b = rng.uniform(-options.tilt, options.tilt, 2)
+        turn = rng.uniform(-np.pi, np.pi)
+        height = radius + 0.01
+        for centre, other in placed:
+            reach = radius + other + 0.005
+            beside = float(np.hypot(centre[0] - x, centre[1] - y))
+            if beside < reach:
+                height = max(height, float(centre[2] + np.sqrt(reach**2 - beside**2)))
+        R = so3_exp([0, 0, turn]) @ so3_exp([a, 0, 0]) @ so3_exp([0, b, 0]) @ UPRIGHT
+        at = np.array([x, y, height])
+        placed.append((at, radius))
+        poses.append(SE3(R, at))
+    return poses
