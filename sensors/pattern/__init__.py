@@ -1,0 +1,5 @@
+"""Dot patterns of the sensors' infrared projectors."""
+
+from sensors.pattern.pattern import DotPattern, load_pattern, make_pattern
+
+__all__ = ["DotPattern", "load_pattern", "make_pattern"]
