@@ -143,3 +143,13 @@ def test_the_frames_of_a_scene_are_its_own_and_each_comes_once(frames) -> None:
     intake.accept(frames[0])
     intake.require_all()
     assert intake.label_camera.size == LABELS
+
+
+def test_rounding_is_no_contradiction(frames) -> None:
+    """The tip of a needle along an axis, and a triangle without area."""
+    frame = frames[0]
+    v, u = (int(i[0]) for i in np.nonzero(frame.mask))
+    nocs, normals = frame.nocs.copy(), frame.normals.copy()
+    nocs[v, u] = (1 + 2e-7, 0.5, -2e-7)
+    normals[v, u] = 0
+    replace(frame, nocs=nocs, normals=normals)

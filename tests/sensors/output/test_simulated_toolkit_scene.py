@@ -152,8 +152,8 @@ def test_the_check_passes(followed) -> None:
     assert len(opaque) == 5
     assert max(o.edge_px for o in opaque) < 0.6
     assert values["shift"] < 0.5
-    # The sensor of the test reads 1 % too far.
-    assert report.summary.depth_bias == pytest.approx(0.01, abs=0.002)
+    # The sensor of the test reads 1 % too far; the bias is that of labels minus sensor.
+    assert report.summary.depth_bias == pytest.approx(-0.01, abs=0.002)
 
 
 @pytest.mark.slow
