@@ -134,6 +134,12 @@ class World:
         """Let time pass."""
         self._mujoco.mj_step(self.model, self.data, round(seconds / TIMESTEP_S))
 
+    def push_apart(self) -> None:
+        """Undo overlaps slowly: left alone they would throw the objects about."""
+        for _ in range(100):
+            self.run(2 * TIMESTEP_S)
+            self.data.qvel[:] = 0
+
     def speed(self) -> float:
         """Largest speed of any point of any object, bounded from above, m/s."""
         v = self.data.qvel.reshape(-1, 6)
@@ -195,6 +201,7 @@ def settle_from(
     """
     world = World(objects)
     world.place(poses)
+    world.push_apart()
     if not come_to_rest(world, longest_s):
         raise ToolkitError(f"the objects did not come to rest in {longest_s:g} s of simulated time")
     return world.poses()
