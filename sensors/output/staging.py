@@ -84,12 +84,12 @@ def refuse_existing(target: Path) -> None:
 
 def _make(waiting: Path, name: str) -> tuple[Path, int]:
     for _ in range(_ATTEMPTS):
-        waiting.mkdir(parents=True, exist_ok=True)
         staging = waiting / f"{name}.{secrets.token_hex(6)}"
         try:
+            waiting.mkdir(parents=True, exist_ok=True)
             staging.mkdir()
             descriptor = os.open(staging, os.O_RDONLY)
-        except FileNotFoundError:
+        except (FileNotFoundError, FileExistsError):
             continue  # another process, finishing, removed the empty folder of folders
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -103,10 +103,12 @@ def _make(waiting: Path, name: str) -> tuple[Path, int]:
 
 
 def _sweep(waiting: Path, name: str) -> None:
-    if not waiting.is_dir():
-        return
     pattern = re.compile(rf"{re.escape(name)}\.[0-9a-f]{{12}}")
-    for left in waiting.iterdir():
+    try:
+        found = list(waiting.iterdir())
+    except FileNotFoundError:  # also removed by another process just now
+        return
+    for left in found:
         if not (pattern.fullmatch(left.name) and left.is_dir() and not left.is_symlink()):
             continue
         with suppress(FileNotFoundError):
