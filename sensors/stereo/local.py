@@ -30,17 +30,18 @@ class LocalMatcher:
         """
         check_pair(left, right)
         options = self.options
-        if options.backend is Backend.TORCH:
-            try:
-                from sensors.stereo import torch_backend
-            except ModuleNotFoundError as error:
-                raise _not_installed(options.backend, "train", error) from error
-            return torch_backend.match(left, right, options)
-        try:
+        if options.backend is Backend.NUMBA:
             from sensors.stereo import numba_backend
+
+            return numba_backend.match(left, right, options, options.threads or _cores())
+        try:
+            from sensors.stereo import torch_backend
         except ModuleNotFoundError as error:
-            raise _not_installed(options.backend, "sim", error) from error
-        return numba_backend.match(left, right, options, options.threads or _cores())
+            raise ToolkitError(
+                f"the torch backend of the stereo matcher is not installed: {error}",
+                hint="pip install 'std-toolkit[train]'",
+            ) from error
+        return torch_backend.match(left, right, options)
 
 
 def local_matcher(**options: Any) -> LocalMatcher:
@@ -50,10 +51,3 @@ def local_matcher(**options: Any) -> LocalMatcher:
 
 def _cores() -> int:
     return len(os.sched_getaffinity(0))
-
-
-def _not_installed(backend: Backend, extra: str, error: ModuleNotFoundError) -> ToolkitError:
-    return ToolkitError(
-        f"the {backend} backend of the stereo matcher is not installed: {error}",
-        hint=f"pip install 'std-toolkit[{extra}]'",
-    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
@@ -60,7 +61,8 @@ def _pixel_costs(
     """(D, H, W) int32: cost of disparity min_disparity + d, 0 where the right pixel is outside."""
     height, width = left.shape
     costs = torch.zeros((options.count, height, width), dtype=torch.int32, device=device)
-    pair = [torch.from_numpy(image).to(device) for image in (left, right)]
+    # Copied: torch takes neither read-only arrays nor mirrored ones.
+    pair = [torch.from_numpy(np.array(image)).to(device) for image in (left, right)]
     if options.cost is Cost.CENSUS:
         a, b = (_census(image) for image in pair)
         for i, d in _disparities(options, width):

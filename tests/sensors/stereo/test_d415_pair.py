@@ -33,6 +33,7 @@ def test_other_matchers_see_the_same_scene(test_data: Path, name: str) -> None:
     assert found.complete > 0.75
 
 
+@pytest.mark.slow
 def test_backends_agree_on_the_real_pair(test_data: Path) -> None:
     pytest.importorskip("torch")
     pair = load_pair(test_data)

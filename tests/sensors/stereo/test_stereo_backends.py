@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import sys
 
 import cv2
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from dot_stereo import Rig, plane, sphere
 from numpy.typing import NDArray
 
+import sensors.stereo
 from sensors.stereo import make_matcher
 from std_toolkit.errors import ToolkitError
 
@@ -74,6 +76,33 @@ def test_forked_process_matches_too(pair: Pair) -> None:
     with multiprocessing.get_context("fork").Pool(1) as pool:
         found = pool.apply_async(make_matcher("local").match, pair).get(timeout=60)
     np.testing.assert_array_equal(found, expected)
+
+
+def test_arrays_of_any_layout(pair: Pair) -> None:
+    pytest.importorskip("torch")
+    left, right = (np.asfortranarray(image)[::-1] for image in pair)
+    left.flags.writeable = False
+    expected = make_matcher("local").match(left.copy(), right.copy())
+    for backend in ("numba", "torch"):
+        np.testing.assert_array_equal(
+            make_matcher("local", backend=backend).match(left, right), expected
+        )
+
+
+@pytest.mark.parametrize(
+    ("backend", "package", "extra"), [("numba", "numba", "sim"), ("torch", "torch", "train")]
+)
+def test_missing_package_is_told(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch, backend: str, package: str, extra: str
+) -> None:
+    for name in [*sys.modules]:
+        if name == "sensors.compiled" or name.startswith(("sensors.stereo.n", "sensors.stereo.t")):
+            monkeypatch.delitem(sys.modules, name)
+    for name in ("numba_backend", "torch_backend"):
+        monkeypatch.delattr(sensors.stereo, name, raising=False)
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(ToolkitError, match=rf"not installed.*std-toolkit\[{extra}\]"):
+        make_matcher("local", backend=backend).match(*pair)
 
 
 def test_unknown_device_is_told(pair: Pair) -> None:
