@@ -1,0 +1,202 @@
+"""Cost of the simulator's rendering: `python perf/simulate.py [--views 30] [--pictures FOLDER]`.
+
+One scene of six objects and a floor is rendered from many views at 640x360 at draft quality
+(infrared 32 paths a pixel per imager, colour 32). Prints processor seconds per view of every
+part, the cost of the first view above the others (compilation), and peak memory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from sensors.lighting import StudioSource, draw_floor, draw_lighting
+from sensors.materials import draw_material
+from sensors.materials.library import MaterialClass
+from sensors.render import (
+    DRAFT_COLOR,
+    DRAFT_INFRARED,
+    Projector,
+    SceneObject,
+    SimScene,
+    SurfaceMesh,
+    TruthCaster,
+    denoise,
+    develop,
+    expose_pair,
+)
+from std_toolkit.geometry import SE3, Camera
+from std_toolkit.io.images import write_color, write_png
+
+CAMERA = Camera(640, 360, 460.0, 460.0, 319.5, 179.5)
+BASELINE_M = 0.055
+POWER = 0.25
+CLASSES: tuple[MaterialClass, ...] = (
+    "diffuse",
+    "specular",
+    "transparent",
+    "raw",
+    "specular",
+    "transparent",
+)
+
+
+def vessel(radius: float, height: float, wall: float) -> trimesh.Trimesh:
+    """An open cup: outside, rim and inside, watertight."""
+    profile = [
+        *([0, 0], [radius * 0.8, 0], [radius, 0.3 * height], [radius, height]),
+        *([radius - wall, height], [radius - wall, 0.3 * height]),
+        *([radius * 0.8 - wall, wall], [0, wall]),
+    ]
+    points = np.asarray(profile, float)
+    steps = np.arange(8)[None, :, None] / 8
+    dense = (points[:-1, None] * (1 - steps) + points[1:, None] * steps).reshape(-1, 2)
+    dense = np.concatenate([dense, points[-1:]])
+    return trimesh.creation.revolve(dense, sections=96)
+
+
+def test_scene(seed: int) -> SimScene:
+    """Six objects of all classes on a floor, about 40,000 triangles."""
+    rng = np.random.default_rng(seed)
+    shapes = [
+        trimesh.creation.torus(0.06, 0.025, major_sections=96, minor_sections=48),
+        trimesh.creation.icosphere(5, 0.05),
+        vessel(0.045, 0.11, 0.004),
+        trimesh.creation.box((0.09, 0.06, 0.13)),
+        vessel(0.04, 0.09, 0.003),
+        vessel(0.075, 0.06, 0.004),
+    ]
+    floor_half = 1.5
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * floor_half
+    floor = SurfaceMesh(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+    objects = [SceneObject(0, floor, SE3.identity(), draw_floor(rng).material)]
+    for i, (shape, name) in enumerate(zip(shapes, CLASSES, strict=True)):
+        place = np.array([0.17 * (i % 3 - 1), 0.15 * (i // 3) - 0.08, -shape.bounds[0, 2]])
+        mesh = SurfaceMesh(np.asarray(shape.vertices), np.asarray(shape.faces))
+        color = (float(rng.uniform(0.1, 0.8)), float(rng.uniform(0.1, 0.8)), 0.3)
+        objects.append(
+            SceneObject(i + 1, mesh, SE3(np.eye(3), place), draw_material(rng, name), color=color)
+        )
+    return SimScene(tuple(objects), StudioSource().draw(rng), float(rng.uniform(0, 2 * np.pi)))
+
+
+def dots(seed: int, count: int = 45_000) -> np.ndarray:
+    """A random dot image over 80 x 61 degrees, about as dense as a D415's."""
+    rng = np.random.default_rng(seed)
+    image = np.zeros((1700, 2420), np.float32)
+    y, x = rng.integers(2, 1698, count // 2), rng.integers(2, 2418, count // 2)
+    for dy in (-1, 0, 1, 2):
+        for dx in (-1, 0, 1, 2):
+            if abs(dx - 0.5) + abs(dy - 0.5) < 2.5:
+                image[y + dy, x + dx] = 1
+    return image
+
+
+def views(count: int, seed: int) -> list[SE3]:
+    """Cameras 0.5 to 0.95 m from the middle, at least 32 degrees above the table."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for _ in range(count):
+        x, y = rng.uniform(-0.6, 0.6, 2)
+        away = np.array([x, y, np.sqrt(1 - x * x - y * y)])
+        target = np.array([0, 0, 0.04]) + rng.uniform(-0.04, 0.04, 3)
+        forward = -away
+        right = np.cross(forward, [0, 0, 1.0])
+        right /= np.linalg.norm(right)
+        R = np.stack([right, np.cross(forward, right), forward], axis=1)
+        out.append(SE3(R, target + away * rng.uniform(0.5, 0.95)))
+    return out
+
+
+class Clock:
+    """Processor seconds of named parts."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, list[float]] = defaultdict(list)
+
+    @contextmanager
+    def part(self, name: str) -> Iterator[None]:
+        began = time.process_time()
+        yield
+        self.seconds[name].append(time.process_time() - began)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--views", type=int, default=30)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--variant", default=None)
+    parser.add_argument("--threads", type=int, default=None)
+    parser.add_argument("--pictures", type=Path, default=None)
+    options = parser.parse_args()
+
+    from sensors.render.mitsuba_renderer import MitsubaRenderer
+
+    renderer = MitsubaRenderer(variant=options.variant, threads=options.threads)
+    rng = np.random.default_rng(options.seed)
+    scene = test_scene(options.seed)
+    light = draw_lighting(rng, scene.environment.name)
+    clock, wall = Clock(), time.perf_counter()
+    with clock.part("load scene"):
+        loaded = renderer.load(scene)
+    with clock.part("load truth"):
+        truth = TruthCaster(scene)
+    pattern = dots(1)
+    for i, T in enumerate(views(options.views, options.seed)):
+        T_right = T @ SE3(np.eye(3), np.array([BASELINE_M, 0, 0]))
+        projector = Projector(
+            pattern,
+            80.0,
+            T @ SE3(np.eye(3), np.array([0.51 * BASELINE_M, 0, 0])),
+            power=POWER * light.projector_factor,
+        )
+        seed = 10 * i
+        with clock.part("infrared left"):
+            left = loaded.infrared(CAMERA, T, projector, ambient=light.infrared_strength, seed=seed)
+        with clock.part("infrared right"):
+            right = loaded.infrared(
+                CAMERA, T_right, projector, ambient=light.infrared_strength, seed=seed + 1
+            )
+        with clock.part("colour"):
+            color = loaded.color(CAMERA, T, ambient=light.color_strength, seed=seed + 2)
+        with clock.part("denoise colour"):
+            clean = denoise(color)
+        with clock.part("develop and expose"):
+            grey_left, grey_right, _ = expose_pair(left, right, rng=rng)
+            picture, _ = develop(clean, rng=rng)
+        with clock.part("exact maps"):
+            maps = truth.maps(CAMERA, T)
+        if options.pictures is not None and i < 6:
+            options.pictures.mkdir(parents=True, exist_ok=True)
+            write_png(options.pictures / f"{i:02d}_left.png", grey_left)
+            write_png(options.pictures / f"{i:02d}_right.png", grey_right)
+            write_color(options.pictures / f"{i:02d}_color.png", picture)
+            noisy, _ = develop(color.radiance)
+            write_color(options.pictures / f"{i:02d}_noisy.png", noisy)
+            write_png(options.pictures / f"{i:02d}_mask.png", maps.mask * 40)
+    wall = time.perf_counter() - wall
+
+    print(
+        f"{renderer.name}, {options.views} views of one scene, 640x360, draft: infrared "
+        f"{DRAFT_INFRARED.samples} paths a pixel and imager, colour {DRAFT_COLOR.samples}"
+    )
+    print(f"{'part':20s} {'CPU s a view':>12s} {'first view':>11s}")
+    total = 0.0
+    for name, seconds in clock.seconds.items():
+        share = sum(seconds) / options.views
+        total += share
+        print(f"{name:20s} {share:12.3f} {seconds[0]:11.3f}")
+    print(f"{'all':20s} {total:12.3f}   ({wall / options.views:.2f} s of wall a view here)")
+    print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
+
+
+if __name__ == "__main__":
+    main()

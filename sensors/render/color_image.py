@@ -1,0 +1,70 @@
+"""From rendered colour to the 8-bit image of a camera: denoising, exposure, tone curve, noise."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.materials.textures import to_srgb
+from sensors.render.protocol import ColorLight
+from std_toolkit.log import logger
+
+MIDDLE_GREY = 0.2
+"""Linear value that the mean of the logarithm of the image is exposed to."""
+NOISE = 0.006
+"""Deviation of the camera's own noise, as a share of full scale."""
+
+
+def denoise(light: ColorLight) -> NDArray[np.float32]:
+    """(H, W, 3) radiance without the renderer's noise, by Open Image Denoise where it is there.
+
+    Without it (package pyoidn) the light comes back as it is, and a warning says so once.
+    """
+    oidn = _oidn()
+    if oidn is None:
+        return light.radiance
+    beside: dict[str, Any] = {}
+    if light.albedo is not None and light.normal is not None:
+        beside = {"albedo": light.albedo, "normal": light.normal}
+    clean = oidn.denoise(light.radiance, hdr=True, **beside)
+    return np.asarray(clean, np.float32)
+
+
+@lru_cache(maxsize=1)
+def _oidn() -> Any | None:
+    try:
+        import pyoidn
+    except (ImportError, OSError) as error:
+        logger.warning("colour images keep the renderer's noise: no denoiser (%s)", error)
+        return None
+    return pyoidn
+
+
+def develop(
+    radiance: NDArray[np.floating],
+    *,
+    rng: np.random.Generator | None = None,
+    exposure: float | None = None,
+) -> tuple[NDArray[np.uint8], float]:
+    """8-bit sRGB image of linear radiance.
+
+    Args:
+        radiance: (H, W, 3).
+        rng: of the camera's noise; None adds none.
+        exposure: factor on the radiance; None exposes for middle grey.
+
+    Returns:
+        (H, W, 3) uint8 image and the exposure used.
+    """
+    if exposure is None:
+        level = np.asarray(radiance, np.float64).mean(axis=-1)
+        exposure = MIDDLE_GREY / max(float(np.exp(np.log(level + 1e-4).mean())), 1e-6)
+    x = np.maximum(np.asarray(radiance, np.float32) * np.float32(exposure), 0)
+    # Highlights roll off instead of clipping at once.
+    x = np.where(x > 0.6, 0.6 + 0.4 * (1 - np.exp(-(x - 0.6) / 0.4)), x)
+    if rng is not None:
+        x = x + NOISE * rng.standard_normal(x.shape, np.float32) * np.sqrt(x + 0.05)
+    return to_srgb(x), float(exposure)

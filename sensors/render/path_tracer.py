@@ -1,0 +1,306 @@
+"""Path tracing in one wavefront, for the compiled variants of Mitsuba.
+
+Mitsuba's own integrators go through films and volumes; this one knows surfaces only. Shadow rays
+pass straight through the see-through share of glass, so the projector's light reaches what stands
+behind; each view hands over its cameras as data, so that no view compiles anything anew; and the
+samples of a pixel lie side by side, so that sums need no atomic operation and an image is the same
+to the bit every time.
+
+Imported only after a variant has been set.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit
+import mitsuba
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.render.mitsuba_scene import Shapes
+from sensors.render.protocol import RenderOptions
+from sensors.render.scene import Projector
+from sensors.render.sky import Sky
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.se3 import SE3
+
+mi: Any = mitsuba  # their types differ by variant
+dr: Any = drjit
+_ALONE = 1e6
+"""Weight of a projector when there is no other light."""
+_MOST_CROSSINGS = 24
+"""Surfaces of glass that a shadow ray may pass; a bowl in a bowl has 8."""
+
+
+@dataclass(eq=False)  # not frozen: a loop writes its state back into what it was given
+class _Frame:
+    """Rotation and place of a camera or projector as data of the kernel."""
+
+    x: Any
+    y: Any
+    z: Any
+    origin: Any
+
+    @staticmethod
+    def of(T: SE3) -> _Frame:
+        x, y, z = (mi.Vector3f(*(_data(v) for v in T.R[:, i])) for i in range(3))
+        return _Frame(x, y, z, mi.Point3f(*(_data(v) for v in T.t)))
+
+
+@dataclass(eq=False)
+class _Beam:
+    frame: _Frame
+    texture: Any
+    tan_x: Any
+    tan_y: Any
+    power: Any
+    chance: Any
+
+
+def _stratifies(count: int) -> bool:
+    """Whether the sampler's grid, as square as can be, has exactly this many cells."""
+    across = int(count**0.5)
+    return across * -(-count // across) == count
+
+
+def _data(value: float) -> Any:
+    """A number that the kernel reads instead of containing."""
+    return dr.opaque(mi.Float, float(value))
+
+
+class PathTracer:
+    """Renders views of one scene.
+
+    Args:
+        shapes: surfaces of the active variant.
+        sky: its environment.
+    """
+
+    def __init__(self, shapes: Shapes, sky: Sky) -> None:
+        self._shapes, self._sky = shapes, sky
+        self._far = _data(4 * shapes.everything.bbox().bounding_sphere().radius + 1)
+        self._sampler = mi.load_dict({"type": "multijitter"})
+        self._patterns: dict[int, tuple[Projector, Any]] = {}
+
+    def radiance(
+        self,
+        camera: Camera,
+        T_world_cam: SE3,
+        projector: Projector | None,
+        *,
+        ambient: float,
+        options: RenderOptions,
+        seed: int,
+        grey: bool,
+    ) -> NDArray[np.float32]:
+        """(H, W, n, c) float32: mean of every chunk of every pixel; c is 1 where `grey`."""
+        ray, count = self._rays(camera, T_world_cam, options.samples, seed)
+        weight = options.projector_weight if ambient > 0 else _ALONE
+        beam = None if projector is None else self._beam(projector, weight)
+        light = _trace(
+            self._shapes,
+            self._sky,
+            self._far,
+            self._sampler,
+            ray,
+            beam,
+            _data(ambient),
+            options.max_depth,
+            options.diffuse_bounces,
+            options.roulette_depth,
+        )
+        chunk = options.chunk or options.samples
+        parts = [(light.x + light.y + light.z) / 3] if grey else [light.x, light.y, light.z]
+        dr.eval(*parts)  # together: every sum would run the whole kernel for itself
+        sums = [dr.block_sum(part, chunk) for part in parts]
+        dr.eval(*sums)
+        shape = (camera.height, camera.width, count // chunk)
+        means = [np.array(s).reshape(shape) / np.float32(chunk) for s in sums]
+        return np.stack(means, axis=-1)
+
+    def features(
+        self, camera: Camera, T_world_cam: SE3, *, samples: int, seed: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Albedo and world-frame normal of the first surface, (H, W, 3) float32 each."""
+        ray, count = self._rays(camera, T_world_cam, samples, seed)
+        si = self._shapes.everything.ray_intersect(ray)
+        bsdf = si.bsdf(ray)
+        hit = si.is_valid()
+        albedo = bsdf.eval_diffuse_reflectance(si, hit)
+        clear = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null)
+        # What shows through glass or lies at infinity keeps its own detail.
+        albedo = dr.select(hit & ~clear, albedo, mi.Spectrum(1))
+        normal = dr.select(hit, si.sh_frame.n, mi.Normal3f(0))
+        dr.eval(albedo, normal)
+        sums = [dr.block_sum(v, count) for v in (*albedo, *normal)]
+        dr.eval(*sums)
+        shape = (camera.height, camera.width)
+        maps = np.stack([np.array(s).reshape(shape) for s in sums], axis=-1) / np.float32(count)
+        return np.ascontiguousarray(maps[..., :3]), np.ascontiguousarray(maps[..., 3:])
+
+    def first_hits(
+        self, camera: Camera, T_world_cam: SE3
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """z-depth (H, W), 0 = none, and world normal (H, W, 3) through every pixel's centre."""
+        x, y = (g.ravel().astype(np.float32) for g in np.moveaxis(camera.pixel_grid(), -1, 0))
+        ray = _camera_rays(camera, T_world_cam, mi.Float(x), mi.Float(y))
+        si = self._shapes.everything.ray_intersect(ray)
+        frame = _Frame.of(T_world_cam)
+        z = dr.select(si.is_valid(), dr.dot(si.p - frame.origin, mi.Point3f(frame.z)), 0)
+        n = dr.select(si.is_valid(), si.n, mi.Normal3f(0))
+        shape = (camera.height, camera.width)
+        return np.array(z).reshape(shape), np.array(n).T.reshape(*shape, 3)
+
+    def _rays(self, camera: Camera, T: SE3, samples: int, seed: int) -> tuple[Any, int]:
+        total = camera.width * camera.height * samples
+        group = self._group(samples)
+        self._sampler.set_sample_count(group)
+        self._sampler.set_samples_per_wavefront(group)
+        self._sampler.seed(seed, total)
+        pixel = dr.arange(mi.UInt32, total) // dr.opaque(mi.UInt32, samples)
+        width = dr.opaque(mi.UInt32, camera.width)
+        row = pixel // width
+        jitter = self._sampler.next_2d()
+        x = mi.Float(pixel - row * width) + jitter.x - 0.5
+        y = mi.Float(row) + jitter.y - 0.5
+        return _camera_rays(camera, T, x, y), samples
+
+    def _group(self, samples: int) -> int:
+        """Largest divisor of the samples that the sampler can stratify as it is (16 of 32)."""
+        for count in range(samples, 0, -1):
+            if samples % count == 0 and _stratifies(count):
+                return count
+        return 1
+
+    def _beam(self, projector: Projector, weight: float) -> _Beam:
+        kept = self._patterns.get(id(projector.pattern))
+        if kept is None or kept[0].pattern is not projector.pattern:
+            texture = mi.Texture2f(
+                mi.TensorXf(projector.image[..., None]),
+                filter_mode=dr.FilterMode.Linear,
+                wrap_mode=dr.WrapMode.Clamp,
+            )
+            self._patterns = {id(projector.pattern): (projector, texture)}
+            kept = (projector, texture)
+        tan_x, tan_y = projector.tan_half
+        return _Beam(
+            _Frame.of(projector.T_world_projector),
+            kept[1],
+            _data(tan_x),
+            _data(tan_y),
+            _data(projector.power),
+            _data(weight / (1 + weight)),
+        )
+
+
+def _camera_rays(camera: Camera, T_world_cam: SE3, x: Any, y: Any) -> Any:
+    frame = _Frame.of(T_world_cam)
+    right = (x - _data(camera.cx)) / _data(camera.fx)
+    down = (y - _data(camera.cy)) / _data(camera.fy)
+    return mi.Ray3f(frame.origin, dr.normalize(frame.x * right + frame.y * down + frame.z))
+
+
+def _projected(beam: _Beam, si: Any, active: Any) -> tuple[Any, Any]:
+    """Direction to the projector and the irradiance it sends to a point that faces it."""
+    away = si.p - beam.frame.origin
+    z = dr.dot(away, beam.frame.z)
+    u = dr.dot(away, beam.frame.x) / (z * beam.tan_x) * 0.5 + 0.5
+    v = dr.dot(away, beam.frame.y) / (z * beam.tan_y) * 0.5 + 0.5
+    lit = active & (z > 0) & (u > 0) & (u < 1) & (v > 0) & (v < 1)
+    value = beam.texture.eval(mi.Point2f(u, v), lit)[0]
+    squared = dr.squared_norm(away)
+    irradiance = dr.select(lit, value * beam.power / squared, 0)
+    return -away * dr.rsqrt(squared), irradiance
+
+
+@dr.syntax
+def _unblocked(opaque, glass, si, target, active):  # type: ignore[no-untyped-def]
+    """Share of light that passes from `target` to a surface, straight through glass."""
+    ray = si.spawn_ray_to(target)
+    share = dr.select(active, mi.Spectrum(1), mi.Spectrum(0))
+    if dr.hint(opaque is not None, mode="scalar"):
+        share[active & opaque.ray_test(ray, active)] = 0
+    if dr.hint(glass is not None, mode="scalar"):
+        todo = active & (share.x > 0)
+        crossed = mi.UInt32(0)
+        while dr.hint(todo, label="through glass"):
+            met = glass.ray_intersect_preliminary(ray, False, todo)
+            hit = todo & met.is_valid()
+            between = met.compute_surface_interaction(ray, mi.RayFlags.Minimal, hit)
+            share[hit] *= between.bsdf().eval_null_transmission(between, hit)
+            crossed += 1
+            todo = hit & (dr.max(share) > 0) & (crossed < _MOST_CROSSINGS)
+            ray[todo] = between.spawn_ray_to(target)
+    return share
+
+
+@dr.syntax
+def _trace(  # type: ignore[no-untyped-def]
+    shapes, sky, far, sampler, ray_in, beam, ambient, max_depth, diffuse_bounces, roulette_depth
+):
+    """Light that arrives along rays; depths and whether there is a beam are compiled in."""
+    context = mi.BSDFContext()
+    ray = mi.Ray3f(ray_in)
+    throughput = mi.Spectrum(1)
+    light = mi.Spectrum(0)
+    eta = mi.Float(1)
+    depth, diffuse = mi.UInt32(0), mi.UInt32(0)
+    # Density of the last direction, for weighing it against drawing from the sky.
+    last_pdf = mi.Float(dr.inf)
+    active = mi.Bool(True)
+    sky_chance = mi.Float(1) if beam is None else 1 - beam.chance
+    while dr.hint(active, label="path"):
+        si = shapes.everything.ray_intersect(ray, mi.RayFlags.All, depth == 0, active)
+        # Only the sky shines: what leaves the scene is all there is to add here.
+        left = active & ~si.is_valid()
+        other = sky.density(ray.d, left & dr.isfinite(last_pdf)) * sky_chance
+        share = dr.select(dr.isfinite(last_pdf), last_pdf / (last_pdf + other), 1)
+        light[left] += throughput * sky.radiance(ray.d, left) * (share * ambient)
+
+        going = active & si.is_valid() & (depth + 1 < max_depth)
+        bsdf = si.bsdf(ray)
+        smooth = going & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+        choice = sampler.next_1d(smooth)
+        point = sampler.next_2d(smooth)
+        asks_beam = mi.Bool(False)
+        if dr.hint(beam is not None, mode="scalar"):
+            asks_beam = smooth & (choice < beam.chance)
+        towards, sky_pdf, arriving = sky.draw(point, smooth & ~asks_beam)
+        sky_pdf *= sky_chance
+        arriving *= ambient / sky_pdf
+        target = si.p + towards * far
+        if dr.hint(beam is not None, mode="scalar"):
+            to_beam, irradiance = _projected(beam, si, asks_beam)
+            towards = dr.select(asks_beam, to_beam, towards)
+            target = dr.select(asks_beam, beam.frame.origin, target)
+            arriving = dr.select(asks_beam, mi.Spectrum(irradiance / beam.chance), arriving)
+        asks = smooth & (dr.max(arriving) > 0)
+
+        value, pdf, sample, weight = bsdf.eval_pdf_sample(
+            context, si, si.to_local(towards), sampler.next_1d(going), sampler.next_2d(going), going
+        )
+        asks &= dr.max(value) > 0
+        scattered = going & mi.has_flag(sample.sampled_type, mi.BSDFFlags.DiffuseReflection)
+        diffuse[scattered] += 1
+        last = diffuse >= diffuse_bounces
+        share = dr.select(asks_beam | last, 1, sky_pdf / (sky_pdf + pdf))
+        arriving *= _unblocked(shapes.opaque, shapes.glass, si, target, asks)
+        light[asks] += throughput * value * arriving * share
+
+        ray = si.spawn_ray(si.to_world(sample.wo))
+        throughput *= weight
+        eta *= sample.eta
+        # Light that goes straight on was drawn where the path last bent.
+        bent = going & ~mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
+        delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+        last_pdf[bent] = dr.select(delta, dr.inf, sample.pdf)
+        depth[going] += 1
+        brightest = dr.max(throughput)
+        survival = dr.minimum(brightest * dr.square(eta), 0.95)
+        tested = depth >= roulette_depth
+        alive = sampler.next_1d(going) < survival
+        throughput[tested] *= dr.rcp(survival)
+        active = going & ~last & (brightest > 0) & (~tested | alive)
+    return light

@@ -1,0 +1,104 @@
+"""Which variant of Mitsuba works here, found out without risk to the process that asks.
+
+A compiler that lacks an instruction aborts the process with the first image, and a graphics driver
+may do worse; so every candidate renders a small scene in a child process first. The answer is
+kept for the process and, through an environment variable, for the workers it starts.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from functools import lru_cache
+from pathlib import Path
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.log import logger
+
+ANSWER_VARIABLE = "STD_SIM_VARIANT"
+"""Holds a variant's name: set it to skip the test."""
+PREFERENCE = ("cuda_ad_rgb", "llvm_ad_rgb", "scalar_rgb")
+SLOW_VARIANT = "scalar_rgb"
+_SECONDS = 180
+_CUDA_LIBRARIES = ("libcuda.so.1", "libcuda.so")
+# Exactly the code that a simulation runs, at 8 x 8 pixels: a variant that can render something
+# else proves nothing.
+_TEST = "from sensors.render.smoke import render_smallest; render_smallest({variant!r})"
+DONE = "rendered-finite-light"
+
+
+def choose_variant(wanted: str | None = None) -> str:
+    """The fastest variant that rendered the test scene here.
+
+    Args:
+        wanted: take this one, and complain where it does not work.
+
+    Raises:
+        ToolkitError: Mitsuba is not installed, or the one wanted (or every one) fails.
+    """
+    if wanted is not None:
+        problem = try_variant(wanted)
+        if problem is not None:
+            raise ToolkitError(
+                f"this variant of Mitsuba does not work here: {problem}",
+                field="variant",
+                value=wanted,
+                hint=f"leave it out to take the best of {', '.join(PREFERENCE)}",
+            )
+        return wanted
+    answered = os.environ.get(ANSWER_VARIABLE)
+    if answered:
+        return answered
+    reasons: list[str] = []
+    for variant in PREFERENCE:
+        problem = try_variant(variant)
+        if problem is None:
+            os.environ[ANSWER_VARIABLE] = variant
+            if variant == SLOW_VARIANT:
+                logger.warning(
+                    "rendering without a compiler, several times slower (%s); install libllvm19 "
+                    "(tools/system-libraries simulator does)",
+                    "; ".join(reasons),
+                )
+            return variant
+        reasons.append(f"{variant}: {problem}")
+    raise ToolkitError(
+        f"no variant of Mitsuba works here: {'; '.join(reasons)}",
+        hint="pip install 'std-toolkit[sim]', and libllvm19 from the system's packages",
+    )
+
+
+@lru_cache(maxsize=8)
+def try_variant(variant: str) -> str | None:
+    """None where the variant rendered the test scene in a child process, else why not."""
+    if variant.startswith("cuda") and not _has_cuda():
+        return "no CUDA driver"
+    root = str(Path(__file__).resolve().parents[2])
+    path = os.pathsep.join(p for p in (root, os.environ.get("PYTHONPATH", "")) if p)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", _TEST.format(variant=variant)],
+            env={**os.environ, "PYTHONPATH": path, ANSWER_VARIABLE: variant},
+            capture_output=True,
+            text=True,
+            timeout=_SECONDS,
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return str(error)
+    if done.returncode == 0 and DONE in done.stdout:
+        return None
+    lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+    told = next((x for x in lines if "ERROR" in x or "error" in x), lines[-1] if lines else "")
+    return f"ended with status {done.returncode}{': ' + told[:200] if told else ''}"
+
+
+def _has_cuda() -> bool:
+    import ctypes
+
+    for name in _CUDA_LIBRARIES:
+        try:
+            return bool(ctypes.CDLL(name).cuInit(0) == 0)
+        except OSError:
+            continue
+    return False

@@ -1,0 +1,241 @@
+"""How much light arrives: both tracers agree, glass lets the projector through, noise, seeds."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+import trimesh
+
+from sensors.lighting import studio_map
+from sensors.materials import draw_material
+from sensors.render import (
+    LoadedScene,
+    Projector,
+    RenderOptions,
+    SceneObject,
+    SimRenderer,
+    SimScene,
+    SurfaceMesh,
+    TruthCaster,
+)
+from sensors.render import mitsuba_scene as shapes
+from sensors.render.mitsuba_renderer import MitsubaRenderer, clipped_mean
+from sensors.render.smoke import looking_down
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.se3 import SE3
+
+CAMERA = Camera(64, 48, 70.0, 70.0, 31.5, 23.5)
+VIEW = looking_down(0.7)
+LAMP = Projector(
+    np.ones((64, 64), np.float32), 80.0, VIEW @ SE3(np.eye(3), np.array([0.05, 0, 0])), power=0.3
+)
+
+
+def mesh_of(shape) -> SurfaceMesh:
+    return SurfaceMesh(np.asarray(shape.vertices), np.asarray(shape.faces))
+
+
+@pytest.fixture(scope="module")
+def mixed(square, chalk) -> SimScene:
+    """A ball of each class on chalk, under a studio's light."""
+    rng = np.random.default_rng(4)
+    ball = mesh_of(trimesh.creation.icosphere(3, 0.08))
+    objects = [SceneObject(0, square, SE3.identity(), chalk)]
+    for i, name in enumerate(("diffuse", "specular", "transparent")):
+        T = SE3(np.eye(3), np.array([0.2 * (i - 1), 0.02, 0.08]))
+        objects.append(SceneObject(i + 1, ball, T, draw_material(rng, name)))
+    return SimScene(tuple(objects), studio_map(3), 0.7)
+
+
+@pytest.fixture(scope="module")
+def loaded(mixed, variant):
+    return MitsubaRenderer(variant=variant, check=False).load(mixed)
+
+
+def test_the_renderer_keeps_the_protocol(mixed, variant, loaded) -> None:
+    renderer = MitsubaRenderer(variant=variant, check=False)
+    assert isinstance(renderer, SimRenderer)
+    assert isinstance(loaded, LoadedScene)
+    assert renderer.name == f"mitsuba/{variant}"
+
+
+def test_own_tracer_agrees_with_mitsuba_s(mixed, compiled) -> None:
+    """Another integrator, sensor, environment and projector, the same light."""
+    import mitsuba as mi
+
+    from sensors.render.builtin_tracer import BuiltinTracer
+
+    own = MitsubaRenderer(variant=compiled, check=False).load(mixed)
+    other = BuiltinTracer(shapes.build(mi, mixed).everything, shapes.environment(mi, mixed))
+    options = RenderOptions(samples=256, chunk=16, max_depth=8, diffuse_bounces=8)
+    whole = {"options": options, "seed": 3}
+    pairs = {
+        "color": (
+            own.color(CAMERA, VIEW, ambient=0.5, options=options, seed=5).radiance,
+            other.radiance(CAMERA, VIEW, None, ambient=0.5, grey=False, **whole),
+        ),
+        "infrared": (
+            own.infrared(CAMERA, VIEW, LAMP, ambient=0.05, options=options, seed=5),
+            other.radiance(CAMERA, VIEW, LAMP, ambient=0.05, grey=True, **whole),
+        ),
+    }
+    mask = TruthCaster(mixed).maps(CAMERA, VIEW).mask
+    for name, (a, chunks) in pairs.items():
+        b = clipped_mean(chunks)
+        assert np.asarray(a).size == b.size
+        for i in range(4):
+            ratio = float(np.mean(a[mask == i]) / np.mean(b[mask == i]))
+            # Light that glass focuses arrives in few bright paths: noise, not another physics.
+            assert ratio == pytest.approx(1, abs=0.08 if i == 3 else 0.015), (name, i)
+
+
+def test_the_same_seed_gives_the_same_image(loaded) -> None:
+    options = RenderOptions(samples=8, chunk=4)
+
+    def look(seed):
+        return loaded.infrared(CAMERA, VIEW, LAMP, ambient=0.05, options=options, seed=seed)
+
+    np.testing.assert_array_equal(look(1), look(1))
+    assert np.mean(look(1) != look(2)) > 0.9
+    assert look(1).dtype == np.float32
+    assert look(1).shape == (48, 64)
+
+
+def test_a_matt_floor_returns_the_sky_s_light_by_its_albedo(square, variant, white_sky) -> None:
+    from sensors.materials import DrawnMaterial
+
+    dark = DrawnMaterial(
+        name="x",
+        material_class="diffuse",
+        color=(0.2, 0.4, 0.8),
+        own_share=0.0,
+        specular=0.0,
+        roughness=1.0,
+    )
+    scene = SimScene((SceneObject(0, square, SE3.identity(), dark),), white_sky)
+    seen = MitsubaRenderer(variant=variant, check=False).load(scene)
+    options = RenderOptions(samples=64, chunk=0)
+    light = seen.color(CAMERA, looking_down(0.4), ambient=2.0, options=options).radiance
+    middle = light[16:32, 24:40].mean(axis=(0, 1))
+    # The principled diffuse lobe lies a few per cent off Lambert's law.
+    np.testing.assert_allclose(middle, [0.4, 0.8, 1.6], rtol=0.06)
+
+
+def test_the_projector_passes_straight_through_the_see_through_share(
+    square, chalk, variant, white_sky
+) -> None:
+    """A pane between projector and floor, outside the camera's view of the spot behind it."""
+    glass = draw_material(np.random.default_rng(1), "transparent")
+    assert glass.glass is not None
+    pane = mesh_of(trimesh.creation.box((0.3, 0.3, 0.01)))
+    lamp = Projector(
+        np.ones((32, 32), np.float32), 30.0, looking_down(1.2) @ SE3.identity(), power=1.0
+    )
+    camera = Camera(32, 32, 60.0, 60.0, 15.5, 15.5)
+    # From the side, below the pane: nothing but floor is seen.
+    view = SE3.exp([0, 0, 0, 0, 0, 0])
+    forward = np.array([-0.5, 0.0, -0.3]) / np.hypot(0.5, 0.3)
+    right = np.array([0.0, 1.0, 0.0])
+    R = np.stack([right, np.cross(forward, right), forward], axis=1)
+    view = SE3(R, np.array([0.5, 0.0, 0.3]))
+    floor = SceneObject(0, square, SE3.identity(), chalk)
+    options = RenderOptions(samples=64, chunk=0)
+    spot = {}
+    for share in (None, 0.3, 0.8):
+        objects = [floor]
+        if share is not None:
+            mixed = msgspec.structs.replace(
+                glass, glass=msgspec.structs.replace(glass.glass, see_through=share)
+            )
+            T = SE3(np.eye(3), np.array([0.0, 0.0, 0.9]))
+            objects.append(SceneObject(1, pane, T, mixed))
+        loaded = MitsubaRenderer(variant=variant, check=False).load(
+            SimScene(tuple(objects), white_sky)
+        )
+        image = loaded.infrared(camera, view, lamp, ambient=0.0, options=options)
+        spot[share] = float(image[12:20, 12:20].mean())
+    # Two surfaces; what the floor scatters up and the pane sends back adds a little.
+    assert spot[0.3] / spot[None] == pytest.approx(0.3**2, abs=0.02)
+    assert spot[0.8] / spot[None] == pytest.approx(0.8**2, abs=0.02)
+
+
+def test_dots_are_sharp_on_chalk_and_missing_on_metal(square, chalk, variant, white_sky) -> None:
+    rng = np.random.default_rng(0)
+    dots = np.zeros((300, 300), np.float32)
+    dots[rng.integers(0, 300, 1500), rng.integers(0, 300, 1500)] = 1
+    lamp = Projector(dots, 60.0, VIEW @ SE3(np.eye(3), np.array([0.05, 0, 0])), power=1.0)
+    ball = mesh_of(trimesh.creation.icosphere(4, 0.12))
+    T = SE3(np.eye(3), np.array([0.0, 0.0, 0.1]))
+    chrome = draw_material(np.random.default_rng(0), "specular", name="chrome")
+    chrome = msgspec.structs.replace(chrome, own_share=0.0)
+    contrast = {}
+    camera = Camera(128, 96, 200.0, 200.0, 63.5, 47.5)
+    for material in (chalk, chrome):
+        scene = SimScene(
+            (SceneObject(0, square, SE3.identity(), chalk), SceneObject(1, ball, T, material)),
+            white_sky,
+        )
+        image = (
+            MitsubaRenderer(variant=variant, check=False)
+            .load(scene)
+            .infrared(camera, VIEW, lamp, ambient=0.03, options=RenderOptions(samples=32, chunk=8))
+        )
+        # Inside the ball, away from the highlight in its middle.
+        part = image[30:66, 84:96]
+        contrast[material.name] = float(np.percentile(part, 98) - np.median(part))
+    assert contrast["chalk"] > 5 * contrast["chrome"]
+
+
+def test_views_compile_nothing_anew(loaded, compiled) -> None:
+    import drjit as dr
+
+    options = RenderOptions(samples=4, chunk=0)
+
+    def look(i):
+        move = SE3.exp([0.02 * i, 0, 0, 0, 0.01 * i, 0])
+        lamp = Projector(LAMP.pattern, 80.0, VIEW @ move, power=0.3 + 0.01 * i)
+        loaded.infrared(CAMERA, VIEW @ move, lamp, ambient=0.05 + 0.01 * i, options=options, seed=i)
+        loaded.color(CAMERA, VIEW @ move, ambient=0.5 + 0.1 * i, options=options, seed=i)
+
+    look(0)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        look(1)
+        compiled_anew = [
+            k for k in dr.kernel_history([dr.KernelType.JIT]) if not k.get("cache_hit", True)
+        ]
+    assert compiled_anew == []
+
+
+def test_lens_distortion_is_refused(loaded) -> None:
+    bent = Camera(64, 48, 70.0, 70.0, 31.5, 23.5, (0.1, 0, 0, 0))
+    with pytest.raises(ToolkitError, match="pinhole"):
+        loaded.color(bent, VIEW, ambient=1.0)
+
+
+def test_clipping_removes_single_bright_paths_only() -> None:
+    rng = np.random.default_rng(0)
+    agreeing = rng.uniform(0.9, 1.1, (20, 20, 4, 1)).astype(np.float32)
+    np.testing.assert_allclose(clipped_mean(agreeing), agreeing.mean(axis=2), rtol=1e-6)
+    spoilt = agreeing.copy()
+    spoilt[5, 5, 2] = 400
+    cleaned = clipped_mean(spoilt)
+    assert cleaned[5, 5, 0] < 1.5
+    untouched = np.ones((20, 20), bool)
+    untouched[5, 5] = False
+    np.testing.assert_allclose(cleaned[untouched], agreeing.mean(axis=2)[untouched], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"samples": 10, "chunk": 4}, "multiple of the chunk"),
+        ({"samples": 0, "chunk": 0}, "samples: must be at least 1"),
+        ({"max_depth": 0}, "max_depth"),
+    ],
+)
+def test_bad_options_are_refused(keywords, message) -> None:
+    with pytest.raises(ToolkitError, match=message):
+        RenderOptions(**keywords)
