@@ -159,6 +159,10 @@ class TestWithoutAWindow:
         monkeypatch: pytest.MonkeyPatch,
         capsys: pytest.CaptureFixture[str],
     ) -> None:
+        def fail(_: str) -> None:
+            raise ImportError("it was not looked for")
+
+        monkeypatch.setattr(cli.importlib, "import_module", fail)
         monkeypatch.setattr(
             cli.importlib.util, "find_spec", lambda wanted: None if wanted == name else object()
         )

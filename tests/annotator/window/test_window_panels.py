@@ -64,6 +64,13 @@ def test_thumbnails_stand_in_even_columns(bench: Bench, tmp_path: Path) -> None:
     alignment.import_meshes(bench.controller, files)  # type: ignore[arg-type]
     meshes = bench.space.library.list
     bench.qtbot.waitUntil(lambda: meshes.count() == 5, timeout=20_000)
+
+    def drawn() -> bool:
+        """The pictures are there, which are larger than the signs in their places."""
+        widths = {meshes.item(i).icon().pixmap(60).width() for i in range(meshes.count())}
+        return widths == {60}
+
+    bench.qtbot.waitUntil(drawn, timeout=30_000)
     bench.settle()
     boxes = [meshes.visualItemRect(meshes.item(i)) for i in range(meshes.count())]
     rows = {b.top() for b in boxes}
