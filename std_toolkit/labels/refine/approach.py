@@ -16,6 +16,7 @@ from std_toolkit.labels.refine.edge_search import SearchRange, search_edges, spr
 from std_toolkit.labels.refine.layers import LayerStore
 from std_toolkit.labels.refine.measure import PoseState, coarse_to_fine
 from std_toolkit.labels.refine.problem import RefineObject, RefineOptions, RefineView
+from std_toolkit.labels.refine.progress import Progress, part, untold
 
 # The search ends within this share of an object's size in the image.
 _LEFT = 0.08
@@ -31,18 +32,27 @@ def approach(
     views: Sequence[RefineView],
     objects: Sequence[RefineObject],
     options: RefineOptions,
+    *,
+    layers: LayerStore | None = None,
+    progress: Progress = untold,
 ) -> list[RefineObject]:
     """The objects, rough ones at poses from which `descend` takes over, found one by one.
 
     Candidates of the search and the start itself are refined at coarse levels with the other
     objects held; the one whose outlines agree best with the images is taken.
+
+    Args:
+        layers: of the objects in these views, where they were cast before.
+        progress: told the fraction done.
     """
     around = SearchRange(reach_m=options.rough_m, turn=options.rough_turn)
     found = list(objects)
-    layers = LayerStore()
-    for i, thing in enumerate(objects):
-        if thing.fixed or not thing.rough:
-            continue
+    layers = LayerStore() if layers is None else layers
+    rough = [i for i, o in enumerate(objects) if o.rough and not o.fixed]
+    for done, i in enumerate(rough):
+        thing = objects[i]
+        share = part(progress, done / len(rough), (done + 1) / len(rough))
+        share(0)
         others = [replace(o, fixed=True) for k, o in enumerate(found) if k != i]
         few = spread_views(views, thing)
         judge = EdgeScore(few, thing, others, _JUDGED, reach_m=1.3 * around.reach_m)
@@ -50,9 +60,12 @@ def approach(
             continue
         tried = [_settled(few, thing, others, options, judge, layers)]
         for thorough in (False, True):
+            # Few objects need the thorough search, which takes most of the time then.
+            share(0.6 if thorough else 0.2)
             candidates = search_edges(
                 few, thing, others, around, count=_CANDIDATES, thorough=thorough
             )
+            share(0.9 if thorough else 0.5)
             for T in candidates:
                 start = replace(thing, T_world_obj=T)
                 tried.append(_settled(few, start, others, options, judge, layers))
@@ -62,6 +75,7 @@ def approach(
             if best.score > _CONVINCING:
                 break
         found[i] = replace(thing, T_world_obj=best.T_world_obj)
+    progress(1)
     return found
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.refine.auto_problem import AutoProblem, MeshSource, auto_problem
-from std_toolkit.labels.refine.auto_report import doubts, method_sentence
+from std_toolkit.labels.refine.auto_report import UNSETTLED, doubts, method_sentence
 from std_toolkit.labels.refine.icp import (
     DepthFit,
     DepthFitOptions,
@@ -25,7 +25,9 @@ from std_toolkit.labels.refine.icp import (
     refine_on_depth,
     strays,
 )
+from std_toolkit.labels.refine.layers import LayerStore
 from std_toolkit.labels.refine.problem import RefinedObject, RefineObject, RefineOptions
+from std_toolkit.labels.refine.progress import Progress, part
 from std_toolkit.labels.refine.solver import refine_poses
 from std_toolkit.scene.scene import Scene
 
@@ -35,6 +37,8 @@ Method = Literal["auto", "depth", "multiview"]
 _VIEWS_AROUND = 3
 # How far from the contour edges are looked for, pixels: placed by depth, or by hand.
 _NEAR_PX, _FAR_PX = 24.0, 48.0
+# What an object without depth takes, in units of one with depth.
+_SEARCHED = 2.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +153,8 @@ class _Run:
     ) -> None:
         self._problem, self._method = problem, method
         self._progress, self._cancelled = progress, cancelled
+        self._told = 0.0
+        self._layers = LayerStore()
         self._fits: dict[int, DepthFit] = {}
         self._notes: dict[int, list[str]] = {}
         self.found: dict[int, RefinedPose] = {}
@@ -158,14 +164,18 @@ class _Run:
         by_depth = [i for i in chosen if self._uses_depth(i)]
         around = len(self._problem.views) >= _VIEWS_AROUND
         left = [i for i in chosen if i not in by_depth]
+        # Depth takes about as long as following the edges, and a search much longer.
+        each = 1.0 if not around else 0.5
+        whole = len(by_depth) + _SEARCHED * len(left)
+        share = each * len(by_depth) / whole
         for done, i in enumerate(by_depth):
-            self._report(done / (len(chosen) + 1))
-            if not self._fit_depth(i, finish=not around):
+            within = share * done / len(by_depth), share * (done + 1) / len(by_depth)
+            if not self._fit_depth(i, finish=not around, progress=part(self._report, *within)):
                 left.append(i)
-        self._report(len(by_depth) / (len(chosen) + 1))
+        self._report(share)
         left += [i for i in self._fits if i not in self.found]
         if left:
-            self._fit_edges(left)
+            self._fit_edges(left, part(self._report, share, 1))
         self._report(1.0)
 
     def _uses_depth(self, i: int) -> bool:
@@ -178,15 +188,23 @@ class _Run:
     def _report(self, fraction: float) -> None:
         if self._cancelled():
             raise RefineCancelled
-        self._progress(fraction)
+        self._told = max(self._told, fraction)
+        self._progress(self._told)
 
-    def _fit_depth(self, i: int, *, finish: bool) -> bool:
+    def _fit_depth(self, i: int, *, finish: bool, progress: Progress) -> bool:
         """Place an object by depth; False where its edges must do alone."""
         objects = self._placed()
         others = [o for k, o in objects.items() if k != i]
         options = DepthFitOptions(use_edges=finish)
         try:
-            fit = refine_on_depth(self._problem.views, objects[i], options, others=others)
+            fit = refine_on_depth(
+                self._problem.views,
+                objects[i],
+                options,
+                others=others,
+                layers=self._layers,
+                progress=progress,
+            )
         except ToolkitError as error:
             if self._method == "depth":
                 self.failures[i] = error
@@ -198,7 +216,7 @@ class _Run:
             self.found[i] = self._of_depth(i, fit)
         return True
 
-    def _fit_edges(self, chosen: Sequence[int]) -> None:
+    def _fit_edges(self, chosen: Sequence[int], progress: Progress) -> None:
         """Finish objects together with the edges (and depth, where it is trusted) of all views."""
         objects = self._placed()
         things = []
@@ -213,7 +231,9 @@ class _Run:
             use_depth=self._method != "multiview", search_px=_NEAR_PX if near else _FAR_PX
         )
         try:
-            result = refine_poses(self._problem.views, things, options)
+            result = refine_poses(
+                self._problem.views, things, options, layers=self._layers, progress=progress
+            )
         except ToolkitError as error:
             for k in chosen:
                 self._fall_back(k, error)
@@ -263,7 +283,11 @@ class _Run:
             at_end = replace(thing, T_world_obj=found.T_world_obj)
             others = [o for o in things if o.name != thing.name]
             agreement = depth_agreement(
-                self._problem.views, at_end, others, depth_factor=depth_factor
+                self._problem.views,
+                at_end,
+                others,
+                depth_factor=depth_factor,
+                layers=self._layers,
             )
             explained = agreement.explained
         return self._refined(
@@ -276,6 +300,7 @@ class _Run:
             found.depth_rms_m,
             explained,
             found.views,
+            settled=found.converged,
         )
 
     def _refined(
@@ -289,10 +314,13 @@ class _Run:
         depth_m: float | None,
         explained: float | None,
         views: int,
+        *,
+        settled: bool = True,
     ) -> RefinedPose:
         seen = replace(self._problem.objects[i], T_world_obj=pose)
         warnings = [
             *self._notes.get(i, []),
+            *([] if settled else [UNSETTLED]),
             *doubts(self._problem, seen, covariance, edge_rms_px, depth_m, explained),
         ]
         return RefinedPose(

@@ -9,6 +9,8 @@ from std_toolkit.labels.refine.auto_problem import AutoProblem
 from std_toolkit.labels.refine.problem import RefineObject
 from std_toolkit.labels.refine.weakness import covariance_at
 
+UNSETTLED = "the refinement did not settle: its last step still moved it; refine again, and look"
+
 # Standard deviation along the viewing ray beyond which the distance is called weak, metres.
 _WEAK_M = 0.003
 # A contour that fits scatters by one or two pixels.

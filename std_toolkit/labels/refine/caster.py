@@ -75,12 +75,17 @@ class WorldCaster:
         for i in range(len(self._placed)) if among is None else among:
             surface, T_world_obj = self._placed[i]
             T_cam_obj = T_cam_world @ T_world_obj
-            (tried,) = np.nonzero(surface.may_meet(rays, T_cam_obj))
-            if not len(tried):
-                continue
-            hits = surface.cast(rays[tried], T_cam_obj)
-            nearer = hits.depth < nearest[tried]
-            seen = tried[nearer]
+            near = surface.may_meet(rays, T_cam_obj)
+            if near.all():
+                hits = surface.cast(rays, T_cam_obj)
+                seen = nearer = np.flatnonzero(hits.depth < nearest)
+            else:
+                (tried,) = np.nonzero(near)
+                if not len(tried):
+                    continue
+                hits = surface.cast(rays[tried], T_cam_obj)
+                nearer = np.flatnonzero(hits.depth < nearest[tried])
+                seen = tried[nearer]
             nearest[seen] = hits.depth[nearer]
             index[seen] = i
             normal[seen] = turned(hits.normal[nearer], T_world_obj.R)
@@ -111,7 +116,9 @@ class WorldCaster:
             there = slice(top - layer.y, bottom - layer.y), slice(left - layer.x, right - layer.x)
             nearer = layer.depth[there] < nearest[here]
             np.copyto(nearest[here], layer.depth[there], where=nearer)
-            np.copyto(normal[(slice(None), *here)], layer.normal[(slice(None), *there)], where=nearer)
+            np.copyto(
+                normal[(slice(None), *here)], layer.normal[(slice(None), *there)], where=nearer
+            )
             index[here][nearer] = i
         return Hits(index, nearest, np.moveaxis(normal, 0, -1)), tuple(among)
 

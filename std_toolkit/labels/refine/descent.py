@@ -13,6 +13,7 @@ from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.refine.layers import LayerStore
 from std_toolkit.labels.refine.measure import Level, Measured, PoseState, measure
 from std_toolkit.labels.refine.problem import RefineObject, RefineOptions, RefineView
+from std_toolkit.labels.refine.progress import Progress, untold
 from std_toolkit.labels.refine.system import NormalEquations, Step
 
 Array = NDArray[np.float64]
@@ -52,11 +53,13 @@ def descend(
     options: RefineOptions,
     *,
     layers: LayerStore | None = None,
+    progress: Progress = untold,
 ) -> Descent:
     """Move `state` level by level until the steps are small.
 
     Args:
         layers: of descents with the same objects and views before this one.
+        progress: told the fraction done.
 
     Raises:
         ToolkitError: no object is visible in any view.
@@ -71,7 +74,8 @@ def descend(
         # How far each object has moved since it was last compared with the images, mm.
         moved = np.full(len(objects), np.inf)
         moved[[o.fixed for o in objects]] = 0
-        for _ in range(level.iterations):
+        for iteration in range(level.iterations):
+            progress((number + iteration / level.iterations) / len(levels))
             again = np.flatnonzero(moved > enough)
             if not len(again):
                 break
@@ -96,7 +100,7 @@ def descend(
             moved[again] = 0
             moved += size
             largest = float(size.max())
-            measured = measured.after({k: steps[k] for k in np.flatnonzero(moved <= enough)})
+            measured = measured.after({k: s for k, s in enumerate(steps) if moved[k] <= enough})
         measured = Measured([], [])
     return Descent(made, scale, largest)
 

@@ -110,8 +110,7 @@ def _window(
     (x0, y0), (x1, y1) = low, high
     others = np.full((y1 - y0, x1 - x0), np.inf, np.float32)
     if world is not None:
-        v, u = np.mgrid[y0:y1, x0:x1]
-        pixels = np.stack([u, v], axis=-1).astype(np.float64)
-        others = world.cast(camera, view.T_world_cam, pixels).depth
+        box = int(x0), int(y0), int(x1) - 1, int(y1) - 1
+        others = world.window(camera, view.T_world_cam, box)[0].depth
     edges = EdgeMap.of(image[y0:y1, x0:x1], tolerance=level.tolerance)
     return Window(camera, view.T_world_cam, int(x0), int(y0), others), edges

@@ -23,9 +23,9 @@ Array = NDArray[np.float64]
 
 # Resolutions and the generations at each.
 _QUICK = (
-    (ScoreLevel(pixels=28, tolerance=2.0), 2),
-    (ScoreLevel(pixels=44, tolerance=2.0), 4),
-    (ScoreLevel(pixels=44, tolerance=1.0), 4),
+    (ScoreLevel(pixels=28, tolerance=2.0), 3),
+    (ScoreLevel(pixels=40, tolerance=2.0), 3),
+    (ScoreLevel(pixels=40, tolerance=1.0), 4),
 )
 # The faint outline of a glass on a printed cloth does not show in fewer pixels.
 _THOROUGH = (

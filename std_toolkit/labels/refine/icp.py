@@ -18,15 +18,17 @@ from std_toolkit.geometry.pose_error import rotation_error
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.refine.depth_fit import DepthAgreement, measure_depth
 from std_toolkit.labels.refine.depth_steps import depth_residuals, pose_covariance
+from std_toolkit.labels.refine.layers import LayerStore
 from std_toolkit.labels.refine.object_surface import ObjectSurface, surface_of
 from std_toolkit.labels.refine.observed import ObservedRays, ObservedView, observe
-from std_toolkit.labels.refine.pose_search import SearchRange, search_pose
+from std_toolkit.labels.refine.pose_search import THOROUGH, SearchRange, search_pose
 from std_toolkit.labels.refine.problem import (
     RefineObject,
     RefineOptions,
     RefineResult,
     RefineView,
 )
+from std_toolkit.labels.refine.progress import Progress, part, untold
 from std_toolkit.labels.refine.solver import refine_poses
 from std_toolkit.labels.refine.weakness import weakest_direction
 
@@ -44,6 +46,10 @@ _DEPTH_SAMPLES = 5.0
 # The edges may move the pose of the depth by so much; further, they have found something else.
 _LARGEST_FINISH_M, _LARGEST_FINISH = 0.03, np.deg2rad(20)
 _LARGEST_LOSS = 0.1
+# Things that are thinner than this share of the reach are missed by most starts: where fewer of
+# their readings are explained, the search is repeated with more effort. For others it is not: more
+# tries would rather find another thing of about that shape.
+_THIN, _DOUBTFUL = 0.5, 0.88
 # Below this share of explained readings the fit is not to be believed.
 _SMALLEST_EXPLAINED = 0.5
 
@@ -102,6 +108,8 @@ def refine_on_depth(
     options: DepthFitOptions | None = None,
     *,
     others: Sequence[RefineObject] = (),
+    layers: LayerStore | None = None,
+    progress: Progress = untold,
 ) -> DepthFit:
     """Adjust the world pose of one object to the sensor depth around it.
 
@@ -110,18 +118,29 @@ def refine_on_depth(
             depth lend their edges.
         thing: the object at its start pose; its material plays no part.
         others: neighbours at their poses; they hide what is behind them and stay where they are.
+        layers: of them, where they were cast before.
+        progress: told the fraction done.
 
     Raises:
         ToolkitError: no views, the object is out of view, or there is no depth (on it).
     """
     options = options or DepthFitOptions()
+    progress(0)
+    searched = 0.7 if options.use_edges else 1.0
     surface = surface_of(thing)
     reach_m = options.reach_m or max(_REACH_M, _REACH * thing.radius)
-    observed = observe(views, thing, others, surface, reach_m=reach_m)
+    observed = observe(views, thing, others, surface, reach_m=reach_m, layers=layers)
     _check(views, thing, observed)
     search = SearchRange(1.2 * reach_m, 1.2 * options.turn, options.flips)
-    pose = search_pose(thing, surface, observed, search)
+    pose = search_pose(thing, surface, observed, search, progress=part(progress, 0.1, searched))
     agreement = measure_depth(surface, observed, pose)
+    if (
+        agreement.readings >= _FEWEST_READINGS
+        and agreement.explained < _DOUBTFUL
+        and surface.thickness < _THIN * reach_m
+    ):
+        pose = search_pose(thing, surface, observed, search, effort=THOROUGH, known=[pose])
+        agreement = measure_depth(surface, observed, pose)
     if agreement.readings < _FEWEST_READINGS:
         raise ToolkitError(
             f"the sensor has no depth on {thing.name}",
@@ -130,7 +149,9 @@ def refine_on_depth(
         )
     found = replace(thing, T_world_obj=pose, material="diffuse")
     if options.use_edges:
-        finished = _finish(views, found, surface, observed, agreement, others)
+        finished = _finish(
+            views, found, surface, observed, agreement, others, progress=part(progress, searched, 1)
+        )
         if finished is not None:
             return finished
     rays = ObservedRays.of([o.thinned(3000) for o in observed])
@@ -155,15 +176,17 @@ def depth_agreement(
     others: Sequence[RefineObject],
     *,
     depth_factor: float = 1.0,
+    layers: LayerStore | None = None,
 ) -> DepthAgreement:
     """How well the sensor depth of the views agrees with an object at its pose.
 
     Args:
         others: neighbours that hide what is behind them.
         depth_factor: true depth = depth_factor * sensor depth.
+        layers: of the neighbours, where they were cast before.
     """
     surface = surface_of(thing)
-    observed = observe(views, thing, others, surface, reach_m=0.0, background=False)
+    observed = observe(views, thing, others, surface, reach_m=0.0, background=False, layers=layers)
     return measure_depth(surface, observed, thing.T_world_obj, depth_factor=depth_factor)
 
 
@@ -197,6 +220,8 @@ def _finish(
     observed: Sequence[ObservedView],
     before: DepthAgreement,
     others: Sequence[RefineObject],
+    *,
+    progress: Progress,
 ) -> DepthFit | None:
     """The pose with the edges' help; None where they make it worse."""
     around = _apart(views, found) > _PARALLAX
@@ -209,7 +234,7 @@ def _finish(
         )
     fixed = [replace(o, fixed=True) for o in _near(views, found, others)]
     try:
-        result: RefineResult = refine_poses(views, [found, *fixed], options)
+        result: RefineResult = refine_poses(views, [found, *fixed], options, progress=progress)
     except ToolkitError:  # nothing of it can be seen well enough
         return None
     edges = result.objects[0]

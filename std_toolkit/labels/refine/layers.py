@@ -48,11 +48,14 @@ def image_box(
 
     None where a part of the object is beside or behind the camera.
     """
-    p = T_cam_obj @ surface.corners
-    if (p[:, 2] < _NEAREST_M).any():
+    p = T_cam_obj @ surface.outer
+    nearest = float(p[:, 2].min()) - surface.slack
+    if nearest < _NEAREST_M:
         return None
     uv = camera.project(p)
-    low, high = np.floor(uv.min(axis=0)).astype(int), np.ceil(uv.max(axis=0)).astype(int)
+    slack = surface.slack / nearest * np.array([camera.fx, camera.fy])
+    low = np.floor(uv.min(axis=0) - slack).astype(int)
+    high = np.ceil(uv.max(axis=0) + slack).astype(int)
     return int(low[0]), int(low[1]), int(high[0]), int(high[1])
 
 

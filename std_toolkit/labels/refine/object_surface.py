@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 import weakref
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,18 @@ from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.refine.problem import RefineObject
 
 Array = NDArray[np.float64]
+
+
+# Of the radius: a sphere bulges so far beyond the hull of its points in `_directions`.
+_SLACK = 0.02
+
+
+@cache
+def _directions() -> Array:
+    """(162, 3) unit vectors, nowhere more than 11 degrees from the next one."""
+    import trimesh
+
+    return np.asarray(trimesh.creation.icosphere(subdivisions=2).vertices)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,17 +59,21 @@ class ObjectSurface:
     Attributes:
         centre: (3,) of the bounding box.
         radius: largest distance of a vertex from it, metres.
-        corners: (8, 3) of the bounding box.
+        thickness: smallest extent of the bounding box, metres.
+        outer: (K, 3) vertices that lie outermost in directions all around: what of the surface
+            lies outside their convex hull does so by less than `slack`, metres.
     """
 
     def __init__(self, vertices: Array, faces: NDArray[np.integer]) -> None:
         import open3d as o3d
 
         used = vertices[np.unique(faces)]
-        bounds = np.stack([used.min(axis=0), used.max(axis=0)], axis=1)
-        self.centre: Array = bounds.mean(axis=1)
-        self.corners: Array = np.array(np.meshgrid(*bounds)).reshape(3, -1).T
+        self.centre: Array = (used.min(axis=0) + used.max(axis=0)) / 2
+        self.thickness = float(np.ptp(used, axis=0).min())
         self.radius = float(np.linalg.norm(used - self.centre, axis=1).max())
+        outermost = ((used - self.centre) @ _directions().T).argmax(axis=0)
+        self.outer: Array = used[np.unique(outermost)]
+        self.slack = _SLACK * self.radius
         self._tensor = o3d.core.Tensor.from_numpy
         self._scene = o3d.t.geometry.RaycastingScene()
         # Embree works in float32: coordinates near the centre keep their digits.

@@ -14,6 +14,7 @@ from std_toolkit.geometry.depth import on_depth_step
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.refine.background import fit_background, plane_depth
 from std_toolkit.labels.refine.caster import WorldCaster
+from std_toolkit.labels.refine.layers import LayerStore
 from std_toolkit.labels.refine.object_surface import ObjectSurface
 from std_toolkit.labels.refine.problem import RefineObject, RefineView
 
@@ -148,14 +149,16 @@ def observe(
     *,
     reach_m: float,
     background: bool = True,
+    layers: LayerStore | None = None,
 ) -> list[ObservedView]:
     """The windows of the views that have depth and may show the object near its pose.
 
     Args:
         reach_m: how far the object may be from its pose.
         background: look for the plane behind the object.
+        layers: of the others, where they were cast before.
     """
-    caster = WorldCaster(others, [o.T_world_obj for o in others]) if others else None
+    caster = WorldCaster(others, [o.T_world_obj for o in others], layers) if others else None
     found = []
     for view in views:
         if view.depth is None:
@@ -168,9 +171,8 @@ def observe(
         sensor = np.where(np.isfinite(sensor) & (sensor > 0), sensor, 0).astype(np.float32)
         nearest = np.full(sensor.shape, np.inf, np.float32)
         if caster is not None:
-            v, u = np.mgrid[y0:y1, x0:x1]
-            pixels = np.stack([u, v], axis=-1).astype(np.float64)
-            nearest = caster.cast(view.camera, view.T_world_cam, pixels).depth
+            box = x0, y0, x1 - 1, y1 - 1
+            nearest = caster.window(view.camera, view.T_world_cam, box)[0].depth
         steady = (sensor > 0) & ~on_depth_step(sensor)
         bare = ObservedView(view, x0, y0, sensor, steady, nearest, None)
         plane = _background(bare, thing, surface) if background else None

@@ -72,9 +72,6 @@ class OutlineCaster:
 
     def __init__(self, thing: RefineObject) -> None:
         self._surface = surface_of(thing)
-        used = thing.vertices[np.unique(thing.faces)]
-        low, high = used.min(axis=0), used.max(axis=0)
-        self._corners = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T
 
     def outlines(self, window: Window, R: Array, t: Array) -> Outlines:
         """Outlines at the poses T_world_obj = (R (N, 3, 3), t (N, 3))."""
@@ -104,14 +101,14 @@ class OutlineCaster:
         self, camera: Camera, R: Array, t: Array
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Columns (N, w) and rows (N, h) of a patch around each pose, all of one size."""
-        p = np.einsum("nij,kj->nki", R, self._corners) + t[:, None]
+        p = self._surface.outer @ R.transpose(0, 2, 1) + t[:, None]
         z = np.maximum(p[..., 2], _NEAREST_M)
         grids = []
         for axis, f, c in ((0, camera.fx, camera.cx), (1, camera.fy, camera.cy)):
             x = p[..., axis] / z * f + c
             low, high = x.min(axis=1), x.max(axis=1)
             # An object that fills the view is cut off; so is one beside the camera.
-            size = min(int(np.ceil((high - low).max())) + 2 * _MARGIN + 1, camera.size[axis])
+            size = min(int(np.ceil((high - low).max())) + 2 * _MARGIN + 2, camera.size[axis])
             first = np.floor((low + high - size) / 2).astype(np.intp)
             grids.append(first[:, None] + np.arange(size))
         return grids[0], grids[1]
@@ -125,6 +122,12 @@ class OutlineCaster:
         v: NDArray[np.intp],
     ) -> tuple[Array32, Array32]:
         """z-depth (N, h, w) and normals towards the camera (N, h, w, 3), object frame."""
+        shape = len(R), v.shape[1], u.shape[1]
+        depth = np.full(shape, np.inf, np.float32)
+        normal = np.zeros((*shape, 3), np.float32)
+        # In the margin there is nothing.
+        inside = slice(_MARGIN, -_MARGIN)
+        u, v = u[:, inside], v[:, inside]
         x = ((u - camera.cx) / camera.fx).astype(np.float32)[:, None, :]
         y = ((v - camera.cy) / camera.fy).astype(np.float32)[:, :, None]
         R32 = R.astype(np.float32)
@@ -134,9 +137,10 @@ class OutlineCaster:
         for k in range(3):
             a, b, c = (R32[:, i, k, None, None] for i in range(3))
             rays[..., 3 + k] = x * a + y * b + c
-        depth, normal = self._surface.meet(rays)
-        away = sum(normal[..., k] * rays[..., 3 + k] for k in range(3)) > 0
-        normal *= np.where(away, np.float32(-1), np.float32(1))[..., None]
+        depth[:, inside, inside], met = self._surface.meet(rays)
+        away = np.asarray(sum(met[..., k] * rays[..., 3 + k] for k in range(3)) > 0)
+        np.negative(met, out=met, where=away[..., None])
+        normal[:, inside, inside] = met
         return depth, normal
 
 

@@ -15,14 +15,14 @@ from std_toolkit.labels.refine.object_surface import ObjectSurface
 from std_toolkit.labels.refine.observed import ObservedRays, ObservedView
 from std_toolkit.labels.refine.pose_judge import PoseJudge
 from std_toolkit.labels.refine.problem import RefineObject
+from std_toolkit.labels.refine.progress import Progress, untold
 
 Array = NDArray[np.float64]
 
 # Pixels looked at in all views together.
 _COARSE, _FINE = 900, 3000
 _FEWEST_PER_VIEW = 150
-_STARTS = 200
-_SHORT_FITS, _FULL_FITS = 6, 3
+_FULL_FITS = 3
 _SHORT = (0.05, 0.05, 0.03, 0.03, 0.015, 0.015)
 _FULL = (0.03, 0.02, 0.015, *[0.008] * 8)
 # A fit may leave the range of the starts by so much; further, it has to be clearly better.
@@ -35,6 +35,26 @@ _PRINT_FITS = 4
 # if it is better by the second figure, since nobody starts from the wrong side without a reason.
 # In shares of the object's pixels.
 _TURN_SLACK, _TURN_MARGIN = 0.15, 0.15
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is tried.
+
+    Attributes:
+        starts: poses that are judged as they are.
+        fits: how many of them are fitted shortly.
+        seed: of the starts.
+    """
+
+    starts: int
+    fits: int
+    seed: int
+
+
+QUICK = Effort(200, 6, 0)
+# Thin things need it: few of the starts overlap with them, and most of those fit the table.
+THOROUGH = Effort(800, 24, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,20 +84,33 @@ def search_pose(
     surface: ObjectSurface,
     observed: Sequence[ObservedView],
     search: SearchRange,
+    *,
+    effort: Effort = QUICK,
+    known: Sequence[SE3] = (),
+    progress: Progress = untold,
 ) -> SE3:
-    """The best T_world_obj by sensor depth (and print, where the mesh has one)."""
+    """The best T_world_obj by sensor depth (and print, where the mesh has one).
+
+    Args:
+        known: fitted poses that take part in the end.
+        progress: told the fraction done.
+    """
     coarse = [o.thinned(_share(_COARSE, observed)) for o in observed]
     fine = [o.thinned(_share(_FINE, observed)) for o in observed]
     coarse_rays, fine_rays = ObservedRays.of(coarse), ObservedRays.of(fine)
     first = PoseJudge(thing, surface, coarse, tolerance_m=0.03, reach_m=search.reach_m)
-    starts = _starts(thing, search)
-    ranked = np.argsort([first.depth(T) for T in starts], kind="stable")[:_SHORT_FITS]
+    starts = _starts(thing, search, effort)
+    progress(0.1)
+    ranked = np.argsort([first.depth(T) for T in starts], kind="stable")[: effort.fits]
     # The start itself always has its chance.
     chosen = list(dict.fromkeys([0, *(int(k) for k in ranked)]))
     short = [icp(surface, thing, coarse_rays, starts[k], gates_m=_SHORT) for k in chosen]
+    progress(0.4)
     middle = PoseJudge(thing, surface, fine, tolerance_m=0.015, reach_m=search.reach_m)
     short.sort(key=lambda T: middle(T).total)
     full = [icp(surface, thing, fine_rays, T, gates_m=_FULL) for T in short[:_FULL_FITS]]
+    full += known
+    progress(0.7)
     judge = PoseJudge(thing, surface, fine, tolerance_m=0.008, reach_m=search.reach_m)
     near = [T for T in full if search.holds(thing, T)]
     best = min(near or full, key=lambda T: judge(T).total)
@@ -114,12 +147,12 @@ def _share(total: int, observed: Sequence[ObservedView]) -> int:
     return max(_FEWEST_PER_VIEW, total // len(observed))
 
 
-def _starts(thing: RefineObject, search: SearchRange) -> list[SE3]:
+def _starts(thing: RefineObject, search: SearchRange, effort: Effort) -> list[SE3]:
     """The start and poses around it, the same ones every time."""
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(effort.seed)
     T = thing.T_world_obj
     poses = [T]
-    for _ in range(_STARTS):
+    for _ in range(effort.starts):
         shift, axis = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
         R = so3_exp(axis * rng.uniform(0, search.turn)) @ T.R
         # About the object's centre, wherever the mesh has its origin.

@@ -17,6 +17,7 @@ import numpy as np
 from std_toolkit.errors import ToolkitError
 from std_toolkit.labels.refine.approach import approach
 from std_toolkit.labels.refine.descent import Descent, assemble, descend
+from std_toolkit.labels.refine.layers import LayerStore
 from std_toolkit.labels.refine.measure import PoseState, coarse_to_fine
 from std_toolkit.labels.refine.problem import (
     RefinedObject,
@@ -25,17 +26,23 @@ from std_toolkit.labels.refine.problem import (
     RefineResult,
     RefineView,
 )
+from std_toolkit.labels.refine.progress import Progress, part, untold
 from std_toolkit.labels.refine.weakness import weakest_direction
 
 # The edges are within this after a search; at lower resolutions glass and metal would be lost
 # again. Objects that are not rough are as near.
 _APPROACHED_PX = 20.0
+# What searching for an object takes, in units of what following its edges takes.
+_SEARCH = 3.0
 
 
 def refine_poses(
     views: Sequence[RefineView],
     objects: Sequence[RefineObject],
     options: RefineOptions | None = None,
+    *,
+    layers: LayerStore | None = None,
+    progress: Progress = untold,
 ) -> RefineResult:
     """Adjust the world poses of objects to the images, all together.
 
@@ -43,6 +50,8 @@ def refine_poses(
         views: images with metric camera poses; three or more from different sides fix objects
             without depth, one leaves the distance to the camera weak.
         objects: all labelled objects of the scene, so that occlusions between them are known.
+        layers: of the objects in these views, where they were cast before.
+        progress: told the fraction done.
 
     Returns:
         Poses, covariances and what was estimated along the way, in the order of `objects`.
@@ -53,11 +62,26 @@ def refine_poses(
     options = options or RefineOptions()
     if not views or not objects:
         raise ToolkitError("a refinement needs at least one view and one object")
-    if len(views) > 1 and any(o.rough and not o.fixed for o in objects):
-        objects = approach(views, objects, options)
+    layers = LayerStore() if layers is None else layers
+    rough = [o for o in objects if o.rough and not o.fixed] if len(views) > 1 else []
+    near = sum(not o.fixed for o in objects) - len(rough)
+    searched = _SEARCH * len(rough) / max((_SEARCH + 1) * len(rough) + near, 1)
+    if rough:
+        objects = approach(
+            views, objects, options, layers=layers, progress=part(progress, 0, searched)
+        )
         options = replace(options, search_px=min(options.search_px, _APPROACHED_PX))
     state = PoseState([o.T_world_obj for o in objects])
-    descent = descend(views, objects, state, coarse_to_fine(views, options), options)
+    levels = coarse_to_fine(views, options)
+    descent = descend(
+        views,
+        objects,
+        state,
+        levels,
+        options,
+        layers=layers,
+        progress=part(progress, searched, 1),
+    )
     return _result(objects, state, descent, options)
 
 
