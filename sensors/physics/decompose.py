@@ -25,6 +25,8 @@ _CONVEX = 0.98
 _TIME_LIMIT_S = 300.0
 # Flat parts get this thickness: the physics engine needs a volume.
 _THINNEST = 4e-4
+# Points that stand for a surface: about 1 % of its size apart.
+_SAMPLES = 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +64,10 @@ def decompose(
     except _Failed as failure:
         logger.warning("CoACD failed (%s): the object collides as its convex hull", failure)
         return Decomposition((_hull(vertices),), lasting=failure.lasting)
-    return Decomposition(_holding_all([_hull(p) for p in found], vertices))
+    hulls = [_hull(p) for p in found]
+    if preprocess != "off":
+        hulls = _tightened(hulls, vertices, faces)
+    return Decomposition(_holding_all(hulls, vertices[np.unique(faces)]))
 
 
 def _outer_shells(
@@ -171,18 +176,49 @@ def _box_corners(points: Array) -> Array:
     return np.array(list(product(*zip(low, high, strict=True))))
 
 
-def _holding_all(parts: list[Array], vertices: Array) -> tuple[Array, ...]:
-    """Parts grown by the vertices that lie outside all of them."""
+def _tightened(parts: list[Array], vertices: Array, faces: NDArray[np.int64]) -> list[Array]:
+    """Parts shrunk to the surface that they hold.
+
+    Remeshing thickens a body by about 0.6 % of its size on every side: objects would hover over a
+    millimetre above the floor.
+    """
+    surface = np.concatenate([vertices[np.unique(faces)], _samples(vertices, faces)])
+    shrunk = []
+    for part in parts:
+        mine = surface[_outside(part, surface) < 1e-6]
+        if len(mine) >= 4:
+            shrunk.append(_hull(mine))
+    return shrunk or parts
+
+
+def _samples(vertices: Array, faces: NDArray[np.int64]) -> Array:
+    """(N, 3) points spread over the surface, the same each time."""
+    corners = vertices[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(cross, axis=1)
+    rng = np.random.default_rng(0)
+    face = rng.choice(len(faces), _SAMPLES, p=area / area.sum())
+    a, b = np.sort(rng.random((2, _SAMPLES)), axis=0)
+    return np.einsum("nk,nkd->nd", np.stack([a, b - a, 1 - b], axis=1), corners[face])
+
+
+def _outside(part: Array, points: Array) -> Array:
+    """(N,) how far points are from being inside a convex part, negative within."""
     from scipy.spatial import ConvexHull
 
+    planes = ConvexHull(part).equations
+    out = np.full(len(points), -np.inf)
+    for block in np.array_split(np.arange(len(points)), max(1, len(points) // 4096)):
+        out[block] = (points[block] @ planes[:, :3].T + planes[:, 3]).max(axis=1)
+    return out
+
+
+def _holding_all(parts: list[Array], vertices: Array) -> tuple[Array, ...]:
+    """Parts grown by the vertices that lie outside all of them."""
     outside = np.full(len(vertices), np.inf)
     nearest = np.zeros(len(vertices), dtype=np.int64)
     for k, part in enumerate(parts):
-        planes = ConvexHull(part).equations
-        out = np.full(len(vertices), -np.inf)
-        for block in np.array_split(np.arange(len(vertices)), max(1, len(vertices) // 4096)):
-            distance = vertices[block] @ planes[:, :3].T + planes[:, 3]
-            out[block] = distance.max(axis=1)
+        out = _outside(part, vertices)
         closer = out < outside
         outside[closer], nearest[closer] = out[closer], k
     grown = []

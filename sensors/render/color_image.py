@@ -14,6 +14,8 @@ from std_toolkit.log import logger
 
 MIDDLE_GREY = 0.2
 """Linear value that the mean of the logarithm of the image is exposed to."""
+BRIGHTEST, BRIGHT_SHARE = 0.8, 0.03
+"""Linear value that all but this share of the image stays below."""
 NOISE = 0.006
 """Deviation of the camera's own noise, as a share of full scale."""
 
@@ -61,7 +63,9 @@ def develop(
     """
     if exposure is None:
         level = np.asarray(radiance, np.float64).mean(axis=-1)
-        exposure = MIDDLE_GREY / max(float(np.exp(np.log(level + 1e-4).mean())), 1e-6)
+        middle = float(np.exp(np.log(level + 1e-4).mean()))
+        bright = float(np.quantile(level, 1 - BRIGHT_SHARE))
+        exposure = min(MIDDLE_GREY / max(middle, 1e-6), BRIGHTEST / max(bright, 1e-6))
     x = np.maximum(np.asarray(radiance, np.float32) * np.float32(exposure), 0)
     # Highlights roll off instead of clipping at once.
     x = np.where(x > 0.6, 0.6 + 0.4 * (1 - np.exp(-(x - 0.6) / 0.4)), x)

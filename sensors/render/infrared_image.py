@@ -15,12 +15,17 @@ class InfraredResponse:
     Attributes:
         target: grey value that the median of both images is exposed to. A D415 over a cloth lit
             by its own projector has 50.
+        brightest: grey value that all but `bright_share` of the pixels stay below: the exposure is
+            shorter where bright things lie on a dark ground.
+        bright_share: the same camera has 0.04 % above 245.
         electrons_per_grey: electrons in one step of the 8-bit scale: sets the shot noise.
         read_noise_grey: deviation of the noise of an unlit pixel, grey values.
         noise: switch for the ablation without infrared noise.
     """
 
     target: float = 50.0
+    brightest: float = 245.0
+    bright_share: float = 0.005
     electrons_per_grey: float = 40.0
     read_noise_grey: float = 0.6
     noise: bool = True
@@ -44,8 +49,11 @@ def expose_pair(
         left and right as uint8, and the exposure (grey values per unit of radiance).
     """
     response = response or InfraredResponse()
-    middle = float(np.median(np.concatenate([left.ravel(), right.ravel()])))
-    exposure = response.target / max(middle, 1e-9)
+    both = np.concatenate([left.ravel(), right.ravel()])
+    middle, bright = np.quantile(both, [0.5, 1 - response.bright_share])
+    exposure = float(
+        min(response.target / max(middle, 1e-9), response.brightest / max(bright, 1e-9))
+    )
     return (
         expose(left, exposure, rng=rng, response=response),
         expose(right, exposure, rng=rng, response=response),

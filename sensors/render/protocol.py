@@ -131,7 +131,8 @@ class SimRenderer(Protocol):
         ...
 
 
-SIM_RENDERERS: Registry[Callable[[], SimRenderer]] = Registry(
+# A plug-in is called with the number of threads it may use, None for all cores.
+SIM_RENDERERS: Registry[Callable[..., SimRenderer]] = Registry(
     "std_toolkit.sim_renderers",
     {"mitsuba": "sensors.render.mitsuba_renderer:MitsubaRenderer"},
 )

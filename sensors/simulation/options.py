@@ -23,6 +23,7 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
         views: frames of a scene.
         order: viewpoints drawn independently, or along a smooth way ("arc", "spiral"), as the
             curation pipeline needs them.
+        sweep_deg: angle of a smooth way around the table, negative for clockwise.
         width, height: of the infrared images, the depth and the labels.
         color_factor: the colour image is so many times as large.
         min_objects, max_objects: objects of a scene, distractors among them.
@@ -30,7 +31,7 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
         environments: folder of environment maps; None for the procedural ones.
         floors: folder of floor images; None for procedural textures.
         split: which assets, maps and floors: "train" and "test" share none.
-        quality: samples per pixel, see `sensors.render`.
+        quality: samples per pixel, one of `sensors.simulation.quality`.
         matcher: stereo matcher, see `sensors.stereo`.
         materials: "mixed" as in DREDS; "fixed": objects keep their own look, class raw; "opaque":
             no transparent ones.
@@ -42,6 +43,7 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     sensor: str = "d415"
     views: Count = 30
     order: ViewOrder = "random"
+    sweep_deg: float = 120.0
     width: Count = 640
     height: Count = 360
     color_factor: Annotated[int, msgspec.Meta(ge=1, le=4)] = 1

@@ -1,0 +1,132 @@
+"""What a data set in the DREDS layout holds, and how wrong its raw depth is on which material."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from sensors.output.dreds import BACKGROUND, DATA_SET, SPLITS
+from std_toolkit.errors import ToolkitError
+from std_toolkit.importers.std_objects import read_meta
+from std_toolkit.io.exr import read_exr, read_exr_depth
+from std_toolkit.scene.model import CATEGORY_CLASS_IDS, MATERIAL_IDS
+
+FLOOR = "background"
+WRONG_M = 0.01
+# Errors kept per frame and material: medians over millions of pixels need no more.
+_KEPT = 2000
+
+
+@dataclass(frozen=True)
+class SetStatistics:
+    """Of a data set.
+
+    Attributes:
+        scenes, frames: how many.
+        categories: per category the number of objects, over scenes.
+        depth: per material class: pixels, completeness in percent of them, median and root mean
+            square of the error in millimetres and the percentage of wrong values (by more than a
+            centimetre), all three of the pixels with a value.
+    """
+
+    scenes: int
+    frames: int
+    categories: pd.DataFrame
+    depth: pd.DataFrame
+
+    def __str__(self) -> str:
+        return (
+            f"{self.scenes} scenes, {self.frames} frames\n\n"
+            f"{self.categories.to_string()}\n\n"
+            f"raw depth against exact depth:\n{self.depth.to_string(float_format='%.2f')}"
+        )
+
+
+def set_statistics(root: Path) -> SetStatistics:
+    """Read every frame of a data set.
+
+    Args:
+        root: folder that holds `DREDS-CatKnown`, or that folder itself.
+
+    Raises:
+        ToolkitError: there is no such data set, or a file of it is damaged.
+    """
+    scenes = list(_scenes(root))
+    if not scenes:
+        raise ToolkitError(
+            "no scene in the DREDS layout here",
+            path=root,
+            hint="give the folder that std-sim wrote to",
+        )
+    classes = {number: name for name, number in CATEGORY_CLASS_IDS.items()}
+    tally: defaultdict[str, _Tally] = defaultdict(_Tally)
+    categories: Counter[str] = Counter()
+    frames = 0
+    for folder in scenes:
+        seen: dict[int, int] = {}
+        for meta in sorted(folder.glob("*_meta.txt")):
+            stem = meta.name.removesuffix("_meta.txt")
+            rows = read_meta(meta)
+            seen.update({row.mask_id: row.class_id for row in rows})
+            raw = read_exr_depth(folder / f"{stem}_simDepthImage.exr")
+            exact = read_exr_depth(folder / f"{stem}_depth_120.exr")
+            mask = _ids(folder / f"{stem}_mask.exr")
+            for name in (*MATERIAL_IDS, FLOOR):
+                ids = [row.mask_id for row in rows if row.material == name]
+                where = np.isin(mask, [BACKGROUND] if name == FLOOR else ids) & (exact > 0)
+                tally[name].add(raw[where], exact[where])
+            frames += 1
+        categories.update(classes[label] for label in seen.values())
+    depth = pd.DataFrame(
+        {name: tally[name].row() for name in (*MATERIAL_IDS, FLOOR) if tally[name].pixels}
+    ).T
+    depth["pixels"] = depth["pixels"].astype(int)
+    counts = pd.DataFrame({"objects": categories}).sort_values("objects", ascending=False)
+    return SetStatistics(len(scenes), frames, counts, depth)
+
+
+class _Tally:
+    """Sums over frames."""
+
+    def __init__(self) -> None:
+        self.pixels = self.valid = self.wrong = 0
+        self.squares = 0.0
+        self.errors: list[NDArray[np.float32]] = []
+
+    def add(self, raw: NDArray[np.float32], exact: NDArray[np.float32]) -> None:
+        self.pixels += len(raw)
+        valid = raw > 0
+        error = np.abs(raw[valid] - exact[valid])
+        self.valid += len(error)
+        self.wrong += int((error > WRONG_M).sum())
+        self.squares += float(np.square(error, dtype=np.float64).sum())
+        self.errors.append(error[:: max(1, len(error) // _KEPT)])
+
+    def row(self) -> dict[str, float]:
+        measured = max(self.valid, 1)
+        errors = np.concatenate(self.errors)
+        return {
+            "pixels": self.pixels,
+            "complete %": 100 * self.valid / self.pixels,
+            "median mm": 1000 * float(np.median(errors)) if len(errors) else np.nan,
+            "RMSE mm": 1000 * float(np.sqrt(self.squares / measured)),
+            "off by > 1 cm %": 100 * self.wrong / measured,
+        }
+
+
+def _scenes(root: Path) -> Iterator[Path]:
+    top = root / DATA_SET if (root / DATA_SET).is_dir() else root
+    for split in SPLITS:
+        if (top / split).is_dir():
+            yield from sorted(p for p in (top / split).iterdir() if p.is_dir())
+
+
+def _ids(path: Path) -> NDArray[np.uint8]:
+    values = read_exr(path)["R"].astype(np.float32) * 255
+    return np.rint(values).astype(np.uint8)
