@@ -16,11 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-# Fast settings: a third of the time of the defaults at walls of the same number of parts.
+# Fast settings: a bowl or mug takes 4 s of processor time; a surface that is not closed, which has
+# to be remeshed first, 8 s at this resolution and 16 s at 30.
 SETTINGS = {
     "threshold": 0.08,
     "max_convex_hull": 32,
-    "preprocess_resolution": 30,
+    "preprocess_resolution": 20,
     "resolution": 500,
     "mcts_nodes": 5,
     "mcts_iterations": 20,

@@ -176,18 +176,39 @@ def test_coacd_that_never_ends_is_ended(monkeypatch: pytest.MonkeyPatch, tmp_pat
         os.kill(int((tmp_path / "pid").read_text()), 0)
 
 
-def test_open_and_flat_surfaces_have_parts_with_volume() -> None:
+def test_a_flat_surface_has_a_part_with_volume() -> None:
     sheet = trimesh.Trimesh(
         [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]], process=False
     )
     (flat,) = convex_parts(asset_of(sheet))
     assert ConvexHull(flat).volume > 1e-5
-    half = trimesh.creation.icosphere(1)
-    half.update_faces(half.triangles_center[:, 1] < 0)
-    shape = asset_of(half)
+
+
+@pytest.mark.slow
+def test_parts_of_an_open_surface_are_no_thicker_than_it() -> None:
+    """CoACD remeshes what is not closed, which makes it thicker: the object would hover."""
+    corner = np.array([(0, 0), (3, 0), (3, 1), (1, 1), (1, 3), (0, 3)], dtype=float)
+    walls = [[i, (i + 1) % 6, (i + 1) % 6 + 6] for i in range(6)]
+    walls += [[i, (i + 1) % 6 + 6, i + 6] for i in range(6)]
+    lids = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]])
+    vertices = np.concatenate([np.insert(corner, 2, z, axis=1) for z in (0.0, 1.0)])
+    faces = np.concatenate([walls, lids[:, ::-1], lids + 6])
+    assert trimesh.Trimesh(vertices, faces).is_watertight
+    shape = asset_of(trimesh.Trimesh(vertices, faces[1:], process=False))
     parts = convex_parts(shape)
-    assert outside(parts, shape.vertices[np.unique(shape.faces)]) < 1e-6
+    assert len(parts) >= 2 and outside(parts, shape.vertices) < 1e-6
+    corners = np.concatenate(parts)
+    low, high = shape.mesh.bounds
+    # Flat parts get a little thickness.
+    np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], [low, high], atol=3e-4)
     assert all(ConvexHull(p).volume > 0 for p in parts)
+    # Points of the surface lie within the parts, but for gaps where two meet.
+    points = shape.mesh.sample(3000, seed=0)
+    depth = [
+        (points @ e[:, :3].T + e[:, 3]).max(axis=1)
+        for e in (ConvexHull(p).equations for p in parts)
+    ]
+    assert np.quantile(np.min(depth, axis=0), 0.98) < 2e-3
 
 
 @pytest.mark.parametrize("hollow", [True, False])
