@@ -14,7 +14,7 @@ from annotator.desk.controller import Controller
 from annotator.desk.events import Event
 from annotator.desk.runner import Task
 from annotator.session import ClearPose
-from annotator.session.propagating import carry_labels
+from annotator.session.propagating import Carried, carry_labels
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -201,9 +201,12 @@ def propagate(controller: Controller, options: PropagateOptions | None = None) -
     if not save(controller):
         return
 
-    def finish(lines: tuple[str, ...]) -> None:
+    def finish(carried: Carried) -> None:
         session.reload("Propagate")
-        controller.tell(f"Carried to {len(session.frames)} frames: {'; '.join(lines)}.")
+        for line in carried.warnings:
+            controller.tell(f"{line}.", "warning")
+        lines = "; ".join(carried.lines)
+        controller.tell(f"Carried to {len(session.frames)} frames: {lines}.")
 
     root = session.scene.root
     controller.start("Propagate", lambda _: carry_labels(root, options), finish, alone=True)

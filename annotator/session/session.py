@@ -233,9 +233,9 @@ class Session(Editing):
             ToolkitError: as `save` and `std_toolkit.labels.propagate.propagate_labels`.
         """
         saved = self.save()
-        lines = carry_labels(self.scene.root, options)
+        carried = carry_labels(self.scene.root, options)
         self.reload("Propagate")
-        return PropagateReport(saved, lines)
+        return PropagateReport(saved, (*carried.lines, *carried.warnings))
 
     def export_edits(self, path: Path | str) -> None:
         """Write a script that makes the session's edits in force again, here or elsewhere.

@@ -60,12 +60,18 @@ def approach(
             continue
         tried = [_settled(few, thing, others, options, judge, layers)]
         for thorough in (False, True):
-            # Few objects need the thorough search, which takes most of the time then.
-            share(0.6 if thorough else 0.2)
+            # Few objects need the thorough search; the others are done after the quick one.
+            searched = part(share, *((0.7, 0.9) if thorough else (0.1, 0.6)))
             candidates = search_edges(
-                few, thing, others, around, count=_CANDIDATES, thorough=thorough
+                few,
+                thing,
+                others,
+                around,
+                count=_CANDIDATES,
+                thorough=thorough,
+                progress=searched,
             )
-            share(0.9 if thorough else 0.5)
+            searched(1)
             for T in candidates:
                 start = replace(thing, T_world_obj=T)
                 tried.append(_settled(few, start, others, options, judge, layers))

@@ -18,14 +18,15 @@ from numpy.typing import NDArray
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.refine.edge_score import EdgeScore, ScoreLevel
 from std_toolkit.labels.refine.problem import RefineObject, RefineView
+from std_toolkit.labels.refine.progress import Progress, untold
 
 Array = NDArray[np.float64]
 
 # Resolutions and the generations at each.
 _QUICK = (
-    (ScoreLevel(pixels=28, tolerance=2.0), 3),
-    (ScoreLevel(pixels=40, tolerance=2.0), 3),
-    (ScoreLevel(pixels=40, tolerance=1.0), 4),
+    (ScoreLevel(pixels=28, tolerance=2.0), 2),
+    (ScoreLevel(pixels=44, tolerance=2.0), 4),
+    (ScoreLevel(pixels=44, tolerance=1.0), 4),
 )
 # The faint outline of a glass on a printed cloth does not show in fewer pixels.
 _THOROUGH = (
@@ -66,6 +67,7 @@ def search_edges(
     *,
     count: int = 3,
     thorough: bool = False,
+    progress: Progress = untold,
 ) -> list[SE3]:
     """The most promising poses T_world_obj around an object's start, best first.
 
@@ -75,6 +77,7 @@ def search_edges(
         others: neighbours at their poses; they hide what is behind them.
         count: most poses returned; they differ from each other.
         thorough: at a higher resolution, for several times the time.
+        progress: told the fraction done.
 
     Returns:
         At least one pose; the start itself where the object is out of view.
@@ -84,7 +87,10 @@ def search_edges(
     chosen = spread_views(views, thing)
     x = moves.scattered(_STARTS)
     cost = np.zeros(len(x))
-    for number, (level, generations) in enumerate(_THOROUGH if thorough else _QUICK):
+    plan = _THOROUGH if thorough else _QUICK
+    # Judging the starts takes as long as a few generations.
+    steps, done = 3 + sum(generations for _, generations in plan), 3
+    for number, (level, generations) in enumerate(plan):
         score = EdgeScore(chosen, thing, others, level, reach_m=around.reach_m)
         if not score.views:
             return [thing.T_world_obj]
@@ -93,6 +99,8 @@ def search_edges(
             best = np.argsort(-value, kind="stable")[:_POPULATION]
             x, value = x[best], value[best]
         for _ in range(generations):
+            progress(done / steps)
+            done += 1
             trial = moves.children(x, value)
             tried = moves.penalised(score, trial)
             better = tried > value

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,10 @@ from std_toolkit.geometry.pose_error import mssd
 from std_toolkit.geometry.se3 import SE3, so3_exp
 from std_toolkit.io.images import write_color, write_depth_png16
 from std_toolkit.labels.label import add_model, add_object
+from std_toolkit.labels.refine import auto
 from std_toolkit.labels.refine.auto import RefineCancelled, RefinedPose, refine_objects
+from std_toolkit.labels.refine.auto_report import UNSETTLED
+from std_toolkit.labels.refine.problem import RefineOptions
 from std_toolkit.scene import (
     CameraModel,
     CameraPoses,
@@ -212,6 +217,34 @@ def test_progress_and_cancelling(stage: Stage) -> None:
     assert told == sorted(told) and told[-1] == 1.0 and len(told) >= 2
     with pytest.raises(RefineCancelled):
         refine_objects(stage.scene, stage.truth, [1], cancelled=lambda: True)
+
+
+def test_progress_goes_on_to_the_end(stage: Stage) -> None:
+    """By depth, by a search, and along the edges: nowhere does it stand still for long."""
+    told: list[float] = []
+    began, seconds = time.process_time(), []
+
+    def tell(fraction: float) -> None:
+        told.append(fraction)
+        seconds.append(time.process_time() - began)
+
+    refine_objects(stage.scene, stage.rough(), progress=tell)
+    assert told == sorted(told) and told[-1] == 1.0
+    assert max(np.diff(told)) < 0.3
+    # When half of the time is over, about half of the way is told to be done.
+    halfway = told[int(np.searchsorted(seconds, seconds[-1] / 2))]
+    assert 0.25 < halfway < 0.85
+    assert max(np.diff(seconds)) < 0.4 * seconds[-1]
+
+
+def test_what_does_not_settle_is_told(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    poses = stage.rough(10, 6)
+    settled = refine_objects(stage.scene, poses, [1], method="multiview").objects[1]
+    assert UNSETTLED not in settled.warnings
+    # One step at the finest level, from wherever the search ends.
+    monkeypatch.setattr(auto, "RefineOptions", partial(RefineOptions, iterations=-3))
+    stopped = refine_objects(stage.scene, poses, [1], method="multiview").objects[1]
+    assert UNSETTLED in stopped.warnings
 
 
 def test_meshes_at_hand_are_not_read_again(stage: Stage) -> None:
