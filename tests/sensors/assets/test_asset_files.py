@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from sensors.assets import TURN_Y, Asset, SourceOptions, open_source
+from sensors.assets import TURN_Y, Asset, AssetSource, SourceOptions, open_source
 from sensors.assets.source import in_split
 from std_toolkit.errors import ToolkitError
 
@@ -221,3 +221,27 @@ def test_split_of_a_name_is_its_own() -> None:
     test = [n for n in names if in_split(n, "test")]
     assert all(in_split(n, "train") != in_split(n, "test") for n in names)
     assert 0.16 < len(test) / len(names) < 0.24
+
+
+class BoxSource:
+    """A source of one asset, as another package would bring it."""
+
+    def __init__(self, options: SourceOptions) -> None:
+        self.options = options
+
+    def categories(self) -> list[str]:
+        return ["carton"]
+
+    def sample(self, rng: np.random.Generator, category: str) -> Asset:
+        return self.load(f"{category}-{rng.integers(9)}")
+
+    def load(self, asset_id: str) -> Asset:
+        box = trimesh.creation.box(np.full(3, 3**-0.5))
+        return Asset(id=asset_id, category="carton", mesh=box)
+
+
+def test_sources_of_other_packages() -> None:
+    source: AssetSource = open_source(f"{__name__}:BoxSource", SourceOptions(split="test"))
+    assert source.sample(np.random.default_rng(0), "carton").class_id == 0
+    with pytest.raises(ToolkitError, match=r"asset_sources.*procedural, shapenet, folder"):
+        open_source("blender")

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import zlib
+from functools import cache
 
 import numpy as np
 import pytest
@@ -20,12 +21,14 @@ from std_toolkit.scene.model import CATEGORY_CLASS_IDS
 pytest.importorskip("manifold3d", reason="needs the extra [sim]")
 
 SEEDS = range(8)
+# Shapes take a while to make; nothing here changes them.
+made = cache(make)
 
 
 @pytest.mark.parametrize("category", CATEGORIES)
 def test_every_shape_is_a_closed_solid_in_the_canonical_frame(category: str) -> None:
     for seed in SEEDS:
-        asset = make(category, seed)
+        asset = made(category, seed)
         mesh = asset.mesh
         assert mesh.is_watertight and mesh.is_winding_consistent, (category, seed)
         assert mesh.volume > 0
@@ -41,9 +44,10 @@ def test_every_shape_is_a_closed_solid_in_the_canonical_frame(category: str) -> 
 
 @pytest.mark.parametrize("category", CATEGORIES)
 def test_seeds_differ(category: str) -> None:
-    assert len({make(category, seed).content_hash for seed in SEEDS}) == len(SEEDS)
+    assert len({made(category, seed).content_hash for seed in SEEDS}) == len(SEEDS)
 
 
+@pytest.mark.slow
 def test_the_same_seed_is_the_same_mesh_in_another_process() -> None:
     chosen = [(c, s) for c in CATEGORIES for s in (3, 4)]
     script = (
@@ -72,7 +76,7 @@ def test_the_same_seed_is_the_same_mesh_in_another_process() -> None:
 @pytest.mark.parametrize("category", CATEGORIES)
 def test_turned_shapes_and_no_others_are_symmetric(category: str) -> None:
     for seed in SEEDS:
-        asset = make(category, seed)
+        asset = made(category, seed)
         measured = turn_symmetry(asset.vertices, asset.faces)
         if asset.symmetry == TURN_Y:
             assert measured == TURN_Y, seed
@@ -86,20 +90,20 @@ def test_turned_shapes_and_no_others_are_symmetric(category: str) -> None:
 def test_vessels_are_hollow(category: str) -> None:
     """Walls of a few per cent of the size, not a block."""
     for seed in SEEDS:
-        mesh = make(category, seed).mesh
+        mesh = made(category, seed).mesh
         assert mesh.volume < 0.45 * mesh.convex_hull.volume, seed
 
 
 def test_fronts_and_handles_point_where_they_should() -> None:
     for seed in SEEDS:
-        mug = make("mug", seed)
+        mug = made("mug", seed)
         reach = np.abs(mug.vertices[:, 0]).max()
         # The handle reaches out along x; the cup alone is as broad along z.
         assert reach > 1.15 * np.abs(mug.vertices[:, 2]).max()
         middle = mug.vertices[np.abs(mug.vertices[:, 2]) < 0.02]
         radius = np.abs(mug.vertices[:, 2]).max()
         assert middle[:, 0].max() - middle[:, 0].min() > 2.1 * radius
-        car = make("car", seed)
+        car = made("car", seed)
         assert np.ptp(car.vertices[:, 2]) > 1.8 * np.ptp(car.vertices[:, 0])
 
 
@@ -136,7 +140,7 @@ def test_unknown_category_and_seed_are_refused() -> None:
 def test_sizes_are_those_of_the_table() -> None:
     assert set(scale_table().diagonal_m) == set(CATEGORIES)
     rng = np.random.default_rng(0)
-    asset = make("mug", 0)
+    asset = made("mug", 0)
     low, high = scale_range("mug")
     drawn = [draw_diagonal(rng, asset) for _ in range(50)]
     assert low <= min(drawn) < max(drawn) <= high
