@@ -15,8 +15,10 @@ import msgspec
 from sensors.output import dreds_scene
 from sensors.output.dreds import SPLITS, Split, scene_folder
 from sensors.output.toolkit_scene import toolkit_scene
+from sensors.render import SIM_RENDERERS
 from sensors.simulation.options import SimulationOptions
-from sensors.simulation.simulator import Simulator
+from sensors.simulation.quality import quality_of
+from sensors.simulation.simulator import Equipment, Simulator
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import read_document, write_document
@@ -85,6 +87,10 @@ def simulate_set(
     """
     jobs = jobs or JobOptions()
     _check(seeds, split, layouts)
+    # Once and at once, not once per scene.
+    Equipment.of(options)
+    quality_of(options.quality)
+    SIM_RENDERERS.get(renderer)
     _begin(out, options, renderer)
     missing = [s for s in seeds if _missing(out, s, split, layouts)]
     _check_room(out, options, len(missing), layouts)

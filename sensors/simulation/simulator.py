@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.align import align_depth
-from sensors.assets import SourceOptions, open_source
-from sensors.lighting import environment_source
+from sensors.assets import AssetSource, SourceOptions, open_source
+from sensors.lighting import EnvironmentSource, environment_source
 from sensors.output import SimulatedFrame
 from sensors.pattern import make_pattern
 from sensors.render import (
@@ -32,8 +32,9 @@ from sensors.simulation.draw import draw_scene, generator
 from sensors.simulation.options import SimulationOptions
 from sensors.simulation.quality import quality_of
 from sensors.simulation.world import World, build_world
-from sensors.specs import load_sensor
-from sensors.stereo import disparity_to_depth, make_matcher
+from sensors.specs import SensorSpec, load_sensor
+from sensors.stereo import StereoMatcher, disparity_to_depth, make_matcher
+from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
 
 # Irradiance of the projector at 1 m where the pattern is bright, against an environment of mean
@@ -59,6 +60,45 @@ class Stopwatch:
             self.seconds[name] += time.perf_counter() - began
 
 
+@dataclass(frozen=True, eq=False)
+class Equipment:
+    """What a data set is made with, apart from the renderer.
+
+    Attributes:
+        cameras: infrared, and colour at the size of the labels.
+    """
+
+    sensor: SensorSpec
+    cameras: tuple[Camera, Camera]
+    matcher: StereoMatcher
+    assets: AssetSource
+    environments: EnvironmentSource
+
+    @staticmethod
+    def of(options: SimulationOptions, *, threads: int | None = None) -> Equipment:
+        """Find all of it; quick, so that bad options are told before any work begins.
+
+        Raises:
+            ToolkitError: an unknown or unusable sensor, image size, matcher or source.
+        """
+        sensor = load_sensor(options.sensor)
+        size = (options.width, options.height)
+        cameras = sensor.infrared_camera(*size), sensor.color_camera(*size)
+        low, high = sensor.disparity_range(*size)
+        # What the released matcher searches is part of it.
+        own = {} if options.matcher == "dreds" else {"min_disparity": low, "max_disparity": high}
+        if options.matcher == "local":
+            own["threads"] = threads or len(os.sched_getaffinity(0))
+        root = None if options.assets_root is None else Path(options.assets_root)
+        return Equipment(
+            sensor,
+            cameras,
+            make_matcher(options.matcher, **own),
+            open_source(options.assets, SourceOptions(root=root, split=options.split)),
+            environment_source(options.environments, split=options.split),
+        )
+
+
 class Simulator:
     """Makes scenes of one data set; keeps what all of them share.
 
@@ -82,23 +122,16 @@ class Simulator:
     ) -> None:
         self.options = options
         self.stopwatch = Stopwatch()
-        self._sensor = load_sensor(options.sensor)
+        equipment = Equipment.of(options, threads=threads)
+        self._sensor = equipment.sensor
+        self._assets, self._environments = equipment.assets, equipment.environments
+        self._matcher = equipment.matcher
+        self._infrared_camera, self._label_camera = equipment.cameras
+        self._color_camera = self._label_camera.resized(
+            options.color_factor * options.width, options.color_factor * options.height
+        )
         self._quality = quality_of(options.quality)
-        size = (options.width, options.height)
-        self._infrared_camera = self._sensor.infrared_camera(*size)
-        self._label_camera = self._sensor.color_camera(*size)
-        factor = options.color_factor
-        self._color_camera = self._label_camera.resized(factor * size[0], factor * size[1])
-        low, high = self._sensor.disparity_range(*size)
-        # What the released matcher searches is part of it.
-        own = {} if options.matcher == "dreds" else {"min_disparity": low, "max_disparity": high}
-        if options.matcher == "local":
-            own["threads"] = threads or len(os.sched_getaffinity(0))
-        self._matcher = make_matcher(options.matcher, **own)
         self._pattern = None if self._sensor.projector is None else make_pattern(self._sensor)
-        root = None if options.assets_root is None else Path(options.assets_root)
-        self._assets = open_source(options.assets, SourceOptions(root=root, split=options.split))
-        self._environments = environment_source(options.environments, split=options.split)
         self._parts_cache = parts_cache
         self._renderer = SIM_RENDERERS.get(renderer)(threads=threads)
 
