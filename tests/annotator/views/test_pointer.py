@@ -6,35 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from views_desk import LENS, Desk
+from views_desk import Desk, edits, pixel_middle
 
-from annotator.actions import BY_ID
 from annotator.desk.view_options import Gizmo, Mode
-from annotator.session import AddClick, Click
 from annotator.views.gizmo import Handle, Part
 from std_toolkit.geometry import SE3, rotation_angle
-
-
-def edits(desk: Desk) -> list[str]:
-    return [step.title for step in desk.session.steps]
-
-
-def pixel_middle(at: np.ndarray) -> np.ndarray:
-    """The screen position that an event in the pixel of `at` tells."""
-    return np.floor(at) + 0.5
-
-
-# In the middle of the ring's body, mesh frame.
-ON_RING = np.array([0.05, 0.0, 0.0])
-
-
-def over_both(desk: Desk) -> np.ndarray:
-    """Where the ring is behind the box."""
-    at = desk.main.screen.project(desk.pose("ring_1") @ ON_RING)
-    picked = desk.main.objects.pick(desk.main, at)
-    assert picked is not None and picked[0] == "box_1"
-    assert desk.main.objects.pick_on(desk.main, "ring_1", at) is not None
-    return np.asarray(at)
 
 
 class TestObjects:
@@ -129,49 +105,6 @@ class TestObjects:
         desk.settle()
         desk.click(desk.on("box_1"))
         assert desk.controller.selected == "box_1"
-
-    @pytest.fixture
-    def hidden(self, desk: Desk) -> Desk:
-        """The ring is selected, and the box stands right before it."""
-        desk.controller.set_tool(gizmo=Gizmo.OFF)
-        pose = desk.pose("ring_1")
-        desk.controller.drag_to("box_1", 0, SE3(pose.R, 0.7 * (pose @ ON_RING)))
-        desk.controller.end_drag()
-        desk.controller.select("ring_1")
-        desk.settle()
-        return desk
-
-    @pytest.mark.parametrize("keys", [{}, {"shift": True}, {"ctrl": True}])
-    def test_the_selected_one_is_taken_even_behind_another(
-        self, hidden: Desk, keys: dict[str, bool]
-    ) -> None:
-        at = over_both(hidden)
-        ring, box = hidden.pose("ring_1").matrix(), hidden.pose("box_1").matrix()
-        hidden.drag(at, (20, 10), (40, 20), **keys)
-        assert hidden.controller.selected == "ring_1"
-        assert (hidden.pose("ring_1").matrix() != ring).any()
-        assert (hidden.pose("box_1").matrix() == box).all()
-
-    def test_the_point_of_the_hidden_one_stays_under_the_pointer(self, hidden: Desk) -> None:
-        at = pixel_middle(over_both(hidden))
-        point = hidden.main.objects.pick_on(hidden.main, "ring_1", at)
-        assert point is not None
-        hidden.drag(at, (30, -12))
-        seen = hidden.main.screen.project(hidden.pose("ring_1") @ point)
-        assert seen == pytest.approx(at + np.array([30, -12]), abs=1e-6)
-
-    def test_a_click_selects_what_lies_in_front_of_the_selected_one(self, hidden: Desk) -> None:
-        hidden.click(over_both(hidden))
-        assert hidden.controller.selected == "box_1"
-        assert len(edits(hidden)) == 1  # of the fixture
-
-    def test_a_click_that_escape_ends_selects_nothing(self, hidden: Desk) -> None:
-        at = over_both(hidden)
-        hidden.event("LeftButtonPress", at)
-        hidden.press("Escape")
-        hidden.event("LeftButtonRelease", at)
-        hidden.click((8, 470), button="Right")
-        assert hidden.controller.selected == "ring_1"
 
     def test_shift_turns_about_the_centre(self, desk: Desk) -> None:
         before = desk.pose()
@@ -301,82 +234,6 @@ class TestLooking:
         desk.event("LeftButtonPress", (100, 80), view=1, repeat=1)
         assert desk.controller.view_frames == [1, 0]
 
-    @pytest.mark.parametrize(("key", "step_mm"), [("ctrl", 1.0), ("shift", 0.1)])
-    def test_wheel_with_a_key_moves_along_the_line_of_sight(
-        self, desk: Desk, key: str, step_mm: float
-    ) -> None:
-        desk.controller.select("ring_1")
-        before = desk.pose()
-        for _ in range(3):
-            desk.event("MouseWheelForward", (300, 200), **{key: True})
-        assert edits(desk) == []  # it may go on
-        desk.settle()
-        shift = desk.pose().t - before.t
-        assert len(edits(desk)) == 1
-        sight = before.t / np.linalg.norm(before.t)
-        assert shift == pytest.approx(3 * step_mm / 1000 * sight, abs=1e-9)
-        # Seen from here it stays in its place.
-        screen = desk.main.screen
-        assert screen.project(desk.pose().t) == pytest.approx(screen.project(before.t), abs=1e-6)
-
-    def test_a_press_ends_the_turn_of_the_wheel(self, desk: Desk) -> None:
-        desk.controller.select("ring_1")
-        desk.event("MouseWheelForward", (300, 200), ctrl=True)
-        desk.event("LeftButtonPress", (5, 470))
-        assert len(edits(desk)) == 1
-        desk.event("LeftButtonRelease", (5, 470))
-        desk.settle()
-        assert len(edits(desk)) == 1
-
-    def test_undo_right_after_the_wheel_takes_back_what_the_wheel_did(self, desk: Desk) -> None:
-        desk.controller.select("ring_1")
-        desk.controller.nudge(shift=(5, 0, 0))
-        placed = desk.pose().matrix()
-        desk.event("MouseWheelForward", (300, 200), ctrl=True)
-        moved = desk.main.T_eye_obj("ring_1")
-        assert moved is not None and (moved.matrix() != placed).any()
-        desk.controller.undo()  # within the pause that ends a turn of the wheel
-        assert (desk.pose().matrix() == placed).all()
-        desk.settle()
-        assert (desk.pose().matrix() == placed).all()
-        desk.controller.redo()
-        assert desk.pose().matrix() == pytest.approx(moved.matrix(), abs=1e-12)
-
-    def test_the_wheel_can_be_undone_before_anything_else_was_edited(self, desk: Desk) -> None:
-        undo = BY_ID["undo"]
-        desk.controller.select("ring_1")
-        assert not undo.enabled(desk.controller)
-        desk.event("MouseWheelForward", (300, 200), ctrl=True)
-        assert undo.enabled(desk.controller)
-        before = desk.pose().matrix()
-        undo.run(desk.controller)
-        assert (desk.pose().matrix() == before).all()
-        assert desk.controller.dragging is None
-
-    def test_redo_right_after_the_wheel_keeps_what_the_wheel_did(self, desk: Desk) -> None:
-        desk.controller.select("ring_1")
-        desk.controller.nudge(shift=(5, 0, 0))
-        desk.controller.undo()
-        desk.event("MouseWheelForward", (300, 200), ctrl=True)
-        moved = desk.main.T_eye_obj("ring_1")
-        desk.controller.redo()
-        desk.settle()
-        assert moved is not None
-        assert desk.pose().matrix() == pytest.approx(moved.matrix(), abs=1e-12)
-        assert desk.messages() == []
-
-    def test_a_press_in_another_view_ends_it_too(self, desk: Desk) -> None:
-        desk.controller.select("ring_1")
-        desk.event("MouseWheelForward", (300, 200), ctrl=True)
-        start = desk.on("ring_1", view=1)
-        desk.event("LeftButtonPress", start, view=1)
-        assert len(edits(desk)) == 1
-        desk.event("MouseMove", start + np.array([15, 0]), view=1)
-        desk.clock.pass_(2.0)  # longer than a pause of the wheel
-        assert desk.controller.dragging == "ring_1"
-        desk.event("LeftButtonRelease", start + np.array([15, 0]), view=1)
-        assert len(edits(desk)) == 2
-
 
 class TestCloud:
     @pytest.fixture
@@ -441,84 +298,6 @@ class TestCloud:
         assert cloud.main.eye.T_eye_ref is not None
         alignment.fit_view(cloud.controller)
         assert cloud.main.T_eye_cam.matrix() == pytest.approx(np.eye(4))
-
-
-class TestClicking:
-    @pytest.fixture
-    def clicking(self, open_desk: Callable[..., Desk]) -> Desk:
-        desk = open_desk({"camera": LENS})
-        desk.controller.select("ring_1")
-        desk.controller.set_tool(clicking=True)
-        desk.settle()
-        return desk
-
-    def test_a_click_on_the_mesh_takes_that_very_point(self, clicking: Desk) -> None:
-        at = pixel_middle(clicking.on("ring_1"))
-        clicking.click(at)
-        point = clicking.controller.pending_point
-        assert point is not None
-        seen = clicking.main.screen.project(clicking.pose() @ np.array(point))
-        assert seen == pytest.approx(at, abs=1e-6)
-        x, y, z = point
-        # On the surface of the torus.
-        off = np.hypot(np.hypot(x, y) - 0.05, z) - 0.018
-        assert abs(off) < 2e-4
-        assert edits(clicking) == []
-
-    def test_the_next_click_sets_the_pixel_of_the_recorded_image(self, clicking: Desk) -> None:
-        clicking.click(clicking.on("ring_1"))
-        point = clicking.controller.pending_point
-        for _ in range(12):
-            clicking.event("MouseWheelForward", (200, 100))
-        at = np.array([231.5, 87.5])
-        expected = clicking.main.recorded_pixel(at)
-        clicking.click(at)
-        clicks = clicking.session.object("ring_1").clicks[0]
-        assert [(c.u, c.v) for c in clicks] == [pytest.approx(expected)]
-        assert tuple(clicks[0].point) == point
-        assert clicking.controller.pending_point is None
-        # Zoomed in, half a screen pixel is a small part of a pixel of the image.
-        assert clicking.main.window.scale > 10
-        assert clicks[0].u != pytest.approx(round(clicks[0].u), abs=1e-3)
-
-    def test_a_click_beside_the_mesh_says_what_to_do(self, clicking: Desk) -> None:
-        clicking.click((8, 470))
-        assert clicking.controller.pending_point is None
-        assert "mesh of ring_1" in clicking.messages()[-1]
-
-    def test_a_pixel_outside_the_image_is_refused(self, open_desk: Callable[..., Desk]) -> None:
-        desk = open_desk(sizes=((640, 600),))
-        desk.controller.select("ring_1")
-        desk.controller.set_tool(clicking=True)
-        desk.click(desk.on("ring_1"))
-        desk.click((320, 590))  # below the image
-        assert "inside the image" in desk.messages()[-1]
-        assert desk.controller.pending_point is not None
-
-    def test_dragging_pans_instead_of_clicking(self, clicking: Desk) -> None:
-        for _ in range(4):
-            clicking.event("MouseWheelForward", (320, 240))
-        before = clicking.main.window
-        clicking.drag(clicking.on("ring_1"), (30, 0))
-        assert clicking.controller.pending_point is None
-        assert clicking.main.window.x == pytest.approx(before.x + 30)
-
-    def test_a_marker_is_dragged_to_its_place(self, clicking: Desk) -> None:
-        click = Click(u=100.0, v=80.0, point=[0.05, 0.0, 0.018])
-        clicking.controller.apply(AddClick(object="ring_1", frame=0, click=click))
-        clicking.settle()
-        at = pixel_middle(clicking.main.screen_of_recorded(np.array([[100.0, 80.0]]))[0])
-        clicking.drag(at, (3, 4), (24, -16))
-        moved = clicking.session.object("ring_1").clicks[0][0]
-        assert (moved.u, moved.v) == pytest.approx(
-            clicking.main.recorded_pixel(at + np.array([24, -16]))
-        )
-        assert moved.point == click.point
-
-    def test_escape_gives_up_the_point(self, clicking: Desk) -> None:
-        clicking.click(clicking.on("ring_1"))
-        clicking.press("Escape")
-        assert clicking.controller.pending_point is None
 
 
 def test_keys_of_vtk_do_nothing(desk: Desk) -> None:

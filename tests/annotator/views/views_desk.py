@@ -279,3 +279,13 @@ class Desk:
         interactor = interactor_of(self.plotters[view])
         interactor.SetKeySym(key)
         interactor.InvokeEvent("KeyPressEvent")
+
+
+def edits(desk: Desk) -> list[str]:
+    """Titles of the edits in force."""
+    return [step.title for step in desk.session.steps]
+
+
+def pixel_middle(at: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The screen position that an event in the pixel of `at` tells."""
+    return np.floor(at) + 0.5
