@@ -3,7 +3,6 @@
 from sensors.assets.asset import TURN_Y, Asset, canonical_frame
 from sensors.assets.scales import draw_diagonal, scale_range
 from sensors.assets.source import ASSET_SOURCES, AssetSource, SourceOptions, Split, open_source
-from sensors.assets.surface import Surface, render_surface
 
 __all__ = [
     "ASSET_SOURCES",
@@ -12,10 +11,8 @@ __all__ = [
     "AssetSource",
     "SourceOptions",
     "Split",
-    "Surface",
     "canonical_frame",
     "draw_diagonal",
     "open_source",
-    "render_surface",
     "scale_range",
 ]

@@ -5,6 +5,7 @@ from sensors.render.infrared_image import InfraredResponse, expose_pair
 from sensors.render.protocol import (
     DRAFT_COLOR,
     DRAFT_INFRARED,
+    FINE_INFRARED,
     SIM_RENDERERS,
     ColorLight,
     LoadedScene,
@@ -17,6 +18,7 @@ from sensors.render.truth import TruthCaster, TruthMaps
 __all__ = [
     "DRAFT_COLOR",
     "DRAFT_INFRARED",
+    "FINE_INFRARED",
     "SIM_RENDERERS",
     "ColorLight",
     "InfraredResponse",

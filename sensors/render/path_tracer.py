@@ -97,6 +97,7 @@ class PathTracer:
     ) -> NDArray[np.float32]:
         """(H, W, n, c) float32: mean of every chunk of every pixel; c is 1 where `grey`."""
         ray, count = self._rays(camera, T_world_cam, options.samples, seed)
+        # Where there is no other light, asking for it would be a waste.
         weight = options.projector_weight if ambient > 0 else _ALONE
         beam = None if projector is None else self._beam(projector, weight)
         light = _trace(
@@ -250,44 +251,49 @@ def _trace(  # type: ignore[no-untyped-def]
     # Density of the last direction, for weighing it against drawing from the sky.
     last_pdf = mi.Float(dr.inf)
     active = mi.Bool(True)
-    sky_chance = mi.Float(1) if beam is None else 1 - beam.chance
+    last_share = mi.Float(1)
     while dr.hint(active, label="path"):
         si = shapes.everything.ray_intersect(ray, mi.RayFlags.All, depth == 0, active)
         # Only the sky shines: what leaves the scene is all there is to add here.
         left = active & ~si.is_valid()
-        other = sky.density(ray.d, left & dr.isfinite(last_pdf)) * sky_chance
+        other = sky.density(ray.d, left & dr.isfinite(last_pdf)) * last_share
         share = dr.select(dr.isfinite(last_pdf), last_pdf / (last_pdf + other), 1)
         light[left] += throughput * sky.radiance(ray.d, left) * (share * ambient)
 
         going = active & si.is_valid() & (depth + 1 < max_depth)
         bsdf = si.bsdf(ray)
         smooth = going & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-        choice = sampler.next_1d(smooth)
         point = sampler.next_2d(smooth)
-        asks_beam = mi.Bool(False)
+        asks_sky, sky_share = mi.Bool(smooth), mi.Float(1)
         if dr.hint(beam is not None, mode="scalar"):
-            asks_beam = smooth & (choice < beam.chance)
-        towards, sky_pdf, arriving = sky.draw(point, smooth & ~asks_beam)
-        sky_pdf *= sky_chance
-        arriving *= ambient / sky_pdf
-        target = si.p + towards * far
-        if dr.hint(beam is not None, mode="scalar"):
+            # What the camera sees directly asks for both lights, what is seen by way of others
+            # for one of them: the choice is most of the noise.
+            both = depth == 0
+            choice = sampler.next_1d(smooth)
+            asks_beam = smooth & (both | (choice < beam.chance))
+            asks_sky = smooth & (both | (choice >= beam.chance))
+            sky_share = dr.select(both, 1, 1 - beam.chance)
             to_beam, irradiance = _projected(beam, si, asks_beam)
-            towards = dr.select(asks_beam, to_beam, towards)
-            target = dr.select(asks_beam, beam.frame.origin, target)
-            arriving = dr.select(asks_beam, mi.Spectrum(irradiance / beam.chance), arriving)
-        asks = smooth & (dr.max(arriving) > 0)
-
+            asks_beam &= irradiance > 0
+            value = bsdf.eval(context, si, si.to_local(to_beam), asks_beam)
+            asks_beam &= dr.max(value) > 0
+            value *= irradiance / dr.select(both, 1, beam.chance)
+            light[asks_beam] += throughput * value * _unblocked(
+                shapes.opaque, shapes.glass, si, beam.frame.origin, asks_beam
+            )
+        towards, sky_pdf, arriving = sky.draw(point, asks_sky)
+        sky_pdf *= sky_share
+        arriving *= ambient / sky_pdf
         value, pdf, sample, weight = bsdf.eval_pdf_sample(
             context, si, si.to_local(towards), sampler.next_1d(going), sampler.next_2d(going), going
         )
-        asks &= dr.max(value) > 0
+        asks_sky &= dr.max(value * arriving) > 0
         scattered = going & mi.has_flag(sample.sampled_type, mi.BSDFFlags.DiffuseReflection)
         diffuse[scattered] += 1
         last = diffuse >= diffuse_bounces
-        share = dr.select(asks_beam | last, 1, sky_pdf / (sky_pdf + pdf))
-        arriving *= _unblocked(shapes.opaque, shapes.glass, si, target, asks)
-        light[asks] += throughput * value * arriving * share
+        share = dr.select(last, 1, sky_pdf / (sky_pdf + pdf))
+        arriving *= _unblocked(shapes.opaque, shapes.glass, si, si.p + towards * far, asks_sky)
+        light[asks_sky] += throughput * value * arriving * share
 
         ray = si.spawn_ray(si.to_world(sample.wo))
         throughput *= weight
@@ -296,6 +302,7 @@ def _trace(  # type: ignore[no-untyped-def]
         bent = going & ~mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
         delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
         last_pdf[bent] = dr.select(delta, dr.inf, sample.pdf)
+        last_share[bent] = sky_share
         depth[going] += 1
         brightest = dr.max(throughput)
         survival = dr.minimum(brightest * dr.square(eta), 0.95)

@@ -34,8 +34,9 @@ class RenderOptions:
         diffuse_bounces: a path ends at its n-th dull surface (mirrors and glass do not count):
             light that was scattered more often has lost the pattern and most of its strength.
         roulette_depth: from here on dark paths end at random.
-        projector_weight: how often a surface asks for the projector's light for every time it
-            asks for the environment's.
+        projector_weight: how often a surface that the camera sees by way of others asks for the
+            projector's light for every time it asks for the environment's. One that it sees
+            directly asks for both.
 
     Raises:
         ToolkitError: a value out of range, or chunks that do not divide the samples.
@@ -46,7 +47,7 @@ class RenderOptions:
     max_depth: int = 8
     diffuse_bounces: int = 2
     roulette_depth: int = 3
-    projector_weight: float = 6.0
+    projector_weight: float = 2.0
 
     def __post_init__(self) -> None:
         for name, low in (
@@ -64,7 +65,8 @@ class RenderOptions:
             )
 
 
-DRAFT_INFRARED = RenderOptions(samples=32, chunk=8)
+DRAFT_INFRARED = RenderOptions(samples=16, chunk=4)
+FINE_INFRARED = RenderOptions(samples=64, chunk=16)
 DRAFT_COLOR = RenderOptions(samples=32, chunk=0)
 
 

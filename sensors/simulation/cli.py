@@ -73,6 +73,9 @@ def build_parser() -> argparse.ArgumentParser:
         choices=("dreds", "scene"),
         help="dreds: DREDS-CatKnown (default); scene: toolkit scenes; give both for both",
     )
+    run.add_argument(
+        "--cache", type=Path, metavar="DIR", help="keeps convex parts (~/.cache/std-toolkit)"
+    )
     _add_scene_arguments(run)
     add_job_arguments(run)
     run.set_defaults(run=_run)
@@ -176,6 +179,7 @@ def _run(args: argparse.Namespace) -> int:
         seeds,
         split=args.split,
         layouts=tuple(dict.fromkeys(args.layout or ["dreds"])),
+        cache=args.cache,
         jobs=job_options(args),
     )
     made = sum(1 for times in report.results.values() if times.frames)
@@ -195,11 +199,12 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _preview(args: argparse.Namespace) -> int:
+    from sensors.simulation.dataset import parts_cache
     from sensors.simulation.preview import write_sheet
     from sensors.simulation.simulator import Simulator
 
     args.views = args.views or 4
-    simulator = Simulator(_options(args, "train"))
+    simulator = Simulator(_options(args, "train"), parts_cache=parts_cache())
     world = simulator.world(args.seed, "preview")
     write_sheet(args.out, list(simulator.frames(world)))
     for thing, drawn in zip(world.record.objects, world.draw.objects, strict=True):

@@ -6,7 +6,7 @@ import os
 import shutil
 from collections.abc import Sequence
 from contextlib import ExitStack
-from functools import cache, partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -65,6 +65,7 @@ def simulate_set(
     split: Split = "train",
     layouts: Sequence[Layout] = ("dreds",),
     renderer: str = "mitsuba",
+    cache: Path | None = None,
     jobs: JobOptions | None = None,
 ) -> JobReport[SceneTimes]:
     """Make the scenes that are not there yet; one process and one scene per job.
@@ -79,6 +80,7 @@ def simulate_set(
         split: part of the data set in the DREDS layout.
         layouts: "dreds" and "scene" (toolkit scenes in OUT/scenes).
         renderer: plug-in.
+        cache: folder that keeps the objects' convex parts for all sets; the user's by default.
         jobs: where it runs.
 
     Raises:
@@ -102,11 +104,18 @@ def simulate_set(
         split=split,
         layouts=tuple(layouts),
         renderer=renderer,
+        cache=cache or parts_cache(),
         threads=max(1, cores // max(1, min(jobs.worker_count, len(missing) or 1))),
     )
     if kept := len(seeds) - len(missing):
         logger.info("%d of %d scenes are there already", kept, len(seeds))
     return run_jobs(simulate, missing, name="simulate", key=scene_name, options=jobs)
+
+
+def parts_cache() -> Path:
+    """Where convex parts are kept if nothing else is said: they take seconds each to find."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "std-toolkit" / "convex-parts"
 
 
 def scene_name(seed: int) -> str:
@@ -122,12 +131,13 @@ def _simulate_scene(
     split: Split,
     layouts: tuple[Layout, ...],
     renderer: str,
+    cache: Path,
     threads: int,
 ) -> SceneTimes:
     pending = _missing(out, seed, split, layouts)
     if not pending:  # made by another process meanwhile
         return SceneTimes(frames=0, seconds={})
-    simulator = _simulator(options, renderer, threads, out / ".parts")
+    simulator = _simulator(options, renderer, threads, cache)
     simulator.stopwatch.seconds.clear()
     name = scene_name(seed)
     world = simulator.world(seed, name)
@@ -144,12 +154,10 @@ def _simulate_scene(
     return SceneTimes(frames=options.views, seconds=dict(simulator.stopwatch.seconds))
 
 
-@cache
-def _simulator(
-    options: SimulationOptions, renderer: str, threads: int, parts_cache: Path
-) -> Simulator:
+@lru_cache(maxsize=1)
+def _simulator(options: SimulationOptions, renderer: str, threads: int, cache: Path) -> Simulator:
     """One per worker process: the renderer compiles its kernels once."""
-    return Simulator(options, renderer=renderer, parts_cache=parts_cache, threads=threads)
+    return Simulator(options, renderer=renderer, parts_cache=cache, threads=threads)
 
 
 def _missing(out: Path, seed: int, split: Split, layouts: Sequence[Layout]) -> list[Layout]:
@@ -183,7 +191,7 @@ def _begin(out: Path, options: SimulationOptions, renderer: str) -> None:
     path = out / SET_FILE
     record = SetRecord(version_of_tool=__version__, renderer=renderer, options=options)
     if not path.exists():
-        if out.is_dir() and any(p.name != ".parts" for p in out.iterdir()):
+        if out.is_dir() and any(out.iterdir()):
             raise ToolkitError(
                 "the folder holds other things than a simulated data set",
                 path=out,
