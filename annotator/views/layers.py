@@ -31,7 +31,7 @@ from annotator.views.projection import ScreenCamera
 from annotator.views.strokes import Strokes
 from std_toolkit.geometry import SE3
 
-BACKGROUND = (0.105, 0.117, 0.137)
+BACKGROUND = (0.118, 0.118, 0.122)
 # Depth range in metres: 24 bits over it leave 10 micrometres at arm's length.
 NEAR_M, FAR_M = 0.01, 60.0
 

@@ -114,7 +114,6 @@ def test_objects_that_run_into_each_other_are_told(bench: Bench) -> None:
     bench.qtbot.waitUntil(lambda: bool(bench.controller.penetrations), timeout=60_000)
     rows = bench.space.objects.model.rows
     assert rows[1].alarm.endswith("into box_1")
-    assert bench.controller.penetration["ball_1"].any()
     bench.press("z", CONTROL)
     bench.qtbot.waitUntil(lambda: not bench.controller.penetrations, timeout=60_000)
 
