@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.geometry.round_axis import round_axis
 from std_toolkit.scene import Model
 
 if TYPE_CHECKING:
@@ -51,8 +52,6 @@ class MeshLibrary:
 
     def round_axis(self, model: Model) -> int | None:
         """The coordinate axis a mesh is turned about, looked for once; raises as `mesh`."""
-        from annotator.placing.upright import round_axis
-
         entry = self._entry(model)
         mesh = self._read(entry, model)[0]
         with entry.lock:
