@@ -278,8 +278,10 @@ def _trace(  # type: ignore[no-untyped-def]
             value = bsdf.eval(context, si, si.to_local(to_beam), asks_beam)
             asks_beam &= dr.max(value) > 0
             value *= irradiance / dr.select(both, 1, beam.chance)
-            light[asks_beam] += throughput * value * _unblocked(
-                shapes.opaque, shapes.glass, si, beam.frame.origin, asks_beam
+            light[asks_beam] += (
+                throughput
+                * value
+                * _unblocked(shapes.opaque, shapes.glass, si, beam.frame.origin, asks_beam)
             )
         towards, sky_pdf, arriving = sky.draw(point, asks_sky)
         sky_pdf *= sky_share

@@ -52,13 +52,23 @@ def test_a_pair_shares_one_exposure_and_has_shot_noise() -> None:
 
 
 def test_noise_can_be_switched_off_and_bright_pixels_saturate() -> None:
-    light = np.full((8, 8), 0.5)
+    light = np.full((32, 32), 0.5)
     light[0, 0] = 50
     grey, _, _ = expose_pair(
         light, light, rng=np.random.default_rng(0), response=InfraredResponse(noise=False)
     )
     assert grey[0, 0] == 255
     assert set(grey.ravel()[1:].tolist()) == {50}
+
+
+def test_bright_things_on_a_dark_ground_shorten_the_exposure() -> None:
+    light = np.full((32, 32), 0.5)
+    light[:4] = 5.0
+    grey, _, exposure = expose_pair(
+        light, light, rng=np.random.default_rng(0), response=InfraredResponse(noise=False)
+    )
+    assert exposure == pytest.approx(245 / 5.0)
+    assert grey.max() == 245
 
 
 def test_development_exposes_for_middle_grey_and_keeps_order() -> None:
