@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.pose_error import rotation_error
@@ -15,6 +16,7 @@ from std_toolkit.labels.refine.edge_score import EdgeScore, ScoreLevel
 from std_toolkit.labels.refine.edge_search import SearchRange, search_edges, spread_views
 from std_toolkit.labels.refine.layers import LayerStore
 from std_toolkit.labels.refine.measure import PoseState, coarse_to_fine
+from std_toolkit.labels.refine.near_symmetry import near_symmetry
 from std_toolkit.labels.refine.problem import RefineObject, RefineOptions, RefineView
 from std_toolkit.labels.refine.progress import Progress, part, untold
 
@@ -26,6 +28,10 @@ _CANDIDATES = 3
 _CONVINCING = 0.55
 # Two starts that end within this share of the object's radius have ended in one pose.
 _SAME = 0.03
+# Turns about the axis of a nearly round object; how many of them are refined at most, if they score
+# as high as the best one but for so much; and by how much one has to be better then.
+_TURNS = np.deg2rad(np.arange(0, 360, 15))
+_TURNS_FOLLOWED, _TURN_SLACK, _TURN_GAIN = 3, 0.15, 0.08
 
 
 def approach(
@@ -39,7 +45,8 @@ def approach(
     """The objects, rough ones at poses from which `descend` takes over, found one by one.
 
     Candidates of the search and the start itself are refined at coarse levels with the other
-    objects held; the one whose outlines agree best with the images is taken.
+    objects held; the one whose outlines agree best with the images is taken. An object that is
+    nearly round is looked at from all sides then: its round body fits at any turn.
 
     Args:
         layers: of the objects in these views, where they were cast before.
@@ -80,9 +87,33 @@ def approach(
             best = max(tried, key=lambda t: t.score)
             if best.score > _CONVINCING:
                 break
+        axis = near_symmetry(thing)
+        if axis is not None:
+            share(0.9)
+            turns = [axis.turned(best.T_world_obj, angle) for angle in _TURNS]
+            followed = [best.T_world_obj]
+            for k in _peaks(judge.evidence(turns)):
+                start = replace(thing, T_world_obj=turns[k])
+                followed.append(_follow(few, start, others, options, layers))
+            evidence = judge.evidence(followed)
+            # A part that is hidden either way says nothing: then it stays.
+            if evidence.max() > evidence[0] + _TURN_GAIN:
+                best = _Settled(followed[int(evidence.argmax())], best.score)
         found[i] = replace(thing, T_world_obj=best.T_world_obj)
     progress(1)
     return found
+
+
+def _peaks(scores: NDArray[np.float64]) -> list[int]:
+    """Which turns to follow: higher than on both sides and nearly the highest, but not the first.
+
+    Args:
+        scores: (N,) evidence around a circle; the first is that of the pose as it is.
+    """
+    peak = (scores >= np.roll(scores, 1)) & (scores > np.roll(scores, -1))
+    peak &= scores > scores.max() - _TURN_SLACK
+    chosen = [int(k) for k in np.flatnonzero(peak) if k > 0]
+    return sorted(chosen, key=lambda k: -scores[k])[:_TURNS_FOLLOWED]
 
 
 @dataclass(frozen=True, eq=False)

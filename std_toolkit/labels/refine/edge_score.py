@@ -72,16 +72,28 @@ class EdgeScore:
 
     def __call__(self, R: Array, t: Array) -> Array:
         """(N,) of the poses T_world_obj = (R (N, 3, 3), t (N, 3)); 0 is chance, 2.9 perfect."""
+        total, outline, usual = self._sums(R, t)
+        return total / np.maximum(outline, _FULL_OUTLINE * usual)
+
+    def evidence(self, poses: Sequence[SE3]) -> Array:
+        """(N,) of poses T_world_obj that differ in what of the outline they show, among them.
+
+        Here a part that is shown where the images have its edges counts for the pose, and one that
+        is hidden does not: the score alone is a mean, and higher where doubtful parts are hidden.
+        """
+        total, _, usual = self._sums(np.stack([T.R for T in poses]), np.stack([T.t for T in poses]))
+        return total / usual
+
+    def _sums(self, R: Array, t: Array) -> tuple[Array, Array, float]:
+        """Sums (N,) of agreement and of the outline's length, and the usual length."""
         total, outline = np.zeros(len(R)), np.zeros(len(R))
         for window, edges in self._views:
             found = self._caster.outlines(window, R, t)
             agreement = edges.at(found.angle, found.v, found.u)
             total += np.bincount(found.pose, found.weight * agreement, len(R))
             outline += np.bincount(found.pose, found.weight, len(R))
-        if not (outline > 0).any():
-            return total
-        usual = float(np.median(outline[outline > 0]))
-        return total / np.maximum(outline, _FULL_OUTLINE * usual)
+        some = outline[outline > 0]
+        return total, outline, float(np.median(some)) if len(some) else 1.0
 
     def of(self, poses: Sequence[SE3]) -> Array:
         """(N,) of single poses T_world_obj."""
