@@ -14,6 +14,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -25,6 +26,7 @@ from sensors.render import (
     DRAFT_COLOR,
     DRAFT_INFRARED,
     Projector,
+    RenderOptions,
     SceneObject,
     SimScene,
     SurfaceMesh,
@@ -116,6 +118,49 @@ def views(count: int, seed: int) -> list[SE3]:
     return out
 
 
+def builtin(scene: SimScene) -> Any:
+    """Mitsuba's own integrator on the same surfaces."""
+    import mitsuba as mi
+
+    from sensors.render import mitsuba_scene
+    from sensors.render.builtin_tracer import BuiltinTracer
+
+    surfaces = mitsuba_scene.build(mi, scene).everything
+    return BuiltinTracer(surfaces, mitsuba_scene.environment(mi, scene))
+
+
+def compiled_anew(renderer: Any, seed: int) -> str:
+    """Kernels that another scene, with other materials, compiled."""
+    import drjit as dr
+
+    if "scalar" in renderer.name:
+        return "none, it is not a compiled variant"
+    options = RenderOptions(samples=16, chunk=4)
+    T = views(1, seed)[0]
+    projector = Projector(dots(1), 80.0, T, power=POWER)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        loaded = renderer.load(test_scene(seed))
+        loaded.infrared(CAMERA, T, projector, ambient=0.035, options=options)
+        loaded.color(CAMERA, T, ambient=0.5)
+        kernels = dr.kernel_history([dr.KernelType.JIT])
+    return f"{sum(not k['cache_hit'] for k in kernels)} of {len(kernels)}"
+
+
+def infrared_noise(loaded: Any, maps: Any, T: SE3) -> dict[str, float]:
+    """Deviation between seeds as a share of the floor's mean light, by material class."""
+    projector = Projector(dots(1), 80.0, T, power=POWER)
+    images = np.stack(
+        [loaded.infrared(CAMERA, T, projector, ambient=0.035, seed=s) for s in (7, 8, 9)]
+    )
+    deviation, level = images.std(axis=0, ddof=1), images.mean(axis=0)[maps.mask == 0].mean()
+    names = ("floor", *CLASSES)
+    out: dict[str, list[float]] = defaultdict(list)
+    for i, name in enumerate(names):
+        out[name].append(float(deviation[maps.mask == i].mean() / level))
+    return {name: float(np.mean(v)) for name, v in out.items()}
+
+
 class Clock:
     """Processor seconds of named parts."""
 
@@ -135,6 +180,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--variant", default=None)
     parser.add_argument("--threads", type=int, default=None)
+    parser.add_argument("--reference", action="store_true")
     parser.add_argument("--pictures", type=Path, default=None)
     options = parser.parse_args()
 
@@ -150,6 +196,7 @@ def main() -> None:
     with clock.part("load truth"):
         truth = TruthCaster(scene)
     pattern = dots(1)
+    others = builtin(scene) if options.reference else None
     for i, T in enumerate(views(options.views, options.seed)):
         T_right = T @ SE3(np.eye(3), np.array([BASELINE_M, 0, 0]))
         projector = Projector(
@@ -161,6 +208,17 @@ def main() -> None:
         seed = 10 * i
         with clock.part("infrared left"):
             left = loaded.infrared(CAMERA, T, projector, ambient=light.infrared_strength, seed=seed)
+        if others is not None:
+            with clock.part("(left, reference)"):
+                others.radiance(
+                    CAMERA,
+                    T,
+                    projector,
+                    ambient=light.infrared_strength,
+                    options=DRAFT_INFRARED,
+                    seed=seed,
+                    grey=True,
+                )
         with clock.part("infrared right"):
             right = loaded.infrared(
                 CAMERA, T_right, projector, ambient=light.infrared_strength, seed=seed + 1
@@ -192,9 +250,15 @@ def main() -> None:
     total = 0.0
     for name, seconds in clock.seconds.items():
         share = sum(seconds) / options.views
-        total += share
+        total += 0 if name.startswith("(") else share
         print(f"{name:20s} {share:12.3f} {seconds[0]:11.3f}")
     print(f"{'all':20s} {total:12.3f}   ({wall / options.views:.2f} s of wall a view here)")
+    if others is None:  # every surface that is alive counts, the reference's too
+        anew = compiled_anew(renderer, options.seed + 1)
+        print(f"kernels that another scene compiled: {anew}")
+    noise = infrared_noise(loaded, maps, T)
+    print("infrared noise, share of the floor's light: ", end="")
+    print(", ".join(f"{name} {value:.3f}" for name, value in noise.items()))
     print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
 
 
