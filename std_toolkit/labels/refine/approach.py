@@ -87,21 +87,63 @@ def approach(
             best = max(tried, key=lambda t: t.score)
             if best.score > _CONVINCING:
                 break
-        axis = near_symmetry(thing)
-        if axis is not None:
-            share(0.9)
-            turns = [axis.turned(best.T_world_obj, angle) for angle in _TURNS]
-            followed = [best.T_world_obj]
-            for k in _peaks(judge.evidence(turns)):
-                start = replace(thing, T_world_obj=turns[k])
-                followed.append(_follow(few, start, others, options, layers))
-            evidence = judge.evidence(followed)
-            # A part that is hidden either way says nothing: then it stays.
-            if evidence.max() > evidence[0] + _TURN_GAIN:
-                best = _Settled(followed[int(evidence.argmax())], best.score)
-        found[i] = replace(thing, T_world_obj=best.T_world_obj)
+        share(0.9)
+        at = replace(thing, T_world_obj=best.T_world_obj)
+        found[i] = replace(thing, T_world_obj=_look_around(few, at, others, options, judge, layers))
     progress(1)
     return found
+
+
+def look_around(
+    views: Sequence[RefineView],
+    thing: RefineObject,
+    others: Sequence[RefineObject],
+    options: RefineOptions,
+    *,
+    layers: LayerStore | None = None,
+) -> SE3:
+    """The pose of an object turned about the axis about which it is nearly round, if that is right.
+
+    Args:
+        thing: at a pose that fits but for the turn.
+        layers: of the objects in these views, where they were cast before.
+
+    Returns:
+        Its pose as it is where there is no such axis, or no turn is clearly better.
+    """
+    if near_symmetry(thing) is None:
+        return thing.T_world_obj
+    layers = LayerStore() if layers is None else layers
+    few = spread_views(views, thing)
+    judge = EdgeScore(few, thing, others, _JUDGED, reach_m=options.rough_m)
+    if not judge.views:
+        return thing.T_world_obj
+    # What sensor depth has placed may be a few pixels off.
+    at = replace(thing, T_world_obj=_follow(few, thing, others, options, layers))
+    T = _look_around(few, at, others, options, judge, layers)
+    return thing.T_world_obj if T is at.T_world_obj else T
+
+
+def _look_around(
+    views: Sequence[RefineView],
+    thing: RefineObject,
+    others: Sequence[RefineObject],
+    options: RefineOptions,
+    judge: EdgeScore,
+    layers: LayerStore,
+) -> SE3:
+    axis = near_symmetry(thing)
+    if axis is None:
+        return thing.T_world_obj
+    turns = [axis.turned(thing.T_world_obj, angle) for angle in _TURNS]
+    followed = [thing.T_world_obj]
+    for k in _peaks(judge.evidence(turns)):
+        start = replace(thing, T_world_obj=turns[k])
+        followed.append(_follow(views, start, others, options, layers))
+    evidence = judge.evidence(followed)
+    # A part that is hidden either way says nothing: then it stays.
+    clear = evidence.max() > evidence[0] + _TURN_GAIN
+    return followed[int(evidence.argmax())] if clear else thing.T_world_obj
 
 
 def _peaks(scores: NDArray[np.float64]) -> list[int]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.refine.approach import look_around
 from std_toolkit.labels.refine.auto_problem import AutoProblem, MeshSource, auto_problem
 from std_toolkit.labels.refine.auto_report import UNSETTLED, doubts, method_sentence
 from std_toolkit.labels.refine.icp import (
@@ -173,6 +174,8 @@ class _Run:
             if not self._fit_depth(i, finish=not around, progress=part(self._report, *within)):
                 left.append(i)
         self._report(share)
+        if around:
+            self._turn_about()
         left += [i for i in self._fits if i not in self.found]
         if left:
             self._fit_edges(left, part(self._report, share, 1))
@@ -215,6 +218,15 @@ class _Run:
         if finish:
             self.found[i] = self._of_depth(i, fit)
         return True
+
+    def _turn_about(self) -> None:
+        """Turn what is nearly round: its depth fits at any turn, and edges nearby follow it."""
+        options = RefineOptions(use_depth=False)
+        for i, fit in list(self._fits.items()):
+            objects = self._placed()
+            others = [replace(o, fixed=True) for k, o in objects.items() if k != i]
+            T = look_around(self._problem.views, objects[i], others, options, layers=self._layers)
+            self._fits[i] = replace(fit, T_world_obj=T)
 
     def _fit_edges(self, chosen: Sequence[int], progress: Progress) -> None:
         """Finish objects together with the edges (and depth, where it is trusted) of all views."""

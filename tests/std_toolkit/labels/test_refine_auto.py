@@ -117,6 +117,15 @@ def test_opaque_by_depth_and_glass_by_contours(stage: Stage) -> None:
     assert box.warnings == () and bottle.warnings == ()
 
 
+def test_a_handle_on_the_wrong_side_is_found_where_depth_places_the_body(tmp_path: Path) -> None:
+    stage = make_stage(tmp_path / "scene", bottle="diffuse")
+    turn = SE3(so3_exp([0.0, 0.0, np.deg2rad(70)]), np.zeros(3))
+    start = SE3(BOTTLE.R @ turn.R, BOTTLE.t + np.array([0.01, -0.008, 0.004]))
+    found = refine_objects(stage.scene, {1: BOX, 2: start}, [2]).objects[2]
+    assert found.method.startswith("depth and edges")
+    assert stage.error_mm(found) < 1.0
+
+
 def test_only_the_chosen_are_moved(stage: Stage) -> None:
     poses = stage.rough()
     found = refine_objects(stage.scene, poses, [1])
