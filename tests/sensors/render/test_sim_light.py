@@ -61,6 +61,7 @@ def test_the_renderer_keeps_the_protocol(mixed, variant, loaded) -> None:
     assert renderer.name == f"mitsuba/{variant}"
 
 
+@pytest.mark.slow
 def test_own_tracer_agrees_with_mitsuba_s(mixed, compiled) -> None:
     """Another integrator, sensor, environment and projector, the same light."""
     import mitsuba as mi
