@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sensors.render import RenderOptions
+from sensors.render.protocol import (
+    DRAFT_COLOR,
+    DRAFT_INFRARED,
+    FINE_INFRARED,
+    RenderOptions,
+)
 from std_toolkit.errors import ToolkitError
 
 
@@ -18,17 +23,13 @@ class Quality:
 
 QUALITIES = {
     "rough": Quality(
-        infrared=RenderOptions(samples=16, chunk=4), color=RenderOptions(samples=12, chunk=0)
+        infrared=RenderOptions(samples=8, chunk=2), color=RenderOptions(samples=12, chunk=0)
     ),
-    "draft": Quality(
-        infrared=RenderOptions(samples=32, chunk=8), color=RenderOptions(samples=32, chunk=0)
-    ),
+    "draft": Quality(infrared=DRAFT_INFRARED, color=DRAFT_COLOR),
     "better": Quality(
-        infrared=RenderOptions(samples=64, chunk=16), color=RenderOptions(samples=64, chunk=0)
+        infrared=RenderOptions(samples=32, chunk=8), color=RenderOptions(samples=64, chunk=0)
     ),
-    "fine": Quality(
-        infrared=RenderOptions(samples=128, chunk=16), color=RenderOptions(samples=256, chunk=0)
-    ),
+    "fine": Quality(infrared=FINE_INFRARED, color=RenderOptions(samples=256, chunk=0)),
 }
 
 
