@@ -92,7 +92,9 @@ def test_pictures_are_not_begun_anew_with_every_edit(bench: Bench, tmp_path: Pat
     trimesh.creation.box((0.06, 0.04, 0.02)).export(path)
     alignment.import_meshes(bench.controller, [(path, "m")])
     bench.qtbot.waitUntil(lambda: bench.space.library.list.count() == 3, timeout=20_000)
-    began = asked.count("Thumbnails")
+    # The pictures of the opening may have been asked for in between, too.
+    bench.qtbot.waitUntil(lambda: "Thumbnails" in asked, timeout=20_000)
+    before = asked.count("Thumbnails")
     for _ in range(3):
         bench.controller.nudge(shift=(1, 0, 0))
-    assert (began, asked.count("Thumbnails")) == (1, 1)
+    assert asked.count("Thumbnails") == before
