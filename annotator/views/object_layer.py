@@ -181,7 +181,8 @@ def _look(
     if options.style is Style.CONTOUR or options.contour_always:
         rim = CONTOUR_PX
     else:
-        rim = WIRE_PX if options.style is Style.WIREFRAME else 0.0
+        # While something moves the lines on the surfaces must do: outlines take as long as those.
+        rim = WIRE_PX if options.style is Style.WIREFRAME and not light else 0.0
     if selected:
         # In the cloud it shines through what lies in front.
         rim = SELECTED_PX if view.mode is Mode.IMAGE or rim else WIRE_PX
