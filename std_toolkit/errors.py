@@ -46,6 +46,16 @@ class ToolkitError(Exception):
         text = " ".join(text.split())
         return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
+    def relocated(self, old: Path, new: Path) -> ToolkitError:
+        """The same error, about what is told as `new` where it was `old`: staging folders."""
+        return type(self)(
+            self.problem,
+            path=None if self.path is None else self.path.replace(str(old), str(new)),
+            field=self.field,
+            value=self.value,
+            hint=self.hint,
+        )
+
     def __reduce__(self) -> tuple[Any, ...]:
         # Exceptions with keyword-only arguments do not survive pickling between worker
         # processes without help.

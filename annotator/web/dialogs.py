@@ -7,6 +7,7 @@ from pathlib import Path
 
 from annotator.desk import alignment
 from annotator.desk.controller import Controller
+from annotator.desk.wording import propagation_text
 from annotator.placing.mesh_unit import MeshSize, measure_mesh
 from annotator.session import ChangeObject, SetSymmetry
 from annotator.web.question import CANCEL, Answers, Field, Question, button, whole_number
@@ -125,14 +126,7 @@ class Dialogs:
 
     def _propagate(self) -> None:
         session = self._c.session
-        placed = [o for o in session.state.objects if o.placements]
-        undone = [o.name for o in placed if o.status != "done"]
-        text = (
-            f"The labels are saved, and the poses of {len(placed)} objects are carried to "
-            f"{len(session.frames)} frames through the camera poses."
-        )
-        if undone:
-            text += f"\n\nNot marked as done yet: {', '.join(undone)}."
+        text = propagation_text(session)
 
         def react(_: str, answers: Answers) -> None:
             refine = bool(answers.get("refine"))

@@ -9,6 +9,7 @@ from annotator.desk.click_residuals import click_rows
 from annotator.desk.controller import Controller
 from annotator.desk.hints import next_hint
 from annotator.desk.object_summary import progress, summarize
+from annotator.desk.wording import symmetry_summary
 from annotator.pose_text import RotationForm, rotation_numbers
 from std_toolkit.checks.palette import object_color
 
@@ -101,12 +102,7 @@ def _objects(c: Controller) -> list[dict[str, Any]]:
 
 def _model(model: Any) -> dict[str, Any]:
     size = " × ".join(f"{1000 * x:.0f}" for x in model.size_m)
-    symmetry = model.symmetry
-    turns = "no symmetry told"
-    if symmetry.continuous:
-        turns = "symmetric about an axis"
-    elif symmetry.discrete:
-        turns = f"{len(symmetry.discrete)} turns that look the same"
+    turns = symmetry_summary(model.symmetry)
     told = f"{size} mm · {model.category}"
     return {"id": model.id, "told": told, "explanation": f"{size} mm, {model.category}, {turns}"}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from annotator.desk.wording import symmetry_text
 from annotator.web.question import (
     CANCEL,
     Answers,
@@ -37,7 +38,7 @@ def symmetry_question(model: Model, react: Reaction) -> Question:
                 "symmetry",
                 "Symmetry",
                 kind="choice",
-                choices=((f"As it is: {_told(model)}", "keep"), *_CHOICES),
+                choices=((f"As it is: {symmetry_text(model.symmetry)}", "keep"), *_CHOICES),
                 value="keep",
             ),
             *folds,
@@ -56,14 +57,3 @@ def symmetry_words(answers: Answers) -> list[str] | None:
     if chosen.startswith("fold:"):
         return [f"{chosen}:{whole_number(answers, f'count_{chosen[-1]}')}"]
     return [chosen]
-
-
-def _told(model: Model) -> str:
-    symmetry = model.symmetry
-    parts = []
-    for one in symmetry.continuous:
-        axis = next((a for a, x in zip(_AXES, one.axis, strict=True) if abs(x) > 0.999), None)
-        parts.append(f"any turn about {axis or 'an axis of its own'}")
-    if symmetry.discrete:
-        parts.append(f"{len(symmetry.discrete)} turns")
-    return ", ".join(parts) or "none told"

@@ -23,6 +23,7 @@ from PySide6.QtWidgets import (
 from annotator.desk.controller import Controller
 from annotator.desk.events import Event
 from annotator.desk.runner import Task
+from annotator.desk.wording import symmetry_summary
 from annotator.placing.placement import add_object
 from annotator.session.meshes import Version
 from annotator.window.commands import Commands
@@ -194,12 +195,7 @@ def mesh_files(data: QMimeData) -> list[Path]:
 
 def _described(model: Model) -> str:
     size = " x ".join(f"{1000 * x:.0f}" for x in model.size_m)
-    symmetry = model.symmetry
-    turns = "no symmetry told"
-    if symmetry.continuous:
-        turns = "symmetric about an axis"
-    elif symmetry.discrete:
-        turns = f"{len(symmetry.discrete)} turns that look the same"
+    turns = symmetry_summary(model.symmetry)
     return (
         f"<b>{model.id}</b><br>{size} mm, category {model.category}, {turns}<br>"
         "Drag it onto an image, or double-click."

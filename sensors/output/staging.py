@@ -62,13 +62,7 @@ def staged_folder(top: Path, relative: str) -> Iterator[Path]:
         shutil.rmtree(staging, ignore_errors=True)
         if isinstance(error, ToolkitError) and str(staging) in (error.path or ""):
             # The user knows the place that was asked for, not where it was in the making.
-            raise ToolkitError(
-                error.problem,
-                path=str(error.path).replace(str(staging), str(target)),
-                field=error.field,
-                value=error.value,
-                hint=error.hint,
-            ) from error
+            raise error.relocated(staging, target) from error
         raise
     finally:
         os.close(descriptor)

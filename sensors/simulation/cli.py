@@ -200,13 +200,14 @@ def _run(args: argparse.Namespace) -> int:
 
 def _preview(args: argparse.Namespace) -> int:
     from sensors.simulation.dataset import parts_cache
-    from sensors.simulation.preview import write_sheet
+    from sensors.simulation.preview import contact_sheet
     from sensors.simulation.simulator import Simulator
+    from std_toolkit.io.images import write_color
 
     args.views = args.views or 4
     simulator = Simulator(_options(args, "train"), parts_cache=parts_cache())
     world = simulator.world(args.seed, "preview")
-    write_sheet(args.out, list(simulator.frames(world)))
+    write_color(args.out, contact_sheet(list(simulator.frames(world))))
     for thing, drawn in zip(world.record.objects, world.draw.objects, strict=True):
         print(
             f"{thing.instance_id:3d}  {thing.category:10s} {1000 * thing.scale_m:4.0f} mm  "

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -69,14 +67,3 @@ def _depth(depth: NDArray[np.float32], low: float, high: float) -> Image:
 def _colored(values: NDArray[np.floating], scale: int) -> Image:
     grey = (255 * np.clip(values, 0, 1)).astype(np.uint8)
     return np.ascontiguousarray(cv2.applyColorMap(grey, scale)[..., ::-1])
-
-
-def write_sheet(path: Path, frames: list[SimulatedFrame]) -> None:
-    """Write the contact sheet as PNG.
-
-    Raises:
-        ToolkitError: the file cannot be written.
-    """
-    from std_toolkit.io.images import write_color
-
-    write_color(path, contact_sheet(frames))

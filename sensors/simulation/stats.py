@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from sensors.output.dreds import BACKGROUND, DATA_SET, SPLITS
 from std_toolkit.errors import ToolkitError
+from std_toolkit.importers.masks import read_mask_source
 from std_toolkit.importers.std_objects import read_meta
-from std_toolkit.io.exr import read_exr, read_exr_depth
+from std_toolkit.io.exr import read_exr_depth
 from std_toolkit.scene.model import CATEGORY_CLASS_IDS, MATERIAL_IDS
 
 FLOOR = "background"
@@ -76,7 +77,7 @@ def set_statistics(root: Path) -> SetStatistics:
             seen.update({row.mask_id: row.class_id for row in rows})
             raw = read_exr_depth(folder / f"{stem}_simDepthImage.exr")
             exact = read_exr_depth(folder / f"{stem}_depth_120.exr")
-            mask = _ids(folder / f"{stem}_mask.exr")
+            mask = read_mask_source(folder / f"{stem}_mask.exr", size=None)
             for name in (*MATERIAL_IDS, FLOOR):
                 ids = [row.mask_id for row in rows if row.material == name]
                 where = np.isin(mask, [BACKGROUND] if name == FLOOR else ids) & (exact > 0)
@@ -125,8 +126,3 @@ def _scenes(root: Path) -> Iterator[Path]:
     for split in SPLITS:
         if (top / split).is_dir():
             yield from sorted(p for p in (top / split).iterdir() if p.is_dir())
-
-
-def _ids(path: Path) -> NDArray[np.uint8]:
-    values = read_exr(path)["R"].astype(np.float32) * 255
-    return np.rint(values).astype(np.uint8)

@@ -52,13 +52,7 @@ def new_folder(out: Path) -> Iterator[Path]:
         _remove_parents(made)
         if isinstance(error, ToolkitError) and str(staging) in (error.path or ""):
             # The user knows the place that was asked for, not where it was in the making.
-            raise ToolkitError(
-                error.problem,
-                path=str(error.path).replace(str(staging), str(out)),
-                field=error.field,
-                value=error.value,
-                hint=error.hint,
-            ) from error
+            raise error.relocated(staging, out) from error
         raise
     finally:
         os.close(descriptor)

@@ -10,6 +10,7 @@ from PySide6.QtWidgets import (
 )
 
 from annotator.desk.controller import Controller
+from annotator.desk.wording import propagation_text
 from annotator.window.dialogs.question import Answer, Question
 from std_toolkit.labels.propagate import PropagateOptions
 
@@ -19,14 +20,7 @@ class PropagateDialog:
 
     def __init__(self, parent: QWidget | None, controller: Controller) -> None:
         session = controller.session
-        placed = [o for o in session.state.objects if o.placements]
-        undone = [o.name for o in placed if o.status != "done"]
-        text = (
-            f"The labels are saved, and the poses of {len(placed)} objects are carried to "
-            f"{len(session.frames)} frames through the camera poses."
-        )
-        if undone:
-            text += f"\n\nNot marked as done yet: {', '.join(undone)}."
+        text = propagation_text(session)
         fields = QWidget()
         form = QFormLayout(fields)
         form.setContentsMargins(0, 4, 0, 0)

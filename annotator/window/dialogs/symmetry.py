@@ -13,6 +13,7 @@ from PySide6.QtWidgets import (
 )
 
 from annotator.desk.controller import Controller
+from annotator.desk.wording import symmetry_text
 from annotator.window.dialogs.question import Answer, Question
 from std_toolkit.labels.symmetry_argument import parse_symmetry
 from std_toolkit.scene import Model
@@ -32,7 +33,7 @@ class SymmetryDialog:
         self.group = QButtonGroup(fields)
         self.choices: dict[str, QRadioButton] = {}
         titles = {
-            "keep": f"As it is: {_told(model.symmetry)}",
+            "keep": f"As it is: {symmetry_text(model.symmetry)}",
             "none": "No turn looks the same",
             **{f"axis:{a}": f"Any turn about {a} (bottle, can, bowl)" for a in _AXES},
             "box": "Half turns about x, y and z (box)",
@@ -91,13 +92,3 @@ class SymmetryDialog:
             words = [f"fold:{axis}:2" for axis in _AXES]
         centre = self._controller.session.centre(self._model.id).tolist()
         return parse_symmetry(words, centre=centre)
-
-
-def _told(symmetry: SymmetryModel) -> str:
-    parts = []
-    for one in symmetry.continuous:
-        axis = next((a for a, x in zip(_AXES, one.axis, strict=True) if abs(x) > 0.999), None)
-        parts.append(f"any turn about {axis or 'an axis of its own'}")
-    if symmetry.discrete:
-        parts.append(f"{len(symmetry.discrete)} turns")
-    return ", ".join(parts) or "none told"

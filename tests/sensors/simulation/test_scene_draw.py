@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from typing import get_args
 
 import msgspec
 import numpy as np
@@ -18,7 +19,10 @@ from sensors.simulation.draw import (
     draw_scene,
     generator,
 )
-from sensors.simulation.options import SimulationOptions
+from sensors.simulation.names import MATERIAL_SWITCHES, ORDERS, PRESET_NAMES, QUALITY_NAMES
+from sensors.simulation.options import MaterialSwitch, SimulationOptions, ViewOrder
+from sensors.simulation.presets import PRESETS
+from sensors.simulation.quality import QUALITIES
 from std_toolkit.errors import ToolkitError
 
 OPTIONS = SimulationOptions(views=3)
@@ -89,3 +93,11 @@ def test_bad_options_name_the_field() -> None:
         generator(-1, "drop")
     with pytest.raises(ToolkitError, match="no categories"):
         draw_categories(np.random.default_rng(0), OPTIONS, ())
+
+
+def test_the_command_line_offers_what_there_is() -> None:
+    """Its names stand apart, so that help loads nothing."""
+    assert set(PRESET_NAMES) == set(PRESETS)
+    assert set(QUALITY_NAMES) == set(QUALITIES)
+    assert get_args(ViewOrder) == ORDERS
+    assert get_args(MaterialSwitch) == MATERIAL_SWITCHES
