@@ -13,6 +13,7 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ import trimesh
 from sensors.lighting import StudioSource, draw_floor, draw_lighting
 from sensors.materials import draw_material
 from sensors.materials.library import MaterialClass
+from sensors.pattern import DotPattern, make_pattern
 from sensors.render import (
     DRAFT_COLOR,
     DRAFT_INFRARED,
@@ -35,11 +37,13 @@ from sensors.render import (
     develop,
     expose_pair,
 )
-from std_toolkit.geometry import SE3, Camera
+from sensors.specs import load_sensor
+from sensors.viewpoints import ViewpointOptions, random_viewpoints
+from std_toolkit.geometry import SE3
 from std_toolkit.io.images import write_color, write_png
 
-CAMERA = Camera(640, 360, 460.0, 460.0, 319.5, 179.5)
-BASELINE_M = 0.055
+SENSOR = load_sensor("d415")
+CAMERA = SENSOR.infrared_camera(640, 360)
 POWER = 0.25
 CLASSES: tuple[MaterialClass, ...] = (
     "diffuse",
@@ -90,32 +94,22 @@ def test_scene(seed: int) -> SimScene:
     return SimScene(tuple(objects), StudioSource().draw(rng), float(rng.uniform(0, 2 * np.pi)))
 
 
-def dots(seed: int, count: int = 45_000) -> np.ndarray:
-    """A random dot image over 80 x 61 degrees, about as dense as a D415's."""
-    rng = np.random.default_rng(seed)
-    image = np.zeros((1700, 2420), np.float32)
-    y, x = rng.integers(2, 1698, count // 2), rng.integers(2, 2418, count // 2)
-    for dy in (-1, 0, 1, 2):
-        for dx in (-1, 0, 1, 2):
-            if abs(dx - 0.5) + abs(dy - 0.5) < 2.5:
-                image[y + dy, x + dx] = 1
-    return image
-
-
 def views(count: int, seed: int) -> list[SE3]:
-    """Cameras 0.5 to 0.95 m from the middle, at least 32 degrees above the table."""
-    rng = np.random.default_rng(seed)
-    out = []
-    for _ in range(count):
-        x, y = rng.uniform(-0.6, 0.6, 2)
-        away = np.array([x, y, np.sqrt(1 - x * x - y * y)])
-        target = np.array([0, 0, 0.04]) + rng.uniform(-0.04, 0.04, 3)
-        forward = -away
-        right = np.cross(forward, [0, 0, 1.0])
-        right /= np.linalg.norm(right)
-        R = np.stack([right, np.cross(forward, right), forward], axis=1)
-        out.append(SE3(R, target + away * rng.uniform(0.5, 0.95)))
-    return out
+    """Left infrared cameras around the table."""
+    return [v.T_world_cam for v in random_viewpoints(seed, ViewpointOptions(count=count))]
+
+
+@cache
+def pattern_of_sensor() -> DotPattern:
+    return make_pattern(SENSOR)
+
+
+def projector_at(T: SE3, power: float) -> Projector:
+    """The sensor's projector beside its left infrared camera."""
+    assert SENSOR.projector is not None
+    pattern = pattern_of_sensor()
+    place = T @ SENSOR.projector.T_ir_projector
+    return Projector(pattern.image, pattern.fov_x_deg, place, power=power)
 
 
 def builtin(scene: SimScene) -> Any:
@@ -137,7 +131,7 @@ def compiled_anew(renderer: Any, seed: int) -> str:
         return "none, it is not a compiled variant"
     options = RenderOptions(samples=16, chunk=4)
     T = views(1, seed)[0]
-    projector = Projector(dots(1), 80.0, T, power=POWER)
+    projector = projector_at(T, POWER)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
         loaded = renderer.load(test_scene(seed))
@@ -149,7 +143,7 @@ def compiled_anew(renderer: Any, seed: int) -> str:
 
 def infrared_noise(loaded: Any, maps: Any, T: SE3) -> dict[str, float]:
     """Deviation between seeds as a share of the floor's mean light, by material class."""
-    projector = Projector(dots(1), 80.0, T, power=POWER)
+    projector = projector_at(T, POWER)
     images = np.stack(
         [loaded.infrared(CAMERA, T, projector, ambient=0.035, seed=s) for s in (7, 8, 9)]
     )
@@ -195,16 +189,10 @@ def main() -> None:
         loaded = renderer.load(scene)
     with clock.part("load truth"):
         truth = TruthCaster(scene)
-    pattern = dots(1)
     others = builtin(scene) if options.reference else None
     for i, T in enumerate(views(options.views, options.seed)):
-        T_right = T @ SE3(np.eye(3), np.array([BASELINE_M, 0, 0]))
-        projector = Projector(
-            pattern,
-            80.0,
-            T @ SE3(np.eye(3), np.array([0.51 * BASELINE_M, 0, 0])),
-            power=POWER * light.projector_factor,
-        )
+        T_right = T @ SE3(np.eye(3), np.array([SENSOR.baseline_m, 0, 0]))
+        projector = projector_at(T, POWER * light.projector_factor)
         seed = 10 * i
         with clock.part("infrared left"):
             left = loaded.infrared(CAMERA, T, projector, ambient=light.infrared_strength, seed=seed)
