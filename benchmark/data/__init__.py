@@ -1,0 +1,1 @@
+"""Data sets of the benchmark, read from their own layouts."""

@@ -1,0 +1,1 @@
+"""Depth restorers: one plug-in each."""
