@@ -1,0 +1,189 @@
+"""What restorers that are neural networks share: views to tensors and back, device, precision."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import interpolate
+
+from benchmark.methods.protocol import Restored, View
+from benchmark.methods.registry import MethodOptions
+from std_toolkit.errors import ToolkitError
+
+_PRECISIONS = {"fp32": None, "bf16": torch.bfloat16, "fp16": torch.float16}
+
+
+class Prediction(NamedTuple):
+    """What a restoration network answers.
+
+    Attributes:
+        depth: (b, 1, h, w) metres.
+        initial: (b, 1, h, w) depth before it was blended or propagated; None where there is none.
+        confidence: (b, 1, h, w) trust in the sensor's depth, in [0, 1]; None where there is none.
+    """
+
+    depth: Tensor
+    initial: Tensor | None = None
+    confidence: Tensor | None = None
+
+
+class NetworkRestorer:
+    """A restorer around a network `network(color, depth) -> Prediction`.
+
+    Colour is given as (b, 3, h, w) float32 RGB in [0, 1] and depth as (b, 1, h, w) float32 metres,
+    0 where there is none; a network that wants them otherwise does that itself, or its restorer
+    overrides `inputs` and `answers`.
+
+    Args:
+        network: with its weights; it is put on the device and into evaluation mode.
+        options: device, precision and compilation.
+        input_size: (width, height) that the network works at, or None for the size of the view.
+
+    Raises:
+        ToolkitError: the device is not there, or no such precision.
+    """
+
+    needs_mask = False
+
+    def __init__(
+        self,
+        network: nn.Module,
+        options: MethodOptions,
+        input_size: tuple[int, int] | None,
+    ) -> None:
+        self.input_size = input_size
+        self.device = device_called(options.device)
+        if options.precision not in _PRECISIONS:
+            raise ToolkitError(
+                "no such precision",
+                field="--precision",
+                value=options.precision,
+                hint=f"known: {', '.join(_PRECISIONS)}",
+            )
+        self._narrow = _PRECISIONS[options.precision]
+        self.network = network.to(self.device).eval().requires_grad_(False)
+        self._run: Any = torch.compile(self.network) if options.compile else self.network
+
+    def restore(self, views: Sequence[View]) -> list[Restored]:
+        """Restore a batch of views, which all have one size unless the restorer has its own.
+
+        Raises:
+            ToolkitError: views of several sizes, or the device's memory does not hold the batch.
+        """
+        if not views:
+            return []
+        try:
+            return self._restore(views)
+        except torch.OutOfMemoryError as error:
+            raise ToolkitError(
+                f"the memory of {self.device} does not hold {len(views)} frames at once",
+                hint="make --batch-size smaller",
+            ) from error
+
+    @torch.inference_mode()
+    def _restore(self, views: Sequence[View]) -> list[Restored]:
+        inputs = self.inputs(views)
+        with torch.autocast(self.device.type, dtype=self._narrow, enabled=self._narrow is not None):
+            outputs = self._run(*inputs)
+        return self.answers(outputs, views)
+
+    def inputs(self, views: Sequence[View]) -> tuple[Tensor, ...]:
+        """What the network is called with: colour and depth at the input size, on the device."""
+        color, depth = color_and_depth(views, self.device)
+        return self.resized(color), self.resized(depth)
+
+    def answers(self, outputs: Any, views: Sequence[View]) -> list[Restored]:
+        """What the network's outputs say of each view, at the view's size."""
+        depth = _at_size(outputs.depth.float(), views)
+        if outputs.confidence is None:
+            return [Restored(d) for d in depth]
+        confidence = _at_size(outputs.confidence.float().clamp(0, 1), views)
+        return [Restored(d, c) for d, c in zip(depth, confidence, strict=True)]
+
+    def resized(self, images: Tensor) -> Tensor:
+        """(b, c, h, w) images at the input size, by the nearest pixel."""
+        if self.input_size is None or images.shape[-1:-3:-1] == self.input_size:
+            return images
+        return interpolate(images, size=self.input_size[::-1], mode="nearest")
+
+    @property
+    def parameter_count(self) -> int:
+        """Parameters of the network."""
+        return parameter_count(self.network)
+
+    def macs(self, view: View) -> int:
+        """Multiplications with addition that one view costs; those of element-wise work are not
+        counted."""
+        with torch.inference_mode():
+            return count_macs(self.network, *self.inputs([view]))
+
+
+def color_and_depth(views: Sequence[View], device: torch.device) -> tuple[Tensor, Tensor]:
+    """(b, 3, h, w) RGB in [0, 1] and (b, 1, h, w) metres, 0 where a depth is none.
+
+    Raises:
+        ToolkitError: the views are of several sizes.
+    """
+    sizes = {view.depth.shape for view in views}
+    if len(sizes) > 1:
+        told = ", ".join(sorted(f"{w}x{h}" for h, w in sizes))
+        raise ToolkitError(
+            f"views of several sizes in one batch: {told}", hint="restore them one by one"
+        )
+    # As bytes to the device: a quarter of the transfer.
+    color = torch.from_numpy(np.stack([view.color for view in views])).to(device)
+    depth = torch.from_numpy(np.stack([view.depth for view in views])).to(device)
+    depth = torch.where(torch.isfinite(depth) & (depth > 0), depth, 0.0)
+    return color.permute(0, 3, 1, 2).float() / 255, depth[:, None].float()
+
+
+def device_called(name: str) -> torch.device:
+    """The torch device of a name such as `cpu`, `cuda` or `cuda:1`.
+
+    Raises:
+        ToolkitError: no device is called so, or this machine does not have it.
+    """
+    try:
+        device = torch.device(name)
+        torch.empty(1, device=device)
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+        there = ["cpu", *(f"cuda:{index}" for index in range(count))]
+        if torch.backends.mps.is_available():
+            there.append("mps")
+        built = "" if torch.version.cuda else "; this build of torch has no CUDA"
+        raise ToolkitError(
+            "there is no such device here",
+            field="--device",
+            value=name,
+            hint=f"there is {', '.join(there)}{built}",
+        ) from error
+    return device
+
+
+def parameter_count(network: nn.Module) -> int:
+    """Numbers that training can change."""
+    return sum(parameter.numel() for parameter in network.parameters())
+
+
+def count_macs(network: nn.Module, *inputs: Tensor) -> int:
+    """Multiplications with addition of one call: matrix products, convolutions and attention."""
+    from torch.nn.attention import SDPBackend, sdpa_kernel
+    from torch.utils.flop_counter import FlopCounterMode
+
+    # Only the plain form of attention is counted on every device.
+    with FlopCounterMode(display=False) as counter, sdpa_kernel(SDPBackend.MATH):
+        network(*inputs)
+    return counter.get_total_flops() // 2
+
+
+def _at_size(images: Tensor, views: Sequence[View]) -> list[np.ndarray]:
+    """Each of (b, 1, h, w) images at the size of its view, as (h, w) arrays."""
+    size = views[0].depth.shape
+    if images.shape[-2:] != size:
+        images = interpolate(images, size=size, mode="nearest")
+    return list(images[:, 0].cpu().numpy())

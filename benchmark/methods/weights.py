@@ -1,0 +1,209 @@
+"""Trained weights: those that come with the toolkit, and those that a user has."""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from benchmark.methods.registry import MethodOptions
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import atomic_path
+
+SHIPPED = Path(__file__).resolve().parent.parent / "weights"
+
+# Under these keys training programs keep the weights, beside the state of their optimizer.
+_WRAPPERS = ("state_dict", "model_state_dict", "model", "net", "network")
+# Before every key: what was wrapped for several GPUs, and compiled.
+_PREFIXES = ("module.", "_orig_mod.")
+_TOLD = 3  # keys named in an error
+
+# Keys by which the weights of an architecture are known; the first whose prefixes all occur.
+ARCHITECTURES: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("SwinDRNet", ("backbone_rgb_branch.", "decode_head_depth_restoration.")),
+    ("SwinDRNet of one stream", ("backbone.patch_embed.", "decode_head_depth_restoration.")),
+    ("SwinDRNet's pose network", ("backbone_rgb_branch.",)),
+    ("NLSPN", ("conv1_dep.", "prop_layer.")),
+    ("DFNet", ("stem.", "skips.", "downs.", "ups.")),
+    ("a Swin classifier (ImageNet)", ("patch_embed.", "layers.", "head.")),
+    ("a Swin backbone", ("patch_embed.", "layers.")),
+    ("a Swin of transformers", ("swin.embeddings.",)),
+    ("a ResNet classifier (ImageNet)", ("conv1.weight", "layer4.", "fc.")),
+    ("a ResNet", ("layer1.", "layer4.")),
+    ("DeepLabv3+", ("backbone.", "aspp", "decoder.")),
+)
+
+
+def shipped_weights(method: str, preset: str) -> Path:
+    """The file of weights that comes with the toolkit.
+
+    Its SHA-256 is in the file of the same name with `.sha256` behind, and is checked.
+
+    Raises:
+        ToolkitError: none comes for this preset, or the file is not what was shipped.
+    """
+    path = SHIPPED / f"{method}-{preset}.safetensors"
+    if not path.is_file():
+        raise ToolkitError(
+            f"no weights for {method}, preset {preset}, come with the toolkit",
+            hint="give --weights",
+        )
+    expected = path.with_name(path.name + ".sha256").read_text(encoding="ascii").split()[0]
+    if sha256_of(path) != expected:
+        raise ToolkitError(
+            "not the weights that were shipped: their SHA-256 differs",
+            path=path,
+            hint="install the toolkit again",
+        )
+    return path
+
+
+def weights_for(method: str, options: MethodOptions) -> Path:
+    """The file of weights that a user gave, or else the one that comes with the toolkit.
+
+    Raises:
+        ToolkitError: neither.
+    """
+    return options.weights or shipped_weights(method, options.preset)
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def read_weights(path: Path) -> dict[str, Tensor]:
+    """The tensors of a safetensors file, or of a checkpoint of torch (.pth, .pt, .tar), by key.
+
+    A checkpoint is read without running code of its own. What training programs wrap around the
+    weights, and put before their keys, is taken off.
+
+    Raises:
+        ToolkitError: no such file, not weights, or a checkpoint that holds code.
+    """
+    if not path.is_file():
+        raise ToolkitError("no such file of weights", path=path)
+    if path.suffix == ".safetensors":
+        return _without_prefix(_read_safetensors(path))
+    try:
+        found = torch.load(path, map_location="cpu", weights_only=True)
+    except pickle.UnpicklingError as error:
+        raise ToolkitError(
+            "the checkpoint holds more than tensors and is not loaded, for it could run any code",
+            path=path,
+            hint="save its state_dict alone, best as safetensors",
+        ) from error
+    except (RuntimeError, EOFError, ValueError, KeyError) as error:
+        raise ToolkitError(f"not a checkpoint of torch: {error}", path=path) from error
+    return _without_prefix(_unwrapped(found, path))
+
+
+def load_weights(network: nn.Module, path: Path) -> None:
+    """Read a network's weights from a file.
+
+    Raises:
+        ToolkitError: the file cannot be read, or is of another architecture: which keys are
+            missing, which unknown and which have another shape.
+    """
+    state = read_weights(path)
+    check_keys(network.state_dict(), state, path)
+    # The tensors read take the place of those that the network has: no second copy in memory.
+    wanted = {name: tensor.dtype for name, tensor in network.state_dict().items()}
+    state = {name: tensor.to(wanted[name]) for name, tensor in state.items()}
+    trains = {name: p.requires_grad for name, p in network.named_parameters()}
+    network.load_state_dict(state, assign=True)
+    for name, parameter in network.named_parameters():
+        parameter.requires_grad_(trains[name])
+
+
+def save_weights(network: nn.Module, path: Path) -> None:
+    """Write a network's weights as safetensors, atomically."""
+    state = {name: t.detach().cpu().contiguous() for name, t in network.state_dict().items()}
+    with atomic_path(path) as temporary:
+        save_file(state, temporary)
+
+
+def check_keys(wanted: Mapping[str, Tensor], found: Mapping[str, Tensor], path: Path) -> None:
+    """Refuse weights whose keys or shapes are not the wanted ones.
+
+    Raises:
+        ToolkitError: which they are (the first few), how many, and what the weights look like.
+    """
+    missing = [name for name in wanted if name not in found]
+    unknown = [name for name in found if name not in wanted]
+    shapes = [
+        f"{name} {_shape(found[name])} instead of {_shape(tensor)}"
+        for name, tensor in wanted.items()
+        if name in found and found[name].shape != tensor.shape
+    ]
+    parts = [
+        f"{len(names)} {what} ({_first(names)})"
+        for names, what in (
+            (missing, "keys missing"),
+            (unknown, "keys unknown"),
+            (shapes, "of another shape"),
+        )
+        if names
+    ]
+    if not parts:
+        return
+    looks, own = architecture_of(found), architecture_of(wanted)
+    hint = None
+    if looks is not None and looks != own:
+        hint = f"they look like those of {looks}"
+    elif looks is not None:
+        hint = f"they are of {looks}, but of another size or with other settings"
+    raise ToolkitError(f"weights of another network: {'; '.join(parts)}", path=path, hint=hint)
+
+
+def architecture_of(state: Mapping[str, Any]) -> str | None:
+    """Which architecture weights look like, by their keys; None if like none that is known."""
+    for title, prefixes in ARCHITECTURES:
+        if all(any(key.startswith(prefix) for key in state) for prefix in prefixes):
+            return title
+    return None
+
+
+def _read_safetensors(path: Path) -> dict[str, Tensor]:
+    try:
+        with safe_open(path, framework="pt", device="cpu") as file:
+            return {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise ToolkitError(f"not a file of safetensors: {error}", path=path) from error
+
+
+def _unwrapped(found: object, path: Path) -> dict[str, Tensor]:
+    while isinstance(found, Mapping):
+        inner = next((found[key] for key in _WRAPPERS if isinstance(found.get(key), Mapping)), None)
+        if inner is None:
+            break
+        found = inner
+    tensors = isinstance(found, Mapping) and {
+        key: value for key, value in found.items() if isinstance(value, Tensor)
+    }
+    if not tensors:
+        raise ToolkitError("the checkpoint holds no tensors by name", path=path)
+    return tensors
+
+
+def _without_prefix(state: dict[str, Tensor]) -> dict[str, Tensor]:
+    for prefix in (*_PREFIXES, *_PREFIXES):  # either may stand before the other
+        if state and all(key.startswith(prefix) for key in state):
+            state = {key.removeprefix(prefix): value for key, value in state.items()}
+    return state
+
+
+def _first(names: Sequence[str]) -> str:
+    return ", ".join(names[:_TOLD]) + (", ..." if len(names) > _TOLD else "")
+
+
+def _shape(tensor: Tensor) -> str:
+    return "x".join(map(str, tensor.shape)) or "scalar"
