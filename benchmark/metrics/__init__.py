@@ -1,0 +1,1 @@
+"""Depth metrics: pure functions, an accumulator, confidence intervals, significance."""

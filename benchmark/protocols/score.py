@@ -1,0 +1,148 @@
+"""Scoring one frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.data.frame import BACKGROUND, DepthFrame, Instance
+from benchmark.metrics.resize import Size, pixels_taken
+from benchmark.metrics.tally import Errors, tally
+from benchmark.protocols.edges import edge_band
+from benchmark.protocols.protocol import Grid, Protocol
+from std_toolkit.errors import ToolkitError
+
+_IDS = 256  # a mask holds bytes; cells of `tally`: ids, then ids at edges
+
+
+@dataclass(frozen=True)
+class Row:
+    """Errors of one frame on one grid and one subset of its pixels.
+
+    Attributes:
+        grid, subset: names from the protocol.
+        errors: the figures; NaN where the subset has no pixel in this frame.
+    """
+
+    grid: str
+    subset: str
+    errors: Errors
+
+    def as_dict(self) -> dict[str, str | int | float]:
+        """Columns by name: grid, subset, then those of `Errors`."""
+        return {"grid": self.grid, "subset": self.subset, **self.errors.as_dict()}
+
+
+def score_frame(
+    restored: NDArray[np.floating] | None, frame: DepthFrame, protocol: Protocol
+) -> list[Row]:
+    """Compare restored depth with a frame's ground truth.
+
+    Args:
+        restored: (h, w) metres, of any size that covers the frame's view: it is resized to each
+            grid. None where the method failed: every pixel is missing, and the frame stays in
+            the means.
+        frame: what was there.
+        protocol: how to compare.
+
+    Returns:
+        A row for each grid and subset, in the protocol's order, also for subsets without pixels.
+
+    Raises:
+        ToolkitError: `restored` is not an image of floating-point numbers.
+    """
+    return score_depth(
+        restored, frame.depth_true, frame.mask, frame.instances, protocol, key=frame.key
+    )
+
+
+def score_sensor(frame: DepthFrame, protocol: Protocol) -> list[Row]:
+    """Compare the sensor's own depth with the ground truth: the row that a method has to beat.
+
+    Args:
+        frame: what the sensor gave, and what was there.
+        protocol: how to compare.
+
+    Returns:
+        As `score_frame`.
+    """
+    return score_frame(frame.depth_raw, frame, protocol)
+
+
+def score_depth(
+    restored: NDArray[np.floating] | None,
+    true: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    instances: Sequence[Instance],
+    protocol: Protocol,
+    *,
+    key: str = "frame",
+) -> list[Row]:
+    """`score_frame` for who has no whole frame at hand, such as saved results being scored anew.
+
+    Args:
+        restored: (h, w) metres, or None.
+        true: (k, l) true metres, 0 where there is none.
+        mask: (k, l) ids of `instances`, `BACKGROUND` elsewhere.
+        instances: the objects.
+        protocol: how to compare.
+        key: what errors call the frame.
+
+    Returns:
+        As `score_frame`.
+
+    Raises:
+        ToolkitError: as `score_frame`.
+    """
+    if restored is None:
+        restored = np.zeros((1, 1), np.float32)
+    if restored.ndim != 2 or restored.size == 0 or restored.dtype.kind != "f":
+        raise ToolkitError(
+            "restored depth must be one image (h, w) of floating-point metres",
+            path=key,
+            value=f"{restored.dtype} {restored.shape}",
+        )
+    subsets = protocol.subsets_of(instances)
+    cells = [np.array(sorted({i.mask_id for i in instances if s.has(i)}), np.intp) for s in subsets]
+    wanted = np.zeros(_IDS, np.bool_)
+    wanted[np.concatenate(cells)] = True
+    wanted[BACKGROUND] = False
+    # An edge is one of the whole ground truth: on a coarse grid every neighbour is far away.
+    band = edge_band(true, mask) if any(s.edges for s in subsets) else None
+    rows = []
+    for grid in protocol.grids:
+        p, g, cell = _gather(restored, true, mask, band, wanted, grid, protocol)
+        sums = tally(p, g, cell, 2 * _IDS, protocol.missing)
+        for subset, ids in zip(subsets, cells, strict=True):
+            within = ids + _IDS if subset.edges else np.concatenate([ids, ids + _IDS])
+            rows.append(Row(grid.name, subset.name, sums.of(within)))
+    return rows
+
+
+def _gather(
+    restored: NDArray[np.floating],
+    true: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    band: NDArray[np.uint8] | None,
+    wanted: NDArray[np.bool_],
+    grid: Grid,
+    protocol: Protocol,
+) -> tuple[NDArray[np.floating], NDArray[np.float32], NDArray[np.intp]]:
+    """Prediction, truth and cell of the pixels of a grid that are compared, (N,) each."""
+    native: Size = (mask.shape[1], mask.shape[0])
+    steps = grid.steps(native)
+    taken = pixels_taken(native, *steps)
+    ids, depths = mask.ravel(), true.ravel()
+    if taken is not None:
+        ids, depths = ids[taken], depths[taken]
+    kept = np.flatnonzero(wanted[ids] & protocol.usable(depths))
+    g, cell = depths[kept], ids[kept].astype(np.intp)
+    at = kept if taken is None else taken[kept]
+    if band is not None:
+        cell += _IDS * band.ravel()[at].astype(np.intp)
+    from_restored = pixels_taken((restored.shape[1], restored.shape[0]), *steps)
+    p = restored.ravel()[kept if from_restored is None else from_restored[kept]]
+    return p, g, cell
