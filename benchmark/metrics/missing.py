@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from enum import StrEnum
 
+from std_toolkit.errors import ToolkitError
+
 THRESHOLDS = (1.05, 1.10, 1.25)  # of delta: the ratio between prediction and truth either way
 
 
@@ -20,3 +22,23 @@ class Missing(StrEnum):
     COUNTED = "counted"
     LEFT_OUT = "left-out"
     AS_GIVEN = "as-given"
+
+
+def check_reportable(missing: Missing) -> None:
+    """Refuse what cannot be the main figure of a report.
+
+    Args:
+        missing: how pixels without a usable prediction are to count.
+
+    Raises:
+        ToolkitError: `LEFT_OUT`: such figures stand beside the main ones, as `..._answered`.
+
+    >>> check_reportable(Missing.COUNTED)
+    """
+    if missing is Missing.LEFT_OUT:
+        raise ToolkitError(
+            "is no way to count pixels in a report",
+            field="missing",
+            value=missing.value,
+            hint="the figures over answered pixels are always there, as ..._answered",
+        )

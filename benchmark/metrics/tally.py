@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.metrics.missing import THRESHOLDS, Missing
+from benchmark.metrics.missing import THRESHOLDS, Missing, check_reportable
 
 NAMES = ("rmse", "rel", "mae", "d105", "d110", "d125")
 
@@ -108,10 +108,14 @@ def tally(
         The tally. Ratios have the precision of the depths (float32, as in the released
         evaluations, or float64), sums always float64.
 
+    Raises:
+        ToolkitError: `LEFT_OUT`.
+
     >>> t = tally(np.array([1.02, 0]), np.array([1.0, 2.0]), np.array([0, 1]), 2)
     >>> t.of(slice(None)).rel, t.of([0]).d105, t.of([1]).coverage
     (0.51, 1.0, 0.0)
     """
+    check_reportable(missing)
     p, g = as_real(pred), as_real(true)
     usable = (p > 0) & (p < np.inf)
     if missing is not Missing.AS_GIVEN:

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.frame import Instance, Material
-from benchmark.metrics.missing import Missing
+from benchmark.metrics.missing import Missing, check_reportable
 from benchmark.metrics.resize import Size
+from std_toolkit.errors import ToolkitError
 
 ALL = frozenset(Material)
 HARD = frozenset({Material.TRANSPARENT, Material.SPECULAR})
@@ -74,6 +75,9 @@ class Protocol:
             method sees them; None leaves that to the method.
         depth_range: ground truth outside of these metres (both included) is not compared.
         per_category: whether each category gets a row of its own.
+
+    Raises:
+        ToolkitError: no grid, no subset, or two of one name.
     """
 
     name: str
@@ -84,6 +88,18 @@ class Protocol:
     view_size: Size | None = None
     depth_range: tuple[float, float] = (0.0, float("inf"))
     per_category: bool = False
+
+    def __post_init__(self) -> None:
+        check_reportable(self.missing)
+        for field, parts in (("grids", self.grids), ("subsets", self.subsets)):
+            names = [part.name for part in parts]
+            if not names or len(set(names)) < len(names):
+                raise ToolkitError(
+                    "must be given, each under a name of its own",
+                    path=self.name,
+                    field=field,
+                    value=names,
+                )
 
     @property
     def main(self) -> tuple[str, str]:
