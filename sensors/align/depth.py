@@ -9,15 +9,13 @@ from numpy.typing import NDArray
 
 from sensors.align.splat import splat
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.camera import Camera, largest_radius2
 from std_toolkit.geometry.se3 import SE3
 
 Array = NDArray[np.float64]
 # Neighbours whose depths differ by less are one surface: a wall seen at 80 degrees from its normal
 # steps by 1.3 % from pixel to pixel at 640x360.
 SURFACE_STEP = 0.02
-# Edges of the patch behind a pixel: its left, right, upper and lower neighbour.
-_SIDES = ((-1, 0), (1, 0), (0, -1), (0, 1))
 
 
 def align_depth(
@@ -52,62 +50,35 @@ def align_depth(
             field="depth",
             value=depth.shape,
         )
-    z = np.asarray(depth, dtype=np.float64)
+    z = np.ascontiguousarray(depth, dtype=np.float64)
     if not np.isfinite(z).all() or (z < 0).any():
         raise ToolkitError("depth holds negative or infinite values", field="depth")
-    seen = z > 0
-    edges = [
-        _moved(_edge_rays(camera, side), _edge_depth(z, side, surface_step), T_other_depth)
-        for side in _SIDES
-    ]
-    R, t = T_other_depth.R, T_other_depth.t
-    centre = z * (_centre_rays(camera) @ R[2]) + t[2]
-    seen &= centre > 0
-    for points in edges:
-        seen &= points[..., 2] > 0
-    spans = []
-    for (first, second), axis in (((0, 1), 0), ((2, 3), 1)):
-        a = other.project(edges[first][seen])[:, axis]
-        b = other.project(edges[second][seen])[:, axis]
-        spans += [np.minimum(a, b), np.maximum(a, b)]
-    patches = np.stack(spans, axis=1)
-    inside = np.isfinite(patches).all(axis=1)  # beyond the reach of the distortion's polynomial
+    across, down, centre = _patch_rays(camera)
+    R, t = np.ascontiguousarray(T_other_depth.R), np.ascontiguousarray(T_other_depth.t)
     out = np.full((other.height, other.width), np.inf, dtype=np.float32)
-    splat(patches[inside], centre[seen][inside].astype(np.float32), out)
+    splat(z, across, down, centre, R, t, _lens(other), surface_step, out)
     out[np.isinf(out)] = 0
     return out
 
 
-def _edge_depth(z: Array, side: tuple[int, int], surface_step: float) -> Array:
-    """Depth at an edge of each pixel's patch: midway to the neighbour on the same surface.
+@lru_cache(maxsize=4)
+def _patch_rays(camera: Camera) -> tuple[Array, Array, Array]:
+    """x and y at z = 1 behind the edges of the pixels, across and down, and behind their centres."""
+    width, height = camera.size
 
-    Midway in 1/z, which is linear over the image of a plane.
-    """
-    dx, dy = side
-    beside = np.zeros_like(z)
-    height, width = z.shape
-    to = np.s_[max(0, -dy) : height - max(0, dy), max(0, -dx) : width - max(0, dx)]
-    of = np.s_[max(0, dy) : height - max(0, -dy), max(0, dx) : width - max(0, -dx)]
-    beside[to] = z[of]
-    joined = (z > 0) & (beside > 0) & (abs(beside - z) < surface_step * np.minimum(z, beside))
-    total = np.where(joined, z + beside, 1)
-    return np.where(joined, 2 * z * beside / total, z)
+    def rays(u: Array, v: Array) -> Array:
+        grid = np.stack(np.meshgrid(u, v), axis=-1)
+        return np.ascontiguousarray(camera.unproject(grid)[..., :2])
 
-
-def _moved(rays: Array, z: Array, T: SE3) -> Array:
-    """(H, W, 3) points at depth z on the rays, in the other camera."""
-    return (rays @ T.R.T) * z[..., None] + T.t
+    u, v = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)
+    edges_u, edges_v = np.arange(width + 1) - 0.5, np.arange(height + 1) - 0.5
+    return rays(edges_u, v), rays(u, edges_v), rays(u, v)
 
 
 @lru_cache(maxsize=16)
-def _edge_rays(camera: Camera, side: tuple[int, int]) -> Array:
-    rays = camera.unproject(camera.pixel_grid() + np.array(side) / 2)
-    rays.flags.writeable = False
-    return rays
-
-
-@lru_cache(maxsize=4)
-def _centre_rays(camera: Camera) -> Array:
-    rays = camera.unproject(camera.pixel_grid())
-    rays.flags.writeable = False
-    return rays
+def _lens(camera: Camera) -> Array:
+    """Intrinsics as `splat` takes them."""
+    k = (*camera.distortion, *([0.0] * (8 - len(camera.distortion))))
+    reach = largest_radius2(camera.distortion) if camera.is_distorted else np.inf
+    bent = float(camera.is_distorted)
+    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *k, reach, bent])

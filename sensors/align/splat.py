@@ -1,4 +1,8 @@
-"""Nearest of many rectangles at every pixel, compiled."""
+"""The patches of surface behind the pixels of a depth image, drawn into another camera's, compiled.
+
+One pass over the pixels: at 1280x720 about 20 ms of one core, so that a recording's writers keep up
+with the camera.
+"""
 
 from __future__ import annotations
 
@@ -12,21 +16,82 @@ OVERLAP_PX = 0.02
 
 
 @compiled
-def splat(spans, depth, out):  # type: ignore[no-untyped-def]
-    """Put rectangles into a depth image; of several at a pixel the nearest stays.
+def splat(depth, across, down, centre, R, t, lens, surface_step, out):  # type: ignore[no-untyped-def]
+    """Draw every depth pixel's patch into `out`; of several at a pixel the nearest stays.
+
+    A patch reaches to the middles of the edges to its four neighbours: midway in 1/z, which is
+    linear over the image of a plane, where they are one surface; else at the pixel's own depth.
 
     Args:
-        spans: (N, 4) float64 pixels: left, right, upper, lower edge. A rectangle covers the pixels
-            whose centres, at whole numbers, lie inside.
-        depth: (N,) float32.
-        out: (H, W) float32, changed in place; infinite where nothing is.
+        depth: (H, W) float64 metres, 0 = none.
+        across: (H, W + 1, 2) x and y at z = 1 behind the left edges of the pixels, and the last
+            column's right ones.
+        down: (H + 1, W, 2) likewise of the upper and the last row's lower edges.
+        centre: (H, W, 2) behind the pixel centres.
+        R, t: (3, 3), (3,) into the other camera.
+        lens: (14,) fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6, largest squared radius that the
+            distortion reaches, and 1 if there is any distortion.
+        surface_step: neighbours whose depths differ by a smaller share are one surface.
+        out: (H', W') float32, changed in place; infinite where nothing is.
     """
+    rows, columns = depth.shape
     height, width = out.shape
-    for i in range(len(spans)):
-        x0 = max(0, int(np.ceil(max(spans[i, 0] - OVERLAP_PX, -1.0))))
-        x1 = min(width - 1, int(np.floor(min(spans[i, 1] + OVERLAP_PX, float(width)))))
-        y0 = max(0, int(np.ceil(max(spans[i, 2] - OVERLAP_PX, -1.0))))
-        y1 = min(height - 1, int(np.floor(min(spans[i, 3] + OVERLAP_PX, float(height)))))
-        for y in range(y0, y1 + 1):
-            for x in range(x0, x1 + 1):
-                out[y, x] = min(out[y, x], depth[i])
+    for v in range(rows):
+        for u in range(columns):
+            z = depth[v, u]
+            if z <= 0:
+                continue
+            x, y = centre[v, u, 0], centre[v, u, 1]
+            middle = (R[2, 0] * x + R[2, 1] * y + R[2, 2]) * z + t[2]
+            if middle <= 0:
+                continue
+            left = _edge(z, depth[v, u - 1] if u > 0 else 0.0, surface_step)
+            right = _edge(z, depth[v, u + 1] if u + 1 < columns else 0.0, surface_step)
+            upper = _edge(z, depth[v - 1, u] if v > 0 else 0.0, surface_step)
+            lower = _edge(z, depth[v + 1, u] if v + 1 < rows else 0.0, surface_step)
+            a, _ = _pixel(across[v, u, 0], across[v, u, 1], left, R, t, lens)
+            b, _ = _pixel(across[v, u + 1, 0], across[v, u + 1, 1], right, R, t, lens)
+            _, c = _pixel(down[v, u, 0], down[v, u, 1], upper, R, t, lens)
+            _, d = _pixel(down[v + 1, u, 0], down[v + 1, u, 1], lower, R, t, lens)
+            # Behind the other camera, or beyond the reach of the distortion's polynomial.
+            if not (np.isfinite(a) and np.isfinite(b) and np.isfinite(c) and np.isfinite(d)):
+                continue
+            x0 = int(np.ceil(max(min(a, b) - OVERLAP_PX, 0.0)))
+            x1 = int(np.floor(min(max(a, b) + OVERLAP_PX, width - 1.0)))
+            y0 = int(np.ceil(max(min(c, d) - OVERLAP_PX, 0.0)))
+            y1 = int(np.floor(min(max(c, d) + OVERLAP_PX, height - 1.0)))
+            near = np.float32(middle)
+            for j in range(y0, y1 + 1):
+                for i in range(x0, x1 + 1):
+                    if near < out[j, i]:
+                        out[j, i] = near
+
+
+@compiled
+def _edge(z, beside, surface_step):  # type: ignore[no-untyped-def]
+    """Depth at the edge between a pixel of depth `z` and its neighbour of depth `beside`."""
+    if beside > 0 and abs(beside - z) < surface_step * min(z, beside):
+        return 2 * z * beside / (z + beside)
+    return z
+
+
+@compiled
+def _pixel(x, y, z, R, t, lens):  # type: ignore[no-untyped-def]
+    """Pixel in the other camera of the point at depth z behind x, y at z = 1; NaN where there is none."""
+    X = (R[0, 0] * x + R[0, 1] * y + R[0, 2]) * z + t[0]
+    Y = (R[1, 0] * x + R[1, 1] * y + R[1, 2]) * z + t[1]
+    Z = (R[2, 0] * x + R[2, 1] * y + R[2, 2]) * z + t[2]
+    if Z <= 0:
+        return np.nan, np.nan
+    inverse = 1.0 / Z
+    x, y = X * inverse, Y * inverse
+    if lens[13] != 0:
+        r2 = x * x + y * y
+        if not r2 < lens[12]:
+            return np.nan, np.nan
+        top = 1 + r2 * (lens[4] + r2 * (lens[5] + r2 * lens[8]))
+        radial = top / (1 + r2 * (lens[9] + r2 * (lens[10] + r2 * lens[11])))
+        bent_x = x * radial + 2 * lens[6] * x * y + lens[7] * (r2 + 2 * x * x)
+        bent_y = y * radial + lens[6] * (r2 + 2 * y * y) + 2 * lens[7] * x * y
+        x, y = bent_x, bent_y
+    return lens[0] * x + lens[2], lens[1] * y + lens[3]

@@ -86,7 +86,7 @@ class Camera:
         z = np.where(p[..., 2] > 0, p[..., 2], np.nan)
         x, y = p[..., 0] / z, p[..., 1] / z
         if self.is_distorted:
-            valid = x * x + y * y < _largest_radius2(self.distortion)
+            valid = x * x + y * y < largest_radius2(self.distortion)
             x, y = self._distort(np.where(valid, x, np.nan), y)
         return np.stack([self.fx * x + self.cx, self.fy * y + self.cy], axis=-1)
 
@@ -139,7 +139,7 @@ class Camera:
         # The iteration may end anywhere where there is no solution.
         x, y = self._distort(xy[..., 0], xy[..., 1])
         error = np.hypot(self.fx * x + self.cx - uv[..., 0], self.fy * y + self.cy - uv[..., 1])
-        wrong = ~(error < 1e-6) | ((xy**2).sum(axis=-1) >= _largest_radius2(self.distortion))
+        wrong = ~(error < 1e-6) | ((xy**2).sum(axis=-1) >= largest_radius2(self.distortion))
         return np.where(wrong[..., None], np.nan, xy)
 
     def _distort(self, x: Array, y: Array) -> tuple[Array, Array]:
@@ -196,7 +196,7 @@ def pixel_rays(camera: Camera) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _largest_radius2(distortion: tuple[float, ...]) -> float:
+def largest_radius2(distortion: tuple[float, ...]) -> float:
     """Squared normalised radius below which the radial distortion rises, hence can be inverted.
 
     r (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3) with s = r^2 rises until the first
