@@ -27,7 +27,7 @@ from benchmark.data.assemble import (
     first_file,
 )
 from benchmark.data.frame import DepthFrame, Instance, Material
-from benchmark.data.listing import FrameIndex
+from benchmark.data.listing import FrameIndex, scene_files
 from benchmark.data.maps import read_binary_mask, read_depth_map
 from benchmark.data.source import FrameKey, SceneFiles
 from std_toolkit.geometry.camera import Camera
@@ -94,19 +94,7 @@ class ClearGraspReal:
 
     def files(self) -> Iterator[SceneFiles]:
         """See `DepthSource`."""
-        for scene in self.index.scenes:
-            folder = Path(scene.path)
-            missing = {
-                what: [
-                    stem + suffixes[0]
-                    for stem in scene.stems
-                    if not any((folder / (stem + s)).is_file() for s in suffixes)
-                ]
-                for what, suffixes in NEEDED.items()
-            }
-            yield SceneFiles(
-                scene.name, scene.path, len(scene.stems), {k: v for k, v in missing.items() if v}
-            )
+        return (scene_files(scene, NEEDED) for scene in self.index.scenes)
 
     def _camera(self, folder: Path, size: tuple[int, int]) -> Camera:
         known = self._cameras.get(str(folder))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,7 +56,10 @@ class DepthFrame:
         mask: (k, l) uint8 instance ids, `BACKGROUND` elsewhere.
         camera: intrinsics at the size of `depth_true`.
         instances: the objects of `mask`.
-        nocs: (k, l, 3) float32 in [0, 1], or None.
+        nocs: (k, l, 3) float32 x y z in [0, 1], not flipped, 0 in the background; or None.
+
+    Colour and raw depth may be left out when a frame is loaded only to score what was restored
+    earlier: they are (0, 0, 3) and (0, 0) then.
 
     Raises:
         ToolkitError: shapes that do not belong together, or a mask id that no instance has.
@@ -81,7 +86,9 @@ class DepthFrame:
                     value=getattr(self, name).shape,
                 )
         known = {i.mask_id for i in self.instances} | {BACKGROUND}
-        strange = sorted(set(np.unique(self.mask).tolist()) - known)
+        # A histogram, because np.unique needs 3 ms at 1280x720 instead of 0.5.
+        counts = cv2.calcHist([np.ascontiguousarray(self.mask)], [0], None, [256], [0, 256])
+        strange = sorted(set(np.flatnonzero(counts).tolist()) - known)
         if strange:
             raise ToolkitError(
                 "the mask holds ids that the frame's list of instances does not",
@@ -98,5 +105,10 @@ class DepthFrame:
 
     def mask_of(self, *materials: Material) -> NDArray[np.bool_]:
         """(k, l) pixels of the instances of any of these materials; of all where none is given."""
-        ids = [i.mask_id for i in self.instances if not materials or i.material in materials]
-        return np.isin(self.mask, ids)
+        return self.mask_where(lambda i: not materials or i.material in materials)
+
+    def mask_where(self, wanted: Callable[[Instance], bool]) -> NDArray[np.bool_]:
+        """(k, l) pixels of the instances that `wanted` says yes to."""
+        table = np.zeros(256, np.uint8)
+        table[[i.mask_id for i in self.instances if wanted(i)]] = 1
+        return cv2.LUT(np.ascontiguousarray(self.mask), table).view(np.bool_)

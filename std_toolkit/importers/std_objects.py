@@ -61,8 +61,12 @@ class FoundObjects:
     notes: list[str] = field(default_factory=list)
 
 
-def read_meta(path: Path) -> list[MetaLine]:
+def read_meta(path: Path, *, any_class: bool = False) -> list[MetaLine]:
     """Lines of a meta file: 13 fields, or 3 in the short form.
+
+    Args:
+        any_class: take ids from 0 and class numbers that the layout does not know, as `class_id` 0:
+            category-novel sets may number their own.
 
     Raises:
         ToolkitError: a line is malformed, or an id appears twice.
@@ -75,7 +79,7 @@ def read_meta(path: Path) -> list[MetaLine]:
     for i, line in enumerate(text.splitlines()):
         words = line.split()
         if words:
-            lines.append(_meta_line(words, path, f"line {i + 1}"))
+            lines.append(_meta_line(words, path, f"line {i + 1}", any_class))
     ids = [x.mask_id for x in lines]
     if len(set(ids)) != len(ids):
         raise ToolkitError("an id appears twice", path=path, value=ids)
@@ -125,7 +129,7 @@ def read_objects(
     )
 
 
-def _meta_line(words: list[str], path: Path, where: str) -> MetaLine:
+def _meta_line(words: list[str], path: Path, where: str, any_class: bool) -> MetaLine:
     try:
         long = len(words) >= 6
         if not long and len(words) != 3:
@@ -140,9 +144,15 @@ def _meta_line(words: list[str], path: Path, where: str) -> MetaLine:
             field=where,
             value=" ".join(words),
         ) from error
-    if not 1 <= mask_id <= 254 or class_id not in _CATEGORIES or material not in _MATERIALS:
+    if any_class and class_id not in _CATEGORIES:
+        class_id = 0
+    lowest = 0 if any_class else 1
+    if not lowest <= mask_id <= 254 or class_id not in _CATEGORIES or material not in _MATERIALS:
         raise ToolkitError(
-            "id 1..254, class 0..7, material 0..3", path=path, field=where, value=" ".join(words)
+            f"id {lowest}..254, class 0..7, material 0..3",
+            path=path,
+            field=where,
+            value=" ".join(words),
         )
     if scale is not None and not (math.isfinite(scale) and 0.003 < scale < 3):
         raise ToolkitError("implausible scale (metres)", path=path, field=where, value=scale)

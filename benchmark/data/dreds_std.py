@@ -1,0 +1,154 @@
+"""Scenes in the layouts of DREDS and STD: what was downloaded, exported or simulated.
+
+<scene>/NNNN_color.png                     colour
+<scene>/NNNN_simDepthImage.exr             raw depth of DREDS, of the label maps' size
+<scene>/NNNN_depth_415.exr                 raw depth of STD, of the colour image's size
+<scene>/NNNN_depth_120.exr, _depth_0.exr   ground truth of DREDS-CatKnown, of DREDS-CatNovel: dense
+<scene>/NNNN_gt_depth.exr                  ground truth of STD: on the objects only
+<scene>/NNNN_mask.exr, _mask.png           instance ids, 255 elsewhere
+<scene>/NNNN_meta.txt                      a line per instance
+<scene>/NNNN_coord.png                     NOCS, of the category-known sets
+
+Intrinsics are those of the sidecar of a toolkit export, or of the record that `std-sim` writes in
+`parameters/`; else the constants of the released code, with the principal point in the middle.
+
+Source: the loaders of github.com/PKU-EPIC/DREDS, described in data_spec.md, sections 6.2 and 11.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from benchmark.data.assemble import (
+    NO_COLOR,
+    NO_DEPTH,
+    about,
+    check_proportions,
+    check_same_size,
+    first_file,
+)
+from benchmark.data.frame import DepthFrame, Instance, Material
+from benchmark.data.layout_camera import SceneCamera, read_scene_camera
+from benchmark.data.listing import FrameIndex, scene_files
+from benchmark.data.maps import read_coord_picture, read_depth_map, read_id_mask
+from benchmark.data.source import FrameKey, SceneFiles
+from std_toolkit.errors import ToolkitError
+from std_toolkit.importers.std import DREDS_LAYOUT, STD_LAYOUT, Layout
+from std_toolkit.importers.std_objects import MetaLine, read_meta
+from std_toolkit.io.images import read_color
+from std_toolkit.scene.model import CATEGORY_CLASS_IDS, MATERIAL_IDS
+
+COLOR = ("_color.png",)
+META = ("_meta.txt",)
+NOCS = ("_coord.png",)
+MASKS = ("_mask.exr", "_mask.png")
+LAYOUTS = {layout.name: layout for layout in (DREDS_LAYOUT, STD_LAYOUT)}
+_CATEGORIES = {number: name for name, number in CATEGORY_CLASS_IDS.items()}
+
+
+@dataclass(frozen=True)
+class LayoutScenes:
+    """Frames of one of the two layouts; see `DepthSource`.
+
+    Attributes:
+        layout: "dreds" or "std".
+    """
+
+    name: str
+    layout: str
+    index: FrameIndex
+    _cameras: dict[str, SceneCamera] = field(default_factory=dict, repr=False, compare=False)
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def keys(self) -> list[FrameKey]:
+        return [FrameKey(scene.name, stem) for scene, stem in self.index]
+
+    def load(self, index: int, *, sensor: bool = True, nocs: bool = False) -> DepthFrame:
+        """See `DepthSource`."""
+        scene, stem = self.index.at(index)
+        folder, needed = Path(scene.path), needed_files(LAYOUTS[self.layout])
+
+        def path(what: str) -> Path:
+            return first_file(folder, tuple(stem + s for s in needed[what]), what)
+
+        camera = self._camera(scene.path)
+        true_path, mask_path, meta_path = (
+            path(what) for what in ("ground-truth depth", "mask", "meta file")
+        )
+        true, mask = read_depth_map(true_path), read_id_mask(mask_path)
+        check_same_size(mask_path, mask, true, "mask")
+        size = (true.shape[1], true.shape[0])
+        color, raw = NO_COLOR, NO_DEPTH
+        if sensor:
+            color_path, raw_path = path("colour"), path("raw depth")
+            if stem in camera.without_depth:
+                raise ToolkitError(
+                    "the scene was recorded without depth: this file is a placeholder",
+                    path=raw_path,
+                )
+            color, raw = read_color(color_path), read_depth_map(raw_path)
+            check_proportions(color_path, color, size)
+            check_proportions(raw_path, raw, size)
+        coord = folder / f"{stem}{NOCS[0]}"
+        key = FrameKey(scene.name, stem)
+        try:
+            return DepthFrame(
+                scene=key.scene,
+                name=key.name,
+                color=color,
+                depth_raw=raw,
+                depth_true=true,
+                mask=mask,
+                camera=camera.of(stem, size, path=true_path),
+                instances=tuple(_instance(x) for x in read_meta(meta_path, any_class=True)),
+                nocs=read_coord_picture(coord, mask) if nocs and coord.is_file() else None,
+            )
+        except ToolkitError as error:
+            raise about(error, key, mask_path) from error
+
+    def files(self) -> Iterator[SceneFiles]:
+        """See `DepthSource`."""
+        needed = needed_files(LAYOUTS[self.layout])
+        for scene in self.index.scenes:
+            empty = self._camera(scene.path).without_depth
+            yield scene_files(scene, needed, placeholders={"raw depth": empty})
+
+    def _camera(self, folder: str) -> SceneCamera:
+        found = self._cameras.get(folder)
+        if found is None:
+            found = read_scene_camera(Path(folder), LAYOUTS[self.layout])
+            self._cameras[folder] = found
+        return found
+
+
+def needed_files(layout: Layout) -> dict[str, tuple[str, ...]]:
+    """What a frame's files hold, to the suffixes that such a file may have."""
+    return {
+        "colour": COLOR,
+        "raw depth": (layout.raw,),
+        "ground-truth depth": layout.ground_truth,
+        "mask": MASKS if layout.masks[0] == MASKS[0] else MASKS[::-1],
+        "meta file": META,
+    }
+
+
+def frame_suffixes(layout: Layout) -> tuple[str, ...]:
+    """Ends of the file names that make a frame."""
+    return tuple(s for suffixes in needed_files(layout).values() for s in suffixes)
+
+
+def _instance(line: MetaLine) -> Instance:
+    folder = line.class_folder or ""
+    # DREDS names its folders by WordNet's numbers, exports of the toolkit by category.
+    category = _CATEGORIES[line.class_id] if line.class_id or folder.isdigit() else folder
+    return Instance(
+        mask_id=line.mask_id,
+        class_id=line.class_id,
+        material=Material(MATERIAL_IDS[line.material]),
+        category=category,
+        model=line.instance_folder or "",
+    )

@@ -1,0 +1,193 @@
+"""The splits that the benchmark knows.
+
+Pages and counts: the papers (DREDS and STD: arXiv 2208.03792; ClearGrasp: arXiv 1910.02550) and the
+README files of github.com/PKU-EPIC/DREDS and github.com/Shreeyak/cleargrasp. About STD they
+contradict each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from benchmark.data.cleargrasp_real import SUFFIXES, ClearGraspReal
+from benchmark.data.cleargrasp_synthetic import ClearGraspSynthetic, list_rendered
+from benchmark.data.dreds_std import LAYOUTS, LayoutScenes, frame_suffixes
+from benchmark.data.listing import FrameIndex, list_scenes
+from benchmark.data.places import Place, find_all
+from benchmark.data.source import DepthSource
+from benchmark.data.splits import Published, Split, get_split, where_to_get
+from benchmark.data.toolkit_scenes import open_scenes
+from std_toolkit.errors import ToolkitError
+
+_DREDS_PAGE = "https://pku-epic.github.io/DREDS/"
+_DREDS_FILES = "https://mirrors.pku.edu.cn/dl-release/DREDS_ECCV2022/data/"
+_CLEARGRASP_PAGE = "https://sites.google.com/view/cleargrasp"
+_CLEARGRASP_FILES = "https://storage.googleapis.com/cleargrasp/cleargrasp-dataset-test-val.tar"
+
+
+def _layout_scenes(name: str, layout: str, place: Place) -> Callable[[Path], DepthSource]:
+    def open_root(root: Path) -> DepthSource:
+        top = place.find(root)
+        index = list_scenes(top, frame_suffixes(LAYOUTS[layout])) if top else FrameIndex(())
+        if top is None or not len(index):
+            raise _nothing(name, top or root)
+        _check_layout(name, layout, index)
+        return LayoutScenes(name, layout, index)
+
+    return open_root
+
+
+def _open_exports(root: Path) -> DepthSource:
+    layout = LAYOUTS["std"]
+    # Exports for other tools may lie beside; NOCS names its colour and masks alike.
+    depth = (layout.raw, *layout.ground_truth)
+    index = list_scenes(root, frame_suffixes(layout), telling=depth)
+    if not len(index):
+        raise _nothing("std-export", root)
+    return LayoutScenes("std-export", "std", index)
+
+
+def _check_layout(name: str, layout: str, index: FrameIndex) -> None:
+    """Colour, masks and meta files are named alike in both layouts; depth tells them apart."""
+    ours = LAYOUTS[layout]
+    other = next(x for x in LAYOUTS.values() if x.name != layout)
+    folder = Path(index.scenes[0].path)
+    names = {p.name for p in folder.iterdir()}
+    stems = index.scenes[0].stems
+    if any(s + x in names for s in stems for x in (ours.raw, *ours.ground_truth)):
+        return
+    if any(s + x in names for s in stems for x in (other.raw, *other.ground_truth)):
+        raise ToolkitError(
+            f"{name} has *{ours.raw} and *{ours.ground_truth[0]}; "
+            f"here are files of the layout {other.name}",
+            path=folder,
+            hint="another split?",
+        )
+
+
+def _captures(name: str, place: Place) -> Callable[[Path], DepthSource]:
+    def open_root(root: Path) -> DepthSource:
+        top = place.find(root)
+        index = list_scenes(top, SUFFIXES, depth=1) if top else FrameIndex(())
+        if not len(index):
+            raise _nothing(name, top or root)
+        return ClearGraspReal(name, index)
+
+    return open_root
+
+
+def _rendered(name: str) -> Callable[[Path], DepthSource]:
+    def open_root(root: Path) -> DepthSource:
+        index = list_rendered(find_all(root, ("synthetic-val", "synthetic-test")) or [root])
+        if not len(index):
+            raise _nothing(name, root)
+        return ClearGraspSynthetic(name, index)
+
+    return open_root
+
+
+def _nothing(name: str, place: Path) -> ToolkitError:
+    return ToolkitError(
+        "nothing of this split is here", path=place, value=name, hint=where_to_get(get_split(name))
+    )
+
+
+def _dreds(name: str, part: str, about: str, published: tuple[Published, ...]) -> Split:
+    # What the archives of the parts unpack to.
+    inside = {"val": ("shapenet_generate_1216",), "test": ("shapenet_generate_1216_val_novel",)}
+    folders = (f"DREDS-CatKnown/{part}", part, *inside.get(part, ()))
+    place = Place(folders, data_set="DREDS-CatKnown", part=True)
+    return Split(
+        name=name,
+        about=about,
+        layout=f"ROOT/DREDS-CatKnown/{part}/<scene>/0000_simDepthImage.exr",
+        open=_layout_scenes(name, "dreds", place),
+        page=_DREDS_PAGE,
+        download=(f"{_DREDS_FILES}DREDS-CatKnown/",),
+        published=published,
+    )
+
+
+_TRAIN_AND_VAL = Published("paper and the README", 100_200, 3340, of_more="training and validation")
+DREDS_CATKNOWN_TRAIN = _dreds(
+    "dreds-catknown-train", "train", "simulated, training shapes of 7 categories", (_TRAIN_AND_VAL,)
+)
+DREDS_CATKNOWN_VAL = _dreds(
+    "dreds-catknown-val", "val", "simulated, training shapes in other scenes", (_TRAIN_AND_VAL,)
+)
+DREDS_CATKNOWN_TEST = _dreds(
+    "dreds-catknown-test",
+    "test",
+    "simulated, new shapes of 7 categories",
+    (Published("paper and the README", 19_380, 646),),
+)
+DREDS_CATNOVEL = Split(
+    name="dreds-catnovel",
+    about="simulated, 60 objects of other categories",
+    layout="ROOT/DREDS-CatNovel/<scene>/0000_simDepthImage.exr",
+    open=_layout_scenes(
+        "dreds-catnovel", "dreds", Place(("DREDS-CatNovel",), data_set="DREDS-CatNovel")
+    ),
+    page=_DREDS_PAGE,
+    download=(f"{_DREDS_FILES}DREDS-CatNovel/",),
+    published=(Published("paper and the README", 11_520),),
+)
+STD_CATKNOWN = Split(
+    name="std-catknown",
+    about="real D415, 42 objects of 7 categories in 25 scenes",
+    layout="ROOT/STD-CatKnown/<scene>/0000_depth_415.exr",
+    open=_layout_scenes("std-catknown", "std", Place(("STD-CatKnown",), data_set="STD-CatKnown")),
+    page=_DREDS_PAGE,
+    download=(f"{_DREDS_FILES}STD-CatKnown/",),
+    published=(Published("paper", 22_500, 25), Published("README", 27_000, 25)),
+)
+STD_CATNOVEL = Split(
+    name="std-catnovel",
+    about="real D415, 8 objects of other categories in 5 scenes, all specular or transparent",
+    layout="ROOT/STD-CatNovel/<scene>/0000_depth_415.exr",
+    open=_layout_scenes(
+        "std-catnovel", "std", Place(("STD-CatNovel", "real_data_novel"), data_set="STD-CatNovel")
+    ),
+    page=_DREDS_PAGE,
+    download=(f"{_DREDS_FILES}STD-CatNovel/",),
+    published=(Published("paper", 4_500, 5), Published("README", 11_000, 5)),
+)
+CLEARGRASP_REAL_KNOWN = Split(
+    name="cleargrasp-real-known",
+    about="real D435, transparent objects of the training set (real-val)",
+    layout="ROOT/real-val/d435/000000000-transparent-depth-img.exr",
+    open=_captures("cleargrasp-real-known", Place(("real-val", "real-known"), part=True)),
+    page=_CLEARGRASP_PAGE,
+    download=(_CLEARGRASP_FILES,),
+    published=(Published("paper", 173),),
+)
+CLEARGRASP_REAL_NOVEL = Split(
+    name="cleargrasp-real-novel",
+    about="real D415 and D435, transparent objects that are new (real-test)",
+    layout="ROOT/real-test/d415/000000000-transparent-depth-img.exr",
+    open=_captures("cleargrasp-real-novel", Place(("real-test", "real-novel"), part=True)),
+    page=_CLEARGRASP_PAGE,
+    download=(_CLEARGRASP_FILES,),
+    published=(Published("paper", 113),),
+)
+CLEARGRASP_SYNTHETIC = Split(
+    name="cleargrasp-synthetic",
+    about="rendered transparent objects, known (synthetic-val) and novel (synthetic-test)",
+    layout="ROOT/synthetic-val/<object>-val/rgb-imgs/000000000-rgb.jpg",
+    open=_rendered("cleargrasp-synthetic"),
+    page=_CLEARGRASP_PAGE,
+    download=(_CLEARGRASP_FILES,),
+)
+SCENES = Split(
+    name="scenes",
+    about="scene folders of this toolkit, recorded, imported or simulated",
+    layout="ROOT/<scene>/scene.json with ground truth (`std-curate render`)",
+    open=lambda root: open_scenes("scenes", root),
+)
+STD_EXPORT = Split(
+    name="std-export",
+    about="exports of `std-curate export --format std`, several below one folder too",
+    layout="ROOT/<export>/<scene>/0000_depth_415.exr",
+    open=_open_exports,
+)

@@ -1,0 +1,231 @@
+"""The toolkit's own scene folders as frames to score.
+
+A frame counts that has sensor depth and ground truth: what `std-curate render` drew, else what an
+imported recording brought along in `reference/`. Simulated scenes know the depth of everything,
+table and floor included; all of it is ground truth.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.data.assemble import NO_COLOR, NO_DEPTH, about, check_proportions, check_same_size
+from benchmark.data.cleargrasp_real import TRANSPARENT
+from benchmark.data.frame import BACKGROUND, DepthFrame, Instance, Material
+from benchmark.data.listing import FrameIndex, SceneFolder
+from benchmark.data.maps import read_coord_picture, read_depth_map, read_id_mask
+from benchmark.data.source import FrameKey, SceneFiles
+from std_toolkit.errors import ToolkitError
+from std_toolkit.exporters.frame_maps import check_fresh
+from std_toolkit.importers.pairing import natural_key
+from std_toolkit.rendering.encoding import load_nocs
+from std_toolkit.rendering.ground_truth import info_path, map_paths, read_frame_truth
+from std_toolkit.scene.model import MATERIAL_IDS, Frame
+from std_toolkit.scene.scene import Scene
+
+# Documents of so many scenes are held at a time.
+_OPEN_SCENES = 4
+_CLEARGRASP = "import:cleargrasp"
+_SIMULATED = "simulated:"
+
+
+@dataclass(frozen=True)
+class _Truth:
+    """Files of a frame's ground truth; `rendered` by the toolkit, or brought along."""
+
+    depth: Path
+    mask: Path
+    nocs: Path
+    rendered: bool
+
+    def read_nocs(self, mask: NDArray[np.uint8]) -> NDArray[np.float32] | None:
+        if not self.nocs.is_file():
+            return None
+        if self.rendered:
+            return load_nocs(self.nocs, (mask.shape[1], mask.shape[0]))
+        return read_coord_picture(self.nocs, mask)
+
+
+@dataclass(frozen=True)
+class ToolkitScenes:
+    """Frames of toolkit scenes; see `DepthSource`. Frames are named by their files' stems.
+
+    Attributes:
+        left_out: why frames do not count, by scene: "raw depth" or "ground-truth depth" to names.
+    """
+
+    name: str
+    index: FrameIndex
+    left_out: dict[str, dict[str, list[str]]]
+    _open: dict[str, Scene] = field(default_factory=dict, repr=False, compare=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_open": {}}
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def keys(self) -> list[FrameKey]:
+        return [FrameKey(scene.name, stem) for scene, stem in self.index]
+
+    def load(self, index: int, *, sensor: bool = True, nocs: bool = False) -> DepthFrame:
+        """See `DepthSource`."""
+        listed, stem = self.index.at(index)
+        scene = self._scene(listed.path)
+        frame = next((f for f in scene.frames if f.name == stem), None)
+        if frame is None:
+            raise ToolkitError("no such frame any more", path=scene.root, value=stem)
+        camera = scene.camera(frame)
+        truth = _fresh_truth(scene, frame)
+        true, mask = read_depth_map(truth.depth), read_id_mask(truth.mask)
+        mask[mask == 0] = BACKGROUND
+        check_same_size(truth.mask, mask, true, "mask")
+        size = (true.shape[1], true.shape[0])
+        color, raw = NO_COLOR, NO_DEPTH
+        if sensor:
+            color, raw = scene.read_color(frame), _sensor_depth(scene, frame)
+        key = FrameKey(listed.name, stem)
+        try:
+            return DepthFrame(
+                scene=key.scene,
+                name=key.name,
+                color=color,
+                depth_raw=raw,
+                depth_true=true,
+                mask=mask,
+                camera=camera if camera.size == size else camera.resized(*size),
+                instances=_instances(scene, truth),
+                nocs=truth.read_nocs(mask) if nocs else None,
+            )
+        except ToolkitError as error:
+            raise about(error, key, truth.mask) from error
+
+    def files(self) -> Iterator[SceneFiles]:
+        """See `DepthSource`."""
+        for scene in self.index.scenes:
+            missing = self.left_out.get(scene.name, {})
+            lost = {name for names in missing.values() for name in names}
+            yield SceneFiles(scene.name, scene.path, len(scene.stems) + len(lost), missing)
+
+    def _scene(self, path: str) -> Scene:
+        scene = self._open.get(path)
+        if scene is None:
+            if len(self._open) >= _OPEN_SCENES:
+                self._open.pop(next(iter(self._open)))
+            scene = self._open[path] = Scene.open(path)
+        return scene
+
+
+def open_scenes(name: str, top: Path, *, depth: int = 3) -> ToolkitScenes:
+    """All toolkit scenes at and below a folder.
+
+    Args:
+        name: of the split.
+        depth: folders are entered so deep.
+
+    Raises:
+        ToolkitError: a scene's documents are damaged, or there is no scene.
+    """
+    paths = sorted(_scene_folders(top, depth), key=lambda p: natural_key(str(p)))
+    if not paths:
+        raise ToolkitError(
+            "no toolkit scene here: no folder holds a scene.json",
+            path=top,
+            hint="`std-curate import` makes scenes of recordings",
+        )
+    names = Counter(p.name for p in paths)
+    folders, left_out = [], {}
+    for path in paths:
+        unique = names[path.name] == 1 or path == top
+        scene_name = path.name if unique else "_".join(path.relative_to(top).parts)
+        listed, missing = _list_frames(Scene.open(path))
+        if missing:
+            left_out[scene_name] = missing
+        folders.append(SceneFolder(scene_name, str(path), listed))
+    return ToolkitScenes(name, FrameIndex(tuple(folders)), left_out)
+
+
+def _scene_folders(folder: Path, depth: int) -> Iterator[Path]:
+    if (folder / "scene.json").is_file():
+        yield folder
+    elif depth > 0:
+        try:
+            below = [p for p in folder.iterdir() if not p.name.startswith(".") and p.is_dir()]
+        except OSError as error:
+            raise ToolkitError(f"cannot read the folder: {error.strerror}", path=folder) from error
+        for path in below:
+            yield from _scene_folders(path, depth - 1)
+
+
+def _list_frames(scene: Scene) -> tuple[tuple[str, ...], dict[str, list[str]]]:
+    counted: list[str] = []
+    missing: dict[str, list[str]] = {"raw depth": [], "ground-truth depth": []}
+    for frame in scene.frames:
+        if frame.depth is None:
+            missing["raw depth"].append(frame.name)
+        elif _truth_files(scene, frame) is None:
+            missing["ground-truth depth"].append(frame.name)
+        else:
+            counted.append(frame.name)
+    return tuple(counted), {what: names for what, names in missing.items() if names}
+
+
+def _truth_files(scene: Scene, frame: Frame) -> _Truth | None:
+    reference = {
+        kind: scene.root / "reference" / kind / f"{frame.name}{suffix}"
+        for kind, suffix in (("depth", ".exr"), ("mask", ".png"), ("nocs", ".png"))
+    }
+    if info_path(scene.root, frame.id).is_file():
+        maps = map_paths(scene.root, frame.id)
+        dense = scene.info.source.startswith(_SIMULATED) and reference["depth"].is_file()
+        depth = reference["depth"] if dense else maps["depth"]
+        return _Truth(depth, maps["mask"], maps["nocs"], rendered=True)
+    if reference["depth"].is_file() and reference["mask"].is_file():
+        return _Truth(reference["depth"], reference["mask"], reference["nocs"], rendered=False)
+    return None
+
+
+def _fresh_truth(scene: Scene, frame: Frame) -> _Truth:
+    found = _truth_files(scene, frame)
+    if found is None:
+        raise ToolkitError(
+            "the frame has no ground truth any more", path=scene.root, value=frame.name
+        )
+    if found.rendered:
+        check_fresh(scene, read_frame_truth(scene, frame.id))
+    return found
+
+
+def _sensor_depth(scene: Scene, frame: Frame) -> NDArray[np.float32]:
+    if frame.depth is not None and frame.depth.endswith(".exr"):
+        path = scene.root / frame.depth
+        depth = read_depth_map(path) * np.float32(scene.info.depth_correction)
+        check_proportions(path, depth, scene.camera(frame).size)
+        return depth
+    read = scene.read_depth(frame)
+    if read is None:
+        raise ToolkitError("the frame has no sensor depth", path=scene.root, value=frame.name)
+    return read
+
+
+def _instances(scene: Scene, truth: _Truth) -> tuple[Instance, ...]:
+    if not truth.rendered and scene.info.source == _CLEARGRASP:
+        return (TRANSPARENT,)
+    models = {m.id: m for m in scene.objects.models}
+    return tuple(
+        Instance(
+            mask_id=thing.id,
+            class_id=models[thing.model].class_id,
+            material=Material(MATERIAL_IDS[thing.material]),
+            category=models[thing.model].category,
+            model=thing.model,
+        )
+        for thing in scene.objects.objects
+    )
