@@ -110,16 +110,24 @@ class NetworkRestorer:
             return images
         return interpolate(images, size=self.input_size[::-1], mode="nearest")
 
+    def skeleton(self) -> nn.Module:
+        """The network as published, for its parameters and its cost; it may be without weights."""
+        return self.network
+
     @property
     def parameter_count(self) -> int:
-        """Parameters of the network."""
-        return parameter_count(self.network)
+        """Parameters of the network as published."""
+        return parameter_count(self.skeleton())
 
     def macs(self, view: View) -> int:
-        """Multiplications with addition that one view costs; those of element-wise work are not
-        counted."""
+        """Multiplications with addition that one view costs the network as published.
+
+        Those of element-wise work are not counted.
+        """
+        skeleton = self.skeleton()
+        device = next(skeleton.parameters()).device
         with torch.inference_mode():
-            return count_macs(self.network, *self.inputs([view]))
+            return count_macs(skeleton, *(tensor.to(device) for tensor in self.inputs([view])))
 
 
 def color_and_depth(views: Sequence[View], device: torch.device) -> tuple[Tensor, Tensor]:

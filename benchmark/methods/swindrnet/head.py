@@ -56,7 +56,7 @@ class UPerHead(nn.Module):
         self.dropout = nn.Dropout2d(dropout)
         self.conv_seg = nn.Conv2d(channels, outputs, 1)
         nn.init.normal_(self.conv_seg.weight, std=0.01)
-        nn.init.zeros_(self.conv_seg.bias)
+        self.conv_seg.bias = nn.Parameter(torch.zeros(outputs))
 
     def forward(self, levels: Sequence[Tensor]) -> Tensor:
         """(b, c, h, w) levels, each half the size of the one before, to (b, outputs, h, w)."""

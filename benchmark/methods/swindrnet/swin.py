@@ -63,9 +63,8 @@ class Swin(nn.Module):
         tokens = self.patch_embed(image)
         levels = []
         for index, stage in enumerate(self.layers):
-            tokens = stage(tokens)
-            levels.append(self.get_submodule(f"norm{index}")(tokens))
-            tokens = stage.downsample(tokens)
+            whole, tokens = stage(tokens)
+            levels.append(self.get_submodule(f"norm{index}")(whole))
         return levels
 
 
@@ -95,12 +94,13 @@ class Stage(nn.Module):
             Block(channels, heads, window, window // 2 * (index % 2), drop)
             for index, drop in enumerate(drops)
         )
-        self.downsample: nn.Module = PatchMerging(channels) if downsample else nn.Identity()
+        self.downsample = PatchMerging(channels) if downsample else nn.Identity()
 
-    def forward(self, tokens: Tensor) -> Tensor:
+    def forward(self, tokens: Tensor) -> tuple[Tensor, Tensor]:
+        """The tokens after the blocks, and those that the next level begins with."""
         for block in self.blocks:
             tokens = block(tokens)
-        return tokens
+        return tokens, self.downsample(tokens)
 
 
 class Block(nn.Module):
