@@ -88,7 +88,8 @@ class SplitReport:
             lines.append(f"  {what}: " + ", ".join(f"{w}x{h}" for w, h in sizes))
         for what, names in self.missing.items():
             more = ", ..." if len(names) > _NAMED else ""
-            lines.append(f"  no {what}: {len(names)} of the frames, as {', '.join(names[:_NAMED])}{more}")
+            named = ", ".join(names[:_NAMED])
+            lines.append(f"  no {what}: {len(names)} of the frames, as {named}{more}")
         return lines + [f"  cannot be read: {text}" for text in self.unreadable]
 
 
