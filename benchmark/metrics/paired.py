@@ -130,6 +130,11 @@ def compare_methods(
 
     Raises:
         ToolkitError: a column is missing, or a method has a frame twice.
+
+    >>> rows = pd.DataFrame({"method": list("aabb"), "scene": list("xyxy"), "frame": 0})
+    >>> found = compare_methods(rows.assign(rmse=[1.0, 2.0, 3.0, 4.0]))
+    >>> found[["first", "second", "difference", "frames"]].to_numpy().tolist()
+    [['a', 'b', -2.0, 2]]
     """
     key = ["method", "scene", "frame"]
     absent = [name for name in (*key, metric) if name not in rows]

@@ -141,7 +141,13 @@ def tally(
 
 
 def as_real(depth: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Depth as it is computed with: float64 as it is, shorter types as float32.
+    """Depth as it is computed with.
+
+    Args:
+        depth: metres of any floating-point type.
+
+    Returns:
+        float64 as it is, shorter types as float32.
 
     >>> as_real(np.zeros(2, np.float16)).dtype
     dtype('float32')

@@ -96,6 +96,14 @@ def score_depth(
 
     Raises:
         ToolkitError: as `score_frame`.
+
+    >>> from benchmark.data.frame import Material
+    >>> from benchmark.protocols.registry import get_protocol
+    >>> true, mask = np.ones((4, 4), np.float32), np.zeros((4, 4), np.uint8)
+    >>> mug = Instance(0, 6, Material.SPECULAR)
+    >>> first = score_depth(true + np.float32(0.04), true, mask, [mug], get_protocol())[0]
+    >>> first.grid, first.subset, first.errors.n_pixels, first.errors.d105
+    ('h126w224', 'all', 28224, 1.0)
     """
     if restored is None:
         restored = np.zeros((1, 1), np.float32)

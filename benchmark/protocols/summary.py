@@ -39,6 +39,12 @@ def summarise(
 
     Raises:
         ToolkitError: a column is missing.
+
+    >>> from benchmark.metrics.depth import depth_errors
+    >>> images = [depth_errors(np.full(2, x), np.ones(2)).as_dict() for x in (1.0, 1.5)]
+    >>> table = summarise(pd.DataFrame([{"method": "raw", **image} for image in images]))
+    >>> table[["method", "frames", "mae"]].to_numpy().tolist()
+    [['raw', 2, 0.25]]
     """
     groups = [g for g in GROUPS if g in rows] if by is None else list(by)
     needed = [*groups, "n_pixels", "n_answered", *OVER_ALL, *OVER_ANSWERED]

@@ -1,0 +1,52 @@
+"""The examples in the documentation of metrics and protocols run, and none is missing."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import inspect
+import pkgutil
+from types import ModuleType
+
+import pytest
+
+import benchmark.metrics
+import benchmark.protocols
+
+NAMES = [
+    f"{package.__name__}.{module.name}"
+    for package in (benchmark.metrics, benchmark.protocols)
+    for module in pkgutil.iter_modules(package.__path__)
+]
+NEVER_RAISE = {"as_real", "holm"}
+
+
+def imported(name: str) -> ModuleType:
+    if name.endswith("_torch"):
+        pytest.importorskip("torch")
+    return importlib.import_module(name)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_examples_run(name: str) -> None:
+    module = imported(name)
+    found = doctest.testmod(module, optionflags=doctest.NORMALIZE_WHITESPACE)
+    assert found.failed == 0
+
+
+@pytest.mark.parametrize("name", [n for n in NAMES if n.startswith("benchmark.metrics.")])
+def test_public_functions_say_what_they_take_and_give(name: str) -> None:
+    module = imported(name)
+    functions = [
+        f
+        for key, f in inspect.getmembers(module, inspect.isfunction)
+        if f.__module__ == name and not key.startswith("_")
+    ]
+    for function in functions:
+        text, signature = function.__doc__ or "", inspect.signature(function)
+        if not signature.parameters:
+            continue
+        assert ">>>" in text, function
+        assert "Args:" in text, function
+        assert "Raises:" in text or function.__name__ in NEVER_RAISE, function
+        assert "Returns:" in text or signature.return_annotation == "None", function
