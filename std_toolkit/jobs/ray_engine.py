@@ -35,6 +35,8 @@ def run_on_ray(
         _connect(options)
     # Ray retries tasks whose worker died; exceptions of the function itself come as outcomes.
     remote = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(_call)
+    if options.gpus:
+        remote = remote.options(num_gpus=options.gpus)
     running: dict[Any, int] = {}
     try:
         shared = ray.put(call)

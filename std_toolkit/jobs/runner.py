@@ -31,12 +31,14 @@ class JobOptions:
         engine: "local" processes, "serial" in this process, or "ray" (extra `[cluster]`).
         workers: number of processes or Ray tasks at a time; default: the usable cores.
         ray_address: of a running cluster; default: start one on this machine.
+        gpus: GPUs that Ray sets aside for each task, which then sees no others; may be a share.
         progress: show a progress bar when stderr is a terminal.
     """
 
     engine: Engine = "local"
     workers: int | None = None
     ray_address: str | None = None
+    gpus: float = 0.0
     progress: bool = True
 
     def __post_init__(self) -> None:
@@ -44,6 +46,8 @@ class JobOptions:
             raise ToolkitError("unknown engine", value=self.engine, hint=f"one of {ENGINES}")
         if self.workers is not None and self.workers < 1:
             raise ToolkitError("must be at least 1", field="workers", value=self.workers)
+        if not self.gpus >= 0:
+            raise ToolkitError("must not be negative", field="gpus", value=self.gpus)
 
     @property
     def worker_count(self) -> int:

@@ -1,0 +1,174 @@
+"""`std-bench`: score depth restorers on the splits of STD, DREDS and ClearGrasp."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from std_toolkit import __version__
+from std_toolkit.cli.job_arguments import add_job_arguments, job_options
+from std_toolkit.cli.outcome import exit_status
+from std_toolkit.errors import ToolkitError
+from std_toolkit.log import log_to_stderr
+
+PRECISIONS = ("fp32", "bf16", "fp16")
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser; imports no heavy library."""
+    parser = argparse.ArgumentParser(
+        prog="std-bench",
+        description="Score methods that restore depth. What is scored already is kept: run the "
+        "same command again to go on. `std-report` makes tables and pages of the results.",
+    )
+    add = parser.add_argument
+    add("--version", action="version", version=f"std-toolkit {__version__}")
+    add("--debug", action="store_true", help="show the traceback of an error")
+
+    what = parser.add_argument_group("what is scored")
+    add = what.add_argument
+    add("--method", nargs="+", metavar="NAME", help="see --list-methods, or package.module:Class")
+    add(
+        "--data",
+        nargs="+",
+        metavar="[SPLIT=]ROOT",
+        help="folder of the data sets, or of one split",
+    )
+    add("--split", nargs="+", metavar="NAME", help="see --list-splits")
+    add("--out", type=Path, metavar="DIR", help="results")
+    add("--protocol", nargs="+", default=["strict"], metavar="NAME", help="strict, paper, ...")
+    add("--limit", type=int, metavar="N", help="so many frames, evenly spread over the split")
+    add("--depth-from", type=Path, metavar="DIR", help="depth saved earlier, for the sensor's")
+
+    how = parser.add_argument_group("how the methods work")
+    add = how.add_argument
+    add("--preset", default="published", help="size of networks: published or compact")
+    add(
+        "--weights",
+        nargs="+",
+        default=[],
+        metavar="[METHOD=]FILE",
+        help="trained weights: safetensors, or a checkpoint that holds tensors alone",
+    )
+    add(
+        "--set",
+        nargs="+",
+        default=[],
+        metavar="[METHOD.]NAME=VALUE",
+        dest="settings",
+        help="a method's own settings",
+    )
+    add("--label", help="what the method is called in tables (its name)")
+    add("--device", nargs="+", default=["cpu"], metavar="NAME", help="cpu, cuda:0 cuda:1, ...")
+    add("--precision", choices=PRECISIONS, default="fp32", help="of networks")
+    add("--compile", action="store_true", help="networks through torch.compile")
+    add("--batch-size", type=int, default=8, metavar="N")
+    add("--save-depth", action="store_true", help="keep the restored depth beside the results")
+    add("--no-speed", action="store_true", help="do not measure how fast the methods are")
+    add_job_arguments(parser)
+    parser.add_argument(
+        "--gpus-per-task", type=float, default=0.0, metavar="X", help="with --engine ray"
+    )
+
+    instead = parser.add_argument_group("instead of scoring")
+    add = instead.add_argument
+    add("--list-methods", action="store_true", help="what methods there are")
+    add("--list-splits", action="store_true", help="what splits there are")
+    add("--check-data", type=Path, metavar="ROOT", help="what is there of --split, what is missing")
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit status."""
+    args = build_parser().parse_args(arguments)
+    log_to_stderr(logging.INFO)
+    return exit_status(lambda: _run(args), program="std-bench", debug=args.debug)
+
+
+def _run(args: argparse.Namespace) -> int:
+    if args.list_methods:
+        return _list_methods()
+    if args.list_splits:
+        return _list_splits()
+    if args.check_data is not None:
+        return _check_data(args)
+    return _score(args)
+
+
+def _score(args: argparse.Namespace) -> int:
+    for name in ("method", "data", "split", "out"):
+        if not getattr(args, name):
+            raise ToolkitError(
+                "is needed", field=f"--{name}", hint="`std-bench --help` tells all options"
+            )
+    from benchmark.running.campaign import run_all
+    from benchmark.running.plan import Wishes, plan_runs
+    from benchmark.running.results import read_run
+    from benchmark.running.show import results_table
+
+    wishes = Wishes(
+        methods=tuple(args.method),
+        splits=tuple(args.split),
+        protocols=tuple(args.protocol),
+        data=tuple(args.data),
+        out=args.out,
+        preset=args.preset,
+        precision=args.precision,
+        compile=args.compile,
+        weights=tuple(args.weights),
+        settings=tuple(args.settings),
+        label=args.label,
+        devices=tuple(args.device),
+        batch_size=args.batch_size,
+        limit=args.limit,
+        save_depth=args.save_depth,
+        depth_from=args.depth_from,
+    )
+    jobs = replace(job_options(args), gpus=args.gpus_per_task)
+    report = run_all(plan_runs(wishes), jobs, speed=not args.no_speed)
+    if report.finished:
+        print(results_table([read_run(run.folder) for run in report.finished]))
+    for title, error in report.failed.items():
+        print(f"error: {title}: {error}", file=sys.stderr)
+    return 1 if report.failed or report.failed_frames else 0
+
+
+def _list_methods() -> int:
+    import inspect
+
+    from benchmark.methods.registry import restorers
+
+    for name in restorers.names():
+        try:
+            about = (inspect.getdoc(restorers.get(name)) or "").partition("\n")[0]
+        except ToolkitError as error:
+            about = f"not usable here: {error.problem}"
+        print(f"{name:16} {about}")
+    return 0
+
+
+def _list_splits() -> int:
+    from benchmark.data.splits import get_split, splits
+
+    for name in splits.names():
+        print(f"{name:24} {get_split(name).about}")
+    return 0
+
+
+def _check_data(args: argparse.Namespace) -> int:
+    from benchmark.data.check import check_split
+
+    if not args.split:
+        raise ToolkitError("is needed", field="--split", hint="--list-splits tells their names")
+    reports = [check_split(args.check_data, name) for name in args.split]
+    for report in reports:
+        print(report.text())
+    return 0 if all(report.is_complete for report in reports) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

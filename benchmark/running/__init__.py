@@ -1,0 +1,1 @@
+"""Scoring of methods over splits: batches, resume, tables, manifests, speed."""

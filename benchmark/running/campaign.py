@@ -1,0 +1,104 @@
+"""Several runs one after the other; one that cannot run does not keep the others from it."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, field, replace
+
+from benchmark.methods.registry import make_restorer
+from benchmark.protocols.registry import get_protocol
+from benchmark.running.batch import frame_view
+from benchmark.running.manifest import hardware
+from benchmark.running.parts import ERROR, FAILURES, INDEX
+from benchmark.running.run import Run, UnusableMethod, chosen_frames, run_method, source_of
+from benchmark.running.speed import SPEED, Speed, measure_speed
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import write_document
+from std_toolkit.jobs import JobOptions
+from std_toolkit.log import logger
+
+
+@dataclass
+class CampaignReport:
+    """What became of the runs.
+
+    Attributes:
+        finished: the runs that have a table.
+        failed: an error line for each of the others.
+        failed_frames: frames without a score, over all runs.
+    """
+
+    finished: list[Run] = field(default_factory=list)
+    failed: dict[str, str] = field(default_factory=dict)
+    failed_frames: int = 0
+
+
+def run_all(
+    runs: Sequence[Run], jobs: JobOptions | None = None, *, speed: bool = True
+) -> CampaignReport:
+    """Run everything; see `run_method`.
+
+    Args:
+        runs: in the order that they are to run in.
+        jobs: where the work runs.
+        speed: also time each method.
+
+    Raises:
+        ToolkitError: a split's data are not there, or no such protocol; nothing has run then.
+    """
+    for run in {(r.split, r.root): r for r in runs}.values():
+        source_of(run)  # before anything runs: data that are not there are told once
+    for protocol in {run.protocol for run in runs}:
+        get_protocol(protocol)
+    report = CampaignReport()
+    unusable: set[tuple[str, str]] = set()
+    for run in runs:
+        if (run.method, run.label) in unusable:
+            continue
+        try:
+            table = run_method(run, jobs)
+            if bad := int(table.loc[table[ERROR].notna(), INDEX].nunique()):
+                report.failed_frames += bad
+                logger.warning("%s: %d frames failed: %s", run.title, bad, run.folder / FAILURES)
+            if speed and not (run.folder / SPEED).exists():
+                write_document(run.folder / SPEED, speed_of(run))
+        except UnusableMethod as error:
+            unusable.add((run.method, run.label))
+            report.failed[run.label] = str(error)
+        except ToolkitError as error:
+            report.failed[run.title] = str(error)
+        else:
+            report.finished.append(run)
+    return report
+
+
+def speed_of(run: Run) -> Speed:
+    """Time the method on a frame of the run, in a process of its own, whose memory is its own.
+
+    Raises:
+        ToolkitError: no frame can be read, or the method fails on it.
+    """
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=context) as pool:
+        try:
+            return pool.submit(_speed_here, run).result()
+        except BrokenProcessPool as error:
+            raise ToolkitError(
+                "the process that times the method died (killed, or out of memory)",
+                value=run.title,
+                hint="--no-speed leaves the timing out",
+            ) from error
+
+
+def _speed_here(run: Run) -> Speed:
+    source = source_of(run)
+    restorer = make_restorer(run.method, replace(run.options, device=run.devices[0]))
+    protocol = get_protocol(run.protocol)
+    index = chosen_frames(len(source), 1)[0]
+    view = frame_view(source.load(index), restorer, protocol)
+    where = hardware()
+    on_gpu = run.devices[0].startswith("cuda")
+    return measure_speed(restorer, [view], hardware=where["gpus" if on_gpu else "processor"])

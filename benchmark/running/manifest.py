@@ -1,0 +1,140 @@
+"""What a run was: everything that decides its numbers, and the circumstances it ran in."""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import msgspec
+
+from std_toolkit import __version__
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import read_document, write_document
+
+MANIFEST = "run.json"
+_PACKAGES = ("numpy", "opencv-python-headless", "pandas", "pyarrow", "scipy", "torch")
+
+
+class Setup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What decides a run's numbers; a run goes on only with the same.
+
+    Attributes:
+        split: name of the split.
+        frames: number of frames.
+        frames_sha256: hash over the frames' names.
+        method, preset, settings: the restorer and its options.
+        weights_sha256: hash of the file of weights; empty where there is none.
+        precision, compile, device: of the network; device is its kind, `cpu` or `cuda`.
+        protocol: the scoring protocol.
+        batch_size: frames that go through the method together.
+        depth_from: folder whose depth took the place of the sensor's; empty for the sensor's own.
+    """
+
+    split: str
+    frames: int
+    frames_sha256: str
+    method: str
+    preset: str
+    settings: dict[str, str]
+    weights_sha256: str
+    precision: str
+    compile: bool
+    device: str
+    protocol: str
+    batch_size: int
+    depth_from: str
+
+
+class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A run's setup and its circumstances, which only tell a reader where it ran.
+
+    Attributes:
+        version_of_tool: of this package.
+        label: what the method is called in tables.
+        root: where the data lay.
+        weights: the file of weights, as it was named.
+        packages: versions of the libraries that compute.
+        hardware: processor, cores and GPUs.
+    """
+
+    version_of_tool: str
+    label: str
+    setup: Setup
+    root: str
+    weights: str
+    packages: dict[str, str]
+    hardware: dict[str, str]
+
+
+def begin(folder: Path, manifest: Manifest) -> None:
+    """Write the manifest of a new run, or see that the run that was begun there is the same.
+
+    Raises:
+        ToolkitError: another run was begun there; the field that differs is named.
+    """
+    path = folder / MANIFEST
+    if not path.exists():
+        if any(p.name[0] != "." for p in folder.iterdir()):
+            raise ToolkitError(
+                f"the folder holds files but no {MANIFEST}",
+                path=folder,
+                hint="choose another --out",
+            )
+        write_document(path, manifest)
+        return
+    begun = read_document(path, Manifest)
+    for name in Setup.__struct_fields__:
+        was, now = getattr(begun.setup, name), getattr(manifest.setup, name)
+        if was != now:
+            raise ToolkitError(
+                f"these results were begun with {was!r}",
+                path=path,
+                field=f"setup.{name}",
+                value=now,
+                hint="give the new run a name of its own with --label, or another --out",
+            )
+
+
+def manifest_of(setup: Setup, *, label: str, root: Path, weights: Path | None) -> Manifest:
+    """A manifest with this machine's circumstances."""
+    return Manifest(
+        version_of_tool=__version__,
+        label=label,
+        setup=setup,
+        root=str(root),
+        weights=str(weights or ""),
+        packages=_versions(),
+        hardware=hardware(),
+    )
+
+
+def _versions() -> dict[str, str]:
+    found = {"python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def hardware() -> dict[str, str]:
+    """Processor, usable cores, and the GPUs that torch sees if something has loaded torch."""
+    found = {"processor": _processor(), "cores": str(len(os.sched_getaffinity(0)))}
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.cuda.is_available():
+        names = [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())]
+        found["gpus"] = ", ".join(names)
+    return found
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()

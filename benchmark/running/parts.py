@@ -1,0 +1,117 @@
+"""The table of a run while it grows: one small Parquet file for every few batches.
+
+A file appears whole or not at all, and names the frames that it holds, so that a run which was
+killed knows what it has. At the end all are joined into one table in the order of the frames.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import atomic_path
+
+TABLE = "images.parquet"
+FAILURES = "failures.csv"
+PARTS = "parts"
+_NAME = re.compile(r"(\d{7})-(\d{7})\.parquet")
+# Columns that every row has; those of the protocol's metrics follow.
+INDEX, SCENE, FRAME, ERROR = "index", "scene", "frame", "error"
+NOT_FINITE = "not_finite"  # pixels of the answer that are NaN or infinite
+
+
+def write_part(folder: Path, first: int, last: int, rows: Sequence[dict[str, Any]]) -> None:
+    """Write the rows of frames `first` to `last` (both included) of the split.
+
+    Raises:
+        ToolkitError: the file cannot be written.
+    """
+    with atomic_path(folder / PARTS / f"{first:07d}-{last:07d}.parquet") as temporary:
+        pd.DataFrame(list(rows)).to_parquet(temporary, index=False)
+
+
+def part_ranges(folder: Path) -> list[tuple[int, int, Path]]:
+    """First frame, last frame and path of every part, in order."""
+    found = [
+        (int(match[1]), int(match[2]), path)
+        for path in (folder / PARTS).glob("*.parquet")
+        if (match := _NAME.fullmatch(path.name))
+    ]
+    return sorted(found)
+
+
+def read_table(path: Path) -> pd.DataFrame:
+    """A Parquet table of ours.
+
+    Raises:
+        ToolkitError: it cannot be read.
+    """
+    try:
+        return pd.read_parquet(path)
+    except Exception as error:  # pyarrow raises OSError, ValueError and classes of its own
+        raise ToolkitError(
+            f"cannot read the table: {' '.join(str(error).split())[:200]}",
+            path=path,
+            hint="delete it and run the same command again",
+        ) from error
+
+
+def finished_frames(folder: Path) -> set[int]:
+    """Frames of the split that need not be scored again; those that failed are tried again."""
+    finished: set[int] = set()
+    for _, _, path in part_ranges(folder):
+        finished |= _good(read_table(path))
+    table = folder / TABLE
+    return finished | _good(read_table(table)) if table.exists() else finished
+
+
+def join_parts(folder: Path) -> pd.DataFrame:
+    """Join all parts with the table of earlier runs, and write `images.parquet`, `failures.csv`.
+
+    The table is the same however the frames came to be spread over parts.
+
+    Returns:
+        The rows of all frames; those that failed have a text in `error` and no figures.
+
+    Raises:
+        ToolkitError: a part cannot be read, or the table not be written.
+    """
+    paths = [path for _, _, path in part_ranges(folder)]
+    earlier = [folder / TABLE] if (folder / TABLE).exists() else []
+    table = _newest(read_table(path) for path in (*earlier, *paths))
+    if paths:
+        with atomic_path(folder / TABLE) as temporary:
+            table.to_parquet(temporary, index=False)
+        failed = table[table[ERROR].notna()]
+        with atomic_path(folder / FAILURES) as temporary:
+            told = failed[[INDEX, SCENE, FRAME, ERROR]].drop_duplicates()
+            told.to_csv(temporary, index=False)
+        for path in paths:
+            path.unlink()
+    return table
+
+
+def _newest(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
+    """One table in the order of the frames; a frame's later rows take the place of earlier ones."""
+    kept: pd.DataFrame | None = None
+    for table in tables:
+        if kept is not None:
+            # A frame that succeeded is not thrown away for a later failure.
+            good = _good(kept)
+            table = table[~(table[ERROR].notna() & table[INDEX].isin(good))]
+            kept = pd.concat([kept[~kept[INDEX].isin(table[INDEX])], table], ignore_index=True)
+        else:
+            kept = table
+    if kept is None:
+        return pd.DataFrame({INDEX: [], SCENE: [], FRAME: [], ERROR: []})
+    # Stable: the rows of one frame keep the order in which the protocol gave them.
+    return kept.sort_values(INDEX, kind="stable", ignore_index=True)
+
+
+def _good(table: pd.DataFrame) -> set[int]:
+    return set(table.loc[table[ERROR].isna(), INDEX].tolist())

@@ -1,0 +1,148 @@
+"""From what a user types to the runs that it means."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
+
+from benchmark.methods.registry import MethodOptions
+from benchmark.running.run import Run
+from std_toolkit.errors import ToolkitError
+
+_LABEL = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wishes:
+    """What a user asks for; every method is scored on every split by every protocol.
+
+    Attributes:
+        methods, splits, protocols: names.
+        data: folders; `SPLIT=ROOT` is for one split, `ROOT` for all others.
+        out: folder of results.
+        preset, precision, compile: of networks.
+        weights: `METHOD=FILE`, or `FILE` where there is one method.
+        settings: `METHOD.NAME=VALUE`, or `NAME=VALUE` where there is one method.
+        label: name in tables, where there is one method.
+        devices, batch_size, limit, save_depth, depth_from: as in `Run`.
+    """
+
+    methods: tuple[str, ...]
+    splits: tuple[str, ...]
+    protocols: tuple[str, ...] = ("strict",)
+    data: tuple[str, ...]
+    out: Path
+    preset: str = "published"
+    precision: str = "fp32"
+    compile: bool = False
+    weights: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()
+    label: str | None = None
+    devices: tuple[str, ...] = ("cpu",)
+    batch_size: int = 8
+    limit: int | None = None
+    save_depth: bool = False
+    depth_from: Path | None = None
+    roots: dict[str | None, Path] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        for name in ("methods", "splits", "protocols", "data", "devices"):
+            values = getattr(self, name)
+            if not values:
+                raise ToolkitError("needs at least one value", field=name)
+            if twice := [v for v in values if values.count(v) > 1]:
+                raise ToolkitError("is given twice", field=name, value=twice[0])
+        for name in ("batch_size", "limit"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise ToolkitError("must be at least 1", field=name, value=value)
+        if self.label is not None and len(self.methods) > 1:
+            raise ToolkitError("names one method, not several", field="label", value=self.label)
+        object.__setattr__(self, "roots", dict(_root(text) for text in self.data))
+
+
+def plan_runs(wishes: Wishes) -> list[Run]:
+    """The runs, method by method so that each network is loaded once.
+
+    Raises:
+        ToolkitError: weights or settings for a method that is not asked for, a split without
+            data, or a label that cannot be a folder's name.
+    """
+    weights = {m: Path(text) for m, text in _by_method(wishes.weights, wishes, "weights", "=")}
+    settings: dict[str, dict[str, str]] = {method: {} for method in wishes.methods}
+    for method, text in _by_method(wishes.settings, wishes, "settings", "."):
+        name, equals, value = text.partition("=")
+        if not (name and equals):
+            raise ToolkitError("expected NAME=VALUE", field="settings", value=text)
+        settings[method][name] = value
+    return [
+        Run(
+            split=split,
+            root=_data_of(split, wishes),
+            method=method,
+            options=MethodOptions(
+                preset=wishes.preset,
+                weights=weights.get(method),
+                precision=wishes.precision,  # type: ignore[arg-type]
+                compile=wishes.compile,
+                settings=settings[method],
+            ),
+            protocol=protocol,
+            label=_label(wishes.label or method.replace(":", ".")),
+            out=wishes.out,
+            devices=wishes.devices,
+            batch_size=wishes.batch_size,
+            limit=wishes.limit,
+            save_depth=wishes.save_depth,
+            depth_from=wishes.depth_from,
+        )
+        for method, split, protocol in product(wishes.methods, wishes.splits, wishes.protocols)
+    ]
+
+
+def _root(text: str) -> tuple[str | None, Path]:
+    split, equals, root = text.partition("=")
+    # A folder's own name may hold "=".
+    return (split, Path(root)) if equals and not Path(text).exists() else (None, Path(text))
+
+
+def _data_of(split: str, wishes: Wishes) -> Path:
+    root = wishes.roots.get(split, wishes.roots.get(None))
+    if root is None:
+        raise ToolkitError("no data for this split", field="data", value=split, hint="give ROOT")
+    return root
+
+
+def _by_method(
+    texts: Sequence[str], wishes: Wishes, field_name: str, separator: str
+) -> list[tuple[str, str]]:
+    """Pairs of a method and what is told of it."""
+    found = []
+    for text in texts:
+        method = next((m for m in wishes.methods if text.startswith(m + separator)), None)
+        if method is not None:
+            found.append((method, text.removeprefix(method + separator)))
+        elif len(wishes.methods) == 1:
+            found.append((wishes.methods[0], text))
+        else:
+            raise ToolkitError(
+                "does not say which method it is for",
+                field=field_name,
+                value=text,
+                hint=f"METHOD{separator}..., with one of {', '.join(wishes.methods)}",
+            )
+    return found
+
+
+def _label(text: str) -> str:
+    if not _LABEL.fullmatch(text):
+        raise ToolkitError(
+            "must be usable as a folder's name",
+            field="label",
+            value=text,
+            hint="letters, digits and . _ + -",
+        )
+    return text

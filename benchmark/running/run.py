@@ -1,0 +1,244 @@
+"""One method over one split by one protocol: in batches, resumable, over many workers."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from benchmark.data.saved import WithSavedDepth
+from benchmark.data.source import DepthSource
+from benchmark.data.splits import open_split
+from benchmark.methods.protocol import Restorer
+from benchmark.methods.registry import MethodOptions, make_restorer
+from benchmark.protocols.registry import get_protocol
+from benchmark.running.batch import Loaded, load_frames, score_batch
+from benchmark.running.device import claim_device
+from benchmark.running.manifest import Setup, begin, manifest_of
+from benchmark.running.parts import finished_frames, join_parts, write_part
+from benchmark.running.saving import save_depth
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import sweep_temporaries
+from std_toolkit.jobs import JobOptions, run_jobs
+from std_toolkit.scene.lock import hold_lock
+from std_toolkit.scene.provenance import digest_file
+
+# A killed worker loses what it has not written; a method slower than this writes every batch.
+_FLUSH_S = 2.0
+# Items per worker: enough that no worker waits long for the slowest at the end.
+_ITEMS_PER_WORKER = 16
+_LONGEST_ITEM = 64
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """What is scored, by what, how.
+
+    Attributes:
+        split, root: name of the split and folder of the data.
+        method, options: the restorer; `options.device` is ignored in favour of `devices`.
+        devices: torch devices, of which each worker takes one.
+        protocol: name of the scoring protocol.
+        label: what the method is called in tables.
+        out: folder of results.
+        batch_size: frames that go through the method together.
+        limit: of frames, evenly spread over the split; None for all.
+        save_depth: keep the restored depth, in the data set's own format.
+        depth_from: folder of depth saved so, which takes the place of the sensor's.
+    """
+
+    split: str
+    root: Path
+    method: str
+    options: MethodOptions
+    protocol: str
+    label: str
+    out: Path
+    devices: tuple[str, ...] = ("cpu",)
+    batch_size: int = 8
+    limit: int | None = None
+    save_depth: bool = False
+    depth_from: Path | None = None
+
+    @property
+    def folder(self) -> Path:
+        """Where this run's files lie."""
+        return self.out / self.split / self.label / self.protocol
+
+    @property
+    def title(self) -> str:
+        """For people."""
+        return f"{self.label} on {self.split}, {self.protocol}"
+
+
+class UnusableMethod(ToolkitError):
+    """A method that cannot be made with these options, whatever the data."""
+
+
+def run_method(run: Run, jobs: JobOptions | None = None) -> pd.DataFrame:
+    """Score what has not been scored yet.
+
+    Frames are numbered by their place in the split, and batches by their frames: whatever is
+    interrupted, killed or spread over machines, the table is the same in the end.
+
+    Returns:
+        One row per frame, grid and subset, as in `images.parquet`; frames that failed have a
+        text in `error`.
+
+    Raises:
+        ToolkitError: data, method, weights or protocol cannot be used, or another run was begun
+            in this folder.
+    """
+    jobs = jobs or JobOptions()
+    source = source_of(run)
+    chosen = chosen_frames(len(source), run.limit)
+    get_protocol(run.protocol)
+    # Once and at once, and not first in every worker: a wrong option is told in one line.
+    restorer = _usable(run)
+    run.folder.mkdir(parents=True, exist_ok=True)
+    with hold_lock(run.folder, "lock", doing="writing to"):
+        begin(
+            run.folder,
+            manifest_of(
+                _setup(run, source, restorer, chosen),
+                label=run.label,
+                root=run.root,
+                weights=run.options.weights,
+            ),
+        )
+        sweep_temporaries(run.folder)
+        done = finished_frames(run.folder)
+        batches = [b for b in _batches(chosen, run.batch_size) if not done.issuperset(b)]
+        if jobs.workers is None and hasattr(restorer, "network"):
+            # A network uses all of a device; a second process would only double its memory.
+            jobs = replace(jobs, workers=len(run.devices))
+        del restorer
+        report = run_jobs(
+            _Worker(run),
+            _items(batches, jobs.worker_count),
+            name=run.title,
+            key=lambda item: f"frames {item[0][0]} to {item[-1][-1]}",
+            options=jobs,
+        )
+        table = join_parts(run.folder)
+    report.raise_if_failed()
+    return table
+
+
+def _usable(run: Run) -> Restorer:
+    try:
+        return make_restorer(run.method, replace(run.options, device=run.devices[0]))
+    except ToolkitError as error:
+        raise UnusableMethod(
+            error.problem, path=error.path, field=error.field, value=error.value, hint=error.hint
+        ) from error
+
+
+def source_of(run: Run) -> DepthSource:
+    """The frames of a run.
+
+    Raises:
+        ToolkitError: no such split, or its data is not there.
+    """
+    source = open_split(run.split, run.root)
+    return source if run.depth_from is None else WithSavedDepth(source, run.depth_from)
+
+
+def chosen_frames(total: int, limit: int | None) -> list[int]:
+    """Frames of a split that a run takes: all, or `limit` of them evenly spread."""
+    if limit is None or limit >= total:
+        return list(range(total))
+    return [(2 * i + 1) * total // (2 * limit) for i in range(limit)]
+
+
+Batch = tuple[int, ...]
+
+
+def _batches(frames: Sequence[int], size: int) -> list[Batch]:
+    return [tuple(frames[i : i + size]) for i in range(0, len(frames), size)]
+
+
+def _items(batches: Sequence[Batch], workers: int) -> list[tuple[Batch, ...]]:
+    each = max(1, min(_LONGEST_ITEM, len(batches) // (workers * _ITEMS_PER_WORKER)))
+    return [tuple(batches[i : i + each]) for i in range(0, len(batches), each)]
+
+
+class _Worker:
+    """Scores batches in a worker process, which keeps data set and network from item to item."""
+
+    def __init__(self, run: Run) -> None:
+        self.run = run
+
+    def __call__(self, batches: Sequence[Batch]) -> int:
+        source, restorer = _equipment(self.run)
+        protocol = get_protocol(self.run.protocol)
+        keys = source.keys()
+        keep = partial(save_depth, self.run.folder, source.name) if self.run.save_depth else None
+        rows: list[dict[str, Any]] = []
+        pending: list[Batch] = []
+        since = time.monotonic()
+        for batch, loaded in _ahead(source, batches):
+            rows += score_batch(batch, [keys[i] for i in batch], loaded, restorer, protocol, keep)
+            pending.append(batch)
+            if time.monotonic() - since > _FLUSH_S:
+                self._flush(pending, rows)
+                rows, pending, since = [], [], time.monotonic()
+        if pending:
+            self._flush(pending, rows)
+        return sum(len(batch) for batch in batches)
+
+    def _flush(self, batches: Sequence[Batch], rows: Sequence[dict[str, Any]]) -> None:
+        write_part(self.run.folder, batches[0][0], batches[-1][-1], rows)
+
+
+def _ahead(source: DepthSource, batches: Sequence[Batch]) -> Iterator[tuple[Batch, list[Loaded]]]:
+    """Batches with their frames; the next is read while the method works on this one."""
+    with ThreadPoolExecutor(1) as reader:
+        coming = reader.submit(load_frames, source, batches[0])
+        for place, batch in enumerate(batches):
+            loaded = coming.result()
+            if place + 1 < len(batches):
+                coming = reader.submit(load_frames, source, batches[place + 1])
+            yield batch, loaded
+
+
+_kept: dict[str, tuple[DepthSource, Restorer]] = {}
+
+
+def _equipment(run: Run) -> tuple[DepthSource, Restorer]:
+    """Data set and method of this process; those of an earlier run make room."""
+    key = repr(run)
+    if key not in _kept:
+        _kept.clear()
+        device = claim_device(run.devices, run.folder / ".devices")
+        restorer = make_restorer(run.method, replace(run.options, device=device))
+        _kept[key] = (source_of(run), restorer)
+    return _kept[key]
+
+
+def _setup(run: Run, source: DepthSource, restorer: Restorer, chosen: Sequence[int]) -> Setup:
+    keys = source.keys()
+    names = "\n".join(str(keys[i]) for i in chosen)
+    weights = getattr(restorer, "weights", None)
+    return Setup(
+        split=run.split,
+        frames=len(chosen),
+        frames_sha256=hashlib.sha256(names.encode()).hexdigest(),
+        method=run.method,
+        preset=run.options.preset,
+        settings=dict(run.options.settings),
+        weights_sha256="" if weights is None else digest_file(weights),
+        precision=run.options.precision,
+        compile=run.options.compile,
+        device=run.devices[0].partition(":")[0],
+        protocol=run.protocol,
+        batch_size=run.batch_size,
+        depth_from="" if run.depth_from is None else str(run.depth_from.resolve()),
+    )

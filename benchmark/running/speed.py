@@ -1,0 +1,99 @@
+"""How fast a method is, and what it costs: warm, on frames of the split it is scored on."""
+
+from __future__ import annotations
+
+import resource
+import statistics
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+
+from benchmark.methods.protocol import Restorer, View
+
+SPEED = "speed.json"
+# The first calls compile, allocate and fill caches.
+WARM_UP = 2
+FEWEST = 3
+LONGEST_S = 10.0
+
+
+class Speed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Cost of a method.
+
+    Attributes:
+        frames_per_s: of batches of `batch_size`, from the median time of a batch, warm; reading
+            and scoring are not in it.
+        batch_size: frames restored together.
+        width, height: of the views.
+        repeats: timed batches.
+        parameters: of the network; None for a method without one.
+        gmacs: 1e9 multiplications with addition per frame, element-wise work left out; None for
+            a method without a network, or one that cannot be counted.
+        peak_memory_mib: on a GPU what torch held at most; else the most this process ever had
+            resident, with libraries and data.
+        hardware: processor or GPU.
+    """
+
+    frames_per_s: float
+    batch_size: int
+    width: int
+    height: int
+    repeats: int
+    parameters: int | None
+    gmacs: float | None
+    peak_memory_mib: float
+    hardware: str
+
+
+def measure_speed(
+    restorer: Restorer, views: Sequence[View], *, hardware: str, repeats: int = 15
+) -> Speed:
+    """Time a method on a batch of views: `repeats` times, less often where it is slow."""
+    device = _gpu(restorer)
+    for _ in range(WARM_UP):
+        restorer.restore(views)
+    if device is not None:
+        import torch
+
+        torch.cuda.reset_peak_memory_stats(device)
+    seconds: list[float] = []
+    end = time.perf_counter() + LONGEST_S
+    while len(seconds) < repeats and (len(seconds) < FEWEST or time.perf_counter() < end):
+        begin = time.perf_counter()
+        # The answers are arrays of this machine: a GPU has finished when they are there.
+        restorer.restore(views)
+        seconds.append(time.perf_counter() - begin)
+    height, width = views[0].depth.shape
+    return Speed(
+        frames_per_s=len(views) / statistics.median(seconds),
+        batch_size=len(views),
+        width=width,
+        height=height,
+        repeats=len(seconds),
+        parameters=getattr(restorer, "parameter_count", None),
+        gmacs=_gmacs(restorer, views[0]),
+        peak_memory_mib=_peak_memory(device),
+        hardware=hardware,
+    )
+
+
+def _gpu(restorer: Restorer) -> Any:
+    device = getattr(restorer, "device", None)
+    return device if device is not None and device.type == "cuda" else None
+
+
+def _gmacs(restorer: Restorer, view: View) -> float | None:
+    macs = getattr(restorer, "macs", None)
+    return None if macs is None else macs(view) / 1e9
+
+
+def _peak_memory(device: Any) -> float:
+    if device is not None:
+        import torch
+
+        return torch.cuda.max_memory_allocated(device) / 2**20
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 2**20 if sys.platform == "darwin" else peak / 2**10
