@@ -106,16 +106,20 @@ def read_weights(path: Path) -> dict[str, Tensor]:
     return _without_prefix(_unwrapped(found, path))
 
 
-def load_weights(network: nn.Module, path: Path) -> None:
+def load_weights(network: nn.Module, path: Path, ignored: Sequence[str] = ()) -> None:
     """Read a network's weights from a file.
+
+    Args:
+        network: gets the tensors of the file themselves: no second copy in memory.
+        path: a safetensors file or a checkpoint of torch.
+        ignored: keys that the file may have and the network does not need.
 
     Raises:
         ToolkitError: the file cannot be read, or is of another architecture: which keys are
             missing, which unknown and which have another shape.
     """
-    state = read_weights(path)
+    state = {name: tensor for name, tensor in read_weights(path).items() if name not in ignored}
     check_keys(network.state_dict(), state, path)
-    # The tensors read take the place of those that the network has: no second copy in memory.
     wanted = {name: tensor.dtype for name, tensor in network.state_dict().items()}
     state = {name: tensor.to(wanted[name]) for name, tensor in state.items()}
     trains = {name: p.requires_grad for name, p in network.named_parameters()}

@@ -43,7 +43,8 @@ class Swin(nn.Module):
     ) -> None:
         super().__init__()
         self.patch_embed = PatchEmbedding(in_channels, channels)
-        chances = iter(torch.linspace(0, drop_path, sum(depths)).tolist())
+        last = max(sum(depths) - 1, 1)
+        chances = (drop_path * index / last for index in range(sum(depths)))
         self.layers = nn.ModuleList(
             Stage(
                 channels << level,

@@ -1,0 +1,29 @@
+"""Sizes of NLSPN."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class NLSPNConfig:
+    """NLSPN; the defaults are the published network.
+
+    Attributes:
+        channels: of the first level of the encoder; a multiple of 8.
+        blocks: of its four levels; those of ResNet-34.
+        steps: of the propagation.
+        preserve_input: keep the sensor's depth where there is some, at every step. It is for depth
+            that is sparse and right; the depth of transparent objects is there and wrong.
+        input_size: (width, height) of the images. What the network was given on DREDS is not
+            published; these are the images of that data set's own network.
+    """
+
+    channels: int = 64
+    blocks: tuple[int, int, int, int] = (3, 4, 6, 3)
+    steps: int = 18
+    preserve_input: bool = False
+    input_size: tuple[int, int] = (224, 224)
+
+
+PRESETS = {"published": NLSPNConfig(), "compact": NLSPNConfig(channels=32)}

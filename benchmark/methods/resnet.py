@@ -1,0 +1,48 @@
+"""The residual blocks of ResNet-18 and ResNet-34 (He et al., CVPR 2016).
+
+Keys and shapes are those of the ImageNet weights that torchvision publishes.
+"""
+
+from __future__ import annotations
+
+from torch import Tensor, nn
+from torch.nn.functional import relu
+
+
+class BasicBlock(nn.Module):
+    """Two 3x3 convolutions beside a shortcut.
+
+    Args:
+        inputs, outputs: channels.
+        stride: of the first convolution.
+        dilation: of both.
+    """
+
+    def __init__(self, inputs: int, outputs: int, stride: int = 1, dilation: int = 1) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(
+            inputs, outputs, 3, stride, padding=dilation, dilation=dilation, bias=False
+        )
+        self.bn1 = nn.BatchNorm2d(outputs)
+        self.conv2 = nn.Conv2d(outputs, outputs, 3, padding=dilation, dilation=dilation, bias=False)
+        self.bn2 = nn.BatchNorm2d(outputs)
+        self.downsample: nn.Module | None = None
+        if stride != 1 or inputs != outputs:
+            self.downsample = nn.Sequential(
+                nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs)
+            )
+
+    def forward(self, features: Tensor) -> Tensor:
+        shortcut = features if self.downsample is None else self.downsample(features)
+        inner = relu(self.bn1(self.conv1(features)))
+        return relu(self.bn2(self.conv2(inner)) + shortcut)
+
+
+def residual_layer(
+    inputs: int, outputs: int, blocks: int, stride: int = 1, dilation: int = 1
+) -> nn.Sequential:
+    """Some blocks in a row, the first of which may change resolution and channels."""
+    return nn.Sequential(
+        BasicBlock(inputs, outputs, stride, dilation),
+        *(BasicBlock(outputs, outputs, 1, dilation) for _ in range(blocks - 1)),
+    )
