@@ -28,6 +28,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, pixel_rays
 
 Array = NDArray[np.float64]
+LARGEST_LENGTH_ERROR = 0.05  # of a unit normal; float16 and interpolation stay below it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +86,8 @@ def optimize_depth(
         normals: (h, w, 3) unit normals in the OpenCV camera frame (x right, y down, z forward),
             towards the camera: a wall that faces it has (0, 0, -1). ClearGrasp's files and
             networks have y up and z towards the camera: see `normals_to_opencv`. Where a normal is
-            zero or not finite, or points away from the camera, it counts for nothing.
+            not of length 1 (ClearGrasp's files have (-1, -1, -1) where they know none), not finite,
+            or points away from the camera, it counts for nothing.
         boundary: (h, w) probability in [0, 1] that an occlusion boundary runs through the pixel;
             None for no boundaries.
         mask: (h, w) bool pixels (of transparent objects) whose measurements are wrong; None drops
@@ -147,9 +149,11 @@ def _normal_equations(
     """A^T A of all residuals. Every residual but the observed ones concerns two neighbours."""
     rays = np.nan_to_num(pixel_rays(camera))
     normal = np.asarray(normals, dtype=np.float64)
+    normal = np.where(np.isfinite(normal), normal, 0.0)
+    usable = np.abs(np.linalg.norm(normal, axis=-1) - 1) < LARGEST_LENGTH_ERROR
     # The angle to the line of sight decides, not z: at a wide view the two differ.
-    seen = np.isfinite(normal).all(axis=-1) & ((np.nan_to_num(normal) * rays).sum(axis=-1) < 0)
-    normal = np.where(seen[..., None], normal, 0.0)
+    usable &= (normal * rays).sum(axis=-1) < 0
+    normal = np.where(usable[..., None], normal, 0.0)
     number = np.arange(observed.size).reshape(observed.shape)
     diagonal = np.where(observed, options.observed_weight**2, 0.0)
     smooth = 2 * options.smoothness_weight**2  # both (p, q) and (q, p)
