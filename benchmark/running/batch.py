@@ -13,7 +13,7 @@ from benchmark.data.source import DepthSource, FrameKey
 from benchmark.methods.protocol import Restored, Restorer, View
 from benchmark.protocols.protocol import Protocol
 from benchmark.protocols.score import score_frame
-from benchmark.running.parts import ERROR, FRAME, INDEX, NOT_FINITE, SCENE
+from benchmark.running.parts import ERROR, FRAME, INDEX, NOT_FINITE, SCENE, UNREAD
 from benchmark.running.views import view_of
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs.runner import error_of
@@ -62,10 +62,10 @@ def score_batch(
     for index, key, frame in zip(indices, keys, loaded, strict=True):
         base: dict[str, Any] = {INDEX: index, SCENE: key.scene, FRAME: key.name}
         if isinstance(frame, str):
-            rows.append({**base, ERROR: frame})
+            rows.append({**base, ERROR: frame, **UNREAD})
             continue
         answer = answers[index]
-        error = answer if isinstance(answer, str) else None
+        error = answer if isinstance(answer, str) else ""
         depth = None if isinstance(answer, str) else answer.depth
         base |= {ERROR: error, NOT_FINITE: _not_finite(depth)}
         rows += [base | row.as_dict() for row in score_frame(depth, frame, protocol)]

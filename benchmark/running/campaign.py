@@ -60,7 +60,7 @@ def run_all(
             continue
         try:
             table = run_method(run, jobs)
-            if bad := int(table.loc[table[ERROR].notna(), INDEX].nunique()):
+            if bad := int(table.loc[table[ERROR] != "", INDEX].nunique()):
                 report.failed_frames += bad
                 logger.warning("%s: %d frames failed: %s", run.title, bad, run.folder / FAILURES)
             if speed and not (run.folder / SPEED).exists():

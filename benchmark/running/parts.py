@@ -21,8 +21,12 @@ FAILURES = "failures.csv"
 PARTS = "parts"
 _NAME = re.compile(r"(\d{7})-(\d{7})\.parquet")
 # Columns that every row has; those of the protocol's metrics follow.
-INDEX, SCENE, FRAME, ERROR = "index", "scene", "frame", "error"
+INDEX, SCENE, FRAME = "index", "scene", "frame"
+ERROR = "error"  # why the frame or the method failed; empty where neither did
 NOT_FINITE = "not_finite"  # pixels of the answer that are NaN or infinite
+# What a frame has that could not be read: no grid, and whole numbers so that the columns keep
+# their type.
+UNREAD = {NOT_FINITE: 0, "grid": "", "subset": "", "n_pixels": 0, "n_answered": 0}
 
 
 def write_part(folder: Path, first: int, last: int, rows: Sequence[dict[str, Any]]) -> None:
@@ -76,7 +80,7 @@ def join_parts(folder: Path) -> pd.DataFrame:
     The table is the same however the frames came to be spread over parts.
 
     Returns:
-        The rows of all frames; those that failed have a text in `error` and no figures.
+        The rows of all frames. A frame that could not be read has one, without grid and figures.
 
     Raises:
         ToolkitError: a part cannot be read, or the table not be written.
@@ -87,7 +91,7 @@ def join_parts(folder: Path) -> pd.DataFrame:
     if paths:
         with atomic_path(folder / TABLE) as temporary:
             table.to_parquet(temporary, index=False)
-        failed = table[table[ERROR].notna()]
+        failed = table[table[ERROR] != ""]
         with atomic_path(folder / FAILURES) as temporary:
             told = failed[[INDEX, SCENE, FRAME, ERROR]].drop_duplicates()
             told.to_csv(temporary, index=False)
@@ -103,7 +107,7 @@ def _newest(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
         if kept is not None:
             # A frame that succeeded is not thrown away for a later failure.
             good = _good(kept)
-            table = table[~(table[ERROR].notna() & table[INDEX].isin(good))]
+            table = table[~((table[ERROR] != "") & table[INDEX].isin(good))]
             kept = pd.concat([kept[~kept[INDEX].isin(table[INDEX])], table], ignore_index=True)
         else:
             kept = table
@@ -114,4 +118,4 @@ def _newest(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
 
 
 def _good(table: pd.DataFrame) -> set[int]:
-    return set(table.loc[table[ERROR].isna(), INDEX].tolist())
+    return set(table.loc[table[ERROR] == "", INDEX].tolist())

@@ -27,7 +27,7 @@ def results_table(results: Sequence[RunResult]) -> str:
     """Means over frames on the protocols' first grid, for all objects and for the hard ones."""
     blocks = []
     rows = pd.concat([result.table for result in results], ignore_index=True)
-    rows = rows[rows["grid"].notna()] if "grid" in rows else rows.iloc[:0]
+    rows = rows[rows["grid"] != ""]
     if rows.empty:
         return "no frame could be scored"
     for (split, protocol), part in rows.groupby(["split", "protocol"], sort=False):

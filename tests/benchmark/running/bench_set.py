@@ -1,0 +1,102 @@
+"""A small split on disk and methods with known behaviour, for tests of running."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmark.methods.protocol import Restored, View
+from benchmark.methods.registry import MethodOptions
+from benchmark.running.run import Run
+from tests.dreds_on_disk import write_std_scene
+
+SPLIT = "std-catknown"
+
+
+def write_split(root: Path, scenes: int = 3, frames: int = 4) -> Path:
+    """STD scenes "scene_0", ... below `root`."""
+    for i in range(scenes):
+        write_std_scene(root / "STD-CatKnown" / f"test_{i}", frames=frames, seed=i)
+    return root
+
+
+def a_run(root: Path, out: Path, method: str = "nearest", **changes: object) -> Run:
+    run = Run(
+        split=SPLIT,
+        root=root,
+        method=method,
+        options=MethodOptions(),
+        protocol="strict",
+        label=method.partition(":")[2] or method,
+        out=out,
+        batch_size=2,
+    )
+    return replace(run, **changes)  # type: ignore[arg-type]
+
+
+class Filling:
+    """Answers 0.7 m everywhere."""
+
+    input_size: tuple[int, int] | None = None
+    needs_mask = False
+
+    def __init__(self, options: MethodOptions) -> None:
+        self.settings = options.settings
+
+    def restore(self, views: Sequence[View]) -> list[Restored]:
+        return [Restored(np.full(view.depth.shape, 0.7, np.float32)) for view in views]
+
+
+class HalfNaN(Filling):
+    """Answers in the upper half only."""
+
+    def restore(self, views: Sequence[View]) -> list[Restored]:
+        answers = super().restore(views)
+        for answer in answers:
+            answer.depth[answer.depth.shape[0] // 2 :] = np.nan
+        return answers
+
+
+class FailsAtBright(Filling):
+    """Fails at any batch that holds a view whose sensor depth begins with a certain value."""
+
+    def restore(self, views: Sequence[View]) -> list[Restored]:
+        wanted = float(self.settings["depth"])
+        if any(abs(float(view.depth.max()) - wanted) < 1e-6 for view in views):
+            raise ValueError("cannot stand this frame")
+        return super().restore(views)
+
+
+class DiesOnce(Filling):
+    """Kills its process at the third batch, the first time that it gets there."""
+
+    calls = 0
+
+    def restore(self, views: Sequence[View]) -> list[Restored]:
+        type(self).calls += 1
+        mark = Path(self.settings["mark"])
+        if type(self).calls == 3 and not mark.exists():
+            mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().restore(views)
+
+
+class Counting(Filling):
+    """Leaves a line in a file for every view that it is given."""
+
+    def restore(self, views: Sequence[View]) -> list[Restored]:
+        with Path(self.settings["log"]).open("a") as log:
+            log.writelines("view\n" for _ in views)
+        return super().restore(views)
+
+
+class WrongSize(Filling):
+    """Answers at another size than it was asked."""
+
+    def restore(self, views: Sequence[View]) -> list[Restored]:
+        return [Restored(np.ones((3, 3), np.float32)) for _ in views]
