@@ -1,0 +1,53 @@
+"""Objects of a frame by material, category and whether they are distractors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dreds_on_disk import Drawn, write_dreds_scene
+
+from benchmark.data.frame import DepthFrame, Material
+from benchmark.data.selection import Selection, material_masks, selection_of
+from benchmark.data.splits import open_split
+from std_toolkit.errors import ToolkitError
+
+
+@pytest.fixture(scope="module")
+def frame_and_truth(tmp_path_factory) -> tuple[DepthFrame, Drawn]:
+    top: Path = tmp_path_factory.mktemp("dreds")
+    drawn = write_dreds_scene(top / "DREDS-CatKnown/test/00000", frames=1)
+    return open_split("dreds-catknown-test", top).load(0), drawn[0]
+
+
+@pytest.mark.parametrize(
+    ("selection", "ids"),
+    [
+        (Selection(), [1, 2, 3, 4]),
+        (Selection(distractors=False), [1, 2, 3]),
+        (Selection(frozenset({Material.TRANSPARENT, Material.SPECULAR})), [1, 2]),
+        (Selection(frozenset({Material.RAW})), [4]),
+        (Selection(frozenset({Material.RAW}), distractors=False), []),
+        (Selection(categories=frozenset({"mug", "camera"})), [2, 3]),
+        (Selection(frozenset({Material.DIFFUSE}), frozenset({"mug"})), []),
+        (selection_of(materials=["specular"], categories=["mug"], distractors=True), [2]),
+    ],
+)
+def test_selected_pixels(frame_and_truth, selection: Selection, ids: list[int]) -> None:
+    frame, drawn = frame_and_truth
+    np.testing.assert_array_equal(selection.mask(frame), np.isin(drawn.mask, ids))
+
+
+def test_masks_of_the_materials_share_no_pixel_and_cover_all_objects(frame_and_truth) -> None:
+    frame, drawn = frame_and_truth
+    masks = material_masks(frame)
+    assert list(masks) == list(Material)
+    np.testing.assert_array_equal(sum(m.astype(int) for m in masks.values()), drawn.mask != 255)
+
+
+def test_names_that_mean_nothing() -> None:
+    with pytest.raises(ToolkitError, match=r"no such material.*glass.*transparent"):
+        selection_of(materials=["glass"], distractors=True)
+    with pytest.raises(ToolkitError, match=r"no such category.*plate.*bottle"):
+        selection_of(categories=["plate"], distractors=True)
