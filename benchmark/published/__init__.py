@@ -1,0 +1,1 @@
+"""Figures that papers print, to stand beside measured ones."""

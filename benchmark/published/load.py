@@ -1,0 +1,84 @@
+"""The figures of papers, in the names and units of this benchmark.
+
+`published_results.csv` holds them as printed, each with the table it comes from. What a paper does
+not print is not here, and stays empty wherever it is shown.
+
+Source: Dai et al., "Domain Randomization-Enhanced Depth Simulation and Restoration for Perceiving
+and Grasping Specular and Transparent Objects", ECCV 2022, main paper and supplement.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import pandas as pd
+
+_FILE = Path(__file__).with_name("published_results.csv")
+# Names of data sets as printed, and of our splits.
+SPLIT_OF = {
+    "DREDS-CatKnown": "dreds-catknown-test",
+    "DREDS-CatNovel": "dreds-catnovel",
+    "STD-CatKnown": "std-catknown",
+    "STD-CatNovel": "std-catnovel",
+    "ClearGrasp real-known": "cleargrasp-real-known",
+    "ClearGrasp real-novel": "cleargrasp-real-novel",
+}
+# Our subsets for the printed columns. STD-CatNovel has one column for both, since all its objects
+# are specular or transparent.
+SUBSETS_OF = {
+    "all": ("all",),
+    "specular_transparent": ("specular+transparent",),
+    "all_and_specular_transparent": ("all", "specular+transparent"),
+}
+# Our column and unit for the printed metric.
+_METRICS = {
+    "rmse_m": ("rmse", 1.0),
+    "rel": ("rel", 1.0),
+    "mae_m": ("mae", 1.0),
+    "delta_1.05_pct": ("d105", 0.01),
+    "delta_1.10_pct": ("d110", 0.01),
+    "delta_1.25_pct": ("d125", 0.01),
+}
+
+
+@cache
+def published_rows() -> pd.DataFrame:
+    """All figures as printed: table, task, dataset, subset, method, training_data, metric, value,
+    note; empty text where nothing is said."""
+    return pd.read_csv(_FILE, dtype={"value": str}, keep_default_na=False)
+
+
+def published_depth() -> pd.DataFrame:
+    """Depth restoration by method and split.
+
+    Returns:
+        The columns split, subset, method, training_data, table (where it is printed), and rmse,
+        mae (metres), rel, d105, d110, d125 (shares); NaN where nothing is printed. By the protocol
+        `paper`.
+    """
+    rows = published_rows()
+    rows = rows[(rows["task"] == "depth_restoration") & rows["dataset"].isin(SPLIT_OF)]
+    long = [
+        {
+            "split": SPLIT_OF[row.dataset],
+            "subset": subset,
+            "method": row.method,
+            "training_data": row.training_data,
+            "table": row.table,
+            "metric": _METRICS[row.metric][0],
+            "value": float(row.value) * _METRICS[row.metric][1],
+        }
+        for row in rows.itertuples()
+        for subset in SUBSETS_OF[row.subset]
+    ]
+    keys = ["split", "subset", "method", "training_data", "table"]
+    wide = pd.DataFrame(long).pivot(index=keys, columns="metric", values="value").reset_index()
+    wide.columns.name = None
+    return wide[[*keys, *(name for name, _ in _METRICS.values())]]
+
+
+def published_speed() -> dict[str, float]:
+    """Frames per second by method, as printed, on an RTX 3090."""
+    rows = published_rows()
+    return {r.method: float(r.value) for r in rows[rows["metric"] == "fps"].itertuples()}
