@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from benchmark.metrics.missing import THRESHOLDS, Missing, check_reportable
 
+_AT_ONCE = 1 << 15  # pixels whose intermediate figures stay in the processor's cache
 NAMES = ("rmse", "rel", "mae", "d105", "d110", "d125")
 
 
@@ -54,8 +55,8 @@ class Tally:
     """Counts and sums by cell (first axis) and by whether the prediction is usable (second).
 
     Attributes:
-        counts: (cells, 2, 4) pixels; the last axis tells how many thresholds they pass.
-        sums: (cells, 2, 3) sums of squared, absolute and relative error.
+        counts: (cells, 2, 4) pixels, and how many of them pass each of `THRESHOLDS`.
+        sums: (cells, 2, 3) sums of squared, relative and absolute error.
     """
 
     counts: NDArray[np.int64]
@@ -68,24 +69,42 @@ class Tally:
         """Errors over the union of some cells.
 
         Args:
-            cells: indices of distinct cells.
+            cells: indices of cells.
 
         Returns:
             The errors; those of missing pixels as they were counted.
         """
-        # Cells are picked, not weighted with 0 and 1: a NaN of another cell must not come in.
-        counts, sums = self.counts[cells].sum(axis=0), self.sums[cells].sum(axis=0)
-        every = _means(counts.sum(axis=0), sums.sum(axis=0))
-        answered = _means(counts[1], sums[1])
-        n, n_answered = int(counts.sum()), int(counts[1].sum())
-        coverage = n_answered / n if n else float("nan")
-        return Errors(
-            n,
-            n_answered,
-            **dict(zip(NAMES, every, strict=True)),
-            coverage=coverage,
-            **{f"{name}_answered": x for name, x in zip(NAMES, answered, strict=True)},
-        )
+        members = np.zeros((1, len(self.counts)), np.bool_)
+        members[0, cells] = True
+        return self.of_each(members)[0]
+
+    def of_each(self, members: NDArray[np.bool_]) -> list[Errors]:
+        """Errors over several unions of cells.
+
+        Args:
+            members: (M, cells) which cells belong to which union.
+
+        Returns:
+            The errors of each of the M unions.
+        """
+        found = np.flatnonzero(self.counts.any(axis=(1, 2)))
+        counts, sums = self.counts[found].astype(np.float64), self.sums[found]
+        table = np.concatenate([counts.reshape(-1, 8), sums.reshape(-1, 6)], axis=1)
+        chosen = members[:, found]
+        if np.isfinite(table).all():
+            totals = chosen @ table
+        else:  # 0 times the NaN of a cell that does not belong would be NaN
+            totals = np.stack([table[row].sum(axis=0) for row in chosen])
+        by_answer = totals[:, :8].reshape(-1, 2, 4), totals[:, 8:].reshape(-1, 2, 3)
+        n, means = _means(*(part.sum(axis=1) for part in by_answer))
+        n_answered, means_answered = _means(*(part[:, 1] for part in by_answer))
+        with np.errstate(invalid="ignore"):
+            coverage = (n_answered / n)[:, None]
+        figures = np.concatenate([means, coverage, means_answered], axis=1).tolist()
+        return [
+            Errors(int(all_of_it), int(answered), *row)
+            for all_of_it, answered, row in zip(n, n_answered, figures, strict=True)
+        ]
 
 
 def tally(
@@ -116,28 +135,49 @@ def tally(
     (0.51, 1.0, 0.0)
     """
     check_reportable(missing)
-    p, g = as_real(pred), as_real(true)
-    usable = (p > 0) & (p < np.inf)
-    if missing is not Missing.AS_GIVEN:
-        p = np.where(usable, p, p.dtype.type(0))
+    counts, sums = np.zeros((2, 4, n_cells)), np.zeros((2, 3, n_cells))
+    for begin in range(0, len(pred), _AT_ONCE):
+        part = slice(begin, begin + _AT_ONCE)
+        p, g, c = as_real(pred[part]), as_real(true[part]), cell[part]
+        usable = (p > 0) & (p < np.inf)
+        for answered, at in enumerate((~usable, usable)):
+            some, true_of, cell_of = p, g, c
+            if not at.all():
+                picked = np.flatnonzero(at)  # three takes cost less than three masks
+                some, true_of, cell_of = p.take(picked), g.take(picked), c.take(picked)
+            if not len(some):
+                continue
+            if not answered and missing is Missing.COUNTED:
+                some = np.zeros_like(some)
+            _add(some, true_of, cell_of, counts[answered], sums[answered])
+    return Tally(np.moveaxis(counts.astype(np.int64), -1, 0), np.moveaxis(sums, -1, 0))
+
+
+def _add(
+    p: NDArray[np.floating],
+    g: NDArray[np.floating],
+    cell: NDArray[np.integer],
+    counts: NDArray[np.float64],
+    sums: NDArray[np.float64],
+) -> None:
+    """Add pixels to (4, cells) counts and (3, cells) sums."""
+    # Pixels of one cell come in runs, row by row: summing runs, and the few runs by cell, takes a
+    # quarter of the time of np.bincount over all pixels.
+    starts = np.concatenate([[0], np.flatnonzero(cell[1:] != cell[:-1]) + 1])
+    of_run = cell[starts].astype(np.intp)
+    n_cells = counts.shape[1]
+    counts[0] += np.bincount(of_run, np.diff(starts, append=len(cell)), n_cells)
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         worst = p / g
         np.maximum(worst, g / p, out=worst)
-        passed = (worst < THRESHOLDS[2]).view(np.uint8)
-        for limit in THRESHOLDS[:2]:
-            passed = passed + (worst < limit)
+        for i, limit in enumerate(THRESHOLDS):
+            passed = (worst < limit).view(np.uint8)
+            runs = np.add.reduceat(passed, starts, dtype=np.int64)
+            counts[i + 1] += np.bincount(of_run, runs, n_cells)
         error = np.subtract(p, g, dtype=np.float64)
         np.abs(error, out=error)
-        relative = error / g
-        squared = np.square(error)
-    key = cell.astype(np.intp) * 2 + usable
-    counts = np.bincount(key * 4 + passed, minlength=n_cells * 8)
-    sums = np.empty((n_cells * 2, 3))
-    for i, weights in enumerate((squared, error, relative)):
-        sums[:, i] = np.bincount(key, weights, n_cells * 2)
-    return Tally(
-        counts.astype(np.int64, copy=False).reshape(n_cells, 2, 4), sums.reshape(n_cells, 2, 3)
-    )
+        for i, figure in enumerate((np.square(error), error / g, error)):
+            sums[i] += np.bincount(of_run, np.add.reduceat(figure, starts), n_cells)
 
 
 def as_real(depth: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -155,12 +195,15 @@ def as_real(depth: NDArray[np.floating]) -> NDArray[np.floating]:
     return depth if depth.dtype == np.float64 else depth.astype(np.float32, copy=False)
 
 
-def _means(counts: NDArray[np.int64], sums: NDArray[np.float64]) -> tuple[float, ...]:
-    """RMSE, REL, MAE and the three deltas from counts by thresholds passed and from sums."""
-    n = int(counts.sum())
-    if n == 0:
-        return (float("nan"),) * 6
-    squared, absolute, relative = (float(s) / n for s in sums)
-    # A pixel that passes the threshold of 1.10 passes that of 1.25, too.
-    deltas = (float(counts[least:].sum()) / n for least in (3, 2, 1))
-    return (squared**0.5, relative, absolute, *deltas)
+def _means(
+    counts: NDArray[np.float64], sums: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Pixels (M,), and their RMSE, REL, MAE and the three deltas (M, 6).
+
+    From (M, 4) counts and (M, 3) sums as `Tally` has them.
+    """
+    n = counts[:, 0]
+    with np.errstate(invalid="ignore"):
+        means = np.concatenate([sums, counts[:, 1:]], axis=1) / n[:, None]
+    means[:, 0] = np.sqrt(means[:, 0])
+    return n, means

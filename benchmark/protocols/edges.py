@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from benchmark.data.frame import BACKGROUND
 
 STEP = 1.02  # ratio between neighbouring depths: 1 cm at half a metre
+_ROWS_AT_ONCE = 32  # whose intermediate figures stay in the processor's cache
 COLUMNS_PER_PIXEL = 200  # the band is one pixel wide per this many columns, on each side
 
 
@@ -46,22 +47,30 @@ def edge_band(true: NDArray[np.float32], mask: NDArray[np.uint8]) -> NDArray[np.
     top, left = max(0, y - width), max(0, x - width)
     window = np.s_[top : y + rows + width, left : x + columns + width]
     m, g, beside = mask[window], true[window], band[window]
-    for one, two in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-        edge = _edges(m[one], m[two], g[one], g[two])
-        beside[one] |= edge
-        beside[two] |= edge
+    # Where there is no depth there is no step: NaN passes no comparison.
+    g = np.where(g > 0, g, np.float32(np.nan))
+    for begin in range(0, len(g), _ROWS_AT_ONCE):
+        # One row more, for the edges between this part and the next.
+        part = np.s_[begin : begin + _ROWS_AT_ONCE + 1]
+        for axis in (0, 1):
+            _mark_edges(m[part], g[part], beside[part], axis)
     if width > 1:
         kernel = np.ones((2 * width - 1, 2 * width - 1), np.uint8)
         band[window] = cv2.dilate(np.ascontiguousarray(beside), kernel)
     return band
 
 
-def _edges(
-    mask_a: NDArray[np.uint8],
-    mask_b: NDArray[np.uint8],
-    true_a: NDArray[np.float32],
-    true_b: NDArray[np.float32],
-) -> NDArray[np.uint8]:
-    nearer, farther = np.minimum(true_a, true_b), np.maximum(true_a, true_b)
-    step = (farther > np.float32(STEP) * nearer) & (nearer > 0)
-    return (step | (mask_a != mask_b)).view(np.uint8)
+def _mark_edges(
+    mask: NDArray[np.uint8], true: NDArray[np.float32], marked: NDArray[np.uint8], axis: int
+) -> None:
+    """Mark the pixels on both sides of the edges between neighbours along an axis."""
+    one, two = ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:]))[axis]
+    a, b = true[one], true[two]
+    far = np.maximum(a, b)
+    near = np.minimum(a, b)
+    near *= np.float32(STEP)
+    edge = far > near
+    edge |= mask[one] != mask[two]
+    found = edge.view(np.uint8)
+    marked[one] |= found
+    marked[two] |= found

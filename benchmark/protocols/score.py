@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,10 +14,10 @@ from benchmark.data.frame import BACKGROUND, DepthFrame, Instance
 from benchmark.metrics.resize import Size, pixels_taken
 from benchmark.metrics.tally import Errors, tally
 from benchmark.protocols.edges import edge_band
-from benchmark.protocols.protocol import Grid, Protocol
+from benchmark.protocols.protocol import Grid, Protocol, Subset
 from std_toolkit.errors import ToolkitError
 
-_IDS = 256  # a mask holds bytes; cells of `tally`: ids, then ids at edges
+_IDS, _NO_CELL = 256, 255  # a mask holds bytes, of which one is background
 
 
 @dataclass(frozen=True)
@@ -114,20 +116,33 @@ def score_depth(
             value=f"{restored.dtype} {restored.shape}",
         )
     subsets = protocol.subsets_of(instances)
-    cells = [np.array(sorted({i.mask_id for i in instances if s.has(i)}), np.intp) for s in subsets]
-    wanted = np.zeros(_IDS, np.bool_)
-    wanted[np.concatenate(cells)] = True
-    wanted[BACKGROUND] = False
     # An edge is one of the whole ground truth: on a coarse grid every neighbour is far away.
     band = edge_band(true, mask) if any(s.edges for s in subsets) else None
+    cells = _Cells(instances, subsets)
     rows = []
     for grid in protocol.grids:
-        p, g, cell = _gather(restored, true, mask, band, wanted, grid, protocol)
-        sums = tally(p, g, cell, 2 * _IDS, protocol.missing)
-        for subset, ids in zip(subsets, cells, strict=True):
-            within = ids + _IDS if subset.edges else np.concatenate([ids, ids + _IDS])
-            rows.append(Row(grid.name, subset.name, sums.of(within)))
+        p, g, cell = _gather(restored, true, mask, band, cells, grid, protocol)
+        errors = tally(p, g, cell, 2 * cells.count, protocol.missing).of_each(cells.members)
+        rows += [Row(grid.name, s.name, e) for s, e in zip(subsets, errors, strict=True)]
     return rows
+
+
+class _Cells:
+    """Objects as cells of `tally`: first the pixels away from edges, then those at edges."""
+
+    def __init__(self, instances: Sequence[Instance], subsets: Sequence[Subset]) -> None:
+        of_id: dict[int, list[Instance]] = {}
+        for instance in instances:
+            of_id.setdefault(instance.mask_id, []).append(instance)
+        self.count = len(of_id)
+        belongs = np.zeros((len(subsets), self.count), np.bool_)
+        self.of_id = np.full(_IDS, _NO_CELL, np.uint8)
+        for i, (mask_id, objects) in enumerate(of_id.items()):
+            belongs[:, i] = [any(s.has(o) for o in objects) for s in subsets]
+            if belongs[:, i].any() and mask_id != BACKGROUND:
+                self.of_id[mask_id] = i
+        edges = np.array([s.edges for s in subsets])
+        self.members = np.concatenate([belongs & ~edges[:, None], belongs], axis=1)
 
 
 def _gather(
@@ -135,22 +150,23 @@ def _gather(
     true: NDArray[np.float32],
     mask: NDArray[np.uint8],
     band: NDArray[np.uint8] | None,
-    wanted: NDArray[np.bool_],
+    cells: _Cells,
     grid: Grid,
     protocol: Protocol,
-) -> tuple[NDArray[np.floating], NDArray[np.float32], NDArray[np.intp]]:
+) -> tuple[NDArray[np.floating], NDArray[np.float32], NDArray[np.integer]]:
     """Prediction, truth and cell of the pixels of a grid that are compared, (N,) each."""
     native: Size = (mask.shape[1], mask.shape[0])
     steps = grid.steps(native)
     taken = pixels_taken(native, *steps)
     ids, depths = mask.ravel(), true.ravel()
     if taken is not None:
-        ids, depths = ids[taken], depths[taken]
-    kept = np.flatnonzero(wanted[ids] & protocol.usable(depths))
-    g, cell = depths[kept], ids[kept].astype(np.intp)
-    at = kept if taken is None else taken[kept]
+        ids, depths = ids.take(taken), depths.take(taken)
+    cell: NDArray[Any] = cv2.LUT(ids, cells.of_id).ravel()
+    kept = np.flatnonzero((cell != _NO_CELL) & protocol.usable(depths))
+    g, cell = depths.take(kept), cell.take(kept)
+    at = kept if taken is None else taken.take(kept)
     if band is not None:
-        cell += _IDS * band.ravel()[at].astype(np.intp)
+        cell = cell + np.uint16(cells.count) * band.ravel().take(at)
     from_restored = pixels_taken((restored.shape[1], restored.shape[0]), *steps)
-    p = restored.ravel()[kept if from_restored is None else from_restored[kept]]
+    p = restored.ravel().take(kept if from_restored is None else from_restored.take(kept))
     return p, g, cell
