@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from sensors.materials.textures import to_srgb
+from sensors.render.denoiser import denoiser
 from sensors.render.protocol import ColorLight
-from std_toolkit.log import logger
 
 MIDDLE_GREY = 0.2
 """Linear value that the mean of the logarithm of the image is exposed to."""
@@ -20,29 +17,24 @@ NOISE = 0.006
 """Deviation of the camera's own noise, as a share of full scale."""
 
 
-def denoise(light: ColorLight) -> NDArray[np.float32]:
+def denoise(light: ColorLight, *, threads: int | None = None) -> NDArray[np.float32]:
     """(H, W, 3) radiance without the renderer's noise, by Open Image Denoise where it is there.
 
     Without it (package pyoidn) the light comes back as it is, and a warning says so once.
+
+    Args:
+        light: as rendered.
+        threads: None takes all cores.
+
+    Raises:
+        ToolkitError: the denoiser fails.
     """
-    oidn = _oidn()
-    if oidn is None:
+    clean = denoiser(threads)
+    if clean is None:
         return light.radiance
-    beside: dict[str, Any] = {}
-    if light.albedo is not None and light.normal is not None:
-        beside = {"albedo": light.albedo, "normal": light.normal}
-    clean = oidn.denoise(light.radiance, hdr=True, **beside)
-    return np.asarray(clean, np.float32)
-
-
-@lru_cache(maxsize=1)
-def _oidn() -> Any | None:
-    try:
-        import pyoidn
-    except (ImportError, OSError) as error:
-        logger.warning("colour images keep the renderer's noise: no denoiser (%s)", error)
-        return None
-    return pyoidn
+    if light.albedo is None or light.normal is None:
+        return clean(light.radiance, None, None)
+    return clean(light.radiance, light.albedo, light.normal)
 
 
 def develop(

@@ -67,7 +67,8 @@ class RenderOptions:
 
 DRAFT_INFRARED = RenderOptions(samples=16, chunk=4)
 FINE_INFRARED = RenderOptions(samples=64, chunk=16)
-DRAFT_COLOR = RenderOptions(samples=32, chunk=0)
+# Denoised, 16 paths are 1.3 dB below 32 (42.8 dB against 44.1, of the picture that 384 give).
+DRAFT_COLOR = RenderOptions(samples=16, chunk=0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,6 +28,10 @@ _FLAGS = {
     "color_factor": "color_factor",
     "assets": "assets",
     "assets_root": "assets_root",
+    "scenes_from": "scenes_from",
+    "graspnet_root": "graspnet_root",
+    "pattern": "pattern",
+    "pattern_fov": "pattern_fov_deg",
     "environments": "environments",
     "floors": "floors",
     "quality": "quality",
@@ -102,7 +106,13 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def _add_scene_arguments(parser: argparse.ArgumentParser) -> None:
-    from sensors.simulation.names import MATERIAL_SWITCHES, ORDERS, PRESET_NAMES, QUALITY_NAMES
+    from sensors.simulation.names import (
+        MATERIAL_SWITCHES,
+        ORDERS,
+        PRESET_NAMES,
+        QUALITY_NAMES,
+        SCENE_ORIGINS,
+    )
 
     add = parser.add_argument
     add("--preset", choices=PRESET_NAMES, default="draft", help="what is not told below")
@@ -116,6 +126,14 @@ def _add_scene_arguments(parser: argparse.ArgumentParser) -> None:
     add("--color-factor", type=int, metavar="K", help="colour is so many times as large (1)")
     add("--assets", metavar="NAME", help="procedural, shapenet, folder or a plug-in")
     add("--assets-root", metavar="DIR", help="folder of the asset source's files")
+    add(
+        "--scenes-from",
+        choices=SCENE_ORIGINS,
+        help="drop: objects fall (default); graspnet: objects lie as in GraspNet-1Billion",
+    )
+    add("--graspnet-root", metavar="DIR", help="folder of GraspNet-1Billion: scenes/ and models/")
+    add("--pattern", metavar="FILE", help="image that the projector throws, instead of made dots")
+    add("--pattern-fov", type=float, metavar="DEG", help="its width as an angle (the projector's)")
     add("--environments", metavar="DIR", help="folder of .hdr and .exr environment maps")
     add("--floors", metavar="DIR", help="folder of floor pictures")
     add("--quality", choices=QUALITY_NAMES, help="light paths per pixel")

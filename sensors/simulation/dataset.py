@@ -16,9 +16,10 @@ from sensors.output import dreds_scene
 from sensors.output.dreds import SPLITS, Split, scene_folder
 from sensors.output.toolkit_scene import toolkit_scene
 from sensors.render import SIM_RENDERERS
+from sensors.simulation.equipment import Equipment
 from sensors.simulation.options import SimulationOptions
 from sensors.simulation.quality import quality_of
-from sensors.simulation.simulator import Equipment, Simulator
+from sensors.simulation.simulator import Simulator
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import read_document, write_document

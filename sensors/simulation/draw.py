@@ -6,6 +6,7 @@ shapes, sizes, places and light as they were: ablations differ in what they swit
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import msgspec
@@ -97,12 +98,38 @@ def draw_scene(
         ToolkitError: the sources lack what is asked for.
     """
     chosen = _draw_assets(generator(seed, "objects"), options, assets)
+    draw, environment = dress_scene(seed, options, chosen, environments)
+    return draw, chosen, environment
+
+
+def dress_scene(
+    seed: int,
+    options: SimulationOptions,
+    chosen: Sequence[Asset],
+    environments: EnvironmentSource,
+    *,
+    dressed_as: str | None = None,
+) -> tuple[SceneDraw, EnvironmentMap]:
+    """Draw all but the objects of a scene: their sizes and materials, floor and light.
+
+    Args:
+        seed: of the scene.
+        options: of the data set.
+        chosen: the objects.
+        environments: where light comes from.
+        dressed_as: category whose material classes every object takes; its own when None.
+
+    Raises:
+        ToolkitError: the sources lack what is asked for.
+    """
     sizes, looks = generator(seed, "sizes"), generator(seed, "materials")
     objects = []
     for instance, asset in enumerate(chosen, start=1):
         # A seed for each object: one more random number in a material changes no other object.
         rng = np.random.default_rng(int(looks.integers(2**63)))
-        material_class = draw_material_class(rng, asset.category, allowed=options.material_classes)
+        material_class = draw_material_class(
+            rng, dressed_as or asset.category, allowed=options.material_classes
+        )
         objects.append(
             ObjectDraw(
                 instance=instance,
@@ -116,7 +143,7 @@ def draw_scene(
     environment = environments.draw(rng)
     light = [draw_lighting(rng, environment.name) for _ in range(options.views)]
     floor = draw_floor(generator(seed, "floor"), folder=options.floors, split=options.split)
-    return SceneDraw(seed=seed, objects=objects, floor=floor, light=light), chosen, environment
+    return SceneDraw(seed=seed, objects=objects, floor=floor, light=light), environment
 
 
 def draw_categories(

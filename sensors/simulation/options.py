@@ -13,6 +13,7 @@ Count = Annotated[int, msgspec.Meta(ge=1)]
 ViewOrder = Literal["random", "arc", "spiral"]
 DepthInput = Literal["sensor", "cut"]
 MaterialSwitch = Literal["mixed", "fixed", "opaque"]
+SceneOrigin = Literal["drop", "graspnet"]
 
 
 class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -28,6 +29,11 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
         color_factor: the colour image is so many times as large.
         min_objects, max_objects: objects of a scene, distractors among them.
         assets, assets_root: asset source and the folder of its files.
+        scenes_from: "drop": objects of the asset source fall on the floor; "graspnet": objects and
+            where they lie are those of the scenes of GraspNet-1Billion.
+        graspnet_root: its folder.
+        pattern, pattern_fov_deg: image that the projector throws instead of one made in the
+            sensor's style, and the angle between its left and right edges; None: the projector's.
         environments: folder of environment maps; None for the procedural ones.
         floors: folder of floor images; None for procedural textures.
         split: which assets, maps and floors: "train" and "test" share none.
@@ -51,6 +57,10 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     max_objects: Count = 10
     assets: str = "procedural"
     assets_root: str | None = None
+    scenes_from: SceneOrigin = "drop"
+    graspnet_root: str | None = None
+    pattern: str | None = None
+    pattern_fov_deg: float | None = None
     environments: str | None = None
     floors: str | None = None
     split: Literal["train", "test", "all"] = "train"
@@ -67,6 +77,17 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
         if self.min_objects > self.max_objects:
             raise ToolkitError(
                 "must not exceed max_objects", field="min_objects", value=self.min_objects
+            )
+        if (self.scenes_from == "graspnet") != (self.graspnet_root is not None):
+            raise ToolkitError(
+                "scenes of GraspNet-1Billion and the folder of that data set go together",
+                field="graspnet_root",
+                value=self.graspnet_root,
+                hint="give --scenes-from graspnet and --graspnet-root DIR, or neither",
+            )
+        if self.pattern is None and self.pattern_fov_deg is not None:
+            raise ToolkitError(
+                "the angle of a pattern needs the pattern's image", field="pattern_fov_deg"
             )
         if self.max_objects > 20:
             raise ToolkitError(

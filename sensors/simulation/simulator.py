@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sensors.align import align_depth
-from sensors.assets import AssetSource, SourceOptions, open_source
-from sensors.lighting import EnvironmentSource, environment_source
 from sensors.output import SimulatedFrame
-from sensors.pattern import make_pattern
 from sensors.render import (
     SIM_RENDERERS,
+    ColorLight,
     InfraredResponse,
     LoadedScene,
     Projector,
@@ -28,13 +27,13 @@ from sensors.render import (
     develop,
     expose_pair,
 )
-from sensors.simulation.draw import draw_scene, generator
+from sensors.simulation.arrangement import DRESSED_AS
+from sensors.simulation.draw import draw_scene, dress_scene, generator
+from sensors.simulation.equipment import Equipment
 from sensors.simulation.options import SimulationOptions
 from sensors.simulation.quality import quality_of
 from sensors.simulation.world import World, build_world
-from sensors.specs import SensorSpec, load_sensor
-from sensors.stereo import StereoMatcher, disparity_to_depth, make_matcher
-from std_toolkit.geometry.camera import Camera
+from sensors.stereo import disparity_to_depth
 from std_toolkit.geometry.se3 import SE3
 
 # Irradiance of the projector at 1 m where the pattern is bright, against an environment of mean
@@ -61,42 +60,21 @@ class Stopwatch:
 
 
 @dataclass(frozen=True, eq=False)
-class Equipment:
-    """What a data set is made with, apart from the renderer.
+class _Seen:
+    """What the renderer made of a view: light, before any camera or matcher.
 
     Attributes:
-        cameras: infrared, and colour at the size of the labels.
+        seed: of the noise of this frame.
+        left, right: (h, w) float32 infrared radiance.
     """
 
-    sensor: SensorSpec
-    cameras: tuple[Camera, Camera]
-    matcher: StereoMatcher
-    assets: AssetSource
-    environments: EnvironmentSource
-
-    @staticmethod
-    def of(options: SimulationOptions, *, threads: int | None = None) -> Equipment:
-        """Find all of it; quick, so that bad options are told before any work begins.
-
-        Raises:
-            ToolkitError: an unknown or unusable sensor, image size, matcher or source.
-        """
-        sensor = load_sensor(options.sensor)
-        size = (options.width, options.height)
-        cameras = sensor.infrared_camera(*size), sensor.color_camera(*size)
-        low, high = sensor.disparity_range(*size)
-        # What the released matcher searches is part of it.
-        own = {} if options.matcher == "dreds" else {"min_disparity": low, "max_disparity": high}
-        if options.matcher == "local":
-            own["threads"] = threads or len(os.sched_getaffinity(0))
-        root = None if options.assets_root is None else Path(options.assets_root)
-        return Equipment(
-            sensor,
-            cameras,
-            make_matcher(options.matcher, **own),
-            open_source(options.assets, SourceOptions(root=root, split=options.split)),
-            environment_source(options.environments, split=options.split),
-        )
+    index: int
+    T_world_cam: SE3
+    T_world_ir: SE3
+    seed: int
+    left: NDArray[np.float32]
+    right: NDArray[np.float32]
+    color: ColorLight
 
 
 class Simulator:
@@ -106,7 +84,9 @@ class Simulator:
         options: of the data set.
         renderer: name of the renderer plug-in.
         parts_cache: folder that keeps the objects' convex parts over runs.
-        threads: of renderer and matcher; None takes all cores.
+        threads: of renderer, denoiser and matcher; None takes all cores. With more than one, what
+            runs on one thread only (exact maps, images, alignment) is done while the next view
+            renders; the frames are the same to the bit.
 
     Raises:
         ToolkitError: an unknown sensor, source or renderer, or one that does not work here.
@@ -125,13 +105,15 @@ class Simulator:
         equipment = Equipment.of(options, threads=threads)
         self._sensor = equipment.sensor
         self._assets, self._environments = equipment.assets, equipment.environments
+        self._arrangements = equipment.arrangements
+        self._threads = threads
         self._matcher = equipment.matcher
         self._infrared_camera, self._label_camera = equipment.cameras
         self._color_camera = self._label_camera.resized(
             options.color_factor * options.width, options.color_factor * options.height
         )
         self._quality = quality_of(options.quality)
-        self._pattern = None if self._sensor.projector is None else make_pattern(self._sensor)
+        self._pattern = equipment.pattern
         self._parts_cache = parts_cache
         self._renderer = SIM_RENDERERS.get(renderer)(threads=threads)
 
@@ -142,9 +124,19 @@ class Simulator:
             ToolkitError: see `draw_scene` and `build_world`.
         """
         with self.stopwatch.part("settle"):
-            draw, assets, environment = draw_scene(
-                seed, self.options, self._assets, self._environments
-            )
+            poses: Sequence[SE3] | None = None
+            parameters: dict[str, Any] = {"renderer": self._renderer.name}
+            if self._arrangements is None:
+                draw, assets, environment = draw_scene(
+                    seed, self.options, self._assets, self._environments
+                )
+            else:
+                found = self._arrangements.of_seed(seed, cache=self._parts_cache)
+                assets, poses = found.assets, found.poses
+                parameters["graspnet_scene"] = found.scene
+                draw, environment = dress_scene(
+                    seed, self.options, assets, self._environments, dressed_as=DRESSED_AS
+                )
             return build_world(
                 name,
                 draw,
@@ -152,8 +144,9 @@ class Simulator:
                 environment,
                 self.options,
                 sensor=self._sensor.name,
+                poses=poses,
                 parts_cache=self._parts_cache,
-                parameters={"renderer": self._renderer.name},
+                parameters=parameters,
             )
 
     def frames(self, world: World) -> Iterator[SimulatedFrame]:
@@ -162,72 +155,31 @@ class Simulator:
             loaded = self._renderer.load(world.scene)
             truth = TruthCaster(world.scene)
         noise = generator(world.draw.seed, "noise")
-        for index, T_world_cam in enumerate(world.T_world_cam):
-            # A seed for each frame: a frame's noise does not depend on those before it.
-            number = int(noise.integers(2**31))
-            yield self._frame(world, loaded, truth, index, T_world_cam, number)
-
-    def _frame(
-        self,
-        world: World,
-        loaded: LoadedScene,
-        truth: TruthCaster,
-        index: int,
-        T_world_cam: SE3,
-        seed: int,
-    ) -> SimulatedFrame:
-        part = self.stopwatch.part
-        T_world_ir = T_world_cam @ self._sensor.pose_of_color.inverse()
-        with part("exact maps"):
-            exact = truth.maps(self._label_camera, T_world_cam)
-            exact_ir = truth.maps(self._infrared_camera, T_world_ir)
-        left, right = self._infrared_pair(world, loaded, index, T_world_ir, seed)
-        with part("colour"):
-            light = loaded.color(
-                self._color_camera,
-                T_world_cam,
-                ambient=world.draw.light[index].color_strength,
-                options=self._quality.color,
-                seed=seed,
-            )
-        with part("denoise"):
-            color, _ = develop(denoise(light), rng=np.random.default_rng([seed, 1]))
-        if self.options.depth == "cut":
-            depth_ir = self._cut(world, exact_ir.depth, exact_ir.mask)
-            aligned = self._cut(world, exact.depth, exact.mask)
-        else:
-            with part("matching"):
-                depth_ir = self._measured(left, right)
-            with part("alignment"):
-                aligned = align_depth(
-                    depth_ir,
-                    self._infrared_camera,
-                    self._label_camera,
-                    self._sensor.pose_of_color.inverse(),
-                )
-        return SimulatedFrame(
-            index=index,
-            color=color,
-            infrared_left=left,
-            infrared_right=right,
-            depth_sensor=depth_ir,
-            depth_exact_infrared=exact_ir.depth,
-            mask_infrared=exact_ir.mask,
-            depth_aligned=aligned,
-            depth_exact=exact.depth,
-            mask=exact.mask,
-            nocs=exact.nocs,
-            normals=exact.normals,
-            T_world_cam=T_world_cam,
-            T_world_ir=T_world_ir,
-            color_camera=self._color_camera,
-            infrared_camera=self._infrared_camera,
+        # A seed for each frame: a frame's noise does not depend on those before it.
+        seen = (
+            self._look(world, loaded, index, T_world_cam, int(noise.integers(2**31)))
+            for index, T_world_cam in enumerate(world.T_world_cam)
         )
+        if self._threads == 1:
+            for view in seen:
+                yield self._frame(world, truth, view)
+            return
+        with ThreadPoolExecutor(1, thread_name_prefix="finish-frame") as finisher:
+            waiting: Future[SimulatedFrame] | None = None
+            for view in seen:
+                following = finisher.submit(self._frame, world, truth, view)
+                if waiting is not None:
+                    yield waiting.result()
+                waiting = following
+            if waiting is not None:
+                yield waiting.result()
 
-    def _infrared_pair(
-        self, world: World, loaded: LoadedScene, index: int, T_world_ir: SE3, seed: int
-    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    def _look(
+        self, world: World, loaded: LoadedScene, index: int, T_world_cam: SE3, seed: int
+    ) -> _Seen:
+        """Render a view: the only part that the renderer has."""
         light = world.draw.light[index]
+        T_world_ir = T_world_cam @ self._sensor.pose_of_color.inverse()
         projector = None
         if self._pattern is not None and self._sensor.projector is not None:
             projector = Projector(
@@ -250,13 +202,64 @@ class Simulator:
                 )
                 for eye, T in enumerate((T_world_ir, T_world_ir @ T_left_right))
             )
-        images = expose_pair(
-            left,
-            right,
-            rng=np.random.default_rng([seed, 0]),
-            response=InfraredResponse(noise=self.options.infrared_noise),
+        with self.stopwatch.part("colour"):
+            color = loaded.color(
+                self._color_camera,
+                T_world_cam,
+                ambient=light.color_strength,
+                options=self._quality.color,
+                seed=seed,
+            )
+        return _Seen(index, T_world_cam, T_world_ir, seed, left, right, color)
+
+    def _frame(self, world: World, truth: TruthCaster, view: _Seen) -> SimulatedFrame:
+        """What cameras, matcher and labels make of a view."""
+        part = self.stopwatch.part
+        with part("exact maps"):
+            exact = truth.maps(self._label_camera, view.T_world_cam)
+            exact_ir = truth.maps(self._infrared_camera, view.T_world_ir)
+        with part("images"):
+            left, right, _ = expose_pair(
+                view.left,
+                view.right,
+                rng=np.random.default_rng([view.seed, 0]),
+                response=InfraredResponse(noise=self.options.infrared_noise),
+            )
+        with part("denoise"):
+            clean = denoise(view.color, threads=self._threads)
+        with part("images"):
+            color, _ = develop(clean, rng=np.random.default_rng([view.seed, 1]))
+        if self.options.depth == "cut":
+            depth_ir = self._cut(world, exact_ir.depth, exact_ir.mask)
+            aligned = self._cut(world, exact.depth, exact.mask)
+        else:
+            with part("matching"):
+                depth_ir = self._measured(left, right)
+            with part("alignment"):
+                aligned = align_depth(
+                    depth_ir,
+                    self._infrared_camera,
+                    self._label_camera,
+                    self._sensor.pose_of_color.inverse(),
+                )
+        return SimulatedFrame(
+            index=view.index,
+            color=color,
+            infrared_left=left,
+            infrared_right=right,
+            depth_sensor=depth_ir,
+            depth_exact_infrared=exact_ir.depth,
+            mask_infrared=exact_ir.mask,
+            depth_aligned=aligned,
+            depth_exact=exact.depth,
+            mask=exact.mask,
+            nocs=exact.nocs,
+            normals=exact.normals,
+            T_world_cam=view.T_world_cam,
+            T_world_ir=view.T_world_ir,
+            color_camera=self._color_camera,
+            infrared_camera=self._infrared_camera,
         )
-        return images[0], images[1]
 
     def _measured(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> NDArray[np.float32]:
         near, far = self._sensor.depth.range_m

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -57,6 +58,7 @@ def build_world(
     options: SimulationOptions,
     *,
     sensor: str,
+    poses: Sequence[SE3] | None = None,
     parts_cache: Path | None = None,
     parameters: dict[str, Any] | None = None,
 ) -> World:
@@ -69,18 +71,22 @@ def build_world(
         environment: its light.
         options: of the data set.
         sensor: name of the sensor, for the record.
+        poses: T_world_obj of objects that lie still already; None lets them fall.
         parts_cache: folder that keeps convex parts over runs.
         parameters: further entries of the scene's record.
 
     Raises:
         ToolkitError: the objects do not come to rest, or a floor image cannot be read.
     """
-    falling = [
-        PhysicalObject(asset, thing.diagonal_m, convex_parts(asset, parts_cache))
-        for asset, thing in zip(assets, draw.objects, strict=True)
-    ]
-    settled = settle(falling, int(generator(draw.seed, "drop").integers(2**31)))
-    rows = list(zip(draw.objects, assets, settled.poses, strict=True))
+    drops = 0
+    if poses is None:
+        falling = [
+            PhysicalObject(asset, thing.diagonal_m, convex_parts(asset, parts_cache))
+            for asset, thing in zip(assets, draw.objects, strict=True)
+        ]
+        settled = settle(falling, int(generator(draw.seed, "drop").integers(2**31)))
+        poses, drops = settled.poses, settled.attempts
+    rows = list(zip(draw.objects, assets, poses, strict=True))
     record = SimulatedScene(
         name=name,
         seed=draw.seed,
@@ -103,7 +109,7 @@ def build_world(
         parameters={
             "options": msgspec.to_builtins(options),
             "draw": msgspec.to_builtins(draw),
-            "drops": settled.attempts,
+            "drops": drops,
             **(parameters or {}),
         },
     )
