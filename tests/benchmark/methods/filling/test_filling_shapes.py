@@ -117,9 +117,10 @@ def test_noise_has_no_planes() -> None:
 
 
 @pytest.mark.parametrize("method", ["joint-bilateral", "colorization", "planes"])
-def test_an_edge_of_depth_is_kept_where_colour_has_one(method: str) -> None:
+@pytest.mark.parametrize("column", [80, 100])  # the edge in the middle of the hole, and not
+def test_an_edge_of_depth_is_kept_where_colour_has_one(method: str, column: int) -> None:
     depth, color = two_walls()
-    filled = restored(method, view_of(depth, disc(60, 80, 25), color))
+    filled = restored(method, view_of(depth, disc(60, column, 35), color))
     wrong = np.abs(filled - depth) > 0.05
     assert not wrong[:, np.abs(np.arange(CAMERA.width) - 79.5) > 3].any()
     assert wrong.mean() < 0.005
