@@ -81,8 +81,8 @@ def read_exr_channel(
     with open_regular(path) as whole:
         check_whole_exr(path, header, whole.read(), inflate=False)
     try:
-        with OpenEXR.File(str(path), separate_channels=True) as file:
-            channels = file.channels()
+        with OpenEXR.File(str(path), separate_channels=True) as image:
+            channels = image.channels()
             pixels: NDArray[np.generic] = channels[name].pixels
             others = [n for n in "RGB" if n != name and n in channels]
             if require_equal and not all(_same(pixels, channels[n].pixels) for n in others):
