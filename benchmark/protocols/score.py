@@ -162,8 +162,13 @@ def _gather(
     if taken is not None:
         ids, depths = ids.take(taken), depths.take(taken)
     cell: NDArray[Any] = cv2.LUT(ids, cells.of_id).ravel()
-    kept = np.flatnonzero((cell != _NO_CELL) & protocol.usable(depths))
-    g, cell = depths.take(kept), cell.take(kept)
+    kept = np.flatnonzero(cell != _NO_CELL)
+    g = depths.take(kept)
+    there = protocol.usable(g)
+    if not there.all():
+        picked = np.flatnonzero(there)
+        kept, g = kept.take(picked), g.take(picked)
+    cell = cell.take(kept)
     at = kept if taken is None else taken.take(kept)
     if band is not None:
         cell = cell + np.uint16(cells.count) * band.ravel().take(at)
