@@ -69,6 +69,7 @@ def build_parser() -> argparse.ArgumentParser:
     add("--batch-size", type=int, default=8, metavar="N")
     add("--save-depth", action="store_true", help="keep the restored depth beside the results")
     add("--no-speed", action="store_true", help="do not measure how fast the methods are")
+    add("--no-gallery", action="store_true", help="keep no pictures of a few frames")
     add_job_arguments(parser)
     parser.add_argument(
         "--gpus-per-task", type=float, default=0.0, metavar="X", help="with --engine ray"
@@ -129,7 +130,7 @@ def _score(args: argparse.Namespace) -> int:
         depth_from=args.depth_from,
     )
     jobs = replace(job_options(args), gpus=args.gpus_per_task)
-    report = run_all(plan_runs(wishes), jobs, speed=not args.no_speed)
+    report = run_all(plan_runs(wishes), jobs, speed=not args.no_speed, gallery=not args.no_gallery)
     if report.finished:
         print(results_table([read_run(run.folder) for run in report.finished]))
     for title, error in report.failed.items():

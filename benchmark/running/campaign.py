@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from benchmark.methods.registry import make_restorer
 from benchmark.protocols.registry import get_protocol
 from benchmark.running.batch import frame_view
+from benchmark.running.gallery import FOLDER, INDEX_FILE, make_gallery
 from benchmark.running.manifest import hardware
 from benchmark.running.parts import ERROR, FAILURES, INDEX
 from benchmark.running.run import Run, UnusableMethod, chosen_frames, run_method, source_of
@@ -37,7 +38,11 @@ class CampaignReport:
 
 
 def run_all(
-    runs: Sequence[Run], jobs: JobOptions | None = None, *, speed: bool = True
+    runs: Sequence[Run],
+    jobs: JobOptions | None = None,
+    *,
+    speed: bool = True,
+    gallery: bool = True,
 ) -> CampaignReport:
     """Run everything; see `run_method`.
 
@@ -45,6 +50,7 @@ def run_all(
         runs: in the order that they are to run in.
         jobs: where the work runs.
         speed: also time each method.
+        gallery: also keep pictures of a few frames.
 
     Raises:
         ToolkitError: a split's data are not there, or no such protocol; nothing has run then.
@@ -65,6 +71,8 @@ def run_all(
                 logger.warning("%s: %d frames failed: %s", run.title, bad, run.folder / FAILURES)
             if speed and not (run.folder / SPEED).exists():
                 write_document(run.folder / SPEED, speed_of(run))
+            if gallery and not (run.folder / FOLDER / INDEX_FILE).exists():
+                make_gallery(run)
         except UnusableMethod as error:
             unusable.add((run.method, run.label))
             report.failed[run.label] = str(error)
