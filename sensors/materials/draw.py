@@ -60,6 +60,9 @@ class DrawnMaterial(Document, frozen=True, kw_only=True):
         metallic .. clearcoat_gloss: parameters of the principled BSDF, 0..1.
         texture: pattern that multiplies `color`, or None.
         glass: for transparent materials only.
+        infrared: mean reflectance at 850 nm of the material; None: as bright as it looks.
+        own_infrared: the same of the object's own paint, of which `own_share` is mixed in.
+        infrared_pattern: share of the visible pattern's contrast that is left there.
     """
 
     name: str
@@ -77,6 +80,9 @@ class DrawnMaterial(Document, frozen=True, kw_only=True):
     clearcoat_gloss: Share = 0.9
     texture: DrawnTexture | None = None
     glass: Glass | None = None
+    infrared: Share | None = None
+    own_infrared: Share = 0.5
+    infrared_pattern: Share = 1.0
 
     @property
     def class_id(self) -> int:
@@ -114,6 +120,9 @@ def draw_material(
             own_share=1.0,
             roughness=_uniform(rng, library.raw.roughness),
             specular=_uniform(rng, library.raw.specular),
+            infrared=(own := _uniform(rng, library.raw.infrared)),
+            own_infrared=own,
+            infrared_pattern=_uniform(rng, library.raw.infrared_pattern),
         )
     choices = library.of_class(material_class)
     if name is not None:
@@ -151,12 +160,16 @@ def _draw_opaque(
             contrast=_uniform(rng, chosen.texture.contrast),
             seed=int(rng.integers(2**32)),
         )
+    infrared = None if chosen.infrared is None else _uniform(rng, chosen.infrared)
     return DrawnMaterial(
         name=chosen.name,
         material_class=family.material_class,
         color=color,
         own_share=share if mixed else 0.0,
         texture=texture,
+        infrared=infrared,
+        own_infrared=_uniform(rng, library.raw.infrared),
+        infrared_pattern=_uniform(rng, family.infrared_pattern),
         **values,
     )
 

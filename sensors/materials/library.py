@@ -81,14 +81,18 @@ class Family(Document, frozen=True, kw_only=True):
         material_class: the class of its members.
         jitter: parameter to the range that is added to the base value.
         mix_probability: how often the object's own colour is mixed in at all.
+        infrared_pattern: range of the share of a visible pattern's contrast that is left at
+            850 nm.
     """
 
     material_class: MaterialClass
     jitter: dict[str, Range]
     mix_probability: Share = 1.0
+    infrared_pattern: Range = (1.0, 1.0)
 
     def __post_init__(self) -> None:
         _check_jitter(self.jitter)
+        _check_range(self.infrared_pattern, "infrared_pattern", 0.0, 1.0)
 
 
 class BaseValues(Document, frozen=True, kw_only=True):
@@ -110,6 +114,8 @@ class OpaqueMaterial(Document, frozen=True, kw_only=True):
 
     Attributes:
         color: two corners of the box of linear RGB reflectances to draw from.
+        infrared: range of the reflectance at 850 nm, where projectors of depth cameras shine;
+            None: as bright as it looks.
         jitter: ranges that replace the family's, by parameter.
     """
 
@@ -117,11 +123,14 @@ class OpaqueMaterial(Document, frozen=True, kw_only=True):
     family: str
     base: BaseValues
     color: tuple[Color, Color]
+    infrared: Range | None = None
     texture: TextureRange | None = None
     jitter: dict[str, Range] = msgspec.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         _check_box(self.color, "color")
+        if self.infrared is not None:
+            _check_range(self.infrared, "infrared", 0.0, 1.0)
         _check_jitter(self.jitter)
 
 
@@ -171,14 +180,21 @@ class OwnShare(Document, frozen=True, kw_only=True):
 
 
 class RawRange(Document, frozen=True, kw_only=True):
-    """Ranges of the surface that objects with nothing but their own texture get."""
+    """Ranges of the surface that objects with nothing but their own texture get.
+
+    Attributes:
+        infrared: of the reflectance at 850 nm of any object's own paint.
+        infrared_pattern: of the share of its contrast that is left there.
+    """
 
     roughness: Range
     specular: Range
+    infrared: Range
+    infrared_pattern: Range
 
     def __post_init__(self) -> None:
-        _check_range(self.roughness, "roughness", 0.0, 1.0)
-        _check_range(self.specular, "specular", 0.0, 1.0)
+        for name in ("roughness", "specular", "infrared", "infrared_pattern"):
+            _check_range(getattr(self, name), name, 0.0, 1.0)
 
 
 class MaterialLibrary(Document, frozen=True, kw_only=True):

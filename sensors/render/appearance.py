@@ -1,7 +1,8 @@
 """The base colour of a surface as one image, and the texture coordinates to put it on.
 
 Material and the object's own look are mixed once, into an image: a renderer then needs a single
-texture per object, whatever they were made of.
+texture per object, whatever they were made of. In infrared the same image has other shades: dyes
+that absorb visible light hardly do so at 850 nm.
 """
 
 from __future__ import annotations
@@ -12,11 +13,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sensors.lighting.environment import LUMINANCE
+from sensors.materials.draw import DrawnMaterial
 from sensors.materials.textures import make_texture, to_linear, to_srgb
 from sensors.render.scene import SceneObject, SurfaceMesh
 
 LARGEST = 1024
 """Larger textures are reduced: an object fills a few hundred pixels."""
+INFRARED_RANGE = (0.02, 0.98)
+"""Of any spot's reflectance: black rubber, and silver."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +58,23 @@ def appearance(item: SceneObject) -> Appearance:
     # An unwrapped surface covers the image about once; its scale in metres is that of the mesh.
     mixed = _mix(own_image, tile, share, item.mesh.prepared.diagonal / tile_m)
     return Appearance(uv, mixed)
+
+
+def infrared_appearance(look: Appearance, material: DrawnMaterial) -> Appearance:
+    """The same surface at 850 nm: as bright as the material is there, its pattern paler.
+
+    Args:
+        look: as it is seen.
+        material: of the object; without a value for infrared the look comes back as it is.
+    """
+    if material.infrared is None:
+        return look
+    share = material.own_share
+    mean = share * material.own_infrared + (1 - share) * material.infrared
+    seen = to_linear(look.image) @ LUMINANCE
+    pattern = seen / max(float(seen.mean()), 1e-3) - 1
+    light = np.clip(mean * (1 + material.infrared_pattern * pattern), *INFRARED_RANGE)
+    return Appearance(look.uv, to_srgb(np.repeat(light[..., None], 3, axis=-1)))
 
 
 def box_uv(mesh: SurfaceMesh) -> NDArray[np.float32]:

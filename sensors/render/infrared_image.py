@@ -1,11 +1,23 @@
-"""From infrared light to the 8-bit images of a pair: one exposure for both, sensor noise."""
+"""From infrared light to the 8-bit images of a pair: lens, one exposure for both, sensor noise.
+
+The figures were measured on the infrared pair of a real D415 (640x360, a cloth at 0.45 m).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+BLUR_SHARE = 0.5 / 640
+"""Spread of the lens's blur as a share of the image's width.
+
+Of blurs from 0 to 0.8 px on 640 the best fit to real dots (their contrast, the quantiles and the
+autocorrelation of their brightness) was 0.4 to 0.7 px, by the size of the dots themselves.
+"""
+_FULL = 255.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -13,21 +25,22 @@ class InfraredResponse:
     """An imager's response.
 
     Attributes:
-        target: grey value that the median of both images is exposed to. A D415 over a cloth lit
-            by its own projector has 50.
-        brightest: grey value that all but `bright_share` of the pixels stay below: the exposure is
-            shorter where bright things lie on a dark ground.
-        bright_share: the same camera has 0.04 % above 245.
-        electrons_per_grey: electrons in one step of the 8-bit scale: sets the shot noise.
+        target: mean grey value of both images, to which the camera's own control exposes ("mean
+            intensity set point" in librealsense); the real pair has 54. What is brighter than
+            white counts as white: bright things on a dark ground saturate.
+        blur_px: spread of the lens's blur; None: `BLUR_SHARE` of the width. A part of an image
+            needs the blur of the whole.
+        electrons_per_grey: electrons in one step of the 8-bit scale: sets the shot noise. On
+            smooth patches of the real pair the noise is 0.3 at grey 10, 0.5 at 24, 0.8 at 65,
+            rounding included.
         read_noise_grey: deviation of the noise of an unlit pixel, grey values.
         noise: switch for the ablation without infrared noise.
     """
 
-    target: float = 50.0
-    brightest: float = 245.0
-    bright_share: float = 0.005
-    electrons_per_grey: float = 40.0
-    read_noise_grey: float = 0.6
+    target: float = 54.0
+    blur_px: float | None = None
+    electrons_per_grey: float = 130.0
+    read_noise_grey: float = 0.2
     noise: bool = True
 
 
@@ -49,16 +62,34 @@ def expose_pair(
         left and right as uint8, and the exposure (grey values per unit of radiance).
     """
     response = response or InfraredResponse()
-    both = np.concatenate([left.ravel(), right.ravel()])
-    middle, bright = np.quantile(both, [0.5, 1 - response.bright_share])
-    exposure = float(
-        min(response.target / max(middle, 1e-9), response.brightest / max(bright, 1e-9))
-    )
+    blur = BLUR_SHARE * left.shape[1] if response.blur_px is None else response.blur_px
+    left, right = blurred(left, blur), blurred(right, blur)
+    exposure = exposure_for(np.concatenate([left.ravel(), right.ravel()]), response.target)
     return (
         expose(left, exposure, rng=rng, response=response),
         expose(right, exposure, rng=rng, response=response),
         exposure,
     )
+
+
+def blurred(light: NDArray[np.floating], spread_px: float) -> NDArray[np.floating]:
+    """Light (H, W) after a lens that spreads points as Gaussians; 0 leaves it as it is."""
+    if spread_px <= 0:
+        return light
+    return np.asarray(cv2.GaussianBlur(light, (0, 0), spread_px, borderType=cv2.BORDER_REPLICATE))
+
+
+def exposure_for(light: NDArray[np.floating], target: float) -> float:
+    """Grey values per unit of light at which the mean grey value, at most white, is the target."""
+    level = np.sort(np.maximum(np.asarray(light, np.float64).ravel(), 0))
+    below = np.cumsum(level)
+    # Up to pixel i the image is unsaturated: the exposure that this would take.
+    saturated = len(level) - 1 - np.arange(len(level))
+    exposures = (target * len(level) - _FULL * saturated) / np.maximum(below, 1e-12)
+    fits = np.flatnonzero((below > 0) & (exposures > 0) & (exposures * level <= _FULL))
+    if len(fits) == 0:  # too little is lit at all: that is made white
+        return _FULL / max(float(level[-1]), 1e-9)
+    return float(exposures[fits[-1]])
 
 
 def expose(

@@ -66,18 +66,26 @@ class MitsubaScene:
 
     def __init__(self, scene: SimScene, mi: Any, variant: str) -> None:
         self._mi, self._variant = mi, variant
-        loaded = mitsuba_scene.build(mi, scene)
-        self._tracer: Any
-        if variant.startswith("scalar"):
+        self._scene = scene
+        # Surfaces differ in colour and in infrared; whoever wants one kind only waits for one.
+        self._tracers: dict[bool, Any] = {}
+
+    def _tracer(self, *, infrared: bool) -> Any:
+        if infrared not in self._tracers:
+            self._tracers[infrared] = self._make_tracer(infrared=infrared)
+        return self._tracers[infrared]
+
+    def _make_tracer(self, *, infrared: bool) -> Any:
+        mi, scene = self._mi, self._scene
+        loaded = mitsuba_scene.build(mi, scene, infrared=infrared)
+        if self._variant.startswith("scalar"):
             from sensors.render.builtin_tracer import BuiltinTracer
 
-            self._tracer = BuiltinTracer(loaded.everything, mitsuba_scene.environment(mi, scene))
-        else:
-            from sensors.render.path_tracer import PathTracer
-            from sensors.render.sky import Sky
+            return BuiltinTracer(loaded.everything, mitsuba_scene.environment(mi, scene))
+        from sensors.render.path_tracer import PathTracer
+        from sensors.render.sky import Sky
 
-            sky = Sky(scene.environment, scene.environment_rotation_rad)
-            self._tracer = PathTracer(loaded, sky)
+        return PathTracer(loaded, Sky(scene.environment, scene.environment_rotation_rad))
 
     def infrared(
         self,
@@ -111,7 +119,9 @@ class MitsubaScene:
         radiance = clipped_mean(chunks)
         if self._variant.startswith("scalar"):
             return ColorLight(radiance)
-        features = self._tracer.features(camera, T_world_cam, samples=_FEATURE_SAMPLES, seed=seed)
+        features = self._tracer(infrared=False).features(
+            camera, T_world_cam, samples=_FEATURE_SAMPLES, seed=seed
+        )
         return ColorLight(radiance, *features)
 
     def first_hits(
@@ -121,12 +131,12 @@ class MitsubaScene:
 
         Of compiled variants only; `truth` makes the maps of a data set, this checks them.
         """
-        return self._tracer.first_hits(camera, T_world_cam)
+        return self._tracer(infrared=False).first_hits(camera, T_world_cam)
 
     def _radiance(self, camera: Camera, *args: Any, **keywords: Any) -> NDArray[np.float32]:
         check_no_distortion("mitsuba", camera)
         self._mi.set_variant(self._variant)
-        return self._tracer.radiance(camera, *args, **keywords)
+        return self._tracer(infrared=keywords["grey"]).radiance(camera, *args, **keywords)
 
 
 def clipped_mean(chunks: NDArray[np.float32]) -> NDArray[np.float32]:

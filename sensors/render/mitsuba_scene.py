@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sensors.materials.draw import DrawnMaterial
-from sensors.render.appearance import appearance
+from sensors.render.appearance import appearance, infrared_appearance
 from sensors.render.scene import SceneObject, SimScene
 
 _SMOOTHEST = 2e-3
@@ -34,9 +34,9 @@ class Shapes:
     glass: Any
 
 
-def build(mi: Any, scene: SimScene) -> Shapes:
-    """The surfaces for the active variant of the module `mi`."""
-    meshes = [_mesh(mi, item, f"object{i}") for i, item in enumerate(scene.objects)]
+def build(mi: Any, scene: SimScene, *, infrared: bool = False) -> Shapes:
+    """The surfaces, in colour or in infrared, for the active variant of the module `mi`."""
+    meshes = [_mesh(mi, item, f"object{i}", infrared) for i, item in enumerate(scene.objects)]
     clear = [item.material.glass is not None for item in scene.objects]
     return Shapes(
         _group(mi, meshes),
@@ -53,9 +53,11 @@ def _group(mi: Any, meshes: list[Any]) -> Any:
     return mi.load_dict({"type": "scene", **parts}, optimize=False)
 
 
-def _mesh(mi: Any, item: SceneObject, name: str) -> Any:
+def _mesh(mi: Any, item: SceneObject, name: str, infrared: bool) -> Any:
     prepared = item.mesh.prepared
     look = appearance(item)
+    if infrared:
+        look = infrared_appearance(look, item.material)
     R, T = item.T_world_obj.R, item.T_world_obj
     # Corners are not shared: creases and texture seams give them different normals and
     # coordinates.

@@ -173,3 +173,21 @@ def test_srgb_round_trip_and_noise_statistics() -> None:
     along, across = (np.abs(np.diff(noise, axis=a)).mean() for a in (1, 0))
     assert along < 0.5 * across
     assert abs(noise.mean()) < 1e-5
+
+
+def test_materials_have_their_own_brightness_in_infrared() -> None:
+    library = load_library()
+    assert all(m.infrared is not None for m in library.opaque)
+    by_name = {m.name: m for m in library.opaque}
+    # Dye fades beyond the visible, carbon black does not.
+    for name in ("wood_ebony", "fabric_denim", "leather_brown"):
+        low, high = by_name[name].infrared or (0.0, 0.0)
+        assert low + high > 2 * sum(by_name[name].color[1]) / 3
+    assert (by_name["rubber_black"].infrared or (1.0, 1.0))[1] < 0.1
+    for seed in range(20):
+        drawn = draw_material(np.random.default_rng(seed), "diffuse")
+        low, high = by_name[drawn.name].infrared or (0.0, 0.0)
+        assert drawn.infrared is not None and low <= drawn.infrared <= high
+        assert library.raw.infrared[0] <= drawn.own_infrared <= library.raw.infrared[1]
+    raw = draw_material(np.random.default_rng(0), "raw")
+    assert raw.infrared == raw.own_infrared

@@ -13,7 +13,6 @@ from sensors.materials import draw_material
 from sensors.materials.textures import to_linear, to_srgb
 from sensors.render import (
     ColorLight,
-    InfraredResponse,
     Projector,
     SceneObject,
     SimScene,
@@ -21,54 +20,10 @@ from sensors.render import (
     color_image,
     denoise,
     develop,
-    expose_pair,
 )
 from sensors.render.appearance import appearance, box_uv
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
-
-
-def test_a_pair_shares_one_exposure_and_has_shot_noise() -> None:
-    left = np.full((200, 200), 0.02)
-    left[:, 150:] = 0.08
-    right = left * 1.0
-    right[:, :100] = 0.01
-    rng = np.random.default_rng(0)
-    a, b, exposure = expose_pair(left, right, rng=rng)
-    assert a.dtype == b.dtype == np.uint8
-    assert exposure == pytest.approx(50 / 0.02)
-    for light, grey in ((left, a), (right, b)):
-        for value in (0.01, 0.02, 0.08):
-            part = grey[light == value].astype(float)
-            if not len(part):
-                continue
-            level = value * exposure
-            assert part.mean() == pytest.approx(level, abs=0.1)
-            # Shot noise of 40 electrons a step, read noise, rounding.
-            expected = np.sqrt(level / 40 + 0.6**2 + 1 / 12)
-            assert part.std() == pytest.approx(expected, rel=0.05)
-    again = expose_pair(left, right, rng=np.random.default_rng(0))
-    np.testing.assert_array_equal(a, again[0])
-
-
-def test_noise_can_be_switched_off_and_bright_pixels_saturate() -> None:
-    light = np.full((32, 32), 0.5)
-    light[0, 0] = 50
-    grey, _, _ = expose_pair(
-        light, light, rng=np.random.default_rng(0), response=InfraredResponse(noise=False)
-    )
-    assert grey[0, 0] == 255
-    assert set(grey.ravel()[1:].tolist()) == {50}
-
-
-def test_bright_things_on_a_dark_ground_shorten_the_exposure() -> None:
-    light = np.full((32, 32), 0.5)
-    light[:4] = 5.0
-    grey, _, exposure = expose_pair(
-        light, light, rng=np.random.default_rng(0), response=InfraredResponse(noise=False)
-    )
-    assert exposure == pytest.approx(245 / 5.0)
-    assert grey.max() == 245
 
 
 def test_development_exposes_for_middle_grey_and_keeps_order() -> None:

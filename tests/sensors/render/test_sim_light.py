@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import msgspec
 import numpy as np
 import pytest
@@ -69,22 +71,36 @@ def test_own_tracer_agrees_with_mitsuba_s(mixed, compiled) -> None:
     from sensors.render.builtin_tracer import BuiltinTracer
 
     own = MitsubaRenderer(variant=compiled, check=False).load(mixed)
-    other = BuiltinTracer(shapes.build(mi, mixed).everything, shapes.environment(mi, mixed))
+    others = {
+        name: BuiltinTracer(
+            shapes.build(mi, mixed, infrared=name == "infrared").everything,
+            shapes.environment(mi, mixed),
+        )
+        for name in ("color", "infrared")
+    }
     options = RenderOptions(samples=256, chunk=16, max_depth=8, diffuse_bounces=8)
-    whole = {"options": options, "seed": 3}
+
+    def reference(name: str, *args: object, **keywords: object) -> np.ndarray:
+        # Its image of a bright metal ball differs by 3 % from seed to seed, ours by 0.4 %.
+        seeds = (3, 4, 5)
+        images = [
+            clipped_mean(others[name].radiance(*args, options=options, seed=seed, **keywords))
+            for seed in seeds
+        ]
+        return np.mean(images, axis=0)
+
     pairs = {
         "color": (
             own.color(CAMERA, VIEW, ambient=0.5, options=options, seed=5).radiance,
-            other.radiance(CAMERA, VIEW, None, ambient=0.5, grey=False, **whole),
+            reference("color", CAMERA, VIEW, None, ambient=0.5, grey=False),
         ),
         "infrared": (
             own.infrared(CAMERA, VIEW, LAMP, ambient=0.05, options=options, seed=5),
-            other.radiance(CAMERA, VIEW, LAMP, ambient=0.05, grey=True, **whole),
+            reference("infrared", CAMERA, VIEW, LAMP, ambient=0.05, grey=True),
         ),
     }
     mask = TruthCaster(mixed).maps(CAMERA, VIEW).mask
-    for name, (a, chunks) in pairs.items():
-        b = clipped_mean(chunks)
+    for name, (a, b) in pairs.items():
         assert np.asarray(a).size == b.size
         for i in range(4):
             ratio = float(np.mean(a[mask == i]) / np.mean(b[mask == i]))
@@ -200,6 +216,8 @@ def test_views_compile_nothing_anew(loaded, compiled) -> None:
         loaded.infrared(CAMERA, VIEW @ move, lamp, ambient=0.05 + 0.01 * i, options=options, seed=i)
         loaded.color(CAMERA, VIEW @ move, ambient=0.5 + 0.1 * i, options=options, seed=i)
 
+    # Scenes of other tests that end in between would change what there is to compile.
+    gc.collect()
     look(0)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
