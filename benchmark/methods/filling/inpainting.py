@@ -62,7 +62,7 @@ class Inpainting(Filler):
 
 
 class NavierStokes(Inpainting):
-    """Isophotes continued into the hole as the flow lines of a fluid.
+    """Inpainting: isophotes continued into the hole as the flow lines of a fluid.
 
     Bertalmio, Bertozzi, Sapiro: Navier-Stokes, fluid dynamics, and image and video inpainting.
     CVPR 2001.
@@ -73,7 +73,7 @@ class NavierStokes(Inpainting):
 
 
 class Telea(Inpainting):
-    """Weighted means along the front of a fast marching from the rim of the hole.
+    """Inpainting: weighted means along the front of a fast marching from the rim of the hole.
 
     Telea: An image inpainting technique based on the fast marching method. Journal of Graphics
     Tools 9(1), 2004.
