@@ -1,0 +1,1 @@
+"""Leaderboards and pages of what `std-bench` measured."""

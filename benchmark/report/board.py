@@ -1,0 +1,140 @@
+"""The leaderboard: one row per method, measured or published, on every split, grid and subset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from benchmark.metrics.paired import compare_methods
+from benchmark.protocols.registry import get_protocol
+from benchmark.protocols.summary import OVER_ALL, OVER_ANSWERED, summarise
+from benchmark.published.load import published_depth, published_speed
+from benchmark.running.parts import ERROR, INDEX
+from benchmark.running.results import RunResult
+
+MEASURED, PUBLISHED = "measured", "published"
+INTERVALS = tuple(f"{name}_{end}" for name in OVER_ALL for end in ("low", "high"))
+# Methods are compared, and ranked, by it.
+RANKED_BY = "rmse"
+SIGNIFICANT = 0.05
+# A protocol whose figures a paper's may be read beside without a caution.
+PAPERS_PROTOCOL = "paper"
+
+
+@dataclass(frozen=True)
+class Board:
+    """All that the formats and the page show.
+
+    Attributes:
+        rows: see `COLUMNS`.
+        tables: rows of all frames, as `RunResult.table`, of all runs.
+        results: the runs.
+    """
+
+    rows: pd.DataFrame
+    tables: pd.DataFrame
+    results: tuple[RunResult, ...]
+
+    def main_rows(self, split: str, protocol: str) -> pd.DataFrame:
+        """The rows that methods are ranked by: main grid and subset, best first."""
+        grid, subset = get_protocol(protocol).main
+        return self.part(split, protocol, grid, subset)
+
+    def part(self, split: str, protocol: str, grid: str, subset: str) -> pd.DataFrame:
+        """The rows of one split, protocol, grid and subset, best first."""
+        rows = self.rows
+        chosen = (rows["split"] == split) & (rows["protocol"] == protocol)
+        chosen &= (rows["grid"] == grid) & (rows["subset"] == subset)
+        return rows[chosen].sort_values([RANKED_BY, "method"], kind="stable", ignore_index=True)
+
+    @property
+    def boards(self) -> list[tuple[str, str]]:
+        """Splits and protocols that were measured."""
+        found = self.rows.loc[self.rows["kind"] == MEASURED, ["split", "protocol"]]
+        return list(found.drop_duplicates().itertuples(index=False, name=None))
+
+
+# split, protocol, grid, subset, method: which row it is. kind: MEASURED or PUBLISHED. frames and
+# scenes that entered, frames that failed. OVER_ALL with INTERVALS, OVER_ANSWERED. p_best: corrected
+# probability that the best measured method is not better. Then what it costs. Then, of published
+# rows, where they are printed and what was trained on.
+COLUMNS = (
+    "split", "protocol", "grid", "subset", "method", "kind", "frames", "scenes", "failed",
+    *OVER_ALL, *INTERVALS, *OVER_ANSWERED, "p_best", "frames_per_s", "parameters", "gmacs",
+    "peak_memory_mib", "hardware", "training_data", "table",
+)  # fmt: skip
+
+
+def make_board(
+    results: Sequence[RunResult], *, published: bool = True, samples: int = 2000
+) -> Board:
+    """Join runs to one leaderboard.
+
+    Args:
+        results: at least one.
+        published: with the figures that papers print for the same splits and subsets.
+        samples: draws of scenes for intervals and comparisons.
+    """
+    tables = pd.concat([result.table for result in results], ignore_index=True)
+    scored = tables[tables["grid"] != ""]
+    parts = []
+    for _, one in scored.groupby(["split", "protocol"], sort=False):
+        means = summarise(one, samples=samples)
+        parts.append(_with_significance(means[means["frames"] > 0], one, samples))
+    rows = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+    rows["kind"] = MEASURED
+    rows = rows.merge(_costs(results), on=["split", "protocol", "method"], how="left")
+    if published:
+        rows = pd.concat([rows, _published(rows)], ignore_index=True)
+    return Board(rows.reindex(columns=list(COLUMNS)), tables, tuple(results))
+
+
+def _with_significance(means: pd.DataFrame, one: pd.DataFrame, samples: int) -> pd.DataFrame:
+    """`p_best`: of each method against the best of its grid and subset, all pairs corrected."""
+    means = means.assign(p_best=np.nan)
+    for (grid, subset), block in means.groupby(["grid", "subset"], sort=False):
+        best = block.loc[block[RANKED_BY].idxmin(), "method"]
+        frames = one[(one["grid"] == grid) & (one["subset"] == subset)]
+        pairs = compare_methods(frames, RANKED_BY, samples=samples)
+        for pair in pairs.itertuples():
+            if best in (pair.first, pair.second):
+                other = pair.second if pair.first == best else pair.first
+                at = block.index[block["method"] == other]
+                means.loc[at, "p_best"] = pair.p_flip_holm
+    return means
+
+
+def _costs(results: Sequence[RunResult]) -> pd.DataFrame:
+    rows = []
+    for result in results:
+        setup, speed, table = result.manifest.setup, result.speed, result.table
+        row = {
+            "split": setup.split,
+            "protocol": setup.protocol,
+            "method": result.manifest.label,
+            "failed": int(table.loc[table[ERROR] != "", INDEX].nunique()),
+        }
+        if speed is not None:
+            names = ("frames_per_s", "parameters", "gmacs", "peak_memory_mib", "hardware")
+            row |= {name: getattr(speed, name) for name in names}
+        rows.append(row)
+    columns = ["split", "protocol", "method", "failed", "frames_per_s", "parameters", "gmacs"]
+    return pd.DataFrame(rows).reindex(columns=[*columns, "peak_memory_mib", "hardware"])
+
+
+def _published(rows: pd.DataFrame) -> pd.DataFrame:
+    """Published rows of the splits and subsets that were measured, on the protocols' main grids."""
+    printed = published_depth()
+    speeds = published_speed()
+    parts = []
+    for split, protocol in rows[["split", "protocol"]].drop_duplicates().itertuples(index=False):
+        grid, _ = get_protocol(protocol).main
+        chosen = (rows["split"] == split) & (rows["protocol"] == protocol) & (rows["grid"] == grid)
+        subsets = set(rows.loc[chosen, "subset"])
+        part = printed[(printed["split"] == split) & printed["subset"].isin(subsets)]
+        parts.append(part.assign(protocol=protocol, grid=grid))
+    found = pd.concat(parts, ignore_index=True).assign(kind=PUBLISHED)
+    return found.assign(frames_per_s=found["method"].map(speeds), hardware="NVIDIA RTX 3090")

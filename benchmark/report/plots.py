@@ -1,0 +1,176 @@
+"""The figures of the page, as Plotly JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from benchmark.report.board import MEASURED, PUBLISHED, Board
+from benchmark.report.columns import METRICS, Column
+from std_toolkit.checks.figures import base_layout, figure_json
+from std_toolkit.checks.palette import FAINT, INK, OBJECT_COLORS
+
+RMSE = METRICS[0]
+DEPTH_PREFIX = "depth:"
+_DASHES = ("solid", "dash", "dot")
+_MARKERS = ("circle", "square", "diamond", "cross", "triangle-up")
+_BAR_PX, _LEAST_PX = 26, 180
+
+
+def method_colors(board: Board) -> dict[str, str]:
+    """The colour of each method, the same in all figures."""
+    methods = board.rows.loc[board.rows["kind"] == MEASURED, "method"].drop_duplicates()
+    return {m: OBJECT_COLORS[i % len(OBJECT_COLORS)] for i, m in enumerate(methods)}
+
+
+def bars(rows: pd.DataFrame, colors: dict[str, str], column: Column = RMSE) -> str | None:
+    """One bar per method, best on top, with its 95 % interval; published ones hollow."""
+    rows = rows.dropna(subset=[column.name]).iloc[::-1]  # Plotly draws from the bottom
+    if rows.empty:
+        return None
+    printed = rows["kind"] == PUBLISHED
+    value = rows[column.name] * column.factor
+    low, high = (rows[f"{column.name}_{end}"] * column.factor for end in ("low", "high"))
+    fill = [
+        "rgba(0,0,0,0)" if p else colors.get(m, FAINT)
+        for m, p in zip(rows["method"], printed, strict=True)
+    ]
+    names = [f"{m} (published)" if p else m for m, p in zip(rows["method"], printed, strict=True)]
+    trace = {
+        "type": "bar",
+        "orientation": "h",
+        "y": names,
+        "x": value.tolist(),
+        "text": [
+            column.text(v, printed=p) for v, p in zip(rows[column.name], printed, strict=True)
+        ],
+        "textposition": "outside",
+        "cliponaxis": False,
+        "marker": {"color": fill, "line": {"color": FAINT, "width": [int(p) for p in printed]}},
+        "error_x": {
+            "type": "data",
+            "symmetric": False,
+            "array": (high - value).fillna(0).tolist(),
+            "arrayminus": (value - low).fillna(0).tolist(),
+            "color": INK,
+            "thickness": 1,
+            "width": 3,
+        },
+        "hovertemplate": f"%{{y}}: %{{x:.{column.digits}f}} {column.unit}<extra></extra>",
+    }
+    height = max(_LEAST_PX, 90 + _BAR_PX * len(rows))
+    layout = base_layout(
+        height=height,
+        xaxis={"title": {"text": column.title}, "rangemode": "tozero"},
+        showlegend=False,
+    )
+    return figure_json([trace], layout)
+
+
+def radar(rows: pd.DataFrame, colors: dict[str, str]) -> str | None:
+    """Each method as a polygon over the six metrics; the rim is the best measured figure."""
+    rows = rows[rows["kind"] == MEASURED].dropna(subset=[c.name for c in METRICS])
+    if len(rows) < 2:
+        return None
+    angles = [c.heading for c in METRICS]
+    scores = np.stack([_relative(rows[c.name].to_numpy(), c) for c in METRICS], axis=1)
+    traces = [
+        {
+            "type": "scatterpolar",
+            "name": method,
+            "r": [*score.tolist(), score[0]],
+            "theta": [*angles, angles[0]],
+            "line": {"color": colors[method], "width": 2},
+            "opacity": 0.9,
+            "hovertemplate": f"{method}, %{{theta}}: %{{r:.2f}} of the best<extra></extra>",
+        }
+        for method, score in zip(rows["method"], scores, strict=True)
+    ]
+    layout = base_layout(height=420, margin={"l": 40, "r": 40, "t": 30, "b": 30})
+    layout["polar"] = {
+        "radialaxis": {"range": [0, 1], "tickvals": [0.25, 0.5, 0.75, 1], "gridcolor": "#e4e7eb"},
+        "angularaxis": {"gridcolor": "#e4e7eb"},
+        "bgcolor": "rgba(0,0,0,0)",
+    }
+    layout["legend"] = {"orientation": "v", "x": 1.05, "y": 1}
+    return figure_json(traces, layout)
+
+
+def depth_curves(rows: pd.DataFrame, colors: dict[str, str], column: Column = RMSE) -> str | None:
+    """Error against true depth, a line per method."""
+    rows = rows[rows["subset"].str.startswith(DEPTH_PREFIX) & (rows["kind"] == MEASURED)]
+    if rows.empty:
+        return None
+    traces = []
+    for i, (method, part) in enumerate(rows.groupby("method", sort=False)):
+        ends = part["subset"].str.removeprefix(DEPTH_PREFIX).str.split("-", expand=True)
+        middle = ends.astype(float).mean(axis=1)
+        order = np.argsort(middle.to_numpy())
+        traces.append(
+            {
+                "type": "scatter",
+                "mode": "lines+markers",
+                "name": str(method),
+                "x": middle.to_numpy()[order].tolist(),
+                "y": (part[column.name].to_numpy() * column.factor)[order].tolist(),
+                "line": {
+                    "color": colors[str(method)],
+                    "dash": _DASHES[i // len(OBJECT_COLORS) % len(_DASHES)],
+                },
+                "hovertemplate": f"{method}<br>%{{x:.2f}} m: %{{y:.1f}} {column.unit}"
+                "<extra></extra>",
+            }
+        )
+    layout = base_layout(
+        height=380,
+        xaxis={"title": {"text": "true depth [m]"}},
+        yaxis={"title": {"text": column.title}, "rangemode": "tozero"},
+    )
+    return figure_json(traces, layout)
+
+
+def speed_against_error(rows: pd.DataFrame, colors: dict[str, str]) -> str | None:
+    """Frames per second against RMSE: best is the lower right corner."""
+    rows = rows.dropna(subset=["frames_per_s", "rmse"])
+    if rows.empty:
+        return None
+    traces: list[dict[str, Any]] = []
+    for i, row in enumerate(rows.itertuples()):
+        printed = row.kind == PUBLISHED
+        color = FAINT if printed else colors[row.method]
+        traces.append(
+            {
+                "type": "scatter",
+                "mode": "markers+text",
+                "x": [row.frames_per_s],
+                "y": [row.rmse * 1e3],
+                "text": [f"{row.method} (published)" if printed else row.method],
+                "textposition": "top center",
+                "marker": {
+                    "color": "rgba(0,0,0,0)" if printed else color,
+                    "size": 11,
+                    "symbol": _MARKERS[i // len(OBJECT_COLORS) % len(_MARKERS)],
+                    "line": {"color": color, "width": 2},
+                },
+                "hovertemplate": f"{row.method}<br>%{{x:.1f}} frames/s, %{{y:.1f}} mm"
+                f"<br>{row.hardware}<extra></extra>",
+                "showlegend": False,
+            }
+        )
+    layout = base_layout(
+        height=420,
+        xaxis={"title": {"text": "frames/s, warm, one at a time"}, "type": "log"},
+        yaxis={"title": {"text": RMSE.title}, "type": "log"},
+    )
+    return figure_json(traces, layout)
+
+
+def _relative(values: np.ndarray, column: Column) -> Sequence[float]:
+    """1 for the best, less for worse."""
+    floor = 1e-9
+    if column.less_is_better:
+        return (values.min() + floor) / (values + floor)
+    return values / max(values.max(), floor)
