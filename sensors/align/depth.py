@@ -63,15 +63,16 @@ def align_depth(
 
 @lru_cache(maxsize=4)
 def _patch_rays(camera: Camera) -> tuple[Array, Array, Array]:
-    """x and y at z = 1 behind the edges of the pixels, across and down, and behind their centres."""
+    """x and y at z = 1 behind the pixels' edges, across and down, and behind their centres."""
     width, height = camera.size
 
-    def rays(u: Array, v: Array) -> Array:
+    def rays(u: NDArray[np.floating], v: NDArray[np.floating]) -> Array:
         grid = np.stack(np.meshgrid(u, v), axis=-1)
         return np.ascontiguousarray(camera.unproject(grid)[..., :2])
 
     u, v = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)
-    edges_u, edges_v = np.arange(width + 1) - 0.5, np.arange(height + 1) - 0.5
+    edges_u = np.arange(width + 1, dtype=np.float64) - 0.5
+    edges_v = np.arange(height + 1, dtype=np.float64) - 0.5
     return rays(edges_u, v), rays(u, edges_v), rays(u, v)
 
 

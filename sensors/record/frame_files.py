@@ -1,0 +1,81 @@
+"""The files of one recorded frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from sensors.align import align_depth
+from sensors.record.frames import Calibration, CapturedFrame, Units
+from std_toolkit.io.images import write_color, write_png
+from std_toolkit.scene.model import Frame
+
+ColorFormat = Literal["jpg", "png"]
+_LARGEST_UNITS = 65535
+
+
+@dataclass(frozen=True)
+class FileOptions:
+    """How frames become files.
+
+    Attributes:
+        color: "jpg" at `quality`, or "png", which takes 20 times as long.
+        infrared, raw_depth: keep the infrared images, and depth as the camera gave it.
+    """
+
+    color: ColorFormat = "jpg"
+    quality: int = 95
+    infrared: bool = False
+    raw_depth: bool = False
+
+    @property
+    def kept(self) -> list[str]:
+        """Kinds of maps in `reference/`."""
+        infrared = ["infrared_left", "infrared_right"] if self.infrared else []
+        return infrared + (["depth_raw"] if self.raw_depth else [])
+
+
+def frame_name(frame_id: int) -> str:
+    return f"{frame_id:06d}"
+
+
+def write_frame(
+    root: Path, frame_id: int, frame: CapturedFrame, calibration: Calibration, options: FileOptions
+) -> Frame:
+    """Write a frame's images, each atomically, and return its row for frames.json.
+
+    Raises:
+        ToolkitError: the disk is full, or another reason why nothing can be written.
+    """
+    name = frame_name(frame_id)
+    color, depth = f"color/{name}.{options.color}", f"depth/{name}.png"
+    if options.color == "png":
+        write_png(root / color, frame.color)
+    else:
+        write_color(root / color, frame.color, quality=options.quality)
+    write_png(root / depth, aligned_units(frame, calibration))
+    if options.infrared:
+        for kind, image in frame.infrared.items():
+            write_png(root / f"reference/{kind}/{name}.png", image)
+    if options.raw_depth:
+        write_png(root / f"reference/depth_raw/{name}.png", frame.depth)
+    return Frame(id=frame_id, name=name, color=color, depth=depth, timestamp=frame.timestamp)
+
+
+def aligned_units(frame: CapturedFrame, calibration: Calibration) -> Units:
+    """(H, W) depth in the colour camera, in the camera's own unit; 0 = none."""
+    if frame.aligned is not None:
+        return frame.aligned
+    unit = calibration.depth_unit_m
+    metres = align_depth(
+        frame.depth * np.float64(unit),
+        calibration.depth.camera(),
+        calibration.color.camera(),
+        calibration.T_color_depth,
+    )
+    units = np.rint(metres / np.float32(unit))
+    units[units > _LARGEST_UNITS] = 0  # by the step between the cameras beyond what 16 bits hold
+    return units.astype(np.uint16)

@@ -1,0 +1,65 @@
+"""What the camera sees and what to do better, as one picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from sensors.record.frames import CapturedFrame, Image8
+from sensors.record.hints import Hints
+from std_toolkit.io.atomic import write_bytes_atomic
+
+WIDTH = 640
+_LINE_PX = 22
+# Depth is coloured up to here.
+_FAR_M = 2.0
+_QUALITY = 80
+
+
+def preview_picture(
+    frame: CapturedFrame, hints: Hints | None, status: str, unit_m: float
+) -> Image8:
+    """(H, W, 3) RGB: colour and depth side by side, hints below.
+
+    Args:
+        status: what is going on, such as the number of frames.
+        unit_m: of the frame's depth.
+    """
+    color = _resized(frame.color, cv2.INTER_AREA)
+    share = np.minimum(frame.depth * np.float32(unit_m) / _FAR_M, 1)
+    mapped = cv2.applyColorMap((255 - 230 * share).astype(np.uint8), cv2.COLORMAP_TURBO)
+    mapped[frame.depth == 0] = 0
+    depth = cv2.resize(
+        mapped[..., ::-1].astype(np.uint8), color.shape[1::-1], interpolation=cv2.INTER_NEAREST
+    )
+    lines = [status, *([] if hints is None else [hints.line()])]
+    footer = np.zeros((_LINE_PX * len(lines) + 8, 2 * WIDTH, 3), dtype=np.uint8)
+    for i, line in enumerate(lines):
+        bad = i > 0 and hints is not None and bool(hints.advice)
+        cv2.putText(
+            footer, line, (8, _LINE_PX * (i + 1) - 4), cv2.FONT_HERSHEY_SIMPLEX, 0.5,
+            (255, 170, 60) if bad else (230, 230, 230), 1, cv2.LINE_AA,
+        )  # fmt: skip
+    return np.concatenate([np.concatenate([color, np.asarray(depth, np.uint8)], axis=1), footer])
+
+
+def encoded(picture: Image8) -> bytes:
+    """As JPEG."""
+    _, data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return bytes(data)
+
+
+def write_preview(path: Path, picture: bytes) -> None:
+    """Put the picture into a file that viewers may read at any moment.
+
+    Raises:
+        ToolkitError: it cannot be written.
+    """
+    write_bytes_atomic(path, picture)
+
+
+def _resized(image: Image8, interpolation: int) -> Image8:
+    height = max(1, round(image.shape[0] * WIDTH / image.shape[1]))
+    return np.asarray(cv2.resize(image, (WIDTH, height), interpolation=interpolation), np.uint8)
