@@ -2,7 +2,8 @@
 
 Colour of another size than the label maps is brought to theirs; the scene's camera is theirs. The
 sensor's depth is the frames' depth, aligned to colour; the exact depth of everything, table and
-floor included, lies in `reference/depth`, that of the objects with their other maps in `gt`.
+floor included, lies in `reference/depth`, that of the objects with their other maps in `gt`. The
+stereo pair lies in `infrared/left` and `infrared/right`; its cameras and poses are in the record.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from std_toolkit.importers.mesh_files import write_mesh
 from std_toolkit.importers.staging import new_folder
 from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.io.exr import write_exr
-from std_toolkit.io.images import write_color
+from std_toolkit.io.images import write_color, write_png
 from std_toolkit.rendering import encoding
 from std_toolkit.rendering.ground_truth import FrameTruth, ObjectTruth, info_path, map_paths
 from std_toolkit.rendering.inputs import frame_inputs
@@ -79,6 +80,8 @@ class ToolkitSceneWriter:
         write_exr(
             folder / f"reference/depth/{name}.exr", {"Y": frame.depth_exact}, compression="zip"
         )
+        write_png(folder / f"infrared/left/{name}.png", frame.infrared_left)
+        write_png(folder / f"infrared/right/{name}.png", frame.infrared_right)
         rows = self._truth_rows(frame)
         if not rows:  # ground truth is of labelled objects
             return

@@ -66,6 +66,9 @@ def test_the_scene_holds_what_was_simulated(simulated, written) -> None:
         np.testing.assert_array_equal(scene.read_depth(row), frame.depth_aligned)
         everything = read_exr_depth(written / f"reference/depth/{row.name}.exr")
         np.testing.assert_array_equal(everything, frame.depth_exact)
+        for eye in ("left", "right"):
+            stored = cv2.imread(f"{written}/infrared/{eye}/{row.name}.png", cv2.IMREAD_UNCHANGED)
+            np.testing.assert_array_equal(stored, getattr(frame, f"infrared_{eye}"))
         np.testing.assert_allclose(
             scene.T_world_cam(row.id).matrix(), frame.T_world_cam.matrix(), atol=1e-12
         )
