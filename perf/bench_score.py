@@ -1,6 +1,6 @@
 """How many saved results a second are scored: `python perf/bench_score.py [--frames 64]`.
 
-A data set in STD's layout is written at several sizes, and beside it restored depth as
+Data sets in the layouts of STD and ClearGrasp are written, and beside them restored depth as
 `std-bench --save-depth` keeps it. Each frame is then loaded (ground truth, mask, meta file and
 restored depth; colour and sensor depth are not needed) and scored. Processor time per frame is what
 to trust on a busy machine: frames/s of two cores are 2 / processor time. The elapsed time of two
@@ -30,16 +30,15 @@ from benchmark.running.saving import save_depth
 from std_toolkit.io.exr import write_exr
 from std_toolkit.io.images import write_png
 
-SPLIT = "std-catknown"
-# Size of ground truth, size of restored depth, protocol, frames/s wanted of two cores.
+# Split, size of ground truth, size of restored depth, protocol, frames/s wanted of two cores.
 CASES = (
-    ((224, 224), (224, 224), "strict", 300),
-    ((224, 224), (224, 224), "paper", 300),
-    ((640, 360), (224, 224), "strict", None),
-    ((640, 360), (640, 360), "strict", None),
-    ((640, 360), (224, 224), "paper", None),
-    ((1280, 720), (1280, 720), "strict", 40),
-    ((1280, 720), (1280, 720), "paper", 40),
+    ("std-catknown", (224, 224), (224, 224), "strict", 300),
+    ("std-catknown", (224, 224), (224, 224), "paper", 300),
+    ("std-catknown", (640, 360), (224, 224), "strict", None),
+    ("std-catknown", (640, 360), (640, 360), "strict", None),
+    ("std-catknown", (1280, 720), (1280, 720), "strict", 40),
+    ("cleargrasp-real-known", (1280, 720), (1280, 720), "strict", 40),
+    ("cleargrasp-real-known", (1280, 720), (1280, 720), "cleargrasp", 40),
 )
 SHOWN = 8  # frames written; the disk's cache holds them as it would hold a data set's newest
 
@@ -61,40 +60,64 @@ def picture(size: tuple[int, int], seed: int) -> tuple[NDArray[np.float32], NDAr
     return true, mask
 
 
-def write_data(folder: Path, size: tuple[int, int], restored: tuple[int, int]) -> Path:
-    """A root with the data set, and `saved/depth` with restored depth; returns the latter."""
+def write_std(folder: Path, index: int, true: np.ndarray, mask: np.ndarray) -> FrameKey:
+    """A frame in STD's layout; depth compressed in blocks of lines, OpenCV's way."""
     scene = folder / "STD" / "STD-CatKnown" / "test_0"
-    scene.mkdir(parents=True)
-    width, height = size
+    scene.mkdir(parents=True, exist_ok=True)
+    height, width = true.shape
     camera = {"width": width, "height": height, "fx": 1.4 * width, "fy": 1.4 * width}
     camera |= {"cx": width / 2 - 0.5, "cy": height / 2 - 0.5}
     record = folder / "STD" / "parameters" / scene.parent.name / f"{scene.name}.json"
-    record.parent.mkdir(parents=True)
+    record.parent.mkdir(parents=True, exist_ok=True)
     record.write_text(json.dumps(camera))
-    meta = "".join(
-        f"{i + 1} {1 + i % 7} mug model 0.15 {i % 4} 1 0 0 0 0 0 0.7 \n" for i in range(8)
-    )
+    key = FrameKey(scene.name, f"{index:04d}")
+    write_exr(scene / f"{key.name}_gt_depth.exr", dict.fromkeys("RGB", true), compression="zip")
+    write_png(scene / f"{key.name}_mask.png", mask)
+    lines = [f"{i + 1} {1 + i % 7} mug model 0.15 {i % 4} 1 0 0 0 0 0 0.7 \n" for i in range(8)]
+    (scene / f"{key.name}_meta.txt").write_text("".join(lines))
+    return key
+
+
+def write_cleargrasp(folder: Path, index: int, true: np.ndarray, mask: np.ndarray) -> FrameKey:
+    """A frame in ClearGrasp's layout: half floats, one mask of all objects."""
+    captures = folder / "real-val"
+    captures.mkdir(parents=True, exist_ok=True)
+    height, width = true.shape
+    intrinsics = f"fx: {0.7 * width}\nfy: {0.7 * width}\ncx: {width / 2}\ncy: {height / 2}\n"
+    size = f"xres: {width}\nyres: {height}\n"
+    (captures / "camera_intrinsics.yaml").write_text(intrinsics + size)
+    stem = f"{index:09d}"
+    channels = dict.fromkeys("RGB", true.astype(np.float16))
+    write_exr(captures / f"{stem}-opaque-depth-img.exr", channels, compression="zip")
+    write_png(captures / f"{stem}-mask.png", np.where(mask == BACKGROUND, 0, 255).astype(np.uint8))
+    return FrameKey(f"real-val-{stem}", stem)
+
+
+WRITERS = {"std-catknown": write_std, "cleargrasp-real-known": write_cleargrasp}
+
+
+def write_data(folder: Path, split: str, size: tuple[int, int], restored: tuple[int, int]) -> None:
+    """A root with the split, and `saved/depth` with restored depth."""
     for i in range(SHOWN):
-        true, mask = picture(size, i)
-        write_exr(scene / f"{i:04d}_gt_depth.exr", dict.fromkeys("RGB", true))
-        write_png(scene / f"{i:04d}_mask.png", mask)
-        (scene / f"{i:04d}_meta.txt").write_text(meta)
+        key = WRITERS[split](folder, i, *picture(size, i))
         seen, _ = picture(restored, i)
         rng = np.random.default_rng(i)
         depth = np.where(seen > 0, seen, np.float32(0.8)) + rng.normal(0, 0.01, seen.shape)
         depth[rng.random(seen.shape) < 0.05] = 0
-        key = FrameKey(scene.name, f"{i:04d}")
-        save_depth(folder / "saved", SPLIT, key, Restored(depth.astype(np.float32)))
-    return folder / "saved" / "depth"
+        save_depth(folder / "saved", split, key, Restored(depth.astype(np.float32)))
+
+
+def opened(folder: Path, split: str) -> WithSavedDepth:
+    return WithSavedDepth(open_split(split, folder), folder / "saved" / "depth")
 
 
 def load(source: WithSavedDepth, index: int) -> DepthFrame:
     return source.load(index % SHOWN, sensor=False)
 
 
-def work(folder: Path, protocol: str, frames: int) -> int:
+def work(folder: Path, split: str, protocol: str, frames: int) -> int:
     """Load and score; the number of rows."""
-    source = WithSavedDepth(open_split(SPLIT, folder), folder / "saved" / "depth")
+    source = opened(folder, split)
     rules = get_protocol(protocol)
     rows = 0
     for i in range(frames):
@@ -114,20 +137,23 @@ def processor_ms(task: Callable[[], object], frames: int, repeats: int = 3) -> f
     return 1000 * min(times) / frames
 
 
+def row(first: str, *cells: str) -> str:
+    widths = (14, 11, 12, 9, 10, 21, 8, 22)
+    return f"{first:<22}" + "".join(f"{c:>{w}}" for c, w in zip(cells, widths, strict=True))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--frames", type=int, default=64)
     frames = parser.parse_args().frames
-    print(
-        f"{'ground truth':>13}{'restored':>11}{'protocol':>10}{'load ms':>9}{'score ms':>10}"
-        f"{'frames/s of 2 cores':>21}{'wanted':>8}{'elapsed, 2 processes':>22}"
-    )
-    for size, restored, protocol, wanted in CASES:
+    titles = ("ground truth", "restored", "protocol", "load ms", "score ms", "frames/s of 2 cores")
+    print(row("", *titles, "wanted", "elapsed, 2 processes"))
+    for split, size, restored, protocol, wanted in CASES:
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
-            write_data(folder, size, restored)
-            source = WithSavedDepth(open_split(SPLIT, folder), folder / "saved" / "depth")
-            whole = processor_ms(lambda: work(folder, protocol, frames), frames)  # noqa: B023
+            write_data(folder, split, size, restored)
+            source = opened(folder, split)
+            whole = processor_ms(lambda: work(folder, split, protocol, frames), frames)  # noqa: B023
             only = [load(source, i) for i in range(SHOWN)]
             rules = get_protocol(protocol)
             score = processor_ms(
@@ -135,14 +161,22 @@ def main() -> None:
                 SHOWN,
             )
             with multiprocessing.get_context("spawn").Pool(2) as pool:
-                pool.starmap(work, [(folder, protocol, 2)] * 2)
+                pool.starmap(work, [(folder, split, protocol, 2)] * 2)
                 began = time.perf_counter()
-                pool.starmap(work, [(folder, protocol, frames)] * 2, chunksize=1)
+                pool.starmap(work, [(folder, split, protocol, frames)] * 2, chunksize=1)
                 elapsed = 2 * frames / (time.perf_counter() - began)
         print(
-            f"{'x'.join(map(str, size)):>13}{'x'.join(map(str, restored)):>11}{protocol:>10}"
-            f"{whole - score:>9.2f}{score:>10.2f}{2000 / whole:>21.0f}"
-            f"{wanted or '':>8}{f'{elapsed:.0f} frames/s':>22}"
+            row(
+                split,
+                "x".join(map(str, size)),
+                "x".join(map(str, restored)),
+                protocol,
+                f"{whole - score:.2f}",
+                f"{score:.2f}",
+                f"{2000 / whole:.0f}",
+                str(wanted or ""),
+                f"{elapsed:.0f} frames/s",
+            )
         )
 
 
