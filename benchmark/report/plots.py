@@ -44,11 +44,6 @@ def bars(rows: pd.DataFrame, colors: dict[str, str], column: Column = RMSE) -> s
         "orientation": "h",
         "y": names,
         "x": value.tolist(),
-        "text": [
-            column.text(v, printed=p) for v, p in zip(rows[column.name], printed, strict=True)
-        ],
-        "textposition": "outside",
-        "cliponaxis": False,
         "marker": {"color": fill, "line": {"color": FAINT, "width": [int(p) for p in printed]}},
         "error_x": {
             "type": "data",
@@ -165,6 +160,8 @@ def speed_against_error(rows: pd.DataFrame, colors: dict[str, str]) -> str | Non
         xaxis={"title": {"text": "frames/s, warm, one at a time"}, "type": "log"},
         yaxis={"title": {"text": RMSE.title}, "type": "log"},
     )
+    for axis in ("xaxis", "yaxis"):
+        layout[axis] |= {"dtick": "D2", "minor": {"showgrid": False}}
     return figure_json(traces, layout)
 
 

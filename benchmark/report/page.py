@@ -1,0 +1,104 @@
+"""The page: one HTML file that needs nothing but itself."""
+
+from __future__ import annotations
+
+from html import escape
+
+from benchmark.report import sections
+from benchmark.report.board import Board
+from benchmark.report.plots import method_colors
+from benchmark.report.text import board_title
+from std_toolkit import __version__
+from std_toolkit.checks.markup import section
+from std_toolkit.checks.style import CSS
+
+_STYLE = """
+td small, th small { display:block; color:var(--faint); font-weight:400; font-size:11.5px; }
+tr.published td { background:#f4f1ea; font-style:italic; color:var(--soft); }
+tr.published small { font-style:normal; }
+table.sortable th { cursor:pointer; user-select:none; }
+table.sortable th[aria-sort="ascending"]::after { content:" \\25B2"; font-size:9px; }
+table.sortable th[aria-sort="descending"]::after { content:" \\25BC"; font-size:9px; }
+abbr { text-decoration:none; color:var(--faint); cursor:help; }
+.pair { display:grid; grid-template-columns:repeat(auto-fit,minmax(420px,1fr)); gap:16px; }
+.strip { margin:0 0 10px; }
+.strip img { width:100%; display:block; border-radius:3px; }
+.panels { display:grid; grid-template-columns:repeat(5,1fr); font-size:12px; color:var(--faint);
+  margin:2px 0; }
+details { margin:8px 0; }
+summary { cursor:pointer; color:var(--link); font-size:15px; }
+b.over { color:var(--bad); }
+"""
+_SCRIPT = """
+(function () {
+  'use strict';
+  var settings = {responsive: true, displaylogo: false, displayModeBar: false};
+  document.querySelectorAll('script[type="application/json"][data-plot]').forEach(function (s) {
+    var figure = JSON.parse(s.textContent);
+    Plotly.newPlot(s.dataset.plot, figure.data, figure.layout, settings);
+  });
+  function value(row, column, numeric) {
+    var cell = row.cells[column];
+    if (!numeric) { return cell.textContent.toLowerCase(); }
+    return cell.dataset.v === '' ? NaN : Number(cell.dataset.v);
+  }
+  document.querySelectorAll('table.sortable').forEach(function (table) {
+    table.querySelectorAll('th').forEach(function (head, column) {
+      head.tabIndex = 0;
+      function sort() {
+        var numeric = head.classList.contains('n');
+        var now = head.getAttribute('aria-sort');
+        var first = numeric && head.dataset.less === '0' ? 'descending' : 'ascending';
+        var other = first === 'ascending' ? 'descending' : 'ascending';
+        var way = now === first ? other : first;
+        table.querySelectorAll('th').forEach(function (h) { h.removeAttribute('aria-sort'); });
+        head.setAttribute('aria-sort', way);
+        var sign = way === 'ascending' ? 1 : -1;
+        var rows = Array.from(table.tBodies[0].rows);
+        rows.sort(function (a, b) {
+          var x = value(a, column, numeric), y = value(b, column, numeric);
+          if (numeric && (isNaN(x) || isNaN(y))) { return isNaN(x) - isNaN(y); }
+          return sign * (x < y ? -1 : x > y ? 1 : 0);
+        });
+        rows.forEach(function (row) { table.tBodies[0].appendChild(row); });
+      }
+      head.addEventListener('click', sort);
+      head.addEventListener('keydown', function (e) { if (e.key === 'Enter') { sort(); } });
+    });
+  });
+})();
+"""
+
+
+def render_page(board: Board) -> str:
+    """The leaderboard as HTML; the same results give the same bytes."""
+    from plotly.offline import get_plotlyjs
+
+    colors = method_colors(board)
+    parts: list[tuple[str, str, str]] = []
+    for i, (split, protocol) in enumerate(board.boards):
+        title = board_title(split, protocol)
+        parts.append((f"board-{i}", title, sections.leaderboard(board, split, protocol, colors)))
+    for i, (split, protocol) in enumerate(board.boards):
+        title = f"In detail: {split}, {protocol}"
+        parts.append((f"detail-{i}", title, sections.breakdown(board, split, protocol, colors)))
+    parts += [
+        ("speed", "Speed", sections.speed(board, colors)),
+        ("gallery", "Gallery", sections.gallery(board.results)),
+        ("runs", "What ran", sections.runs(board.results)),
+    ]
+    links = "".join(f'<a href="#{k}">{escape(t)}</a>' for k, t, body in parts if body)
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        '<title>Benchmark: depth restoration</title><link rel="icon" href="data:,">'
+        f"<style>{CSS}{_STYLE}</style></head><body>"
+        '<header><div class="inner"><div class="kind">Benchmark</div>'
+        "<h1>Depth restoration</h1>"
+        f'<div class="verdict"><span>{sections.summary_line(board)}</span></div></div></header>'
+        f'<nav><div class="inner">{links}</div></nav>'
+        f"<main>{''.join(section(k, t, body) for k, t, body in parts)}"
+        f"<footer>std-toolkit {__version__}, std-report. The same figures: leaderboard.csv."
+        f"</footer></main><script>{get_plotlyjs()}</script><script>{_SCRIPT}</script>"
+        "</body></html>\n"
+    )
