@@ -34,7 +34,8 @@ ARCHITECTURES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("DFNet", ("stem.", "skips.", "downs.", "ups.")),
     ("a Swin classifier (ImageNet)", ("patch_embed.", "layers.", "head.")),
     ("a Swin backbone", ("patch_embed.", "layers.")),
-    ("a Swin of transformers", ("swin.embeddings.",)),
+    ("a Swin of transformers", ("swin.embeddings.patch_embeddings.",)),
+    ("a Swin of transformers", ("embeddings.patch_embeddings.", "encoder.layers.")),
     ("a ResNet classifier (ImageNet)", ("conv1.weight", "layer4.", "fc.")),
     ("a ResNet", ("layer1.", "layer4.")),
     ("DeepLabv3+", ("backbone.", "aspp", "decoder.")),
@@ -97,7 +98,8 @@ def read_weights(path: Path) -> dict[str, Tensor]:
         found = torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         raise ToolkitError(
-            "the checkpoint holds more than tensors and is not loaded, for it could run any code",
+            "not a checkpoint of torch, or one that holds more than tensors, which could run any "
+            "code and is not loaded",
             path=path,
             hint="save its state_dict alone, best as safetensors",
         ) from error

@@ -15,7 +15,7 @@ from benchmark.methods.weights import check_keys, read_weights
 # Of a classifier, and what does not depend on training.
 _UNUSED = re.compile(r"(head|norm)\.|.*(attn_mask|relative_position_index)$")
 
-# From the keys that `transformers` uses to the published ones.
+# From the keys in the files of `transformers` to the published ones.
 _RENAMED = (
     (r"^swin\.", ""),
     (r"^embeddings\.patch_embeddings\.projection\.", "patch_embed.proj."),
