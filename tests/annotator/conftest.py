@@ -1,4 +1,4 @@
-"""A virtual display, Qt on it, and a browser, for the tests that ask for them.
+"""A virtual display and Qt on it, for the tests that ask for them.
 
 Headless tests of the annotator run without any of it, and nothing here reaches other packages.
 """
@@ -14,17 +14,17 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.conftest import program_missing
+
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
     from PySide6.QtWidgets import QApplication
     from pytestqt.qtbot import QtBot
 
 SCREEN = "1600x1200x24"
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 # The same pictures on every machine, whatever GPU and desktop it has.
 ENVIRONMENT = {
     "QT_API": "pyside6",
@@ -54,20 +54,12 @@ def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.import_plugin("pytestqt.plugin")
 
 
-def _missing(program: str, package: str) -> NoReturn:
-    """Skip for want of a program; in continuous integration none may be missing."""
-    reason = f"needs {program}, Debian's package {package}; `make test` installs it"
-    if os.environ.get("CI") == "true":
-        pytest.fail(reason)
-    pytest.skip(reason)
-
-
 @pytest.fixture(scope="session")
 def display_server() -> str:
     """Name of a virtual X display of 1600x1200 pixels that lives as long as this process."""
     program = shutil.which("Xvfb")
     if program is None:
-        _missing("Xvfb", "xvfb")
+        program_missing("Xvfb", "xvfb")
     # Where it can be had: the server must not outlive a run that is killed.
     tied = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
     number, tell_number = os.pipe()
@@ -146,29 +138,3 @@ def qapp(display_server: str) -> Iterator[QApplication]:
 def qtbot(display: str, qtbot: QtBot) -> QtBot:
     """pytest-qt's, with the environment of the display."""
     return qtbot
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    """The system's Chromium without a window.
-
-    While it runs, playwright has this thread's event loop: `asyncio.run` works in modules without.
-    """
-    from playwright.sync_api import sync_playwright
-
-    program = next((path for name in BROWSERS if (path := shutil.which(name))), None)
-    if program is None:
-        _missing("Chromium", "chromium")
-    with sync_playwright() as playwright:
-        # Its sandbox needs rights that containers and root do not have; the pages are ours.
-        running = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
-        yield running
-        running.close()
-
-
-@pytest.fixture
-def page(browser: Browser) -> Iterator[Page]:
-    """An empty page of 1280x720 pixels in a browser profile of its own."""
-    context = browser.new_context(viewport={"width": 1280, "height": 720})
-    yield context.new_page()
-    context.close()
