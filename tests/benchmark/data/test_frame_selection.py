@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import doctest
 from pathlib import Path
 
 import numpy as np
 import pytest
 from dreds_on_disk import Drawn, write_dreds_scene
 
+from benchmark.data import selection
 from benchmark.data.frame import DepthFrame, Material
 from benchmark.data.selection import Selection, material_masks, selection_of
 from benchmark.data.splits import open_split
@@ -22,7 +24,7 @@ def frame_and_truth(tmp_path_factory) -> tuple[DepthFrame, Drawn]:
 
 
 @pytest.mark.parametrize(
-    ("selection", "ids"),
+    ("chosen", "ids"),
     [
         (Selection(), [1, 2, 3, 4]),
         (Selection(distractors=False), [1, 2, 3]),
@@ -34,9 +36,9 @@ def frame_and_truth(tmp_path_factory) -> tuple[DepthFrame, Drawn]:
         (selection_of(materials=["specular"], categories=["mug"], distractors=True), [2]),
     ],
 )
-def test_selected_pixels(frame_and_truth, selection: Selection, ids: list[int]) -> None:
+def test_selected_pixels(frame_and_truth, chosen: Selection, ids: list[int]) -> None:
     frame, drawn = frame_and_truth
-    np.testing.assert_array_equal(selection.mask(frame), np.isin(drawn.mask, ids))
+    np.testing.assert_array_equal(chosen.mask(frame), np.isin(drawn.mask, ids))
 
 
 def test_masks_of_the_materials_share_no_pixel_and_cover_all_objects(frame_and_truth) -> None:
@@ -51,3 +53,9 @@ def test_names_that_mean_nothing() -> None:
         selection_of(materials=["glass"], distractors=True)
     with pytest.raises(ToolkitError, match=r"no such category.*plate.*bottle"):
         selection_of(categories=["plate"], distractors=True)
+
+
+def test_the_examples_of_the_documentation() -> None:
+    tried = doctest.testmod(selection)
+    assert tried.attempted > 0
+    assert tried.failed == 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 import trimesh
@@ -68,8 +69,7 @@ def test_one_scene_may_be_the_root(rendered: Path) -> None:
 def test_ground_truth_that_is_out_of_date_is_refused(tmp_path: Path) -> None:
     scene = write_scene(tmp_path / "tiny")
     render_ground_truth(scene, RenderOptions(renderer="raycast", policy="models"), jobs=SERIAL)
-    info = scene.info
-    scene.save_info(type(info)(name=info.name, cameras=info.cameras, depth_scale=0.0011))
+    scene.save_info(msgspec.structs.replace(scene.info, depth_scale=0.0011))
     with pytest.raises(ToolkitError, match=r"older than the labels.*render"):
         open_split("scenes", tmp_path).load(0)
 
@@ -155,6 +155,25 @@ def test_simulated_scenes_know_the_depth_of_everything(tmp_path: Path) -> None:
         np.testing.assert_array_equal(frame.depth_raw, made.depth_aligned)
         assert frame.camera == made.label_camera
         assert frame.instances == (Instance(1, 6, Material.TRANSPARENT, "mug", "ball"),)
+
+
+@pytest.mark.parametrize("kind", ["png", "exr"])
+def test_the_sensors_correction_is_applied(tmp_path: Path, kind: str) -> None:
+    if kind == "png":
+        scene = write_scene(tmp_path / "scenes/tiny", frames=1)
+    else:
+        made, frames = simulated()
+        with toolkit_scene(tmp_path / "scenes/00017", made) as writer:
+            for frame in frames:
+                writer.add(frame)
+        scene = Scene.open(tmp_path / "scenes/00017")
+    depth = scene.read_depth(scene.frames[0])
+    assert depth is not None
+    scene.save_info(msgspec.structs.replace(scene.info, depth_correction=0.98))
+    render_ground_truth(scene, RenderOptions(renderer="raycast", policy="models"), jobs=SERIAL)
+    loaded = open_split("scenes", tmp_path / "scenes").load(0).depth_raw
+    np.testing.assert_allclose(loaded, depth * 0.98, rtol=1e-6)
+    assert loaded.any()
 
 
 def test_imported_captures_keep_their_own_ground_truth(tmp_path: Path) -> None:
