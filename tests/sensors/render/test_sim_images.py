@@ -17,11 +17,11 @@ from sensors.render import (
     SceneObject,
     SimScene,
     SurfaceMesh,
-    color_image,
     denoise,
     develop,
 )
 from sensors.render.appearance import appearance, box_uv
+from sensors.render.denoiser import denoiser
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 
@@ -51,7 +51,7 @@ def noisy_light():
 
 def test_denoising_comes_closer_to_the_truth() -> None:
     pytest.importorskip("pyoidn")
-    color_image._oidn.cache_clear()
+    denoiser.cache_clear()
     truth, light = noisy_light()
     before = np.sqrt(np.mean((light.radiance - truth) ** 2))
     after = np.sqrt(np.mean((denoise(light) - truth) ** 2))
@@ -67,11 +67,11 @@ def test_without_a_denoiser_the_light_stays_and_a_warning_says_so(monkeypatch, c
         return real(name, *args, **keywords)
 
     monkeypatch.setattr(builtins, "__import__", refuse)
-    color_image._oidn.cache_clear()
+    denoiser.cache_clear()
     _, light = noisy_light()
     np.testing.assert_array_equal(denoise(light), light.radiance)
     assert "no denoiser" in caplog.text
-    color_image._oidn.cache_clear()
+    denoiser.cache_clear()
 
 
 def test_own_look_and_material_mix_by_the_share(square) -> None:
