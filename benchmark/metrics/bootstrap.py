@@ -112,4 +112,8 @@ def _draws(rng: np.random.Generator, scenes: int, samples: int) -> Iterator[NDAr
     at_once = max(1, _DRAWN_AT_ONCE // scenes)
     for begin in range(0, samples, at_once):
         size = min(at_once, samples - begin)
-        yield rng.multinomial(scenes, np.full(scenes, 1 / scenes), size=size).astype(np.float64)
+        # Counting drawn scenes takes a fifth of the time of rng.multinomial.
+        drawn = rng.integers(0, scenes, (size, scenes))
+        drawn += np.arange(size)[:, None] * scenes
+        counts = np.bincount(drawn.ravel(), minlength=size * scenes)
+        yield counts.reshape(size, scenes).astype(np.float64)

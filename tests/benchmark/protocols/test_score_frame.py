@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -271,6 +273,22 @@ def test_rows_become_columns() -> None:
     assert list(row)[:4] == ["grid", "subset", "n_pixels", "n_answered"]
     assert {*NAMES, "coverage", "rmse_answered"} < set(row)
     assert all(isinstance(v, (str, int, float)) for v in row.values())
+
+
+def test_scoring_needs_no_torch() -> None:
+    """Methods that learn nothing are scored where the training extra is not installed."""
+    program = (
+        "import sys; sys.modules['torch'] = None\n"
+        "import numpy as np\n"
+        "from benchmark.metrics import DepthMetrics\n"
+        "from benchmark.protocols import get_protocol, score_depth\n"
+        "import benchmark.protocols.summary, benchmark.metrics.paired\n"
+        "one = np.ones((4, 4), np.float32)\n"
+        "score_depth(one, one, np.full((4, 4), 255, np.uint8), (), get_protocol())\n"
+        "DepthMetrics().update(one, one)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
 
 
 def test_names() -> None:

@@ -110,6 +110,13 @@ def test_intervals() -> None:
     assert both["rmse_low"].to_numpy() == pytest.approx(both["rmse_low_again"].to_numpy())
 
 
+def test_no_rows_at_all() -> None:
+    nothing = many().iloc[:0]
+    table = summarise(nothing, samples=5)
+    assert len(table) == 0
+    assert {"method", "frames", "rmse", "rmse_low", "coverage"} <= set(table.columns)
+
+
 def test_what_is_refused() -> None:
     with pytest.raises(ToolkitError, match=r"coverage: rows lack columns"):
         summarise(many().drop(columns="coverage"))
