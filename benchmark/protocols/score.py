@@ -133,13 +133,14 @@ class _Cells:
     def __init__(self, instances: Sequence[Instance], subsets: Sequence[Subset]) -> None:
         of_id: dict[int, list[Instance]] = {}
         for instance in instances:
-            of_id.setdefault(instance.mask_id, []).append(instance)
+            if instance.mask_id != BACKGROUND:
+                of_id.setdefault(instance.mask_id, []).append(instance)
         self.count = len(of_id)
         belongs = np.zeros((len(subsets), self.count), np.bool_)
         self.of_id = np.full(_IDS, _NO_CELL, np.uint8)
         for i, (mask_id, objects) in enumerate(of_id.items()):
             belongs[:, i] = [any(s.has(o) for o in objects) for s in subsets]
-            if belongs[:, i].any() and mask_id != BACKGROUND:
+            if belongs[:, i].any():
                 self.of_id[mask_id] = i
         edges = np.array([s.edges for s in subsets])
         self.members = np.concatenate([belongs & ~edges[:, None], belongs], axis=1)
