@@ -6,9 +6,10 @@ annotation and scoring work on it: color/, depth/ (16 bit), models/, intrinsics.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +24,11 @@ from std_toolkit.importers.staging import new_folder
 from std_toolkit.io.documents import write_document
 from std_toolkit.io.images import write_color, write_depth_png16
 from std_toolkit.scene.model import CameraModel
+
+if TYPE_CHECKING:
+    from sensors.synthetic.recording import Truth
+    from std_toolkit.geometry.camera import Camera
+    from std_toolkit.geometry.se3 import SE3
 
 DEPTH_SCALE = 0.001
 _LARGEST_VALUE = 65535
@@ -52,15 +58,7 @@ class RecordingWriter:
                 field=f"frame {frame.index}: hidden",
                 value=frame.hidden,
             )
-        name = frame_name(frame.index)
-        depth = frame.depth_aligned
-        within = depth <= _LARGEST_VALUE * self._depth_scale
-        write_color(self._folder / f"color/{name}.png", label_color(frame))
-        write_depth_png16(
-            self._folder / f"depth/{name}.png",
-            np.where(within, depth, 0),
-            scale=self._depth_scale,
-        )
+        write_images(self._folder, frame, depth_scale=self._depth_scale)
 
     def finish(self) -> None:
         """Write models, intrinsics and truth, when every frame was added.
@@ -68,43 +66,75 @@ class RecordingWriter:
         Raises:
             ToolkitError: frames are missing.
         """
-        # Brings Open3D; nothing else here needs it.
-        from sensors.synthetic.recording import TrueObject, Truth
-
         self._intake.require_all()
-        scene, folder, camera = self._intake.scene, self._folder, self._intake.label_camera
-        objects = []
-        for thing in metric_objects(scene):
-            mesh = f"models/{thing.name}{Path(thing.model.mesh).suffix}"
-            write_mesh(folder / mesh, thing.mesh)
-            objects.append(
-                TrueObject(
-                    name=thing.name,
-                    category=thing.item.category,
-                    class_id=thing.item.class_id,
-                    material=thing.item.material_class,
-                    mesh=mesh,
-                    symmetry=thing.model.symmetry,
-                    T_world_obj=thing.item.T_world_obj.flat(),
-                )
-            )
-        intrinsics = {"width": camera.width, "height": camera.height, "K": camera.K.tolist()}
-        if camera.is_distorted:
-            intrinsics["distortion"] = list(camera.distortion)
-        write_document(folder / "intrinsics.json", intrinsics)
+        scene, folder = self._intake.scene, self._folder
+        poses = [self._intake.poses[i][0] for i in range(scene.frames)]
         write_document(folder / "simulation.json", scene_record(self._intake))
-        write_document(
-            folder / "truth.json",
-            Truth(
-                camera=CameraModel.of(camera),
-                depth_scale=self._depth_scale,
-                # What the sensor gets wrong is simulated, not a known factor.
-                depth_bias=1.0,
-                frames=[frame_name(i) for i in range(scene.frames)],
-                T_world_cam=[self._intake.poses[i][0].flat() for i in range(scene.frames)],
-                objects=objects,
-            ),
+        write_truth(folder, scene, self._intake.label_camera, poses, depth_scale=self._depth_scale)
+
+
+def write_images(folder: Path, frame: SimulatedFrame, *, depth_scale: float) -> None:
+    """Colour, then depth: where the depth of a frame is, its colour is, too.
+
+    Raises:
+        ToolkitError: the disk is full.
+    """
+    name, depth = frame_name(frame.index), frame.depth_aligned
+    within = depth <= _LARGEST_VALUE * depth_scale
+    write_color(folder / f"color/{name}.png", label_color(frame))
+    write_depth_png16(folder / f"depth/{name}.png", np.where(within, depth, 0), scale=depth_scale)
+
+
+def write_truth(
+    folder: Path,
+    scene: SimulatedScene,
+    camera: Camera,
+    T_world_cam: Sequence[SE3],
+    *,
+    depth_scale: float,
+) -> Truth:
+    """Models, intrinsics and, last of all, truth.json.
+
+    Args:
+        folder: of the recording.
+        scene: what was recorded.
+        camera: of the written images.
+        T_world_cam: of every frame.
+        depth_scale: metres per unit of the depth images.
+    """
+    # Brings Open3D; nothing else here needs it.
+    from sensors.synthetic.recording import TrueObject, Truth
+
+    objects = []
+    for thing in metric_objects(scene):
+        mesh = f"models/{thing.name}{Path(thing.model.mesh).suffix}"
+        write_mesh(folder / mesh, thing.mesh)
+        objects.append(
+            TrueObject(
+                name=thing.name,
+                category=thing.item.category,
+                class_id=thing.item.class_id,
+                material=thing.item.material_class,
+                mesh=mesh,
+                symmetry=thing.model.symmetry,
+                T_world_obj=thing.item.T_world_obj.flat(),
+            )
         )
+    intrinsics = {"width": camera.width, "height": camera.height, "K": camera.K.tolist()}
+    if camera.is_distorted:
+        intrinsics["distortion"] = list(camera.distortion)
+    write_document(folder / "intrinsics.json", intrinsics)
+    truth = Truth(
+        camera=CameraModel.of(camera),
+        depth_scale=depth_scale,
+        # What the sensor gets wrong is simulated, not a known factor.
+        depth_bias=1.0,
+        frames=[frame_name(i) for i in range(len(T_world_cam))],
+        T_world_cam=[pose.flat() for pose in T_world_cam],
+        objects=objects,
+    )
+    write_document(folder / "truth.json", truth)
+    return truth
 
 
 @contextmanager

@@ -1,7 +1,8 @@
-"""The demo: a synthetic recording through the whole pipeline, with the commands a user types."""
+"""The demo: a simulated recording through the whole pipeline, with the commands a user types."""
 
 from __future__ import annotations
 
+import importlib.util
 import shlex
 import subprocess
 import sys
@@ -9,24 +10,51 @@ import time
 from pathlib import Path
 
 from sensors.synthetic.annotation import write_annotations
-from sensors.synthetic.recording import RecordingOptions, make_recording
+from sensors.synthetic.recording import RecordingOptions, make_recording, read_truth
 from sensors.synthetic.score import label_errors
+from sensors.synthetic.simulated import SimulatedOptions
+from std_toolkit.errors import ToolkitError
 from std_toolkit.scene.scene import Scene
 
-# Small enough for two cores and two minutes, long enough for structure from motion.
-RECORDING = RecordingOptions(frames=40, arc_degrees=100.0)
+# Small enough for two cores and some minutes, long enough for structure from motion.
+SIMULATED = SimulatedOptions()
+QUICK = RecordingOptions(frames=40, arc_degrees=100.0)
+_SIMULATOR = ("coacd", "manifold3d", "mitsuba", "mujoco", "numba")
 
 
-def run_demo(out: Path) -> int:
+def run_demo(out: Path, *, quick: bool = False, simulated: SimulatedOptions = SIMULATED) -> int:
     """Record, import, label, run, export, score; what is done already is kept.
+
+    Where the simulator is not installed, or would be too slow, the quick recording serves, in a
+    folder of its own.
+
+    Args:
+        out: folder for everything.
+        quick: take the quick recording in any case.
+        simulated: the simulated recording.
 
     Returns:
         Exit status of the first command that failed, or 0.
     """
     started = time.monotonic()
+    if not quick and not (out / "recording" / "truth.json").exists():
+        lacking = simulator_lacks()
+        if lacking is not None:
+            print(f"note: {lacking}; the demo takes the quick recording, not the simulator's")
+            quick = True
+    if quick:
+        out = out / "quick"
     recording, scene = out / "recording", out / "scene"
-    _say(f"Recording {RECORDING.frames} synthetic frames to {recording}")
-    truth = make_recording(recording, RECORDING)
+    if quick:
+        _say(f"Recording {QUICK.frames} synthetic frames to {recording}")
+        truth = make_recording(recording, QUICK)
+    else:
+        _say(f"Simulating {simulated.frames} frames of an active stereo camera to {recording}")
+        # A process of its own: its memory is free again for the steps that follow.
+        status = _python("sensors.synthetic", _record_arguments(recording, simulated))
+        if status:
+            return status
+        truth = read_truth(recording)
     poses = write_annotations(truth, recording)
     _say("An annotator's first-frame poses (1 px, 1 degree off the truth) lie beside it.")
 
@@ -60,9 +88,42 @@ def run_demo(out: Path) -> int:
     return 0
 
 
+def simulator_lacks() -> str | None:
+    """Why the simulator cannot make the recording here in minutes, or None."""
+    absent = [name for name in _SIMULATOR if importlib.util.find_spec(name) is None]
+    if absent:
+        return f"the simulator is not installed ({', '.join(absent)}; pip install '.[sim]')"
+    from sensors.render.variant import SLOW_VARIANT, choose_variant
+
+    try:
+        variant = choose_variant()
+    except ToolkitError as error:
+        return error.problem
+    if variant == SLOW_VARIANT:
+        return "rendering is slow here without libllvm19 (tools/system-libraries simulator)"
+    return None
+
+
+def _record_arguments(recording: Path, options: SimulatedOptions) -> str:
+    return (
+        f"record {recording} --simulated --frames {options.frames} --arc {options.sweep_deg:g} "
+        f"--size {options.width} {options.height} --quality {options.quality} "
+        f"--seed {options.seed}"
+    )
+
+
 def _curate(arguments: str) -> int:
     print(f"\n$ std-curate {arguments}", flush=True)
-    command = [sys.executable, "-m", "std_toolkit.cli.main", *shlex.split(arguments)]
+    return _run("std_toolkit.cli.main", arguments)
+
+
+def _python(module: str, arguments: str) -> int:
+    print(f"\n$ python -m {module} {arguments}", flush=True)
+    return _run(module, arguments)
+
+
+def _run(module: str, arguments: str) -> int:
+    command = [sys.executable, "-m", module, *shlex.split(arguments)]
     return subprocess.run(command, check=False).returncode
 
 
