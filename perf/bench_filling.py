@@ -13,6 +13,7 @@ import argparse
 import os
 import time
 from collections.abc import Callable
+from functools import partial
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -25,6 +26,7 @@ from scipy.sparse.linalg import LinearOperator, bicgstab, spilu, splu
 
 from benchmark.methods.cleargrasp.global_optimization import optimize_depth
 from benchmark.methods.filling.colorization import colorization_system
+from benchmark.methods.filling.grid_solver import factorized
 from benchmark.methods.protocol import View
 from benchmark.methods.registry import make_restorer
 from std_toolkit.geometry.camera import Camera, pixel_rays
@@ -41,7 +43,7 @@ METHODS = (
 SIZES = ((224, 224), (640, 360), (1280, 720))
 OPTIMIZED = ((256, 144), (320, 240), (640, 360))
 SYMMETRIC = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0}
-SOLVED = ((640, 360), (1280, 720))
+SOLVED = ((320, 180), (640, 360))
 
 
 def camera_of(size: tuple[int, int]) -> Camera:
@@ -133,6 +135,12 @@ def print_optimization(repeats: int) -> None:
         print(f"{f'{size[0]}x{size[1]}':<21}{spent:>12.1f}{np.median(error):>26.2f}")
 
 
+def by_dissection(
+    matrix: csc_matrix, right: NDArray[np.float64], missing: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    return factorized(matrix, missing)(right)
+
+
 def by_superlu(matrix: csc_matrix, right: NDArray[np.float64]) -> NDArray[np.float64]:
     return splu(matrix, **SYMMETRIC, options={"SymmetricMode": True}).solve(right)
 
@@ -162,14 +170,17 @@ SOLVERS = {
 def print_solvers(repeats: int) -> None:
     print(f"\n{'colorization, solved by':<34}{'unknowns':>9}{'ms':>9}{'most wrong, mm':>16}")
     for size in SOLVED:
-        view, _, _ = scene(size)
-        depth = view.depth.astype(np.float64)
-        system = colorization_system(view.color, depth, view.depth == 0)
-        exact = by_superlu(*system)
-        for title, solve in SOLVERS.items():
-            wrong = 1000 * np.abs(solve(*system) - exact).max()
-            spent = milliseconds(lambda s=solve, m=system: s(*m), repeats)
-            print(f"{title:<34}{len(exact):>9}{spent:>9.0f}{wrong:>16.3f}")
+        view, true, _ = scene(size)
+        sparse = np.random.default_rng(0).uniform(size=true.shape) > 0.02
+        for title, missing in (("15 % missing", view.depth == 0), ("98 % missing", sparse)):
+            matrix, right = colorization_system(view.color, np.where(missing, 0, true), missing)
+            exact = factorized(matrix, missing)(right)
+            own = partial(by_dissection, missing=missing)
+            print(f"{size[0]}x{size[1]}, {title}")
+            for name, solve in {"nested dissection (in use)": own, **SOLVERS}.items():
+                wrong = 1000 * np.abs(solve(matrix, right) - exact).max()
+                spent = milliseconds(partial(solve, matrix, right), repeats)
+                print(f"  {name:<32}{len(exact):>9}{spent:>9.0f}{wrong:>16.3f}")
 
 
 def main() -> None:

@@ -22,8 +22,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
-from scipy.sparse.linalg import splu
 
+from benchmark.methods.filling.grid_solver import factorized
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, pixel_rays
 
@@ -116,17 +116,11 @@ def optimize_depth(
     weight = options.normal_weight * camera.fx * _boundary_weight(boundary, depth.shape, options)
     matrix = _normal_equations(normals, weight, observed, camera, options)
     right = (options.observed_weight**2 / unit) * measured.ravel()
-    # Symmetric and positive definite: no pivoting, and an ordering for symmetric patterns.
-    factors = splu(
-        matrix,
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
-    solution = factors.solve(right)
+    solve = factorized(matrix, np.ones_like(observed))
+    solution = solve(right)
     # One step of iterative refinement: the weights span six orders of magnitude, their squares
     # twelve.
-    solution += factors.solve(right - matrix @ solution)
+    solution += solve(right - matrix @ solution)
     found = (unit * solution).reshape(depth.shape)
     return np.where(np.isfinite(found) & (found > 0), found, 0).astype(np.float32)
 

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
-from scipy.sparse.linalg import splu
 
 from benchmark.methods.filling.filler import Filler
+from benchmark.methods.filling.grid_solver import factorized
 from std_toolkit.geometry.camera import Camera
 
 AROUND = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dy, dx) != (0, 0)]
@@ -52,17 +52,10 @@ def spread_depth(
         missing: (h, w) bool; at least one pixel is missing, and one is not.
     """
     matrix, right = colorization_system(color, depth, missing)
-    # The matrix is diagonally dominant, so that no pivoting is needed and an ordering for its
-    # symmetric pattern fills in least: `perf/bench_filling.py` compares solvers.
-    factors = splu(
-        matrix,
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
+    solution = factorized(matrix, missing)(right)
     filled = np.array(depth, dtype=np.float64)
     # Rounding apart the solution is in this range already.
-    filled[missing] = np.clip(factors.solve(right), depth[~missing].min(), depth[~missing].max())
+    filled[missing] = np.clip(solution, depth[~missing].min(), depth[~missing].max())
     return filled
 
 
