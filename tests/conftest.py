@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -58,3 +59,28 @@ def page(browser: Browser) -> Iterator[Page]:
     context = browser.new_context(viewport={"width": 1280, "height": 720})
     yield context.new_page()
     context.close()
+
+
+@pytest.fixture(scope="session")
+def tiny_dreds(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated data set in the DREDS layout: one scene, two views of 160x90, four objects.
+
+    Returns the folder that `std-sim --out` would have written: `DREDS-CatKnown/train/00000`,
+    `cad_model`, `parameters`, `simulation.json`. It is made once per session, in a process of its
+    own, in about 15 s of processor time, less where the convex parts of its shapes are kept; so
+    mark tests that need it `slow`, and copy it before changing anything in it.
+    """
+    for package in ("mitsuba", "mujoco", "coacd", "manifold3d", "numba"):
+        if find_spec(package) is None:
+            pytest.skip(f"the simulator's extra is not installed: no {package}")
+    from sensors.simulation.dataset import simulate_set
+    from sensors.simulation.options import SimulationOptions
+    from std_toolkit.jobs import JobOptions
+
+    options = SimulationOptions(
+        views=2, width=160, height=90, quality="rough", min_objects=1, max_objects=4
+    )
+    out = tmp_path_factory.mktemp("tiny-dreds") / "set"
+    # Not in this process: the tracer stays out of sessions that load torch or Qt.
+    simulate_set(out, options, [0], jobs=JobOptions(workers=1, progress=False)).raise_if_failed()
+    return out

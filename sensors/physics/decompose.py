@@ -22,6 +22,10 @@ Array = NDArray[np.float64]
 _SIMPLIFIED = 0.0015
 # A body that fills so much of its hull is taken for it.
 _CONVEX = 0.98
+# One that fills less than this is a vessel or has arms: things lie in it, and its parts may stand
+# out by less. Parts hold the surface either way; how far they stand out costs a gap, no overlap.
+_OPEN = 0.6
+_THRESHOLD_OPEN, _THRESHOLD_FULL = 0.08, 0.12
 _TIME_LIMIT_S = 300.0
 # Flat parts get this thickness: the physics engine needs a volume.
 _THINNEST = 4e-4
@@ -55,12 +59,14 @@ def decompose(
     """
     shells, preprocess = _outer_shells(vertices, faces)
     corners = np.concatenate([v for v, _ in shells])
-    if _filling(shells, corners) >= _CONVEX:
+    filling = _filling(shells, corners)
+    if filling >= _CONVEX:
         return Decomposition((_hull(vertices),))
+    threshold = _THRESHOLD_OPEN if filling < _OPEN else _THRESHOLD_FULL
     starts = np.cumsum([0, *(len(v) for v, _ in shells[:-1])])
     joined = np.concatenate([f + s for (_, f), s in zip(shells, starts, strict=True)])
     try:
-        found = _by_coacd(corners, joined, preprocess, time_limit_s)
+        found = _by_coacd(corners, joined, preprocess, threshold, time_limit_s)
     except _Failed as failure:
         logger.warning("CoACD failed (%s): the object collides as its convex hull", failure)
         return Decomposition((_hull(vertices),), lasting=failure.lasting)
@@ -111,7 +117,11 @@ class _Failed(Exception):
 
 
 def _by_coacd(
-    vertices: Array, faces: NDArray[np.int64], preprocess: str, time_limit_s: float
+    vertices: Array,
+    faces: NDArray[np.int64],
+    preprocess: str,
+    threshold: float,
+    time_limit_s: float,
 ) -> list[Array]:
     from importlib.util import find_spec
 
@@ -119,7 +129,7 @@ def _by_coacd(
         raise ToolkitError("coacd is not installed", hint="pip install 'std-toolkit[sim]'")
     with tempfile.TemporaryDirectory(prefix="std-coacd-") as folder:
         source, target = Path(folder, "in.npz"), Path(folder, "out.npz")
-        np.savez(source, vertices=vertices, faces=faces, preprocess=preprocess)
+        np.savez(source, vertices=vertices, faces=faces, preprocess=preprocess, threshold=threshold)
         status, said = _run(source, target, Path(folder, "said.txt"), time_limit_s)
         if status:
             killed = status in (-signal.SIGKILL, -signal.SIGTERM, -signal.SIGINT)

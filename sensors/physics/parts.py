@@ -23,7 +23,7 @@ from std_toolkit.io.atomic import write_bytes_atomic
 
 Array = NDArray[np.float64]
 # Changed whenever the same settings give other parts.
-_EDITION = 1
+_EDITION = 2
 
 
 def convex_parts(asset: Asset, cache: Path | None = None) -> tuple[Array, ...]:

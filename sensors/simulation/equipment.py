@@ -8,6 +8,8 @@ from pathlib import Path
 
 from sensors.assets import AssetSource, SourceOptions, open_source
 from sensors.lighting import EnvironmentSource, environment_source
+from sensors.lighting.floor import IMAGE_SUFFIXES
+from sensors.lighting.folder import files_of_split
 from sensors.pattern import DotPattern, load_pattern, make_pattern
 from sensors.simulation.arrangement import Arrangements
 from sensors.simulation.options import SimulationOptions
@@ -50,6 +52,8 @@ class Equipment:
         own = {} if options.matcher == "dreds" else {"min_disparity": low, "max_disparity": high}
         if options.matcher == "local":
             own["threads"] = threads or len(os.sched_getaffinity(0))
+        if options.floors is not None:
+            files_of_split(options.floors, options.split, IMAGE_SUFFIXES)
         root = None if options.assets_root is None else Path(options.assets_root)
         return Equipment(
             sensor,

@@ -138,7 +138,7 @@ def test_the_process_of_a_killed_caller_ends(tmp_path: Path) -> None:
     target.parent.mkdir()
     # A body that takes CoACD a while.
     knot = trimesh.creation.torus(1.0, 0.1, major_sections=120, minor_sections=40)
-    np.savez(source, vertices=knot.vertices, faces=knot.faces, preprocess="off")
+    np.savez(source, vertices=knot.vertices, faces=knot.faces, preprocess="off", threshold=0.08)
     process = subprocess.Popen(
         [sys.executable, "-m", "sensors.physics.coacd_process", source, target],
         stdin=subprocess.PIPE,
