@@ -37,8 +37,10 @@ from sensors.stereo import disparity_to_depth
 from std_toolkit.geometry.se3 import SE3
 
 # Irradiance of the projector at 1 m where the pattern is bright, against an environment of mean
-# luminance 1 that the camera's filter takes most of.
-PROJECTOR_POWER = 0.8
+# luminance 1 that the camera's filter takes most of. With 0.3 the dots on floors of random scenes
+# have a contrast of 0.20 to 0.34 of the mean in windows of 21 pixels; on a cloth under a real D415
+# it is 0.25.
+PROJECTOR_POWER = 0.3
 # Materials on which an active stereo camera does not measure the surface.
 CUT_MATERIALS = ("transparent", "specular")
 

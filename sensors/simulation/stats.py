@@ -66,7 +66,7 @@ def set_statistics(root: Path) -> SetStatistics:
             hint="give the folder that std-sim wrote to",
         )
     classes = {number: name for name, number in CATEGORY_CLASS_IDS.items()}
-    tally: defaultdict[str, _Tally] = defaultdict(_Tally)
+    tally: defaultdict[str, ErrorTally] = defaultdict(ErrorTally)
     categories: Counter[str] = Counter()
     frames = 0
     for folder in scenes:
@@ -92,15 +92,16 @@ def set_statistics(root: Path) -> SetStatistics:
     return SetStatistics(len(scenes), frames, counts, depth)
 
 
-class _Tally:
-    """Sums over frames."""
+class ErrorTally:
+    """Completeness and errors of depth, summed over frames."""
 
     def __init__(self) -> None:
         self.pixels = self.valid = self.wrong = 0
         self.squares = 0.0
         self.errors: list[NDArray[np.float32]] = []
 
-    def add(self, raw: NDArray[np.float32], exact: NDArray[np.float32]) -> None:
+    def add(self, raw: NDArray[np.floating], exact: NDArray[np.floating]) -> None:
+        """Count pixels: depth as measured (0 = none) and as it is, metres, of one shape."""
         self.pixels += len(raw)
         valid = raw > 0
         error = np.abs(raw[valid] - exact[valid])
@@ -110,11 +111,12 @@ class _Tally:
         self.errors.append(error[:: max(1, len(error) // _KEPT)])
 
     def row(self) -> dict[str, float]:
+        """The figures by name, as `SetStatistics.depth` has them."""
         measured = max(self.valid, 1)
         errors = np.concatenate(self.errors)
         return {
             "pixels": self.pixels,
-            "complete %": 100 * self.valid / self.pixels,
+            "complete %": 100 * self.valid / self.pixels if self.pixels else np.nan,
             "median mm": 1000 * float(np.median(errors)) if len(errors) else np.nan,
             "RMSE mm": 1000 * float(np.sqrt(self.squares / measured)),
             "off by > 1 cm %": 100 * self.wrong / measured,

@@ -1,0 +1,212 @@
+"""Surfaces of known material at a known distance: what the simulated depth camera makes of them.
+
+Random scenes mix distance, slope and occlusion with what a material does. Here a board of tiles
+faces the camera, or vessels of one size class stand on a floor before it; `perf/realism.py` prints
+the statistics, a test holds their bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.assets import draw_diagonal, open_source
+from sensors.lighting import StudioSource, draw_floor, draw_lighting
+from sensors.materials import load_library
+from sensors.materials.draw import DrawnMaterial, draw_material
+from sensors.materials.library import MaterialClass
+from sensors.pattern import make_pattern
+from sensors.render import (
+    Projector,
+    RenderOptions,
+    SceneObject,
+    SimRenderer,
+    SimScene,
+    SurfaceMesh,
+    TruthCaster,
+    expose_pair,
+)
+from sensors.render.infrared_image import BLUR_SHARE, InfraredResponse
+from sensors.simulation.simulator import PROJECTOR_POWER
+from sensors.specs import SensorSpec
+from sensors.stereo import disparity_to_depth, make_matcher
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.se3 import SE3
+
+DISTANCE_M = 0.6
+TILT_DEG = 10.0
+VESSELS = ("bottle", "bowl", "mug")
+_COLUMNS, _SPACING_M = 3, (0.24, 0.22)
+_ELEVATION_DEG = 50.0
+
+
+@dataclass(frozen=True, eq=False)
+class TrialScene:
+    """A scene and where the left infrared camera stands before it.
+
+    Attributes:
+        materials: of the instances 1, 2, ...
+    """
+
+    scene: SimScene
+    T_world_ir: SE3
+    materials: tuple[DrawnMaterial, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class TrialView:
+    """What was measured.
+
+    Attributes:
+        left, right: (h, w) uint8 infrared.
+        depth, exact: (h, w) float32 metres in the left camera, 0 = none.
+        mask: (h, w) uint8 instances, 0 = floor.
+    """
+
+    left: NDArray[np.uint8]
+    right: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    exact: NDArray[np.float32]
+    mask: NDArray[np.uint8]
+
+
+def tiles(camera: Camera, seed: int, *, material_class: MaterialClass = "diffuse") -> TrialScene:
+    """A board that fills the view at 0.6 m, tilted a little, one tile for each material.
+
+    Args:
+        camera: left infrared camera.
+        seed: of tilt, colours and jitter.
+    """
+    rng = np.random.default_rng([seed, 0])
+    names = [m.name for m in load_library().of_class(material_class)]
+    columns = int(np.ceil(np.sqrt(len(names) * camera.width / camera.height)))
+    rows = int(np.ceil(len(names) / columns))
+    # A quarter more than the view shows, so that no corner of a tilted board is seen.
+    size = 1.25 * DISTANCE_M * np.array([camera.width / camera.fx, camera.height / camera.fy])
+    w, h = size / (columns, rows)
+    square = SurfaceMesh(
+        np.array([[-w, -h, 0], [w, -h, 0], [w, h, 0], [-w, h, 0]]) / 2,
+        np.array([[0, 1, 2], [0, 2, 3]]),
+    )
+    order = rng.permutation(columns * rows)
+    materials = [draw_material(rng, material_class, name=name) for name in names]
+    objects = []
+    for place in range(columns * rows):
+        # Where there are more places than materials the first ones come again.
+        index = int(order[place]) % len(names)
+        at = (np.array([place % columns, place // columns]) + 0.5) * (w, h) - size / 2
+        pose = SE3(np.eye(3), np.array([*at, 0.0]))
+        objects.append(
+            SceneObject(place + 1, square, pose, materials[index], color=_own_color(rng))
+        )
+    tilt = np.deg2rad(rng.uniform(-TILT_DEG, TILT_DEG, 2))
+    T_board_cam = SE3.exp([0, 0, 0, *tilt, 0]) @ _above(DISTANCE_M)
+    shown = tuple(item.material for item in objects)
+    return TrialScene(SimScene(tuple(objects), StudioSource().draw(rng)), T_board_cam, shown)
+
+
+def vessels(materials: Sequence[tuple[MaterialClass, str, str]], seed: int) -> TrialScene:
+    """Vessels upright in two rows on a floor, 0.6 m before the camera.
+
+    Args:
+        materials: class and name of each vessel's material, and its category.
+        seed: of shapes, sizes, floor and jitter.
+    """
+    rng = np.random.default_rng([seed, 1])
+    source = open_source("procedural")
+    h = 3.0
+    ground = SurfaceMesh(
+        np.array([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]]), np.array([[0, 1, 2], [0, 2, 3]])
+    )
+    objects = [SceneObject(0, ground, SE3.identity(), draw_floor(rng).material)]
+    # Assets stand along y, the world's z is up.
+    upright = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    rows = int(np.ceil(len(materials) / _COLUMNS))
+    for i, (material_class, name, category) in enumerate(materials):
+        asset = source.sample(rng, category)
+        vertices = asset.vertices * draw_diagonal(rng, asset)
+        place = np.array([i % _COLUMNS, i // _COLUMNS]) - (np.array([_COLUMNS, rows]) - 1) / 2
+        at = np.array([*(place * _SPACING_M), -float(vertices[:, 1].min())])
+        objects.append(
+            SceneObject(
+                i + 1,
+                SurfaceMesh(vertices, asset.faces),
+                SE3(upright, at),
+                draw_material(rng, material_class, name=name),
+                color=_own_color(rng),
+            )
+        )
+    away = SE3.exp([0, 0, 0, np.deg2rad(90 - _ELEVATION_DEG), 0, 0]) @ _above(DISTANCE_M)
+    T_world_ir = SE3(np.eye(3), np.array([0, 0, 0.05])) @ away
+    scene = SimScene(tuple(objects), StudioSource().draw(rng), float(rng.uniform(0, 2 * np.pi)))
+    return TrialScene(scene, T_world_ir, tuple(item.material for item in objects[1:]))
+
+
+def look(
+    trial: TrialScene,
+    spec: SensorSpec,
+    camera: Camera,
+    renderer: SimRenderer,
+    *,
+    options: RenderOptions,
+    seed: int,
+) -> TrialView:
+    """Render the pair, match it, and cast the exact depth.
+
+    Args:
+        spec: sensor with a projector.
+        camera: its left infrared camera, or one for a part of its image.
+        seed: of light and noise.
+
+    Raises:
+        ToolkitError: the sensor has no projector.
+    """
+    pattern = make_pattern(spec)
+    assert spec.projector is not None  # its pattern would have been refused
+    rng = np.random.default_rng([seed, 2])
+    light = draw_lighting(rng, trial.scene.environment.name)
+    T = trial.T_world_ir
+    projector = Projector(
+        pattern.image,
+        pattern.fov_x_deg,
+        T @ spec.projector.T_ir_projector,
+        power=PROJECTOR_POWER * light.projector_factor,
+    )
+    loaded = renderer.load(trial.scene)
+    T_left_right = SE3(np.eye(3), np.array([spec.baseline_m, 0.0, 0.0]))
+    pair = [
+        loaded.infrared(
+            camera,
+            eye,
+            projector,
+            ambient=light.infrared_strength,
+            options=options,
+            seed=2 * seed + i,
+        )
+        for i, eye in enumerate((T, T @ T_left_right))
+    ]
+    whole = spec.infrared_camera(640, 360)
+    response = InfraredResponse(blur_px=BLUR_SHARE * whole.width * camera.fx / whole.fx)
+    left, right, _ = expose_pair(*pair, rng=rng, response=response)
+    low, high = spec.disparity_range(whole.width, whole.height)
+    matcher = make_matcher("local", min_disparity=low, max_disparity=high)
+    depth = disparity_to_depth(
+        matcher.match(left, right),
+        focal_px=camera.fx,
+        baseline_m=spec.baseline_m,
+        range_m=(spec.depth.range_m[0], spec.depth.range_m[1]),
+    )
+    maps = TruthCaster(trial.scene).maps(camera, T)
+    return TrialView(left, right, depth, maps.depth, maps.mask)
+
+
+def _own_color(rng: np.random.Generator) -> tuple[float, float, float]:
+    r, g, b = (float(x) for x in rng.uniform(0.05, 0.8, 3))
+    return r, g, b
+
+
+def _above(height_m: float) -> SE3:
+    return SE3(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, height_m]))
