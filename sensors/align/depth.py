@@ -53,27 +53,34 @@ def align_depth(
     z = np.ascontiguousarray(depth, dtype=np.float64)
     if not np.isfinite(z).all() or (z < 0).any():
         raise ToolkitError("depth holds negative or infinite values", field="depth")
-    across, down, centre = _patch_rays(camera)
     R, t = np.ascontiguousarray(T_other_depth.R), np.ascontiguousarray(T_other_depth.t)
     out = np.full((other.height, other.width), np.inf, dtype=np.float32)
-    splat(z, across, down, centre, R, t, _lens(other), surface_step, out)
+    splat(z, _patch_rays(camera), R, t, _lens(other), surface_step, out)
     out[np.isinf(out)] = 0
     return out
 
 
 @lru_cache(maxsize=4)
-def _patch_rays(camera: Camera) -> tuple[Array, Array, Array]:
-    """x and y at z = 1 behind the pixels' edges, across and down, and behind their centres."""
-    width, height = camera.size
+def _patch_rays(camera: Camera) -> tuple[Array, ...]:
+    """x and y at z = 1 behind the pixels' edges, across and down, and behind their centres.
 
-    def rays(u: NDArray[np.floating], v: NDArray[np.floating]) -> Array:
-        grid = np.stack(np.meshgrid(u, v), axis=-1)
-        return np.ascontiguousarray(camera.unproject(grid)[..., :2])
-
-    u, v = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)
-    edges_u = np.arange(width + 1, dtype=np.float64) - 0.5
-    edges_v = np.arange(height + 1, dtype=np.float64) - 0.5
-    return rays(edges_u, v), rays(u, edges_v), rays(u, v)
+    Without distortion x depends on the column and y on the row alone: the arrays then are views
+    of one row or column, which stay in the processor's cache.
+    """
+    u, v = np.arange(camera.width, dtype=np.float64), np.arange(camera.height, dtype=np.float64)
+    edges_u = np.arange(camera.width + 1, dtype=np.float64) - 0.5
+    edges_v = np.arange(camera.height + 1, dtype=np.float64) - 0.5
+    arrays: list[Array] = []
+    for across, down in ((edges_u, v), (u, edges_v), (u, v)):
+        shape = (len(down), len(across))
+        if camera.is_distorted:
+            rays = camera.unproject(np.stack(np.meshgrid(across, down), axis=-1))
+            arrays += [np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1])]
+        else:
+            x = (across - camera.cx) / camera.fx
+            y = (down - camera.cy) / camera.fy
+            arrays += [np.broadcast_to(x, shape), np.broadcast_to(y[:, None], shape)]
+    return tuple(arrays)
 
 
 @lru_cache(maxsize=16)

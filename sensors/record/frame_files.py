@@ -10,7 +10,8 @@ import numpy as np
 
 from sensors.align import align_depth
 from sensors.record.frames import Calibration, CapturedFrame, Units
-from std_toolkit.io.images import write_color, write_png
+from sensors.record.png import write_sensor_png
+from std_toolkit.io.images import write_color
 from std_toolkit.scene.model import Frame
 
 ColorFormat = Literal["jpg", "png"]
@@ -22,7 +23,7 @@ class FileOptions:
     """How frames become files.
 
     Attributes:
-        color: "jpg" at `quality`, or "png", which takes 20 times as long.
+        color: "jpg" at `quality`, or "png", which takes ten times as long.
         infrared, raw_depth: keep the infrared images, and depth as the camera gave it.
     """
 
@@ -53,15 +54,15 @@ def write_frame(
     name = frame_name(frame_id)
     color, depth = f"color/{name}.{options.color}", f"depth/{name}.png"
     if options.color == "png":
-        write_png(root / color, frame.color)
+        write_sensor_png(root / color, frame.color)
     else:
         write_color(root / color, frame.color, quality=options.quality)
-    write_png(root / depth, aligned_units(frame, calibration))
+    write_sensor_png(root / depth, aligned_units(frame, calibration))
     if options.infrared:
         for kind, image in frame.infrared.items():
-            write_png(root / f"reference/{kind}/{name}.png", image)
+            write_sensor_png(root / f"reference/{kind}/{name}.png", image)
     if options.raw_depth:
-        write_png(root / f"reference/depth_raw/{name}.png", frame.depth)
+        write_sensor_png(root / f"reference/depth_raw/{name}.png", frame.depth)
     return Frame(id=frame_id, name=name, color=color, depth=depth, timestamp=frame.timestamp)
 
 
