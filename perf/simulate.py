@@ -1,252 +1,136 @@
-"""Cost of the simulator's rendering: `python perf/simulate.py [--views 30] [--pictures FOLDER]`.
+"""What a simulated frame costs: `python perf/simulate.py [--views 30] [--seed 0]`.
 
-One scene of six objects and a floor is rendered from many views at 640x360 at draft quality
-(infrared 32 paths a pixel per imager, colour 32). Prints processor seconds per view of every
-part, the cost of the first view above the others (compilation), and peak memory.
+One scene of the built-in objects is simulated from many views, as std-sim makes it: objects drawn
+and settled, infrared pair, colour, denoising, exact maps, matching, alignment, files in the DREDS
+layout. Twice: on one thread, which tells processor seconds by step (start-up apart), and on all
+cores with the finishing of a view beside the rendering of the next, which tells seconds by the
+clock. What a set of 130,000 images costs follows from the first on CPUs, where scenes go to
+one-thread workers, and from the second on a GPU where Mitsuba runs on one.
+
+Settling is told with the convex parts of all shapes made anew, and with parts that are kept: a
+shape costs once, however many scenes it is in. Seconds of processor time are the robust figure
+where others use the machine.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import resource
+import tempfile
 import time
-from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-import trimesh
+from sensors.output import dreds_scene
+from sensors.render.variant import choose_variant
+from sensors.simulation.options import SimulationOptions
+from sensors.simulation.simulator import Simulator, Stopwatch
 
-from sensors.lighting import StudioSource, draw_floor, draw_lighting
-from sensors.materials import draw_material
-from sensors.materials.library import MaterialClass
-from sensors.pattern import DotPattern, make_pattern
-from sensors.render import (
-    DRAFT_COLOR,
-    DRAFT_INFRARED,
-    Projector,
-    RenderOptions,
-    SceneObject,
-    SimScene,
-    SurfaceMesh,
-    TruthCaster,
-    denoise,
-    develop,
-    expose_pair,
-)
-from sensors.specs import load_sensor
-from sensors.viewpoints import ViewpointOptions, random_viewpoints
-from std_toolkit.geometry import SE3
-from std_toolkit.io.images import write_color, write_png
-
-SENSOR = load_sensor("d415")
-CAMERA = SENSOR.infrared_camera(640, 360)
-POWER = 0.25
-CLASSES: tuple[MaterialClass, ...] = (
-    "diffuse",
-    "specular",
-    "transparent",
-    "raw",
-    "specular",
-    "transparent",
-)
+IMAGES = 130_000
+# Shapes that such a set is made of: 250 training shapes in each of eight categories.
+SHAPES = 2000
 
 
-def vessel(radius: float, height: float, wall: float) -> trimesh.Trimesh:
-    """An open cup: outside, rim and inside, watertight."""
-    profile = [
-        *([0, 0], [radius * 0.8, 0], [radius, 0.3 * height], [radius, height]),
-        *([radius - wall, height], [radius - wall, 0.3 * height]),
-        *([radius * 0.8 - wall, wall], [0, wall]),
-    ]
-    points = np.asarray(profile, float)
-    steps = np.arange(8)[None, :, None] / 8
-    dense = (points[:-1, None] * (1 - steps) + points[1:, None] * steps).reshape(-1, 2)
-    dense = np.concatenate([dense, points[-1:]])
-    return trimesh.creation.revolve(dense, sections=96)
+def processor_seconds() -> float:
+    """Of this process, all its threads, and its finished children."""
+    t = os.times()
+    return t.user + t.system + t.children_user + t.children_system
 
 
-def test_scene(seed: int) -> SimScene:
-    """Six objects of all classes on a floor, about 40,000 triangles."""
-    rng = np.random.default_rng(seed)
-    shapes = [
-        trimesh.creation.torus(0.06, 0.025, major_sections=96, minor_sections=48),
-        trimesh.creation.icosphere(5, 0.05),
-        vessel(0.045, 0.11, 0.004),
-        trimesh.creation.box((0.09, 0.06, 0.13)),
-        vessel(0.04, 0.09, 0.003),
-        vessel(0.075, 0.06, 0.004),
-    ]
-    floor_half = 1.5
-    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * floor_half
-    floor = SurfaceMesh(corners, np.array([[0, 1, 2], [0, 2, 3]]))
-    objects = [SceneObject(0, floor, SE3.identity(), draw_floor(rng).material)]
-    for i, (shape, name) in enumerate(zip(shapes, CLASSES, strict=True)):
-        place = np.array([0.17 * (i % 3 - 1), 0.15 * (i // 3) - 0.08, -shape.bounds[0, 2]])
-        mesh = SurfaceMesh(np.asarray(shape.vertices), np.asarray(shape.faces))
-        color = (float(rng.uniform(0.1, 0.8)), float(rng.uniform(0.1, 0.8)), 0.3)
-        objects.append(
-            SceneObject(i + 1, mesh, SE3(np.eye(3), place), draw_material(rng, name), color=color)
-        )
-    return SimScene(tuple(objects), StudioSource().draw(rng), float(rng.uniform(0, 2 * np.pi)))
+class Measured:
+    """Processor seconds and seconds by the clock of a block."""
 
-
-def views(count: int, seed: int) -> list[SE3]:
-    """Left infrared cameras around the table."""
-    return [v.T_world_cam for v in random_viewpoints(seed, ViewpointOptions(count=count))]
-
-
-@cache
-def pattern_of_sensor() -> DotPattern:
-    return make_pattern(SENSOR)
-
-
-def projector_at(T: SE3, power: float) -> Projector:
-    """The sensor's projector beside its left infrared camera."""
-    assert SENSOR.projector is not None
-    pattern = pattern_of_sensor()
-    place = T @ SENSOR.projector.T_ir_projector
-    return Projector(pattern.image, pattern.fov_x_deg, place, power=power)
-
-
-def builtin(scene: SimScene) -> Any:
-    """Mitsuba's own integrator on the same surfaces."""
-    import mitsuba as mi
-
-    from sensors.render import mitsuba_scene
-    from sensors.render.builtin_tracer import BuiltinTracer
-
-    surfaces = mitsuba_scene.build(mi, scene, infrared=True).everything
-    return BuiltinTracer(surfaces, mitsuba_scene.environment(mi, scene))
-
-
-def compiled_anew(renderer: Any, seed: int) -> str:
-    """Kernels that another scene, with other materials, compiled."""
-    import drjit as dr
-
-    if "scalar" in renderer.name:
-        return "none, it is not a compiled variant"
-    options = RenderOptions(samples=16, chunk=4)
-    T = views(1, seed)[0]
-    projector = projector_at(T, POWER)
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        dr.kernel_history_clear()
-        loaded = renderer.load(test_scene(seed))
-        loaded.infrared(CAMERA, T, projector, ambient=0.035, options=options)
-        loaded.color(CAMERA, T, ambient=0.5)
-        kernels = dr.kernel_history([dr.KernelType.JIT])
-    return f"{sum(not k['cache_hit'] for k in kernels)} of {len(kernels)}"
-
-
-def infrared_noise(loaded: Any, maps: Any, T: SE3) -> dict[str, float]:
-    """Deviation between seeds as a share of the floor's mean light, by material class."""
-    projector = projector_at(T, POWER)
-    images = np.stack(
-        [loaded.infrared(CAMERA, T, projector, ambient=0.035, seed=s) for s in (7, 8, 9)]
-    )
-    deviation, level = images.std(axis=0, ddof=1), images.mean(axis=0)[maps.mask == 0].mean()
-    names = ("floor", *CLASSES)
-    out: dict[str, list[float]] = defaultdict(list)
-    for i, name in enumerate(names):
-        out[name].append(float(deviation[maps.mask == i].mean() / level))
-    return {name: float(np.mean(v)) for name, v in out.items()}
-
-
-class Clock:
-    """Processor seconds of named parts."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, list[float]] = defaultdict(list)
+    processor = clock = 0.0
 
     @contextmanager
-    def part(self, name: str) -> Iterator[None]:
-        began = time.process_time()
+    def block(self) -> Iterator[None]:
+        began = processor_seconds(), time.perf_counter()
         yield
-        self.seconds[name].append(time.process_time() - began)
+        self.processor += processor_seconds() - began[0]
+        self.clock += time.perf_counter() - began[1]
+
+
+def simulate(simulator: Simulator, seed: int, out: Path) -> tuple[Measured, int]:
+    """Make one scene; what all of it cost, and its number of objects."""
+    cost = Measured()
+    with cost.block():
+        world = simulator.world(seed, f"{seed:05d}")
+        with dreds_scene(out, world.record, split="train") as writer:
+            for frame in simulator.frames(world):
+                with simulator.stopwatch.part("write"):
+                    writer.add(frame)
+    return cost, len(world.record.objects)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--views", type=int, default=30)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--variant", default=None)
-    parser.add_argument("--threads", type=int, default=None)
-    parser.add_argument("--reference", action="store_true")
-    parser.add_argument("--pictures", type=Path, default=None)
-    options = parser.parse_args()
-
-    from sensors.render.mitsuba_renderer import MitsubaRenderer
-
-    renderer = MitsubaRenderer(variant=options.variant, threads=options.threads)
-    rng = np.random.default_rng(options.seed)
-    scene = test_scene(options.seed)
-    light = draw_lighting(rng, scene.environment.name)
-    clock, wall = Clock(), time.perf_counter()
-    with clock.part("load scene"):
-        loaded = renderer.load(scene)
-    with clock.part("load truth"):
-        truth = TruthCaster(scene)
-    others = builtin(scene) if options.reference else None
-    for i, T in enumerate(views(options.views, options.seed)):
-        T_right = T @ SE3(np.eye(3), np.array([SENSOR.baseline_m, 0, 0]))
-        projector = projector_at(T, POWER * light.projector_factor)
-        seed = 10 * i
-        with clock.part("infrared left"):
-            left = loaded.infrared(CAMERA, T, projector, ambient=light.infrared_strength, seed=seed)
-        if others is not None:
-            with clock.part("(left, reference)"):
-                others.radiance(
-                    CAMERA,
-                    T,
-                    projector,
-                    ambient=light.infrared_strength,
-                    options=DRAFT_INFRARED,
-                    seed=seed,
-                    grey=True,
-                )
-        with clock.part("infrared right"):
-            right = loaded.infrared(
-                CAMERA, T_right, projector, ambient=light.infrared_strength, seed=seed + 1
-            )
-        with clock.part("colour"):
-            color = loaded.color(CAMERA, T, ambient=light.color_strength, seed=seed + 2)
-        with clock.part("denoise colour"):
-            clean = denoise(color)
-        with clock.part("develop and expose"):
-            grey_left, grey_right, _ = expose_pair(left, right, rng=rng)
-            picture, _ = develop(clean, rng=rng)
-        with clock.part("exact maps"):
-            maps = truth.maps(CAMERA, T)
-        if options.pictures is not None and i < 6:
-            options.pictures.mkdir(parents=True, exist_ok=True)
-            write_png(options.pictures / f"{i:02d}_left.png", grey_left)
-            write_png(options.pictures / f"{i:02d}_right.png", grey_right)
-            write_color(options.pictures / f"{i:02d}_color.png", picture)
-            noisy, _ = develop(color.radiance)
-            write_color(options.pictures / f"{i:02d}_noisy.png", noisy)
-            write_png(options.pictures / f"{i:02d}_mask.png", maps.mask * 40)
-    wall = time.perf_counter() - wall
-
-    print(
-        f"{renderer.name}, {options.views} views of one scene, 640x360, draft: infrared "
-        f"{DRAFT_INFRARED.samples} paths a pixel and imager, colour {DRAFT_COLOR.samples}"
+    parser.add_argument("--quality", default="draft")
+    parser.add_argument("--width", type=int, default=640)
+    parser.add_argument("--height", type=int, default=360)
+    parser.add_argument("--one-thread", action="store_true", help="leave the second run out")
+    args = parser.parse_args()
+    options = SimulationOptions(
+        views=args.views, width=args.width, height=args.height, quality=args.quality
     )
-    print(f"{'part':20s} {'CPU s a view':>12s} {'first view':>11s}")
-    total = 0.0
-    for name, seconds in clock.seconds.items():
-        share = sum(seconds) / options.views
-        total += 0 if name.startswith("(") else share
-        print(f"{name:20s} {share:12.3f} {seconds[0]:11.3f}")
-    print(f"{'all':20s} {total:12.3f}   ({wall / options.views:.2f} s of wall a view here)")
-    if others is None:  # every surface that is alive counts, the reference's too
-        anew = compiled_anew(renderer, options.seed + 1)
-        print(f"kernels that another scene compiled: {anew}")
-    noise = infrared_noise(loaded, maps, T)
-    print("infrared noise, share of the floor's light: ", end="")
-    print(", ".join(f"{name} {value:.3f}" for name, value in noise.items()))
+    cores = len(os.sched_getaffinity(0))
+    variant = choose_variant()
+    on_gpu = variant.startswith("cuda")
+    views = options.views
+    print(f"{variant}, {views} views of one scene, {args.width}x{args.height}, {args.quality}")
+
+    with tempfile.TemporaryDirectory() as folder:
+        top = Path(folder)
+        start = Measured()
+        with start.block():
+            single = Simulator(options, parts_cache=top / "parts", threads=1)
+            single.stopwatch = Stopwatch(clock=processor_seconds)
+        cost, objects = simulate(single, args.seed, top / "one")
+        steps = dict(single.stopwatch.seconds)
+        again = Stopwatch(clock=processor_seconds)
+        single.stopwatch = again
+        single.world(args.seed, "again")
+        kept = again.seconds["settle"]
+        anew = steps["settle"] - kept
+        per_frame = (cost.processor - anew) / views
+
+        print(f"\none thread, {objects} objects; start-up {start.processor:.1f} s once a process")
+        print(f"{'step':14s} {'processor s a frame':>20s} {'share':>7s}")
+        for step, seconds in steps.items():
+            seconds = kept if step == "settle" else seconds
+            print(f"{step:14s} {seconds / views:20.3f} {seconds / views / per_frame:7.1%}")
+        rest = per_frame - (sum(steps.values()) - anew) / views
+        print(f"{'rest':14s} {rest:20.3f} {rest / per_frame:7.1%}")
+        print(f"{'all':14s} {per_frame:20.3f}   ({cost.clock / views:.2f} s by the clock here)")
+        print(
+            f"convex parts made anew: {anew:.1f} s a scene, {anew / objects:.2f} s a shape, "
+            f"{anew / views:.2f} s a frame; all with them {cost.processor / views:.2f} s"
+        )
+
+        wide = Measured()
+        if not args.one_thread or on_gpu:
+            every = Simulator(options, parts_cache=top / "parts")
+            wide, _ = simulate(every, args.seed, top / "all")
+            busy = wide.processor / wide.clock / cores
+            print(
+                f"\n{cores} threads, {'and a GPU, ' if on_gpu else ''}one scene at a time: "
+                f"{wide.clock / views:.2f} s by the clock a frame, "
+                f"{wide.processor / views:.2f} s of processor, cores {busy:.0%} busy"
+            )
+
+    shapes = SHAPES * anew / objects / 3600
+    hours = IMAGES * per_frame / 3600 + shapes
+    print(f"\n{IMAGES:,} images: {hours:.0f} core hours, {shapes:.1f} of them for {SHAPES} shapes:")
+    for count in (2, 64):
+        print(f"  {count:2d} cores: {hours / count:6.1f} h ({hours / count / 24:.1f} days)")
+    if on_gpu and wide.clock:
+        clock = wide.clock / views
+        print(f"  one GPU: {IMAGES * clock / 3600:.1f} h at {1 / clock:.2f} frames/s")
+    else:
+        print("  one GPU: not measured, Mitsuba runs on none here")
     print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
 
 

@@ -59,7 +59,11 @@ class BuiltinTracer:
         chunks = [
             np.array(
                 mi.render(
-                    scene, sensor=sensor, integrator=integrator, spp=chunk, seed=seed * count + i
+                    scene,
+                    sensor=sensor,
+                    integrator=integrator,
+                    spp=chunk,
+                    seed=(seed * count + i) % 2**32,  # it takes 32 bits
                 )
             )
             for i in range(count)

@@ -165,3 +165,18 @@ def test_too_little_room_is_told_first(
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=10_000_000))
     assert main(arguments(tmp_path / "full", shapes, "--engine", "serial")) == 1
     assert "GB" in capsys.readouterr().err
+
+
+def test_without_a_compiler_it_renders_slowly_and_says_so(shapes: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "sensors.simulation.cli", "preview"]
+    command += ["--out", str(tmp_path / "sheet.png"), "--views", "1", "--quality", "rough"]
+    command += ["--width", "160", "--height", "90"]
+    command += ["--assets", "folder", "--assets-root", str(shapes)]
+    environment = {**os.environ, "DRJIT_LIBLLVM_PATH": str(tmp_path / "libLLVM.so")}
+    environment.pop("STD_SIM_VARIANT", None)
+    # Where there is a graphics card this would take it.
+    environment["CUDA_VISIBLE_DEVICES"] = ""
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=110)
+    assert done.returncode == 0, done.stderr
+    assert "several times slower" in done.stderr and "libllvm19" in done.stderr
+    assert (tmp_path / "sheet.png").is_file()
