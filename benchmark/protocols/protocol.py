@@ -14,6 +14,8 @@ from benchmark.metrics.resize import Size
 from std_toolkit.errors import ToolkitError
 
 ALL = frozenset(Material)
+# Name of the rows of a range of true depth, in metres.
+DEPTH_SUBSET = "depth:{:.2f}-{:.2f}"
 HARD = frozenset({Material.TRANSPARENT, Material.SPECULAR})
 DIFFUSE = frozenset({Material.RAW, Material.DIFFUSE})
 # Classes by `Instance.class_id`; the name that a data set gives to an instance goes before.
@@ -75,6 +77,8 @@ class Protocol:
             method sees them; None leaves that to the method.
         depth_range: ground truth outside of these metres (both included) is not compared.
         per_category: whether each category gets a row of its own.
+        depth_bins: ends, in metres, of ranges of true depth that get a row each on the first grid
+            where a frame has pixels in them, for curves of error against depth.
 
     Raises:
         ToolkitError: no grid, no subset, or two of one name.
@@ -88,6 +92,7 @@ class Protocol:
     view_size: Size | None = None
     depth_range: tuple[float, float] = (0.0, float("inf"))
     per_category: bool = False
+    depth_bins: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         check_reportable(self.missing)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import cv2
@@ -14,7 +15,7 @@ from benchmark.data.frame import BACKGROUND, DepthFrame, Instance
 from benchmark.metrics.resize import Size, pixels_taken
 from benchmark.metrics.tally import Errors, tally
 from benchmark.protocols.edges import edge_band
-from benchmark.protocols.protocol import Grid, Protocol, Subset
+from benchmark.protocols.protocol import DEPTH_SUBSET, Grid, Protocol, Subset
 from std_toolkit.errors import ToolkitError
 
 _IDS, _NO_CELL = 256, 255  # a mask holds bytes, of which one is background
@@ -51,7 +52,8 @@ def score_frame(
         protocol: how to compare.
 
     Returns:
-        A row for each grid and subset, in the protocol's order, also for subsets without pixels.
+        A row for each grid and subset, in the protocol's order, also for subsets without pixels;
+        then rows for the protocol's ranges of depth, those without pixels left out.
 
     Raises:
         ToolkitError: `restored` is not an image of floating-point numbers.
@@ -119,12 +121,34 @@ def score_depth(
     # An edge is one of the whole ground truth: on a coarse grid every neighbour is far away.
     band = edge_band(true, mask) if any(s.edges for s in subsets) else None
     cells = _Cells(instances, subsets)
-    rows = []
+    rows: list[Row] = []
+    by_depth: list[Row] = []
     for grid in protocol.grids:
         p, g, cell = _gather(restored, true, mask, band, cells, grid, protocol)
         errors = tally(p, g, cell, 2 * cells.count, protocol.missing).of_each(cells.members)
         rows += [Row(grid.name, s.name, e) for s, e in zip(subsets, errors, strict=True)]
-    return rows
+        if grid is protocol.grids[0] and protocol.depth_bins:
+            by_depth = _by_depth(p, g, grid, protocol)
+    return rows + by_depth
+
+
+def _by_depth(
+    p: NDArray[np.floating], g: NDArray[np.float32], grid: Grid, protocol: Protocol
+) -> list[Row]:
+    """A row for each range of true depth that has pixels."""
+    ends = np.array(protocol.depth_bins, np.float32)
+    place = np.searchsorted(ends, g, side="right") - 1
+    within = np.flatnonzero((place >= 0) & (place < len(ends) - 1))
+    if not within.size:
+        return []
+    count = len(ends) - 1
+    sums = tally(p.take(within), g.take(within), place.take(within), count, protocol.missing)
+    each = sums.of_each(np.eye(count, dtype=np.bool_))
+    return [
+        Row(grid.name, DEPTH_SUBSET.format(low, high), errors)
+        for (low, high), errors in zip(pairwise(protocol.depth_bins), each, strict=True)
+        if errors.n_pixels
+    ]
 
 
 class _Cells:

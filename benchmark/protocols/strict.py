@@ -18,4 +18,5 @@ STRICT = Protocol(
         Subset("specular+transparent edges", HARD, edges=True),
     ),
     missing=Missing.COUNTED,
+    depth_bins=tuple(round(0.2 + 0.1 * i, 1) for i in range(19)),
 )

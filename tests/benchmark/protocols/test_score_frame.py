@@ -214,12 +214,27 @@ def test_every_frame_has_every_row() -> None:
         frame(np.zeros((8, 8)), quarters()),
         frame(true, quarters()),
     ):
-        rows = score_frame(true, at, STRICT)
+        rows = [r for r in score_frame(true, at, STRICT) if not r.subset.startswith("depth:")]
         assert [(r.grid, r.subset) for r in rows] == [
             (g.name, s.name) for g in STRICT.grids for s in STRICT.subsets
         ]
     empty = score_frame(true, frame(np.zeros((8, 8)), quarters()), STRICT)
     assert all(r.errors.n_pixels == 0 and math.isnan(r.errors.rmse) for r in empty)
+
+
+def test_ranges_of_depth_share_the_pixels_out() -> None:
+    """Every pixel of the main subset is in one range: their sums are those of the subset."""
+    true = np.linspace(0.31, 0.89, 64, dtype=np.float32).reshape(8, 8)
+    pred = true * np.linspace(0.9, 1.2, 64, dtype=np.float32).reshape(8, 8)
+    pred[3] = 0
+    rows = score_frame(pred, frame(true, quarters()), STRICT)
+    whole = rows[0].errors
+    ranges = {r.subset: r.errors for r in rows if r.subset.startswith("depth:")}
+    assert list(ranges) == [f"depth:{x / 10:.2f}-{(x + 1) / 10:.2f}" for x in range(3, 9)]
+    for name in ("n_pixels", "n_answered"):
+        assert sum(getattr(e, name) for e in ranges.values()) == getattr(whole, name)
+    total = sum(e.rmse**2 * e.n_pixels for e in ranges.values())
+    assert math.isclose(total, whole.rmse**2 * whole.n_pixels, rel_tol=1e-12)
 
 
 def test_categories() -> None:

@@ -107,6 +107,7 @@ def test_the_page_needs_nothing_but_itself(results: Path, tmp_path: Path) -> Non
     assert not re.search(r"""(src|href)=["']https?:""", ours)
     assert ours.count('class="strip"') == 3 * (3 + 3)
     assert "class=published" in ours
+    assert "Error against depth" in ours
 
 
 def test_two_folders_make_one_board(results: Path, tmp_path: Path) -> None:

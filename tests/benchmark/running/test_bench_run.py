@@ -41,7 +41,8 @@ def test_every_frame_has_every_row_of_the_protocol(root: Path, tmp_path: Path) -
     table = run_method(a_run(root, tmp_path, "raw"), SERIAL)
     protocol = get_protocol("strict")
     source = open_split(SPLIT, root)
-    assert len(table) == len(source) * len(protocol.grids) * len(protocol.subsets)
+    fixed = table[~table["subset"].str.startswith("depth:")]
+    assert len(fixed) == len(source) * len(protocol.grids) * len(protocol.subsets)
     frames = [source.load(i) for i in range(len(source))]
     # Raw depth has twice the size of the ground truth here; every method sees it at that size.
     seen = [view_of(frame, None).depth for frame in frames]
