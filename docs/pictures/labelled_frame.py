@@ -1,6 +1,6 @@
 """Draw docs/pictures/labelled_frame.jpg from the demo: python docs/pictures/labelled_frame.py.
 
-Needs the scene that `make demo` leaves in build/demo/scene. The demo is synthetic; pictures of
+Needs the scene that `make demo` leaves in build/demo/scene. The demo is simulated; pictures of
 the real recordings may not be distributed.
 """
 
@@ -86,7 +86,8 @@ def _depth(depth: NDArray[np.floating]) -> Image:
 
 
 def _titled(image: Image, title: str) -> Image:
-    small = np.asarray(cv2.resize(image, (480, 360), interpolation=cv2.INTER_AREA), np.uint8)
+    height = round(480 * image.shape[0] / image.shape[1])
+    small = np.asarray(cv2.resize(image, (480, height), interpolation=cv2.INTER_AREA), np.uint8)
     bar = np.full((30, 480, 3), 255, np.uint8)
     cv2.putText(bar, title, (2, 21), cv2.FONT_HERSHEY_SIMPLEX, 0.55, (31, 41, 51), 1, cv2.LINE_AA)
     return np.concatenate([bar, small])
