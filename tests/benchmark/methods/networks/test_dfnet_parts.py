@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-
-torch = pytest.importorskip("torch")
-
+import torch
 from network_cases import CASES, frames
 
 from benchmark.methods.dfnet.config import PRESETS, DFNetConfig

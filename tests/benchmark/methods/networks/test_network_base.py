@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
-
+import torch
 from network_cases import views
 from torch import nn
 
@@ -107,7 +105,7 @@ def test_narrow_arithmetic_is_used_and_answers_are_float32(precision):
 
 def test_memory_that_does_not_suffice_is_told():
     class Greedy(nn.Module):
-        def forward(self, color, depth):
+        def forward(self, *_):
             raise torch.OutOfMemoryError("CUDA out of memory")
 
     restorer = NetworkRestorer(Greedy(), MethodOptions(), None)

@@ -6,9 +6,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
-
+import torch
 from network_cases import CASES, views, weights_of
 
 from benchmark.methods import weights
@@ -94,7 +92,7 @@ def test_published_and_own_checkpoints_fit(name, tmp_path):
 TITLES = {"swindrnet": "SwinDRNet", "nlspn": "NLSPN", "dfnet": "DFNet"}
 
 
-@pytest.mark.parametrize(("method", "other"), permutations(METHODS, 2))
+@pytest.mark.parametrize(("method", "other"), list(permutations(METHODS, 2)))
 def test_weights_of_another_architecture(method, other, tmp_path):
     names = {m: next(n for n, c in CASES.items() if c.method == m) for m in METHODS}
     case = CASES[names[method]]

@@ -6,9 +6,7 @@ import hashlib
 from pathlib import Path
 
 import pytest
-
-torch = pytest.importorskip("torch")
-
+import torch
 from torch import nn
 
 from benchmark.methods import weights

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
-
-torch = pytest.importorskip("torch")
-
+import torch
 from network_cases import CASES, frames
 
-# Steps, learning rate, and the share of the first loss that is left at most. Random images of the
-# same kind, which are not learned, keep most of theirs.
+# Steps, learning rate, and the share of the first loss that is left at most. A network
+# that learned the mean depth alone would keep more of it.
 PLANS = {
-    "swindrnet-released": (120, 2e-3, 0.15),
-    "swindrnet-paper": (120, 2e-3, 0.15),
-    "swindrnet-no-confidence": (120, 2e-3, 0.15),
-    "swindrnet-no-fusion": (120, 2e-3, 0.15),
-    "nlspn": (120, 2e-3, 0.15),
-    "dfnet": (120, 5e-3, 0.15),
+    "swindrnet-released": (150, 3e-3, 0.1),
+    "swindrnet-paper": (150, 3e-3, 0.05),
+    "swindrnet-no-fusion": (150, 3e-3, 0.05),
+    "nlspn": (120, 2e-3, 0.05),
+    "dfnet": (70, 5e-3, 0.08),
 }
 
 
@@ -24,7 +23,10 @@ PLANS = {
 @pytest.mark.parametrize("name", PLANS)
 def test_four_frames_are_learned(name):
     steps, rate, share = PLANS[name]
-    network = CASES[name].make().train()
+    case = CASES[name]
+    if case.method == "swindrnet":  # what hinders learning by heart
+        case = replace(case, config=replace(case.config, drop_path=0.0, dropout=0.0))
+    network = case.make().train()
     color, depth, truth = frames(4)
     optimizer = torch.optim.AdamW(network.parameters(), rate, weight_decay=0)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, steps)
@@ -40,8 +42,7 @@ def test_four_frames_are_learned(name):
         schedule.step()
         losses.append(loss.item())
     assert losses[-1] < share * losses[0], (losses[0], losses[-1])
-    # Better than the sensor, which is what restoring means.
     network.eval()
     with torch.inference_mode():
         error = abs(network(color, depth).depth - truth).mean()
-    assert error < abs(depth - truth).mean()
+    assert error < 0.5 * abs(depth - truth).mean()  # of the sensor

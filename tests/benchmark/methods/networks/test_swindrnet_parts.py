@@ -6,9 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
-
+import torch
 from network_cases import TINY_SWIN
 
 from benchmark.methods.swindrnet.fusion import PaperFusion

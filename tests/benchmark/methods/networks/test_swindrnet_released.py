@@ -8,9 +8,7 @@ from zlib import crc32
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
-
+import torch
 from network_cases import CASES, frames
 
 from benchmark.methods.network import Prediction, parameter_count
