@@ -2,9 +2,10 @@
 
 Frames of 1280x720 with colour, depth to align and an infrared pair go through std-record's writer.
 First what each step takes of one core; then how many frames a second the writer takes with so many
-threads, over the camera's 30; then ten seconds at 30 frames a second, with the frames that were
-dropped. The last column is the ratio to the plainest way to do the same: one thread, PNG as OpenCV
-writes it by default, no sync to disk.
+threads, over the camera's 30, and how many cores 30 frames a second need by their processor time,
+which other work on the machine changes little; then ten seconds at 30 frames a second, with the
+frames that were dropped. The last column is the ratio to the plainest way to do the same: one
+thread, PNG as OpenCV writes it by default, no sync to disk.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from std_toolkit.scene.model import CameraModel, SceneInfo
 
 WIDTH, HEIGHT, FPS = 1280, 720, 30
 SECONDS = 10
+COUNT = 45
 SENSOR = load_sensor("d415")
 DOCUMENT = RecordingDocument(
     device=Device(name=SENSOR.title),
@@ -121,8 +123,9 @@ def writer(out: Path, files: FileOptions, threads: int, *, drop: bool) -> SceneW
 def rates(folder: Path, pool: list[CapturedFrame], plain: float) -> None:
     cores = os.cpu_count() or 1
     counts = sorted({1, 2, min(8, cores)})
-    print(f"\n{'writer':34}{'frames/s':>10}{'of 30':>8}{'MB/frame':>10}{'over plain':>12}")
-    print(f"{'plain: one thread, PNG':34}{plain:10.1f}{plain / FPS:8.2f}{'':10}{1:12.2f}")
+    head = f"{'frames/s':>10}{'of 30':>8}{'cores for 30':>14}{'MB/frame':>10}{'over plain':>12}"
+    print(f"\n{'writer':34}{head}")
+    print(f"{'plain: one thread, PNG':34}{plain:10.1f}{plain / FPS:8.2f}{'':24}{1:12.2f}")
     for title, files in (
         ("JPEG", FileOptions()),
         ("JPEG, infrared, raw depth", FileOptions(infrared=True, raw_depth=True)),
@@ -131,14 +134,18 @@ def rates(folder: Path, pool: list[CapturedFrame], plain: float) -> None:
         for threads in counts:
             out = folder / f"{title}{threads}".replace(", ", "_").replace(" ", "_")
             with writer(out, files, threads, drop=False) as made:
-                began = time.perf_counter()
-                for frame in islice(cycle(pool), 60):
+                began, used = time.perf_counter(), time.process_time()
+                for frame in islice(cycle(pool), COUNT):
                     made.offer(frame)
                 made.close()
-                rate = 60 / (time.perf_counter() - began)
-            size = sum(p.stat().st_size for p in out.rglob("*") if p.is_file()) / 60e6
+                rate = COUNT / (time.perf_counter() - began)
+                cores_needed = FPS * (time.process_time() - used) / COUNT
+            size = sum(p.stat().st_size for p in out.rglob("*") if p.is_file()) / (1e6 * COUNT)
             name = f"{title}, {threads} thread{'s' if threads > 1 else ''}"
-            print(f"{name:34}{rate:10.1f}{rate / FPS:8.2f}{size:10.2f}{rate / plain:12.2f}")
+            print(
+                f"{name:34}{rate:10.1f}{rate / FPS:8.2f}{cores_needed:14.2f}{size:10.2f}"
+                f"{rate / plain:12.2f}"
+            )
 
 
 def paced(folder: Path, pool: list[CapturedFrame]) -> None:

@@ -89,6 +89,8 @@ class SoftwareCamera:
         *,
         streams: Sequence[str] = ("color", "depth", "infrared"),
         color: Camera = COLOR,
+        depth: Camera = DEPTH,
+        T_color_depth: SE3 = T_COLOR_DEPTH,
         depth_unit: float = 0.001,
         extrinsics: bool = True,
         depth_options: dict[str, tuple[float, float, float, float]] | None = None,
@@ -105,10 +107,10 @@ class SoftwareCamera:
         stereo = self.device.add_sensor("Stereo Module")
         rgb = self.device.add_sensor("RGB Camera")
         if "depth" in streams:
-            self._add(stereo, "depth", rs.stream.depth, 0, DEPTH, 2, rs.format.z16)
+            self._add(stereo, "depth", rs.stream.depth, 0, depth, 2, rs.format.z16)
         if "infrared" in streams:
-            self._add(stereo, "left", rs.stream.infrared, 1, DEPTH, 1, rs.format.y8)
-            self._add(stereo, "right", rs.stream.infrared, 2, DEPTH, 1, rs.format.y8)
+            self._add(stereo, "left", rs.stream.infrared, 1, depth, 1, rs.format.y8)
+            self._add(stereo, "right", rs.stream.infrared, 2, depth, 1, rs.format.y8)
         if "color" in streams:
             self._add(rgb, "color", rs.stream.color, 0, color, 3, rs.format.rgb8)
         stereo.add_read_only_option(rs.option.depth_units, depth_unit)
@@ -119,7 +121,7 @@ class SoftwareCamera:
                 allowed.min, allowed.max, allowed.step, allowed.default = limits
                 sensor.add_option(getattr(rs.option, option), allowed, True)
         if extrinsics and {"color", "depth"} <= set(streams):
-            self._place("depth", "color", T_COLOR_DEPTH)
+            self._place("depth", "color", T_color_depth)
         if extrinsics and {"infrared", "depth"} <= set(streams):
             self._place("depth", "left", SE3.identity())
             self._place("left", "right", SE3(np.eye(3), np.array([-SPEC.baseline_m, 0, 0])))
