@@ -8,7 +8,7 @@ DEMO ?= build/demo
 .PHONY: help env demo test test-quick test-programs lint format perf schemas clean
 
 help:
-	@echo "make demo   record a synthetic scene, curate it, show the label error, the report, the exports"
+	@echo "make demo   record a synthetic scene, curate it, show the label error, exports, a leaderboard"
 	@echo "make test   all tests (make test-quick: without the slow ones)"
 	@echo "make lint   ruff and mypy"
 	@echo "make perf   tables of timings and ratios"
@@ -21,6 +21,11 @@ $(VENV)/.complete: pyproject.toml constraints.txt tools/make-env tools/system-li
 
 demo: env
 	@$(BIN)/python -m sensors.synthetic demo "$(DEMO)"
+	@echo "== which method restores the depth of glass and metal?"
+	@rm -rf "$(DEMO)/benchmark"  # scored anew: the recording may have changed
+	@$(BIN)/std-bench --method raw nearest telea colorization planes --data "$(DEMO)" \
+		--split scenes --out "$(DEMO)/benchmark" --no-speed >/dev/null
+	@$(BIN)/std-report "$(DEMO)/benchmark"
 
 test: env test-programs
 	@$(BIN)/python -m pytest
