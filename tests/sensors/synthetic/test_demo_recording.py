@@ -87,7 +87,7 @@ def test_killed_and_started_again_it_is_the_same(
         f"width=160, height=90, sweep_deg=20), parts_cache=Path({str(parts)!r}))"
     )
     run = subprocess.Popen([sys.executable, "-c", make], stderr=subprocess.DEVNULL)
-    end = time.monotonic() + 100
+    end = time.monotonic() + 400
     while not (out / "depth/000001.png").exists():
         assert run.poll() is None and time.monotonic() < end
         time.sleep(0.005)
