@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,7 @@ class Pictures:
     right: NDArray[np.uint8]
 
 
+@cache
 def pictures(number: int) -> Pictures:
     """A textured wall that moves by three pixels a frame, at 800 mm and `number` more; a hole."""
     rng = np.random.default_rng(7)

@@ -183,6 +183,7 @@ def test_a_disk_that_is_full_at_the_first_frame(refused, tmp_path, recorded_file
         refused([str(tmp_path / "s"), "--from", str(recorded_file)], "cannot write the file")
 
 
+@pytest.mark.slow
 def test_a_disk_that_becomes_full(
     tmp_path: Path, recorded_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -75,6 +75,7 @@ def test_killed_at_any_moment(tmp_path: Path) -> None:
     assert ids == sorted(set(ids))
 
 
+@pytest.mark.slow
 def test_ended_by_a_signal(tmp_path: Path) -> None:
     """SIGTERM, as a session manager sends it, ends like Ctrl-C."""
     out = tmp_path / "scene"
@@ -87,6 +88,7 @@ def test_ended_by_a_signal(tmp_path: Path) -> None:
     assert not journal_path(out).exists()
 
 
+@pytest.mark.slow
 def test_a_second_recording_into_the_same_scene_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

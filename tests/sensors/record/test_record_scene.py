@@ -212,12 +212,11 @@ def test_frames_beyond_the_queue_are_dropped_and_counted(
 
     total = 60
 
-    def burst(number: int) -> None:
-        camera.send(number)
-
-    camera.feed(total, rate=20 * FPS, step=burst)
+    for number in range(total):
+        pictures(number)  # made beforehand: sending must be faster than writing
+    camera.feed(total, rate=20 * FPS)
     out = tmp_path / "scene"
-    end = threading.Timer(4, lambda: os.kill(os.getpid(), signal.SIGINT))
+    end = threading.Timer(2.5, lambda: os.kill(os.getpid(), signal.SIGINT))
     end.start()
     options = ["--queue", "1", "--threads", "1", "--color-format", "png", "--warm-up", "0"]
     assert main([str(out), *SMALL, *options], devices=[camera.device]) == 0
@@ -264,6 +263,31 @@ def test_a_camera_that_falls_silent(
     assert "sends nothing any more" in capsys.readouterr().err
     assert len(Scene.open(out).frames) >= 13
     assert read_recording(out).sessions[0].ended
+
+
+def test_nothing_is_recorded_before_enter(
+    camera: SoftwareCamera, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read, write = os.pipe()
+    out, preview = tmp_path / "scene", tmp_path / "preview.jpg"
+
+    def press() -> None:
+        while not preview.exists():  # the picture is shown before
+            time.sleep(0.02)
+        time.sleep(0.3)
+        assert not out.exists()
+        os.write(write, b"\n")
+
+    thread = threading.Thread(target=press)
+    thread.start()
+    camera.feed(400, rate=40)
+    options = ["--wait", "--warm-up", "0", "--frames", "3", "--preview", str(preview)]
+    with os.fdopen(read) as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        assert main([str(out), *SMALL, *options], devices=[camera.device]) == 0
+    thread.join()
+    os.close(write)
+    assert number_of(Scene.open(out), 0) > 5
 
 
 def test_preview_page(camera: SoftwareCamera, tmp_path: Path) -> None:
