@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
@@ -40,19 +38,17 @@ def relative_index(side: int) -> Tensor:
     return dy * (2 * side - 1) + dx
 
 
-@lru_cache(maxsize=32)
 def shift_mask(h: int, w: int, side: int, shift: int, device: torch.device) -> Tensor:
     """What keeps apart tokens that only the roll by `shift` brought into one window.
 
     Returns:
         (windows, n, n) float32, -100 between tokens of different parts of the image, 0 elsewhere.
     """
-    with torch.inference_mode(False):  # it is kept, and training may ask for it next
-        strip_y = _strips(h, side, shift, device)
-        strip_x = _strips(w, side, shift, device)
-        part = (strip_y[:, None] * 3 + strip_x[None]).reshape(1, h, w, 1)
-        of_window = to_windows(part, side)[..., 0]
-        return (of_window[:, :, None] != of_window[:, None, :]).float() * -100.0
+    strip_y = _strips(h, side, shift, device)
+    strip_x = _strips(w, side, shift, device)
+    part = (strip_y[:, None] * 3 + strip_x[None]).reshape(1, h, w, 1)
+    of_window = to_windows(part, side)[..., 0]
+    return (of_window[:, :, None] != of_window[:, None, :]).float() * -100.0
 
 
 def _strips(length: int, side: int, shift: int, device: torch.device) -> Tensor:
