@@ -22,6 +22,8 @@ from std_toolkit.io.documents import read_document
 
 RMSE = METRICS[0]
 FEW_SCENES = 10
+# The sign-flip test over n scenes gives no p below 2 / 2**n.
+FEWEST_SCENES = 6
 _RANKS = {
     "best": "where it does best",
     "median": "as usual",
@@ -42,9 +44,8 @@ def leaderboard(board: Board, split: str, protocol: str, colors: dict[str, str])
         parts.append(f"<h3>{escape(_objects(subset))}</h3>")
         parts.append(
             paragraph(
-                f"{frames} frames of {scenes} scenes with such pixels. {_intervals(scenes)} "
-                "Bold: best measured; ≈: not significantly worse than the best in RMSE "
-                "(sign-flip test over scenes, corrected for all pairs)."
+                f"{_counted(frames, 'frame')} of {_counted(scenes, 'scene')} with such pixels. "
+                f"Bold: best measured. {_certainty(scenes)}"
             )
         )
         if protocol != PAPERS_PROTOCOL and (rows["kind"] == PUBLISHED).any():
@@ -64,12 +65,24 @@ def leaderboard(board: Board, split: str, protocol: str, colors: dict[str, str])
     return "".join(parts)
 
 
-def _intervals(scenes: int) -> str:
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def _certainty(scenes: int) -> str:
     if scenes < 2:
-        return "One scene: there are no intervals."
-    if scenes < FEW_SCENES:
-        return "Small: 95 % intervals over scenes, too narrow with so few of them."
-    return "Small: 95 % intervals over scenes."
+        return "With one scene there are no intervals, and no test of differences."
+    intervals = "Small: 95 % intervals over scenes"
+    if scenes < FEWEST_SCENES:
+        return (
+            f"{intervals}, too narrow with so few of them; with less than {FEWEST_SCENES} no "
+            "difference can be significant."
+        )
+    few = ", too narrow with so few of them" if scenes < FEW_SCENES else ""
+    return (
+        f"{intervals}{few}. ≈: not significantly worse than the best in RMSE (sign-flip test over "
+        "scenes, corrected for all pairs)."
+    )
 
 
 def breakdown(board: Board, split: str, protocol: str, colors: dict[str, str]) -> str:
@@ -193,7 +206,8 @@ def _table(rows: pd.DataFrame, columns: Sequence[Column], *, hardware: bool = Fa
     for row in rows.itertuples():
         printed = row.kind == PUBLISHED
         note = f"<small>published; {escape(row.table)}</small>" if printed else ""
-        mark = "" if printed or not not_worse(row) else ' <abbr title="not worse">≈</abbr>'
+        tested = not printed and row.scenes >= FEWEST_SCENES
+        mark = "" if not tested or not not_worse(row) else ' <abbr title="not worse">≈</abbr>'
         cells = [f"<td>{escape(row.method)}{mark}{note}</td>"]
         for column in columns:
             value = getattr(row, column.name)
