@@ -14,9 +14,9 @@ import benchmark.metrics
 import benchmark.protocols
 
 NAMES = [
-    f"{package.__name__}.{module.name}"
+    module.name
     for package in (benchmark.metrics, benchmark.protocols)
-    for module in pkgutil.iter_modules(package.__path__)
+    for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
 ]
 NEVER_RAISE = {"as_real", "holm"}
 
