@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sensors.materials.library import MaterialClass
 from sensors.render import DRAFT_INFRARED
 from sensors.render.mitsuba_renderer import MitsubaRenderer
 from sensors.simulation.trial import TrialView, look, tiles, vessels
@@ -18,7 +19,7 @@ from sensors.specs import load_sensor
 from std_toolkit.io.images import write_color
 
 Image = NDArray[np.uint8]
-VESSELS = (
+VESSELS: tuple[tuple[MaterialClass, str, str], ...] = (
     ("transparent", "glass_clear", "bottle"),
     ("specular", "chrome", "bowl"),
     ("diffuse", "paper_white", "mug"),
