@@ -32,13 +32,15 @@ ARCHITECTURES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("SwinDRNet's pose network", ("backbone_rgb_branch.",)),
     ("NLSPN", ("conv1_dep.", "prop_layer.")),
     ("DFNet", ("stem.", "skips.", "downs.", "ups.")),
+    ("LIDF", ("color_net.", "termination.", "refinement.")),
+    ("ClearGrasp", ("masks.backbone.", "normals.backbone.", "boundaries.backbone.")),
     ("a Swin classifier (ImageNet)", ("patch_embed.", "layers.", "head.")),
     ("a Swin backbone", ("patch_embed.", "layers.")),
     ("a Swin of transformers", ("swin.embeddings.patch_embeddings.",)),
     ("a Swin of transformers", ("embeddings.patch_embeddings.", "encoder.layers.")),
     ("a ResNet classifier (ImageNet)", ("conv1.weight", "layer4.", "fc.")),
     ("a ResNet", ("layer1.", "layer4.")),
-    ("DeepLabv3+", ("backbone.", "aspp", "decoder.")),
+    ("DeepLabv3+, such as one of ClearGrasp's three", ("backbone.", "aspp", "decoder.")),
 )
 
 

@@ -1,0 +1,52 @@
+"""Weights of ClearGrasp's three networks, which its authors publish as three files, in one file.
+
+    python -m benchmark.methods.cleargrasp.join masks.pth normals.pth boundaries.pth all.safetensors
+
+A run of the benchmark notes the one file by its hash.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from benchmark.methods.cleargrasp.config import PRESETS, ClearGraspConfig
+from benchmark.methods.cleargrasp.network import ClearGraspNetwork
+from benchmark.methods.weights import load_weights, save_weights
+from std_toolkit.errors import ToolkitError
+
+
+def join_weights(
+    masks: Path,
+    normals: Path,
+    boundaries: Path,
+    path: Path,
+    config: ClearGraspConfig | None = None,
+) -> None:
+    """Write one file of the weights of three.
+
+    Raises:
+        ToolkitError: one cannot be read, or is of another network.
+    """
+    network = ClearGraspNetwork(config)
+    load_weights(network.masks, masks)
+    load_weights(network.normals, normals)
+    load_weights(network.boundaries, boundaries)
+    save_weights(network, path)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    for name in ("masks", "normals", "boundaries"):
+        parser.add_argument(name, type=Path, help=f"weights of the network for {name}")
+    parser.add_argument("path", type=Path, help="file to write, .safetensors")
+    parser.add_argument("--preset", choices=list(PRESETS), default="published")
+    told = parser.parse_args()
+    try:
+        join_weights(told.masks, told.normals, told.boundaries, told.path, PRESETS[told.preset])
+    except ToolkitError as error:
+        parser.exit(1, f"{error}\n")
+
+
+if __name__ == "__main__":
+    main()
