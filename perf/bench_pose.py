@@ -190,10 +190,9 @@ def main() -> None:
     figures = loop(*few)
     cpu = time.process_time() - cpu
     off = np.abs(figures - score_poses(*few).values).max()
-    print(
-        f"loop       {cpu / arguments.loop * 1000:8.2f} ms a prediction, "
-        f"{each * 1000:.2f} ms here: {cpu / arguments.loop / each:.0f} times as long; figures differ by {off:.0e}"
-    )
+    slow, fast = 1000 * cpu / arguments.loop, 1000 * each
+    print(f"loop {slow:13.2f} ms a prediction, {fast:.2f} ms here: {slow / fast:.0f} times as long")
+    print(f"           the figures of both differ by {off:.0e}")
 
 
 if __name__ == "__main__":

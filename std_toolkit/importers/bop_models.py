@@ -58,7 +58,7 @@ def read_models(
         if sidecar is not None and exported is not None:
             known = sidecar.objects.model(exported.model)
         with named(info_path, str(number)):
-            symmetry = _symmetry(infos.get(str(number)), centre)
+            symmetry = symmetry_of(infos.get(str(number)), centre)
         model = model_of_mesh(
             mesh,
             model_id=known.id if known else f"obj_{number:06d}",
@@ -72,7 +72,7 @@ def read_models(
     return models, centres
 
 
-def _symmetry(info: ModelInfo | None, centre: NDArray[np.float64]) -> SymmetryModel:
+def symmetry_of(info: ModelInfo | None, centre: NDArray[np.float64]) -> SymmetryModel:
     """Symmetries in the scene's mesh frame, metres."""
     if info is None:
         return SymmetryModel()

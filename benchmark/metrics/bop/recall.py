@@ -1,0 +1,122 @@
+"""Average recall of instance-level poses, as the BOP Challenge ranks methods."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.metrics.pose.matching import greedy
+from std_toolkit.errors import ToolkitError
+
+Floats = NDArray[np.float64]
+
+# Of VSD; of diameters for MSSD; of the image's width times 100 / 640 pixels for MSPD.
+THETAS = np.linspace(0.05, 0.5, 10)
+MSPD_PIXELS = np.linspace(5.0, 50.0, 10)
+MSPD_WIDTH = 640.0
+
+
+@dataclass(frozen=True, eq=False)
+class PoseErrors:
+    """Errors of the estimates of one object in one image, against all its true poses there.
+
+    Attributes:
+        scene_id, obj_id: where.
+        vsd: (E, G, T) by estimate (the most confident first), true pose and tolerance.
+        mssd: (E, G) metres.
+        mspd: (E, G) pixels.
+        valid: (G,) true poses that are to be found. The others answer for estimates, which then are
+            neither right nor wrong.
+        diameter_m: of the object.
+        width: of the image, pixels.
+    """
+
+    scene_id: int
+    obj_id: int
+    vsd: Floats
+    mssd: Floats
+    mspd: Floats
+    valid: NDArray[np.bool_]
+    diameter_m: float
+    width: int
+
+
+@dataclass(frozen=True)
+class BopScores:
+    """Average recalls in [0, 1].
+
+    Attributes:
+        vsd, mssd, mspd: by error, over its thresholds (and tolerances).
+        targets: true poses that were to be found.
+        seconds_per_image: mean over images; None where a time is missing.
+    """
+
+    vsd: float
+    mssd: float
+    mspd: float
+    targets: int
+    seconds_per_image: float | None = None
+
+    @property
+    def ar(self) -> float:
+        """Mean of the three."""
+        return (self.vsd + self.mssd + self.mspd) / 3
+
+
+def average_recalls(
+    errors: Sequence[PoseErrors], *, seconds_per_image: float | None = None
+) -> BopScores:
+    """Average recalls over images.
+
+    Under each threshold the estimates of an object in an image go, the most confident first, to the
+    true pose with the least error that is left, if that is below the threshold.
+
+    Args:
+        errors: of each object and image where there is something to find.
+        seconds_per_image: kept in the result.
+
+    Returns:
+        The recalls.
+
+    Raises:
+        ToolkitError: nothing to find.
+
+    >>> one = np.full((1, 1), 0.012)
+    >>> valid = np.array([True])
+    >>> found = PoseErrors(1, 1, np.zeros((1, 1, 10)), one, one * 0, valid, 0.1, 640)
+    >>> scores = average_recalls([found])  # 0.12 of the diameter: right from 0.15 on
+    >>> scores.vsd, scores.mssd, scores.mspd
+    (1.0, 0.8, 1.0)
+    """
+    targets = sum(int(e.valid.sum()) for e in errors)
+    if not targets:
+        raise ToolkitError("there is no true pose to be found")
+    sums = np.zeros(3)
+    for e in errors:
+        vsd = np.moveaxis(e.vsd, 2, 0)[None]  # (1, T, E, G) against (10, 1, 1, 1)
+        pixels = MSPD_PIXELS * e.width / MSPD_WIDTH
+        for kind, (error, thresholds) in enumerate(
+            (
+                (vsd, THETAS),
+                (e.mssd[None, None], THETAS * e.diameter_m),
+                (e.mspd[None, None], pixels),
+            )
+        ):
+            sums[kind] += _right(error, thresholds, e.valid)
+    vsd_ar, mssd_ar, mspd_ar = (sums / targets).tolist()
+    return BopScores(vsd_ar, mssd_ar, mspd_ar, targets, seconds_per_image)
+
+
+def _right(error: Floats, thresholds: Floats, valid: NDArray[np.bool_]) -> float:
+    """Mean number of valid true poses found, over thresholds and tolerances."""
+    within = error < thresholds.reshape(-1, 1, 1, 1)
+    shape = (-1, *error.shape[2:])
+    if 0 in error.shape:
+        return 0.0
+    gain = np.broadcast_to(-error, within.shape).reshape(shape)
+    matched = greedy(gain, within.reshape(shape))
+    right = (matched >= 0) & valid[matched]
+    return float(right.sum(axis=1).mean())

@@ -1,0 +1,145 @@
+"""Result files of the BOP Challenge: one estimated pose a line, millimetres."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.io.atomic import write_bytes_atomic
+
+_COLUMNS = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
+_MM = 1000.0
+
+
+@dataclass(frozen=True, eq=False)
+class BopEstimate:
+    """An estimated pose.
+
+    Attributes:
+        scene_id, im_id, obj_id: numbers of the scene, the image and the object.
+        score: confidence.
+        T_cam_obj: model to camera, metres.
+        seconds: that the whole image took; -1 if unknown.
+    """
+
+    scene_id: int
+    im_id: int
+    obj_id: int
+    score: float
+    T_cam_obj: SE3
+    seconds: float = -1.0
+
+
+def read_bop_results(path: Path | str) -> list[BopEstimate]:
+    """Read a result file (`scene_id,im_id,obj_id,score,R,t,time`, with or without that line).
+
+    Args:
+        path: of the CSV file.
+
+    Returns:
+        The estimates in the order of the file.
+
+    Raises:
+        ToolkitError: cannot be read, a field that is none, or times that differ within an image.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "method_set-test.csv"
+    ...     _ = path.write_text("1,3,5,0.9,1 0 0 0 1 0 0 0 1,0 0 700,0.1")
+    ...     read_bop_results(path)[0].T_cam_obj.t.tolist()
+    [0.0, 0.0, 0.7]
+    """
+    path = Path(path)
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.reader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ToolkitError(f"cannot read the results: {error}", path=path) from error
+    estimates = []
+    times: dict[tuple[int, int], float] = {}
+    for number, row in enumerate(rows, start=1):
+        if not row or (number == 1 and row[0].strip() == _COLUMNS[0]):
+            continue
+        if len(row) != len(_COLUMNS):
+            raise ToolkitError(
+                f"needs {len(_COLUMNS)} fields: {','.join(_COLUMNS)}",
+                path=path,
+                field=f"line {number}",
+                value=len(row),
+            )
+        estimate = _estimate(row, path, number)
+        image = (estimate.scene_id, estimate.im_id)
+        if times.setdefault(image, estimate.seconds) != estimate.seconds:
+            raise ToolkitError(
+                "the time of an image must be the same in all its lines",
+                path=path,
+                field=f"line {number}, time",
+                value=estimate.seconds,
+            )
+        estimates.append(estimate)
+    return estimates
+
+
+def write_bop_results(path: Path | str, estimates: Iterable[BopEstimate]) -> None:
+    """Write a result file that the BOP Challenge's server and tools read.
+
+    Args:
+        path: of the CSV file.
+        estimates: in any order.
+
+    Raises:
+        ToolkitError: cannot be written.
+
+    >>> write_bop_results("/dev/null", [])  # doctest: +SKIP
+    """
+    text = StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    for e in estimates:
+        R = " ".join(repr(float(x)) for x in e.T_cam_obj.R.ravel())
+        t = " ".join(repr(float(x)) for x in _MM * e.T_cam_obj.t)
+        writer.writerow([e.scene_id, e.im_id, e.obj_id, repr(e.score), R, t, repr(e.seconds)])
+    write_bytes_atomic(Path(path), text.getvalue().encode())
+
+
+def _estimate(row: list[str], path: Path, number: int) -> BopEstimate:
+    fields = dict(zip(_COLUMNS, row, strict=True))
+    name = ""
+    try:
+        ids = []
+        for name in _COLUMNS[:3]:
+            ids.append(int(fields[name]))
+            if ids[-1] < 0:
+                raise ValueError
+        numbers = []
+        for name in ("score", "time"):
+            numbers.append(float(fields[name]))
+            if not np.isfinite(numbers[-1]):
+                raise ValueError
+        M = np.eye(4)
+        name = "R"
+        M[:3, :3] = np.array([float(x) for x in fields["R"].split()]).reshape(3, 3)
+        name = "t"
+        M[:3, 3] = np.array([float(x) for x in fields["t"].split()]).reshape(3) / _MM
+        name = "R or t"
+        T = SE3.from_matrix(M)
+    except ToolkitError as error:
+        raise ToolkitError(
+            error.problem, path=path, field=f"line {number}, {name}", value=error.value
+        ) from error
+    except ValueError as error:
+        raise ToolkitError(
+            "is not what BOP's result format has there",
+            path=path,
+            field=f"line {number}, {name}",
+            value=fields.get(name),
+            hint="R has nine and t three numbers, split by spaces",
+        ) from error
+    return BopEstimate(ids[0], ids[1], ids[2], numbers[0], T, numbers[1])
