@@ -1,6 +1,6 @@
 """How long the networks take per frame, how much memory, and what the faster forms bring.
 
-    python perf/bench_networks.py [--method swindrnet nlspn dfnet] [--threads 2] [--rounds 7]
+    python perf/bench_networks.py [--method swindrnet nlspn lidf ...] [--threads 2] [--rounds 7]
 
 For each network at its published size: elapsed time and processor time of a frame (the least of
 several rounds, for others may be using the machine), products, parameters, and the peak memory of
@@ -28,11 +28,14 @@ import numpy as np
 REPOSITORY = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(REPOSITORY))
 
+ANY_SIZE = (1280, 720)  # for methods that take images as they come
 LIMIT_S, LIMIT_GIB = 0.9, 3.0  # of SwinDRNet on two cores
 PUBLISHED_FPS = 30  # of SwinDRNet on a GeForce RTX 3090
 NETWORKS = {
     "swindrnet": "benchmark.methods.swindrnet.network:SwinDRNetwork",
     "nlspn": "benchmark.methods.nlspn.network:NLSPNetwork",
+    "lidf": "benchmark.methods.lidf.network:LIDFNetwork",
+    "cleargrasp": "benchmark.methods.cleargrasp.network:ClearGraspNetwork",
     "dfnet": "benchmark.methods.dfnet.network:DFNetwork",
 }
 
@@ -50,7 +53,7 @@ def random_weights(method: str, path: Path) -> None:
 
 
 def synthetic_view(size: tuple[int, int]):
-    """A colour image of noise and a slope with a hole."""
+    """A colour image of noise and a slope with a hole, where there is an object."""
     from benchmark.methods.protocol import View
     from std_toolkit.geometry.camera import Camera
 
@@ -58,7 +61,7 @@ def synthetic_view(size: tuple[int, int]):
     color = np.random.default_rng(0).integers(0, 256, (h, w, 3), dtype=np.uint8)
     depth = np.linspace(0.5, 0.8, h * w, dtype=np.float32).reshape(h, w)
     depth[h // 4 : h // 2, w // 3 : w // 2] = 0
-    return View(color, depth, Camera(w, h, w, w, w / 2 - 0.5, h / 2 - 0.5))
+    return View(color, depth, Camera(w, h, w, w, w / 2 - 0.5, h / 2 - 0.5), depth == 0)
 
 
 def least(works: list[Callable[[], object]], rounds: int) -> list[tuple[float, float]]:
@@ -91,8 +94,7 @@ def measure(arguments: argparse.Namespace, method: str, weights: Path) -> dict[s
             compile=arguments.compile,
         ),
     )
-    assert restorer.input_size is not None
-    view = synthetic_view(restorer.input_size)
+    view = synthetic_view(restorer.input_size or ANY_SIZE)
 
     def restore() -> None:
         restorer.restore([view])  # its answer comes as an array: the device has finished

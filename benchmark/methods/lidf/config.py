@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from std_toolkit.errors import ToolkitError
+
 
 @dataclass(frozen=True, kw_only=True)
 class LIDFConfig:
@@ -32,6 +34,9 @@ class LIDFConfig:
         refine_reach: metres that a step of the second stage can move a point either way.
         refine_steps: of the second stage.
         input_size: (width, height) of the images.
+
+    Raises:
+        ToolkitError: a size or number that must be positive and is not.
     """
 
     predict: Literal["all", "missing"] = "all"
@@ -51,6 +56,12 @@ class LIDFConfig:
     refine_reach: float = 0.2
     refine_steps: int = 2
     input_size: tuple[int, int] = (320, 240)
+
+    def __post_init__(self) -> None:
+        for name in ("voxel", "valid_points", "train_rays", "rays_at_once"):
+            value = getattr(self, name)
+            if not value > 0:
+                raise ToolkitError("must be positive", field=name, value=value)
 
 
 PRESETS = {

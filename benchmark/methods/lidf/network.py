@@ -1,6 +1,6 @@
 """LIDF (Zhu et al., CVPR 2021) from colour, believed depth and rays to depth.
 
-Written from the paper alone; weights of the authors' program do not fit.
+Written from its description, not from the authors' program: weights of that do not fit.
 """
 
 from __future__ import annotations

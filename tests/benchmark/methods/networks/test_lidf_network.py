@@ -266,6 +266,8 @@ def test_round_trip_and_weights_of_others(tmp_path):
         restorer(tmp_path, path, channels="16")
     with pytest.raises(ToolkitError, match="expected one of all, missing"):
         restorer(tmp_path, path, predict="some")
+    with pytest.raises(ToolkitError, match="rays_at_once: must be positive"):
+        restorer(tmp_path, path, rays_at_once="0")
 
 
 def learned(network, stage, steps, rate) -> list[float]:

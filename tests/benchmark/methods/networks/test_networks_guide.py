@@ -1,0 +1,53 @@
+"""docs/methods.md: its tables of networks say what the networks are."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+import torch
+
+from benchmark.methods.network import parameter_count
+
+REPOSITORY = Path(__file__).resolve().parents[4]
+NETWORKS = {
+    "swindrnet": "SwinDRNetwork",
+    "nlspn": "NLSPNetwork",
+    "lidf": "LIDFNetwork",
+    "cleargrasp": "ClearGraspNetwork",
+    "dfnet": "DFNetwork",
+}
+
+
+def presets(name: str):
+    return importlib.import_module(f"benchmark.methods.{name}.config").PRESETS
+
+
+@pytest.fixture(scope="module")
+def text() -> str:
+    return (REPOSITORY / "docs" / "methods.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_sizes_and_parameters(text: str, name: str) -> None:
+    row = re.search(rf"^\| `{name}` \| ([^|]*) \| ([\d.]+) M, ([\d.]+) M \|", text, re.M)
+    assert row is not None
+    w, h = presets(name)["published"].input_size
+    assert f"{w}x{h}" in row[1]
+    network = getattr(importlib.import_module(f"benchmark.methods.{name}.network"), NETWORKS[name])
+    with torch.device("meta"):
+        sizes = [parameter_count(network(presets(name)[p])) for p in ("published", "compact")]
+    assert [f"{size / 1e6:.2f}" for size in sizes] == [row[2], row[3]]
+    assert sizes[1] < 15_000_000
+
+
+def test_settings_are_fields_with_those_defaults(text: str) -> None:
+    rows = re.findall(r"^\| `(\w+)\.(\w+)` \| `([^`]*)` \|", text, re.M)
+    assert len(rows) == 10 and {name for name, _, _ in rows} == set(NETWORKS)
+    for name, setting, default in rows:
+        config = presets(name)["published"]
+        assert setting in {field.name for field in fields(config)}
+        assert str(getattr(config, setting)).lower() == default
