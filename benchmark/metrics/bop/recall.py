@@ -28,8 +28,7 @@ class PoseErrors:
         vsd: (E, G, T) by estimate (the most confident first), true pose and tolerance.
         mssd: (E, G) metres.
         mspd: (E, G) pixels.
-        valid: (G,) true poses that are to be found. The others answer for estimates, which then are
-            neither right nor wrong.
+        valid: (G,) true poses that are to be found; the others are as if they were not there.
         diameter_m: of the object.
         width: of the image, pixels.
     """
@@ -112,11 +111,10 @@ def average_recalls(
 
 def _right(error: Floats, thresholds: Floats, valid: NDArray[np.bool_]) -> float:
     """Mean number of valid true poses found, over thresholds and tolerances."""
-    within = error < thresholds.reshape(-1, 1, 1, 1)
+    within = (error < thresholds.reshape(-1, 1, 1, 1)) & valid
     shape = (-1, *error.shape[2:])
     if 0 in error.shape:
         return 0.0
     gain = np.broadcast_to(-error, within.shape).reshape(shape)
     matched = greedy(gain, within.reshape(shape))
-    right = (matched >= 0) & valid[matched]
-    return float(right.sum(axis=1).mean())
+    return float((matched >= 0).sum(axis=1).mean())

@@ -79,6 +79,7 @@ def test_boxes_that_touch_or_lie_inside() -> None:
     assert iou(flat, flat) == 0
 
 
+@settings(deadline=None)
 @given(boxes)
 def test_a_box_is_itself(box: Box) -> None:
     # A corner with equal coordinates has an empty interval, and NOCS' product of eight is then 0.
@@ -86,6 +87,7 @@ def test_a_box_is_itself(box: Box) -> None:
         assert iou(box, box, definition) == pytest.approx(1, abs=1e-9)
 
 
+@settings(deadline=None)
 @given(boxes, boxes)
 def test_bounds_and_symmetry(a: Box, b: Box) -> None:
     for definition in BoxIoU:
@@ -97,7 +99,7 @@ def test_bounds_and_symmetry(a: Box, b: Box) -> None:
 
 
 @given(boxes, boxes, rigid)
-@settings(max_examples=200)
+@settings(max_examples=200, deadline=None)
 def test_moving_both_boxes_changes_nothing(a: Box, b: Box, T: np.ndarray) -> None:
     moved = iou((T @ a[0], a[1]), (T @ b[0], b[1]))
     assert moved == pytest.approx(iou(a, b), abs=1e-9)
@@ -118,7 +120,7 @@ def test_the_other_definitions_change_when_both_boxes_move() -> None:
 
 
 @given(boxes, boxes)
-@settings(max_examples=20)
+@settings(max_examples=20, deadline=None)
 def test_common_volume_is_the_share_of_points(a: Box, b: Box) -> None:
     """Counted on a regular grid of points of box a, 40 each way."""
     steps = (np.arange(40) + 0.5) / 40 - 0.5
@@ -132,7 +134,7 @@ def test_common_volume_is_the_share_of_points(a: Box, b: Box) -> None:
 
 
 @given(boxes, boxes)
-@settings(max_examples=30)
+@settings(max_examples=30, deadline=None)
 def test_nearly_the_same_box(a: Box, b: Box) -> None:
     """Faces that coincide but for rounding: the volume must not jump."""
     aligned = a[0] @ pose(b[0][:3, 3] * 1e-15), a[1]

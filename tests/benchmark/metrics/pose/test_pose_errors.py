@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pose_cases import pose, poses
 
@@ -18,6 +18,7 @@ def angle(a: np.ndarray, b: np.ndarray, **options: np.ndarray) -> float:
     return float(rotation_errors_deg(a[None], b[None], **options)[0])
 
 
+@settings(deadline=None)
 @given(poses, st.floats(0, 180), st.tuples(*[st.floats(-1, 1)] * 3))
 def test_a_turn_by_an_angle(RT: np.ndarray, degrees: float, axis: tuple[float, ...]) -> None:
     length = np.linalg.norm(axis)
@@ -27,6 +28,7 @@ def test_a_turn_by_an_angle(RT: np.ndarray, degrees: float, axis: tuple[float, .
     assert angle(RT, turned) == pytest.approx(degrees, abs=1e-6)
 
 
+@settings(deadline=None)
 @given(poses, poses)
 def test_it_is_the_clipped_arc_cosine(a: np.ndarray, b: np.ndarray) -> None:
     Ra, Rb = (RT[:3, :3] / np.cbrt(np.linalg.det(RT[:3, :3])) for RT in (a, b))
@@ -38,6 +40,7 @@ def test_it_is_the_clipped_arc_cosine(a: np.ndarray, b: np.ndarray) -> None:
     assert flipped == pytest.approx(np.rad2deg(min(axis, np.pi - axis)), abs=1e-4)
 
 
+@settings(deadline=None)
 @given(poses)
 def test_the_same_pose(RT: np.ndarray) -> None:
     assert angle(RT, RT) < 1e-9

@@ -66,6 +66,7 @@ def test_ranking_by_hand() -> None:
     assert np.isnan(average_precision([], [], 0))
 
 
+@settings(deadline=None)
 @given(
     st.lists(st.tuples(st.integers(0, 6), st.booleans()), min_size=1, max_size=30),
     st.integers(0, 5),
@@ -178,7 +179,7 @@ def test_class_zero_is_never_scored() -> None:
     assert scores.mean["iou75"] == 1
 
 
-@settings(max_examples=25)
+@settings(max_examples=25, deadline=None)
 @given(st.permutations(range(12)), st.sampled_from(["strict", "paper", "nocs2019"]))
 def test_frames_in_any_order_and_any_number(order: list[int], name: str) -> None:
     truths, predictions = oracle_frames()
