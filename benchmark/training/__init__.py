@@ -1,0 +1,1 @@
+"""Training of restorers that are networks: `std-train`."""

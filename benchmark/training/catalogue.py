@@ -1,0 +1,128 @@
+"""What can be trained: network, loss and optimization of each method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from torch import nn
+
+from benchmark.methods.dfnet.config import PRESETS as DFNET
+from benchmark.methods.dfnet.network import DFNetwork
+from benchmark.methods.nlspn.config import PRESETS as NLSPN
+from benchmark.methods.nlspn.imagenet import load_imagenet as load_resnet
+from benchmark.methods.nlspn.network import NLSPNetwork
+from benchmark.methods.settings import configured, preset_of
+from benchmark.methods.swindrnet.config import PRESETS as SWINDRNET
+from benchmark.methods.swindrnet.imagenet import load_imagenet as load_swin
+from benchmark.methods.swindrnet.network import SwinDRNetwork
+from benchmark.training.losses.dfnet import DFNetLoss
+from benchmark.training.losses.nlspn import NLSPNLoss
+from benchmark.training.losses.swindrnet import SwinDRNetLoss
+from benchmark.training.losses.terms import LossFunction
+from benchmark.training.optimization import Optimization
+from std_toolkit.errors import ToolkitError
+from std_toolkit.plugins import Registry
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trainable:
+    """A method that can be trained.
+
+    Attributes:
+        presets: configurations of its network by name.
+        settings: what training sets otherwise than a preset does, by preset.
+        network: makes the network of a configuration.
+        loss: the loss, a frozen dataclass.
+        optimization: as published.
+        colors: whether colour is augmented as published for SwinDRNet.
+        imagenet: begins the network with weights of a classifier, of those that have this.
+        idle: whether a configuration leaves parameters without gradient.
+    """
+
+    presets: Mapping[str, Any]
+    network: Callable[[Any], nn.Module]
+    loss: LossFunction
+    optimization: Optimization
+    colors: bool = False
+    settings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    imagenet: Callable[[Any, Path], None] | None = None
+    idle: Callable[[Any], bool] = lambda config: False  # noqa: ARG005
+
+    def config(self, preset: str, settings: Mapping[str, str]) -> Any:
+        """Configuration of the network.
+
+        Raises:
+            ToolkitError: no such preset or setting.
+        """
+        return configured(preset_of(self.presets, preset), settings)
+
+    def settings_of(self, preset: str, asked: Mapping[str, str]) -> dict[str, str]:
+        """All settings that make the network from its preset."""
+        return {**self.settings.get(preset, {}), **asked}
+
+
+SWINDRNET_TRAINING = Trainable(
+    presets=SWINDRNET,
+    # The preset is the network whose weights are published; trained is the paper's.
+    settings={"published": {"fusion": "paper"}},
+    network=SwinDRNetwork,
+    loss=SwinDRNetLoss(),
+    optimization=Optimization(warmup_steps=500),
+    colors=True,
+    imagenet=load_swin,
+    idle=lambda config: config.fusion == "released",
+)
+NLSPN_TRAINING = Trainable(
+    presets=NLSPN,
+    network=NLSPNetwork,
+    loss=NLSPNLoss(),
+    optimization=Optimization(
+        optimizer="adam",
+        learning_rate=1e-3,
+        weight_decay=0.0,
+        batch_size=12,
+        epochs=20,
+        decay="steps",
+        milestones=(10 / 20, 15 / 20),
+        factor=0.2,
+        warmup_share=1 / 20,
+    ),
+    imagenet=load_resnet,
+)
+DFNET_TRAINING = Trainable(
+    presets=DFNET,
+    network=DFNetwork,
+    loss=DFNetLoss(),
+    optimization=Optimization(
+        learning_rate=1e-3,
+        batch_size=32,
+        epochs=40,
+        decay="steps",
+        milestones=(5 / 40, 15 / 40, 25 / 40, 35 / 40),
+        factor=0.2,
+    ),
+)
+
+trainables: Registry[Trainable] = Registry(
+    "std_toolkit.trainables",
+    {
+        "swindrnet": "benchmark.training.catalogue:SWINDRNET_TRAINING",
+        "nlspn": "benchmark.training.catalogue:NLSPN_TRAINING",
+        "dfnet": "benchmark.training.catalogue:DFNET_TRAINING",
+    },
+)
+
+
+def get_trainable(method: str) -> Trainable:
+    """How a method is trained.
+
+    Raises:
+        ToolkitError: nothing of this name can be trained.
+    """
+    found = trainables.get(method)
+    if not isinstance(found, Trainable):
+        raise ToolkitError("is no benchmark.training.catalogue.Trainable", value=method)
+    return found

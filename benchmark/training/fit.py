@@ -1,0 +1,245 @@
+"""A training from its configuration to the best weights."""
+
+from __future__ import annotations
+
+import logging
+import os
+import warnings
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import pytorch_lightning as pl
+import torch
+from pytorch_lightning.strategies import DDPStrategy
+from torch.utils.data import DataLoader
+
+from benchmark.methods.settings import configured
+from benchmark.methods.weights import load_weights, save_weights
+from benchmark.training.callbacks import BEST, CHECKPOINT, Watch
+from benchmark.training.catalogue import Trainable, get_trainable
+from benchmark.training.checkpoint_file import AtomicCheckpoints
+from benchmark.training.config import TrainConfig, begin
+from benchmark.training.judging import Judge
+from benchmark.training.module import RestorerTraining, seed_of
+from benchmark.training.order import BatchOrder, Steps
+from benchmark.training.packed_frames import PackedFrames
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import sweep_temporaries
+from std_toolkit.log import logger
+from std_toolkit.scene.lock import hold_lock
+
+_PRECISIONS: dict[str, Any] = {"fp32": "32-true", "bf16": "bf16-mixed"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Machine:
+    """Where a training runs; it may go on elsewhere.
+
+    Attributes:
+        accelerator: `cpu`, `gpu`, or `auto`.
+        devices, nodes: processes of a machine, and machines.
+        readers: processes that read data, for each device.
+        log_every: steps between rows of the log.
+        progress: whether to show a bar.
+    """
+
+    accelerator: Literal["auto", "cpu", "gpu"] = "auto"
+    devices: int = 1
+    nodes: int = 1
+    readers: int = 2
+    log_every: int = 50
+    progress: bool = True
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """Weights that a training begins with.
+
+    Attributes:
+        weights: file of the same network's weights.
+        imagenet: file of weights of a classifier.
+    """
+
+    weights: Path | None = None
+    imagenet: Path | None = None
+
+
+@dataclass(frozen=True)
+class Data:
+    """Frames to train on and frames to judge by."""
+
+    training: PackedFrames
+    of_training: Sequence[int]
+    validation: PackedFrames
+    of_validation: Sequence[int]
+
+
+class _Loaders(pl.LightningDataModule):
+    def __init__(self, data: Data, config: TrainConfig, readers: int) -> None:
+        super().__init__()
+        self.data, self.config, self.readers = data, config, readers
+
+    def train_dataloader(self) -> DataLoader[Any]:
+        trainer, config = self.trainer, self.config
+        assert trainer is not None
+        chosen = _Chosen(self.data.training, self.data.of_training)
+        steps = Steps(
+            BatchOrder(len(chosen), config.optimization.batch_size, seed=config.seed),
+            lambda: trainer.global_step,
+            steps=config.checkpoint_every,
+            end=config.steps,
+            accumulate=config.accumulate,
+            rank=trainer.global_rank,
+            world=trainer.world_size,
+        )
+        return DataLoader(
+            chosen,
+            sampler=steps,
+            batch_size=None,
+            num_workers=self.readers,
+            persistent_workers=self.readers > 0,
+            prefetch_factor=4 if self.readers else None,
+            pin_memory=torch.cuda.is_available(),
+        )
+
+
+class _Chosen(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
+    """Some of the frames, numbered anew for the order, by their own numbers in the batch."""
+
+    def __init__(self, frames: PackedFrames, chosen: Sequence[int]) -> None:
+        self.frames, self.chosen = frames, list(chosen)
+
+    def __len__(self) -> int:
+        return len(self.chosen)
+
+    def __getitem__(self, places: list[int]) -> dict[str, torch.Tensor]:
+        return self.frames[[self.chosen[place] for place in places]]
+
+
+def fit(
+    folder: Path,
+    config: TrainConfig,
+    data: Data,
+    machine: Machine | None = None,
+    beginning: Beginning | None = None,
+) -> Path:
+    """Train, or go on with the training that was begun in the folder.
+
+    Returns:
+        The best weights, as safetensors.
+
+    Raises:
+        ToolkitError: the folder holds another training, a batch cannot be parted among the
+            devices, a loss or gradient that is not finite (the last checkpoint is kept), or a
+            full disk.
+    """
+    machine = machine or Machine()
+    trainable = get_trainable(config.method)
+    is_first = _rank() == 0
+    with ExitStack() as stack:
+        if is_first:
+            folder.mkdir(parents=True, exist_ok=True)
+            stack.enter_context(hold_lock(folder, "lock", doing="training in"))
+            begin(folder, config)
+            sweep_temporaries(folder)
+        _quiet()
+        module = RestorerTraining(
+            config,
+            make_network(trainable, config, beginning or Beginning()),
+            configured(trainable.loss, config.loss),
+            data.training.key,
+        )
+        judge = Judge(data.validation, data.of_validation, _judged_at_once(config))
+        watch = Watch(folder, judge, log_every=machine.log_every)
+        trainer = _trainer(trainable, config, machine, watch, folder)
+        checkpoint = folder / CHECKPOINT
+        trainer.fit(
+            module,
+            datamodule=_Loaders(data, config, machine.readers),
+            ckpt_path=checkpoint if checkpoint.exists() else None,
+        )
+        if trainer.is_global_zero:
+            save_weights(module.network, folder / "last.safetensors")
+            told = watch.speed.told()
+            if watch.speed.samples:
+                logger.info(
+                    "%d samples at %.1f/s, %.1f %% of the time waiting for data",
+                    watch.speed.samples,
+                    told["samples_per_s"],
+                    100 * told["waiting_for_data"],
+                )
+    return folder / BEST
+
+
+def make_network(
+    trainable: Trainable, config: TrainConfig, beginning: Beginning
+) -> torch.nn.Module:
+    """The network with the weights that training begins with.
+
+    Raises:
+        ToolkitError: a setting or weights that it cannot have.
+    """
+    torch.manual_seed(seed_of(config.seed))
+    network = trainable.network(trainable.config(config.preset, config.settings))
+    if beginning.imagenet is not None:
+        if trainable.imagenet is None:
+            raise ToolkitError(
+                "the method does not begin with a classifier's weights",
+                field="--imagenet",
+                value=config.method,
+            )
+        trainable.imagenet(network, beginning.imagenet)
+    if beginning.weights is not None:
+        load_weights(network, beginning.weights)
+    return network
+
+
+def _trainer(
+    trainable: Trainable, config: TrainConfig, machine: Machine, watch: Watch, folder: Path
+) -> pl.Trainer:
+    strategy: Any = "auto"
+    if machine.devices * machine.nodes > 1:
+        idle = trainable.idle(trainable.config(config.preset, config.settings))
+        strategy = DDPStrategy(find_unused_parameters=idle)
+    return pl.Trainer(
+        accelerator=machine.accelerator,
+        devices=machine.devices,
+        num_nodes=machine.nodes,
+        strategy=strategy,
+        precision=_PRECISIONS[config.precision],
+        max_epochs=-(-config.steps // config.checkpoint_every),
+        accumulate_grad_batches=config.accumulate,
+        callbacks=[watch],
+        plugins=[AtomicCheckpoints()],
+        default_root_dir=folder,
+        logger=False,
+        enable_checkpointing=False,
+        enable_model_summary=False,
+        enable_progress_bar=machine.progress,
+        limit_val_batches=0,
+        num_sanity_val_steps=0,
+        use_distributed_sampler=False,
+    )
+
+
+def _judged_at_once(config: TrainConfig) -> int:
+    return max(1, config.optimization.batch_size // config.accumulate)
+
+
+def _rank() -> int:
+    """Number of this process, before Lightning knows it."""
+    for name in ("RANK", "SLURM_PROCID", "LOCAL_RANK"):
+        if name in os.environ:
+            return int(os.environ[name])
+    return 0
+
+
+def _quiet() -> None:
+    """Advice of Lightning that does not concern users of std-train."""
+    logging.getLogger("pytorch_lightning").setLevel(logging.WARNING)
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    for text in (".*does not have many workers.*", ".*`LeafSpec`.*", ".*isinstance.*LeafSpec.*"):
+        warnings.filterwarnings("ignore", text)

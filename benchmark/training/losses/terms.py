@@ -1,0 +1,48 @@
+"""What a loss is given and what it answers."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+from torch import Tensor
+
+from benchmark.methods.network import Prediction
+
+
+class Target(NamedTuple):
+    """What the network should have answered.
+
+    Attributes:
+        depth: (b, 1, h, w) true metres, 0 where there is no ground truth.
+        foreground: (b, 1, h, w) bool pixels of objects.
+        K: (b, 3, 3) intrinsics at this size.
+    """
+
+    depth: Tensor
+    foreground: Tensor
+    K: Tensor
+
+
+class Loss(NamedTuple):
+    """A loss and what it is made of.
+
+    Attributes:
+        total: scalar, what is minimised.
+        parts: scalars without gradient by name, for logs.
+    """
+
+    total: Tensor
+    parts: dict[str, Tensor]
+
+
+class LossFunction(Protocol):
+    """A loss of a batch."""
+
+    def __call__(self, prediction: Prediction, target: Target) -> Loss: ...
+
+
+def mean_where(values: Tensor, where: Tensor) -> Tensor:
+    """Mean over the pixels where `where` is true; 0, with a gradient of 0, where there is none."""
+    # Products would make NaN of what is not finite and does not count.
+    chosen = values.masked_fill(~where, 0.0)
+    return chosen.sum() / where.sum().clamp(min=1)

@@ -1,0 +1,181 @@
+"""Packing the frames of a split for training: resized once, read ever after without decoding."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from benchmark.data.frame import BACKGROUND, DepthFrame
+from benchmark.data.splits import open_split
+from benchmark.metrics.resize import resize_nearest
+from benchmark.training.shards import (
+    PACK,
+    ColorWay,
+    DepthKind,
+    PackSetup,
+    ShardIndex,
+    index_path,
+    record_type,
+    shard_path,
+)
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import atomic_path, sweep_temporaries
+from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.jobs import JobOptions, run_jobs
+from std_toolkit.jobs.runner import error_of
+from std_toolkit.scene.lock import hold_lock
+
+_WAYS = {"cubic": cv2.INTER_CUBIC, "area": cv2.INTER_AREA}
+
+
+@dataclass(frozen=True, kw_only=True)
+class PackOptions:
+    """How frames are packed.
+
+    Attributes:
+        size: (width, height) of all maps; the aspect need not be kept.
+        depth: float32, or float16, which halves the largest part of the files and rounds depths
+            of 0.5 to 1 m by up to 0.25 mm.
+        color: how colour is resized; `cubic` as published. Depth and masks go by the nearest
+            pixel.
+        shard: frames per shard: what is lost at most when packing is killed.
+    """
+
+    size: tuple[int, int] = (224, 224)
+    depth: DepthKind = "float32"
+    color: ColorWay = "cubic"
+    shard: int = 64
+
+    def __post_init__(self) -> None:
+        if min(self.size) < 1:
+            raise ToolkitError("must be positive", field="size", value=self.size)
+        if self.shard < 1:
+            raise ToolkitError("must be at least 1", field="shard", value=self.shard)
+
+
+@dataclass(frozen=True)
+class Packed:
+    """What became of a split.
+
+    Attributes:
+        frames: in the pack now.
+        failed: why frames are not, by `scene/name`, and shards that could not be written.
+    """
+
+    frames: int
+    failed: dict[str, str]
+
+
+def pack_split(
+    folder: Path,
+    split: str,
+    root: Path,
+    options: PackOptions | None = None,
+    jobs: JobOptions | None = None,
+) -> Packed:
+    """Pack what is not packed yet; frames that could not be read are tried again.
+
+    Raises:
+        ToolkitError: no such data, or the folder holds another pack or something else.
+    """
+    options = options or PackOptions()
+    source = open_split(split, root)
+    names = "\n".join(map(str, source.keys()))
+    setup = PackSetup(
+        split=split,
+        root=str(root.resolve()),
+        frames=len(source),
+        frames_sha256=hashlib.sha256(names.encode()).hexdigest(),
+        size=options.size,
+        depth=options.depth,
+        color=options.color,
+        shard=options.shard,
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    with hold_lock(folder, "lock", doing="packing into"):
+        _begin(folder, setup)
+        sweep_temporaries(folder)
+        left = [number for number in range(setup.shards) if not _is_whole(folder, number)]
+        report = run_jobs(
+            partial(_pack_shard, folder, setup, root), left, name=f"pack {split}", options=jobs
+        )
+    frames, failed = 0, {f"shard {key}": error for key, error in report.failed.items()}
+    for number in range(setup.shards):
+        if index_path(folder, number).exists():
+            index = read_document(index_path(folder, number), ShardIndex)
+            frames += len(index.names)
+            failed |= index.failed
+    return Packed(frames, failed)
+
+
+def record_of(frame: DepthFrame, setup: PackSetup) -> np.ndarray:
+    """() the record of a frame."""
+    record = np.zeros((), record_type(setup))
+    if setup.color == "nearest":
+        record["color"] = resize_nearest(frame.color, setup.size)
+    else:
+        record["color"] = cv2.resize(frame.color, setup.size, interpolation=_WAYS[setup.color])
+    record["raw"] = resize_nearest(frame.depth_raw, setup.size)
+    record["true"] = resize_nearest(frame.depth_true, setup.size)
+    record["mask"] = resize_nearest(frame.mask, setup.size)
+    materials = np.full(256, BACKGROUND, np.uint8)
+    for instance in frame.instances:
+        materials[instance.mask_id] = instance.material
+    record["materials"] = materials
+    record["K"] = frame.camera.resized(*setup.size).K
+    return record
+
+
+def _begin(folder: Path, setup: PackSetup) -> None:
+    path = folder / PACK
+    if not path.exists():
+        if any(p.name[0] != "." for p in folder.iterdir()):
+            raise ToolkitError(
+                f"the folder holds files but no {PACK}", path=folder, hint="choose another one"
+            )
+        write_document(path, setup)
+        return
+    begun = read_document(path, PackSetup)
+    for name in PackSetup.__struct_fields__:
+        if getattr(begun, name) != getattr(setup, name):
+            raise ToolkitError(
+                f"this pack was begun with {getattr(begun, name)!r}",
+                path=path,
+                field=name,
+                value=getattr(setup, name),
+                hint="choose another folder",
+            )
+
+
+def _is_whole(folder: Path, number: int) -> bool:
+    path = index_path(folder, number)
+    return path.exists() and not read_document(path, ShardIndex).failed
+
+
+def _pack_shard(folder: Path, setup: PackSetup, root: Path, number: int) -> int:
+    source = open_split(setup.split, root)
+    keys = source.keys()
+    cv2.setNumThreads(1)
+    index = ShardIndex(scenes=[], names=[], digests=[], failed={})
+    records = []
+    for i in range(number * setup.shard, min((number + 1) * setup.shard, setup.frames)):
+        try:
+            record = record_of(source.load(i), setup)
+        except Exception as error:  # a damaged file can raise anything in the libraries below
+            index.failed[str(keys[i])] = error_of(error).error or type(error).__name__
+            continue
+        records.append(record)
+        index.scenes.append(keys[i].scene)
+        index.names.append(keys[i].name)
+        index.digests.append(hashlib.blake2b(record.tobytes(), digest_size=8).hexdigest())
+    # An earlier index must not vouch for the new records.
+    index_path(folder, number).unlink(missing_ok=True)
+    with atomic_path(shard_path(folder, number)) as temporary:
+        np.save(temporary, np.array(records, record_type(setup)))
+    write_document(index_path(folder, number), index)
+    return len(records)

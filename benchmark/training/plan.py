@@ -1,0 +1,138 @@
+"""From what a user types to a training."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+from benchmark.methods.settings import configured
+from benchmark.training.catalogue import get_trainable
+from benchmark.training.config import TrainConfig
+from benchmark.training.fit import Beginning, Data
+from benchmark.training.order import BatchOrder
+from benchmark.training.packed_frames import PackedFrames
+from benchmark.training.scenes import check_no_leak, frames_digest, hold_out
+from std_toolkit.errors import ToolkitError
+from std_toolkit.scene.provenance import digest_file
+
+# Of a training of few steps, so that killing it never costs more than a part of it.
+_CHECKPOINTS = 20
+_LONGEST_INTERVAL = 500
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainWishes:
+    """What a user asks for; None is what is published, or follows from the rest.
+
+    Attributes:
+        data, validation: packs; without the latter, scenes of the former are held out.
+        hold_out: share of the scenes.
+        steps, epochs: how long; `epochs` is left aside where there are `steps`.
+        batch_size, learning_rate: as in `Optimization`.
+        weights, imagenet: as in `Beginning`.
+        colors: `published` for what was published for the method, `on`, `off`.
+        others: as in `TrainConfig`.
+    """
+
+    method: str
+    preset: str = "compact"
+    settings: Mapping[str, str] = field(default_factory=dict)
+    loss: Mapping[str, str] = field(default_factory=dict)
+    data: Sequence[Path]
+    validation: Sequence[Path] = ()
+    hold_out: float = 0.1
+    steps: int | None = None
+    epochs: int | None = None
+    batch_size: int | None = None
+    learning_rate: float | None = None
+    accumulate: int = 1
+    precision: Literal["fp32", "bf16"] = "fp32"
+    seed: int = 0
+    colors: Literal["published", "on", "off"] = "published"
+    holes: float = 0.0
+    validate_every: int | None = None
+    checkpoint_every: int | None = None
+    weights: Path | None = None
+    imagenet: Path | None = None
+
+
+def plan_training(wishes: TrainWishes) -> tuple[TrainConfig, Data, Beginning]:
+    """The configuration, frames and first weights of a training.
+
+    Raises:
+        ToolkitError: an unknown method or setting, too little data, data of another size than the
+            network's, scenes both in training and in validation, or numbers that make no sense.
+    """
+    trainable = get_trainable(wishes.method)
+    settings = trainable.settings_of(wishes.preset, wishes.settings)
+    network = trainable.config(wishes.preset, settings)
+    configured(trainable.loss, wishes.loss)  # a wrong name is told before anything is read
+    data = _data(wishes, network.input_size)
+    changes = {
+        name: value
+        for name in ("epochs", "batch_size", "learning_rate")
+        if (value := getattr(wishes, name)) is not None
+    }
+    for name, value in changes.items():
+        if not value > 0:
+            raise ToolkitError("must be positive", field=name, value=value)
+    optimization = replace(trainable.optimization, **changes)
+    order = BatchOrder(len(data.of_training), optimization.batch_size, seed=wishes.seed)
+    steps = wishes.steps or optimization.epochs * order.steps_per_epoch
+    every = wishes.checkpoint_every or max(1, min(_LONGEST_INTERVAL, steps // _CHECKPOINTS))
+    # About an epoch.
+    validate = max(1, round(min(order.steps_per_epoch, steps) / every)) * every
+    config = TrainConfig(
+        method=wishes.method,
+        preset=wishes.preset,
+        settings=settings,
+        loss=dict(wishes.loss),
+        optimization=optimization,
+        steps=steps,
+        accumulate=wishes.accumulate,
+        precision=wishes.precision,
+        seed=wishes.seed,
+        colors=trainable.colors if wishes.colors == "published" else wishes.colors == "on",
+        holes=wishes.holes,
+        validate_every=wishes.validate_every or validate,
+        checkpoint_every=every,
+        training=frames_digest(data.training, data.of_training),
+        validation=frames_digest(data.validation, data.of_validation),
+        beginning=_digest(wishes),
+    )
+    return config, data, Beginning(wishes.weights, wishes.imagenet)
+
+
+def _data(wishes: TrainWishes, size: tuple[int, int]) -> Data:
+    training = PackedFrames(wishes.data)
+    if wishes.validation:
+        validation = PackedFrames(wishes.validation)
+        of_training, of_validation = list(range(len(training))), list(range(len(validation)))
+    else:
+        validation = training
+        of_training, of_validation = hold_out(training, wishes.hold_out, seed=wishes.seed)
+    for frames in (training, validation):
+        if frames.size != size:
+            raise ToolkitError(
+                f"frames are packed at {frames.size[0]}x{frames.size[1]}, "
+                f"the network works at {size[0]}x{size[1]}",
+                path=frames.folders[0],
+                hint=f"pack them with --size {size[0]} {size[1]}, "
+                f"or train with --set input_size={frames.size[0]},{frames.size[1]}",
+            )
+    check_no_leak(training, of_training, validation, of_validation)
+    return Data(training, of_training, validation, of_validation)
+
+
+def _digest(wishes: TrainWishes) -> str:
+    files = {"weights": wishes.weights, "imagenet": wishes.imagenet}
+    told = []
+    for name, path in files.items():
+        if path is None:
+            continue
+        if not path.is_file():
+            raise ToolkitError("no such file of weights", path=path)
+        told.append(f"{name} {digest_file(path)}")
+    return ", ".join(told)

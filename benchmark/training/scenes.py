@@ -1,0 +1,74 @@
+"""Which frames train and which judge: never two of one scene apart."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+
+from benchmark.training.packed_frames import PackedFrames
+from std_toolkit.errors import ToolkitError
+
+_TOLD = 3
+
+
+def hold_out(frames: PackedFrames, share: float, *, seed: int) -> tuple[list[int], list[int]]:
+    """Frames to train on, and those of a share of the scenes, at least one, to judge by.
+
+    Raises:
+        ToolkitError: there is only one scene, or the share is none.
+    """
+    if not 0 < share < 1:
+        raise ToolkitError("must be between 0 and 1", field="hold_out", value=share)
+    scenes = sorted({frames.scene(i) for i in range(len(frames))})
+    if len(scenes) < 2:
+        raise ToolkitError(
+            f"too little data: {len(scenes)} scene, of which none can be held out for validation",
+            hint="pack more scenes, or give --validation",
+        )
+
+    def draw(scene: str) -> str:
+        # Of the scene's own name: a scene more changes no other's side by much.
+        name = scene.rpartition(": ")[2]
+        return hashlib.sha256(f"{seed} {name}".encode()).hexdigest()
+
+    held = set(sorted(scenes, key=draw)[: math.ceil(share * (len(scenes) - 1))])
+    sides: tuple[list[int], list[int]] = ([], [])
+    for i in range(len(frames)):
+        sides[frames.scene(i) in held].append(i)
+    return sides
+
+
+def check_no_leak(
+    training: PackedFrames,
+    of_training: Sequence[int],
+    validation: PackedFrames,
+    of_validation: Sequence[int],
+) -> None:
+    """Refuse scenes, and frames of equal pixels, that are on both sides.
+
+    Raises:
+        ToolkitError: which they are (the first few), and how many.
+    """
+    for what, of in (("scenes", PackedFrames.scene), ("frames", _digest)):
+        known = {of(training, i): i for i in of_training}
+        both = [i for i in of_validation if of(validation, i) in known]
+        if both:
+            told = ", ".join(
+                f"{validation.key(i)} = {training.key(known[of(validation, i)])}"
+                for i in both[:_TOLD]
+            )
+            raise ToolkitError(
+                f"{len(both)} frames of validation are of {what} that are trained on: {told}",
+                hint="validate on other scenes, or leave --validation away to hold some out",
+            )
+
+
+def frames_digest(frames: PackedFrames, chosen: Sequence[int]) -> str:
+    """A hash over frames, in their order."""
+    text = "\n".join(_digest(frames, i) for i in chosen)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _digest(frames: PackedFrames, index: int) -> str:
+    return frames.frames[index].digest

@@ -1,0 +1,132 @@
+"""Packed frames on disk: shards of records that are mapped into memory, not read.
+
+<pack>/pack.json          what was packed, how
+<pack>/shard-00000.npy    array of records, a frame each, of one size
+<pack>/shard-00000.json   the frames' names; written last: it says that the shard is whole
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import read_document
+
+PACK = "pack.json"
+DepthKind = Literal["float32", "float16"]
+ColorWay = Literal["cubic", "area", "nearest"]
+
+
+class PackSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What decides what is in a pack; it goes on only with the same.
+
+    Attributes:
+        split, root: name of the split and folder of its data.
+        frames, frames_sha256: number of frames of the split, and a hash over their names.
+        size: (width, height) of all maps.
+        depth: type of numbers of depth.
+        color: how colour was resized.
+        shard: frames per shard.
+    """
+
+    split: str
+    root: str
+    frames: int
+    frames_sha256: str
+    size: tuple[int, int]
+    depth: DepthKind
+    color: ColorWay
+    shard: int
+    format: int = 1
+
+    @property
+    def shards(self) -> int:
+        return -(-self.frames // self.shard)
+
+
+class ShardIndex(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What is in a shard.
+
+    Attributes:
+        scenes, names, digests: of its frames, in order; a digest is of the packed pixels.
+        failed: why frames are not in it, by `scene/name`.
+    """
+
+    scenes: list[str]
+    names: list[str]
+    digests: list[str]
+    failed: dict[str, str]
+
+
+def record_type(setup: PackSetup) -> np.dtype[np.void]:
+    """A frame's record.
+
+    color (h, w, 3) uint8 RGB; raw, true (h, w) metres, 0 = none; mask (h, w) uint8 instance ids,
+    255 elsewhere; materials (256,) uint8 `Material` by instance id, 255 for ids that there are
+    not; K (3, 3) float32 intrinsics at this size.
+    """
+    w, h = setup.size
+    return np.dtype(
+        [
+            ("color", "u1", (h, w, 3)),
+            ("raw", setup.depth, (h, w)),
+            ("true", setup.depth, (h, w)),
+            ("mask", "u1", (h, w)),
+            ("materials", "u1", (256,)),
+            ("K", "f4", (3, 3)),
+        ]
+    )
+
+
+def shard_path(folder: Path, number: int) -> Path:
+    return folder / f"shard-{number:05d}.npy"
+
+
+def index_path(folder: Path, number: int) -> Path:
+    return shard_path(folder, number).with_suffix(".json")
+
+
+def read_setup(folder: Path) -> PackSetup:
+    """What a folder of packed frames holds.
+
+    Raises:
+        ToolkitError: it is none.
+    """
+    if not (folder / PACK).is_file():
+        raise ToolkitError(
+            "is no folder of packed frames",
+            path=folder,
+            hint=f"make one: std-train pack {folder} --split NAME --data ROOT",
+        )
+    return read_document(folder / PACK, PackSetup)
+
+
+def open_shard(folder: Path, number: int, setup: PackSetup, frames: int) -> np.ndarray:
+    """(n,) records of a shard, mapped into memory.
+
+    Raises:
+        ToolkitError: the file is missing, cut off or another's.
+    """
+    path = shard_path(folder, number)
+    if not frames:
+        return np.empty(0, record_type(setup))
+    try:
+        found = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError) as error:
+        raise ToolkitError(
+            f"the shard cannot be read: {error}",
+            path=path,
+            hint="delete its .json and run `std-train pack` again",
+        ) from error
+    if found.dtype != record_type(setup) or found.shape != (frames,):
+        raise ToolkitError(
+            "the shard is not what pack.json and its own .json say",
+            path=path,
+            value=(found.shape, frames),
+            hint="delete its .json and run `std-train pack` again",
+        )
+    return found

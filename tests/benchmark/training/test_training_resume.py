@@ -1,0 +1,219 @@
+"""A training that is interrupted anywhere ends as if it had not been."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+from training_set import HERE, TINY, packed, same, trained, wishes, write_scenes
+
+from benchmark.training.callbacks import CHECKPOINT, Watch
+from benchmark.training.module import RestorerTraining
+from std_toolkit.errors import ToolkitError
+
+
+@pytest.fixture(scope="module")
+def pack(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    top = tmp_path_factory.mktemp("resume")
+    return packed(top / "pack", write_scenes(top / "data"))
+
+
+class Interrupted(Exception):
+    pass
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", TINY)
+@pytest.mark.parametrize("at", [3, 4])
+def test_interrupted_and_resumed_ends_with_the_same_bits(method, at, pack, tmp_path, monkeypatch):
+    """Step 3 stands between two checkpoints, step 4 right behind one and before its validation."""
+    asked = wishes(method, pack, colors="on", holes=0.5, accumulate=2)
+    whole = trained(asked, tmp_path / "whole")
+
+    plain = RestorerTraining.training_step
+
+    def falls(self, batch, batch_idx):
+        if self.global_step == at:
+            raise Interrupted
+        return plain(self, batch, batch_idx)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RestorerTraining, "training_step", falls)
+        with pytest.raises(Interrupted):
+            trained(asked, tmp_path / "parted")
+    assert not (tmp_path / "parted" / "last.safetensors").exists()
+    parted = trained(asked, tmp_path / "parted")
+    assert same(whole, parted)
+    for name in ("validation.csv", "best.json"):
+        one, other = (tmp_path / run / name for run in ("whole", "parted"))
+        assert one.read_text() == other.read_text(), name
+    assert _losses(tmp_path / "whole") == _losses(tmp_path / "parted")
+    assert [step for step, _ in _losses(tmp_path / "whole")] == [str(i) for i in range(1, 7)]
+
+
+@pytest.mark.slow
+def test_interrupted_while_the_checkpoint_is_written(pack, tmp_path, monkeypatch):
+    asked = wishes("dfnet", pack)
+    whole = trained(asked, tmp_path / "whole")
+    save, calls = torch.save, []
+
+    def half(value, path):
+        calls.append(path)
+        if len(calls) == 2:
+            Path(path).write_bytes(b"PK half a checkpoint")
+            os._exit(9)
+        save(value, path)
+
+    child = os.fork()
+    if child == 0:
+        try:
+            torch.save = half
+            trained(asked, tmp_path / "parted")
+        finally:
+            os._exit(1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
+    left = [p.name for p in (tmp_path / "parted").iterdir() if ".tmp" in p.name]
+    assert left, "the half-written file is still there"
+    assert same(whole, trained(asked, tmp_path / "parted"))
+    assert not [p for p in (tmp_path / "parted").iterdir() if ".tmp" in p.name]
+
+
+@pytest.mark.slow
+def test_killed_at_any_moment(pack, tmp_path):
+    """kill -9 of the command, twice, right after some checkpoint."""
+    asked = wishes("dfnet", pack, steps=60, validate_every=10)
+    whole = trained(asked, tmp_path / "whole")
+    settings = [f"{name}={value}" for name, value in TINY["dfnet"].items()]
+    command = [
+        sys.executable, "-m", "benchmark.cli.train", "--method", "dfnet", "--data", str(pack),
+        "--set", *settings, "--steps", "60", "--batch-size", "4", "--hold-out", "0.3",
+        "--checkpoint-every", "2", "--validate-every", "10", "--readers", "1",
+        "--accelerator", "cpu", "--out", str(tmp_path / "parted"),
+    ]  # fmt: skip
+    checkpoint = tmp_path / "parted" / CHECKPOINT
+    for _ in range(2):
+        before = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
+        process = subprocess.Popen(
+            command,
+            env=os.environ | {"OMP_NUM_THREADS": "1"},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        while process.poll() is None:
+            time.sleep(0.005)
+            if checkpoint.exists() and checkpoint.stat().st_mtime_ns != before:
+                os.killpg(process.pid, signal.SIGKILL)
+                break
+        assert process.wait() == -signal.SIGKILL
+    assert not (tmp_path / "parted" / "last.safetensors").exists()
+    assert same(whole, trained(asked, tmp_path / "parted"))
+    assert _losses(tmp_path / "whole")[-1] == _losses(tmp_path / "parted")[-1]
+
+
+@pytest.mark.slow
+def test_a_finished_training_stays_as_it_is(pack, tmp_path):
+    asked = wishes("dfnet", pack)
+    first = trained(asked, tmp_path / "run")
+    log = (tmp_path / "run" / "steps.csv").read_text()
+    assert same(first, trained(asked, tmp_path / "run"))
+    assert (tmp_path / "run" / "steps.csv").read_text() == log
+
+
+def test_another_configuration_is_refused_with_all_that_differs(pack, tmp_path):
+    trained(wishes("dfnet", pack, steps=1), tmp_path / "run")
+    other = wishes("dfnet", pack, steps=1, seed=1, learning_rate=0.5, loss={"smoothness": "0.2"})
+    with pytest.raises(ToolkitError) as error:
+        trained(other, tmp_path / "run")
+    told = str(error.value)
+    for part in (
+        "seed: 0 then, 1 now",
+        "optimization.learning_rate: 0.001 then, 0.5 now",
+        "loss.smoothness: None then, '0.2' now",
+    ):
+        assert part in told
+    assert "optimization.betas" not in told
+
+
+def test_other_frames_are_another_configuration(pack, tmp_path):
+    trained(wishes("dfnet", pack, steps=1), tmp_path / "run")
+    more = packed(tmp_path / "more", write_scenes(tmp_path / "data", scenes=5))
+    with pytest.raises(ToolkitError, match=r"training: .* then, .* now"):
+        trained(wishes("dfnet", more, steps=1), tmp_path / "run")
+
+
+def test_a_folder_of_something_else_is_left_alone(pack, tmp_path):
+    (tmp_path / "thesis.tex").write_text("x")
+    with pytest.raises(ToolkitError, match=r"holds files but no config\.json"):
+        trained(wishes("dfnet", pack, steps=1), tmp_path)
+
+
+def test_a_checkpoint_that_is_none_is_told(pack, tmp_path):
+    asked = wishes("dfnet", pack, steps=2)
+    trained(asked, tmp_path / "run")
+    (tmp_path / "run" / CHECKPOINT).write_bytes(b"PK nonsense")
+    with pytest.raises(ToolkitError, match="not a checkpoint of std-train"):
+        trained(asked, tmp_path / "run")
+
+
+def test_not_a_number_stops_before_it_harms(pack, tmp_path, monkeypatch):
+    asked = wishes("nlspn", pack)
+    step = RestorerTraining.training_step
+    poisoned: list[str] = []
+
+    def poison(self, batch, batch_idx):
+        if self.global_step == 3:
+            batch["raw"][1] = float("nan")
+            poisoned.append(self.key(int(batch["index"][1])))
+        return step(self, batch, batch_idx)
+
+    monkeypatch.setattr(RestorerTraining, "training_step", poison)
+    with pytest.raises(ToolkitError, match="not a number at step 3") as error:
+        trained(asked, tmp_path / "run")
+    assert poisoned[0] in str(error.value)
+    kept = torch.load(tmp_path / "run" / CHECKPOINT, weights_only=True)
+    assert kept["global_step"] == 2
+    assert all(torch.isfinite(t).all() for t in kept["state_dict"].values())
+    monkeypatch.undo()
+    assert same(trained(asked, tmp_path / "run"), trained(asked, tmp_path / "whole"))
+
+
+def test_gradients_that_are_not_numbers_stop_too(pack, tmp_path, monkeypatch):
+    def spoil(self, trainer, pl_module, loss):
+        next(pl_module.parameters()).register_hook(lambda g: g * float("nan"))
+
+    monkeypatch.setattr(Watch, "on_before_backward", spoil)
+    with pytest.raises(ToolkitError, match="gradients are not numbers at step 0, frames pack: "):
+        trained(wishes("dfnet", pack), tmp_path / "run")
+
+
+def test_one_training_per_folder(pack, tmp_path):
+    from std_toolkit.scene.lock import hold_lock
+
+    (tmp_path / "run").mkdir()
+    with (
+        hold_lock(tmp_path / "run", "lock", doing="training in"),
+        pytest.raises(ToolkitError, match="another process is training in"),
+    ):
+        trained(wishes("dfnet", pack), tmp_path / "run")
+
+
+def test_readers_change_nothing(pack, tmp_path):
+    from dataclasses import replace
+
+    asked = wishes("dfnet", pack, steps=4)
+    one = trained(asked, tmp_path / "one")
+    assert same(one, trained(asked, tmp_path / "two", replace(HERE, readers=2)))
+
+
+def _losses(run: Path) -> list[tuple[str, str]]:
+    import csv
+
+    with (run / "steps.csv").open(newline="") as file:
+        return [(row["step"], row["loss"]) for row in csv.DictReader(file)]
