@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -42,9 +43,9 @@ class Judge:
         network: nn.Module,
         device: torch.device,
         *,
-        rank: int,
-        world: int,
-        context: Any = None,
+        rank: int = 0,
+        world: int = 1,
+        context: Callable[[], AbstractContextManager[Any]] = nullcontext,
     ) -> np.ndarray:
         """(subsets, n) sums over this process's share of the frames; those of processes add."""
         metrics = {name: DepthMetrics() for name in SUBSETS}

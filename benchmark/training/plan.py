@@ -80,10 +80,11 @@ def plan_training(wishes: TrainWishes) -> tuple[TrainConfig, Data, Beginning]:
             raise ToolkitError("must be positive", field=name, value=value)
     optimization = replace(trainable.optimization, **changes)
     order = BatchOrder(len(data.of_training), optimization.batch_size, seed=wishes.seed)
-    steps = wishes.steps or optimization.epochs * order.steps_per_epoch
-    every = wishes.checkpoint_every or max(1, min(_LONGEST_INTERVAL, steps // _CHECKPOINTS))
-    # About an epoch.
-    validate = max(1, round(min(order.steps_per_epoch, steps) / every)) * every
+    steps = optimization.epochs * order.steps_per_epoch if wishes.steps is None else wishes.steps
+    every = wishes.checkpoint_every
+    if every is None:
+        every = max(1, min(_LONGEST_INTERVAL, steps // _CHECKPOINTS))
+    about_an_epoch = max(1, round(min(order.steps_per_epoch, steps) / max(1, every))) * every
     config = TrainConfig(
         method=wishes.method,
         preset=wishes.preset,
@@ -96,7 +97,7 @@ def plan_training(wishes: TrainWishes) -> tuple[TrainConfig, Data, Beginning]:
         seed=wishes.seed,
         colors=trainable.colors if wishes.colors == "published" else wishes.colors == "on",
         holes=wishes.holes,
-        validate_every=wishes.validate_every or validate,
+        validate_every=(about_an_epoch if wishes.validate_every is None else wishes.validate_every),
         checkpoint_every=every,
         training=frames_digest(data.training, data.of_training),
         validation=frames_digest(data.validation, data.of_validation),
