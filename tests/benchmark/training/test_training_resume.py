@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ import torch
 from training_set import HERE, TINY, packed, same, trained, wishes, write_scenes
 
 from benchmark.training.callbacks import CHECKPOINT, Watch
+from benchmark.training.checkpoint_file import AtomicCheckpoints
 from benchmark.training.module import RestorerTraining
 from std_toolkit.errors import ToolkitError
 
@@ -205,8 +207,6 @@ def test_one_training_per_folder(pack, tmp_path):
 
 
 def test_readers_change_nothing(pack, tmp_path):
-    from dataclasses import replace
-
     asked = wishes("dfnet", pack, steps=4)
     one = trained(asked, tmp_path / "one")
     assert same(one, trained(asked, tmp_path / "two", replace(HERE, readers=2)))
@@ -217,3 +217,31 @@ def _losses(run: Path) -> list[tuple[str, str]]:
 
     with (run / "steps.csv").open(newline="") as file:
         return [(row["step"], row["loss"]) for row in csv.DictReader(file)]
+
+
+def test_a_full_disk_leaves_the_last_checkpoint(pack, tmp_path):
+    """The limit on the size of files stands for the disk's: writing fails half-way for real."""
+    import resource
+
+    asked = wishes("dfnet", pack, steps=4)
+    trained(asked, tmp_path / "whole")
+    size = (tmp_path / "whole" / CHECKPOINT).stat().st_size
+    run, save = tmp_path / "run", AtomicCheckpoints.save_checkpoint
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def fills(self, checkpoint, path, storage_options=None):
+        if (run / CHECKPOINT).exists():
+            resource.setrlimit(resource.RLIMIT_FSIZE, (size // 2, hard))
+        save(self, checkpoint, path, storage_options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(AtomicCheckpoints, "save_checkpoint", fills)
+        try:
+            with pytest.raises(ToolkitError, match="cannot write the") as error:
+                trained(asked, run)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert str(run / CHECKPOINT) in str(error.value)
+    assert torch.load(run / CHECKPOINT, weights_only=True)["global_step"] == 2
+    assert not [p for p in run.iterdir() if ".tmp" in p.name]
+    assert same(trained(asked, run), trained(asked, tmp_path / "whole"))
