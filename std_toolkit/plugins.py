@@ -63,7 +63,8 @@ class Registry(Generic[T]):
     def _loaded(self, load: Callable[[], Any], target: str) -> T:
         try:
             return load()
-        except Exception as error:  # importing foreign code can raise anything
+        except (Exception, SystemExit) as error:  # importing foreign code can raise anything
+            told = " ".join(str(error).split()) or type(error).__name__
             raise ToolkitError(
-                f"cannot import plug-in for {self.group}: {error}", value=target
+                f"cannot import plug-in for {self.group}: {told}", value=target
             ) from error

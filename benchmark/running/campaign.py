@@ -68,7 +68,11 @@ def run_all(
             table = run_method(run, jobs)
             if bad := int(table.loc[table[ERROR] != "", INDEX].nunique()):
                 report.failed_frames += bad
-                logger.warning("%s: %d frames failed: %s", run.title, bad, run.folder / FAILURES)
+                first = table.loc[table[ERROR] != "", ERROR].iloc[0]
+                logger.warning(
+                    "%s: %d frames failed, the first with: %s; all in %s",
+                    run.title, bad, first, run.folder / FAILURES,
+                )  # fmt: skip
             if speed and not (run.folder / SPEED).exists():
                 write_document(run.folder / SPEED, speed_of(run))
             if gallery and not (run.folder / FOLDER / INDEX_FILE).exists():

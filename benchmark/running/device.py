@@ -14,6 +14,18 @@ from std_toolkit.errors import ToolkitError
 _PATIENCE_S = 30.0
 
 
+def check_device(name: str) -> None:
+    """See that a device exists, whether or not the method will use it.
+
+    Raises:
+        ToolkitError: no device is called so, or this machine does not have it.
+    """
+    if name != "cpu":  # torch is not needed to know that it is there
+        from benchmark.methods.network import device_called
+
+        device_called(name)
+
+
 @cache
 def claim_device(devices: tuple[str, ...], folder: Path) -> str:
     """The device of this process until it ends; no two processes of a run get the same.

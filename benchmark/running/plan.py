@@ -13,6 +13,7 @@ from benchmark.running.run import Run
 from std_toolkit.errors import ToolkitError
 
 _LABEL = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*")
+_LONGEST_LABEL = 120  # file systems stop at 255 bytes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,6 +139,12 @@ def _by_method(
 
 
 def _label(text: str) -> str:
+    if len(text) > _LONGEST_LABEL:
+        raise ToolkitError(
+            f"must have at most {_LONGEST_LABEL} characters",
+            field="label",
+            value=f"{text[:40]}...",
+        )
     if not _LABEL.fullmatch(text):
         raise ToolkitError(
             "must be usable as a folder's name",

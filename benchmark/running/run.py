@@ -16,11 +16,13 @@ import pandas as pd
 from benchmark.data.saved import WithSavedDepth
 from benchmark.data.source import DepthSource
 from benchmark.data.splits import open_split
+from benchmark.methods.filling.filler import Filler
+from benchmark.methods.filling.raw import Raw
 from benchmark.methods.protocol import Restorer
 from benchmark.methods.registry import MethodOptions, make_restorer
 from benchmark.protocols.registry import get_protocol
 from benchmark.running.batch import Loaded, load_frames, score_batch
-from benchmark.running.device import claim_device
+from benchmark.running.device import check_device, claim_device
 from benchmark.running.manifest import Setup, begin, manifest_of
 from benchmark.running.parts import finished_frames, join_parts, write_part
 from benchmark.running.saving import save_depth
@@ -120,21 +122,36 @@ def run_method(run: Run, jobs: JobOptions | None = None) -> pd.DataFrame:
             # A network uses all of a device; a second process would only double its memory.
             jobs = replace(jobs, workers=len(run.devices))
         del restorer
+        batches_of = _items(batches, jobs.worker_count)
         report = run_jobs(
             _Worker(run),
-            _items(batches, jobs.worker_count),
+            batches_of,
             name=run.title,
             key=lambda item: f"frames {item[0][0]} to {item[-1][-1]}",
             options=jobs,
         )
         table = join_parts(run.folder)
-    report.raise_if_failed()
+    if report.failed:
+        # The log has a line for each; here the first one, since they tend to be of one kind.
+        where, why = next(iter(report.failed.items()))
+        raise ToolkitError(
+            f"{len(report.failed)} of {len(batches_of)} pieces of work failed; {where}: {why}",
+            path=run.folder,
+            hint="what was scored is kept; the same command goes on",
+        )
     return table
 
 
 def _usable(run: Run) -> Restorer:
     try:
-        return make_restorer(run.method, replace(run.options, device=run.devices[0]))
+        for device in run.devices:
+            check_device(device)
+        restorer = make_restorer(run.method, replace(run.options, device=run.devices[0]))
+        if run.options.weights is not None and isinstance(restorer, Filler | Raw):
+            raise ToolkitError(
+                "the method has no weights", field="--weights", value=str(run.options.weights)
+            )
+        return restorer
     except ToolkitError as error:
         raise UnusableMethod(
             error.problem, path=error.path, field=error.field, value=error.value, hint=error.hint
@@ -226,7 +243,8 @@ def _equipment(run: Run) -> tuple[DepthSource, Restorer]:
 def _setup(run: Run, source: DepthSource, restorer: Restorer, chosen: Sequence[int]) -> Setup:
     keys = source.keys()
     names = "\n".join(str(keys[i]) for i in chosen)
-    weights = getattr(restorer, "weights", None)
+    # A method of somebody's own may use the file without telling.
+    weights = getattr(restorer, "weights", None) or run.options.weights
     return Setup(
         split=run.split,
         frames=len(chosen),

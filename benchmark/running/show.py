@@ -34,7 +34,8 @@ def results_table(results: Sequence[RunResult]) -> str:
         grid, first = get_protocol(str(protocol)).main
         means = summarise(part[part["grid"] == grid], by=("method", "subset"))
         means = means[means["subset"].isin((first, *_SUBSETS)) & (means["frames"] > 0)]
-        blocks.append(f"{split}, protocol {protocol}, {grid}\n{_table(means)}")
+        shown = "no frame has a pixel to compare" if means.empty else _table(means)
+        blocks.append(f"{split}, protocol {protocol}, {grid}\n{shown}")
     return "\n\n".join(blocks)
 
 
