@@ -12,8 +12,10 @@ from benchmark.metrics.paired import compare_methods
 from benchmark.protocols.registry import get_protocol
 from benchmark.protocols.summary import OVER_ALL, OVER_ANSWERED, summarise
 from benchmark.published.load import published_depth, published_speed
-from benchmark.running.parts import ERROR, INDEX
+from benchmark.running.parts import ERROR, FAILURES, INDEX
 from benchmark.running.results import RunResult
+from std_toolkit.errors import ToolkitError
+from std_toolkit.log import logger
 
 MEASURED, PUBLISHED = "measured", "published"
 INTERVALS = tuple(f"{name}_{end}" for name in OVER_ALL for end in ("low", "high"))
@@ -68,6 +70,15 @@ COLUMNS = (
 )  # fmt: skip
 
 
+def one_of_each(rows: pd.DataFrame) -> pd.DataFrame:
+    """Rows without the further ones that papers print of a method: repetitions of a figure in
+    other tables, and ablations of its training. What its comparison of methods prints stays."""
+    printed = rows[rows["kind"] == PUBLISHED]
+    printed = printed.sort_values(["table", "training_data"], kind="stable")
+    further = printed.index[printed["method"].duplicated()]
+    return rows.drop(index=further)
+
+
 def make_board(
     results: Sequence[RunResult], *, published: bool = True, samples: int = 2000
 ) -> Board:
@@ -77,14 +88,31 @@ def make_board(
         results: at least one.
         published: with the figures that papers print for the same splits and subsets.
         samples: draws of scenes for intervals and comparisons.
+
+    Raises:
+        ToolkitError: no run has a frame with pixels to compare.
     """
     tables = pd.concat([result.table for result in results], ignore_index=True)
     scored = tables[tables["grid"] != ""]
     parts = []
-    for _, one in scored.groupby(["split", "protocol"], sort=False):
+    for (split, protocol), one in scored.groupby(["split", "protocol"], sort=False):
         means = summarise(one, samples=samples)
-        parts.append(_with_significance(means[means["frames"] > 0], one, samples))
-    rows = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+        means = means[means["frames"] > 0]
+        grid, subset = get_protocol(str(protocol)).main
+        if not ((means["grid"] == grid) & (means["subset"] == subset)).any():
+            logger.warning(
+                "%s, %s: left out; no frame has a pixel to compare on %s, %s",
+                split, protocol, grid, subset,
+            )  # fmt: skip
+            continue
+        parts.append(_with_significance(means, one, samples))
+    if not parts:
+        raise ToolkitError(
+            "no frame could be scored, there is nothing to report",
+            path=results[0].folder,
+            hint=f"{FAILURES} beside the tables tells what failed",
+        )
+    rows = pd.concat(parts, ignore_index=True)
     rows["kind"] = MEASURED
     rows = rows.merge(_costs(results), on=["split", "protocol", "method"], how="left")
     if published:

@@ -16,6 +16,8 @@ _STYLE = """
 td small, th small { display:block; color:var(--faint); font-weight:400; font-size:11.5px; }
 tr.published td { background:#f4f1ea; font-style:italic; color:var(--soft); }
 tr.published small { font-style:normal; }
+th:first-child, td:first-child { min-width:130px; overflow-wrap:anywhere; }
+nav .inner { height:auto; min-height:44px; flex-wrap:wrap; gap:2px 20px; }
 table.sortable th { cursor:pointer; user-select:none; }
 table.sortable th[aria-sort="ascending"]::after { content:" \\25B2"; font-size:9px; }
 table.sortable th[aria-sort="descending"]::after { content:" \\25BC"; font-size:9px; }

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from benchmark.report.board import MEASURED, PUBLISHED, Board
+from benchmark.report.board import MEASURED, PUBLISHED, Board, one_of_each
 from benchmark.report.columns import METRICS, Column
 from std_toolkit.checks.figures import base_layout, figure_json
 from std_toolkit.checks.palette import FAINT, INK, OBJECT_COLORS
@@ -18,6 +18,9 @@ DEPTH_PREFIX = "depth:"
 _DASHES = ("solid", "dash", "dot")
 _MARKERS = ("circle", "square", "diamond", "cross", "triangle-up")
 _BAR_PX, _LEAST_PX = 26, 180
+# More polygons over each other cannot be told apart.
+_MOST_POLYGONS = 8
+_LONGEST_NAME = 34
 
 
 def method_colors(board: Board) -> dict[str, str]:
@@ -28,24 +31,17 @@ def method_colors(board: Board) -> dict[str, str]:
 
 def bars(rows: pd.DataFrame, colors: dict[str, str], column: Column = RMSE) -> str | None:
     """One bar per method, best on top, with its 95 % interval; published ones hollow."""
-    rows = rows.dropna(subset=[column.name]).iloc[::-1]  # Plotly draws from the bottom
+    rows = one_of_each(rows.dropna(subset=[column.name])).iloc[::-1]  # drawn from the bottom
     if rows.empty:
         return None
     printed = rows["kind"] == PUBLISHED
-    value = rows[column.name] * column.factor
-    low, high = (rows[f"{column.name}_{end}"] * column.factor for end in ("low", "high"))
-    fill = [
-        "rgba(0,0,0,0)" if p else colors.get(m, FAINT)
-        for m, p in zip(rows["method"], printed, strict=True)
-    ]
-    names = [f"{m} (published)" if p else m for m, p in zip(rows["method"], printed, strict=True)]
-    trace = {
-        "type": "bar",
-        "orientation": "h",
-        "y": names,
-        "x": value.tolist(),
-        "marker": {"color": fill, "line": {"color": FAINT, "width": [int(p) for p in printed]}},
-        "error_x": {
+    # By number: bars of one name would be stacked.
+    rows = rows.assign(place=range(len(rows)))
+    traces = []
+    for part, hollow in ((rows[~printed], False), (rows[printed], True)):
+        value = part[column.name] * column.factor
+        low, high = (part[f"{column.name}_{end}"] * column.factor for end in ("low", "high"))
+        error = {
             "type": "data",
             "symmetric": False,
             "array": (high - value).fillna(0).tolist(),
@@ -53,44 +49,72 @@ def bars(rows: pd.DataFrame, colors: dict[str, str], column: Column = RMSE) -> s
             "color": INK,
             "thickness": 1,
             "width": 3,
-        },
-        "hovertemplate": f"%{{y}}: %{{x:.{column.digits}f}} {column.unit}<extra></extra>",
-    }
+            "visible": bool(low.notna().any()),
+        }
+        fill = [colors.get(m, FAINT) for m in part["method"]]
+        traces.append(
+            {
+                "type": "bar",
+                "orientation": "h",
+                "y": part["place"].tolist(),
+                "customdata": [f"{m} (published)" if hollow else m for m in part["method"]],
+                "x": value.tolist(),
+                "marker": {
+                    "color": "rgba(0,0,0,0)" if hollow else fill,
+                    "line": {"color": FAINT, "width": int(hollow)},
+                },
+                "error_x": error,
+                "hovertemplate": f"%{{customdata}}: %{{x:.{column.digits}f}} {column.unit}"
+                "<extra></extra>",
+            }
+        )
     height = max(_LEAST_PX, 90 + _BAR_PX * len(rows))
     layout = base_layout(
         height=height,
         xaxis={"title": {"text": column.title}, "rangemode": "tozero"},
+        yaxis={
+            "tickvals": list(range(len(rows))),
+            "ticktext": [
+                f"{short(m)} (published)" if p else short(m)
+                for m, p in zip(rows["method"], printed, strict=True)
+            ],
+            "range": [-0.6, len(rows) - 0.4],
+        },
         showlegend=False,
+        barmode="overlay",
     )
-    return figure_json([trace], layout)
+    return figure_json(traces, layout)
 
 
 def radar(rows: pd.DataFrame, colors: dict[str, str]) -> str | None:
-    """Each method as a polygon over the six metrics; the rim is the best measured figure."""
+    """The best methods as polygons over the six metrics; the rim is the best measured figure."""
     rows = rows[rows["kind"] == MEASURED].dropna(subset=[c.name for c in METRICS])
     if len(rows) < 2:
         return None
+    rows = rows.head(_MOST_POLYGONS)
     angles = [c.heading for c in METRICS]
     scores = np.stack([_relative(rows[c.name].to_numpy(), c) for c in METRICS], axis=1)
     traces = [
         {
             "type": "scatterpolar",
-            "name": method,
+            "name": short(method),
             "r": [*score.tolist(), score[0]],
             "theta": [*angles, angles[0]],
-            "line": {"color": colors[method], "width": 2},
+            "line": {"color": colors[method], "width": 2, "dash": dash},
             "opacity": 0.9,
             "hovertemplate": f"{method}, %{{theta}}: %{{r:.2f}} of the best<extra></extra>",
         }
-        for method, score in zip(rows["method"], scores, strict=True)
+        for method, score, dash in zip(
+            rows["method"], scores, _dashes(rows["method"].tolist(), colors), strict=True
+        )
     ]
-    layout = base_layout(height=420, margin={"l": 40, "r": 40, "t": 30, "b": 30})
+    layout = base_layout(height=460, margin={"l": 40, "r": 40, "t": 30, "b": 30})
     layout["polar"] = {
         "radialaxis": {"range": [0, 1], "tickvals": [0.25, 0.5, 0.75, 1], "gridcolor": "#e4e7eb"},
         "angularaxis": {"gridcolor": "#e4e7eb"},
         "bgcolor": "rgba(0,0,0,0)",
     }
-    layout["legend"] = {"orientation": "v", "x": 1.05, "y": 1}
+    layout["legend"] = {"orientation": "h", "x": 0, "y": -0.1}
     return figure_json(traces, layout)
 
 
@@ -100,7 +124,8 @@ def depth_curves(rows: pd.DataFrame, colors: dict[str, str], column: Column = RM
     if rows.empty:
         return None
     traces = []
-    for i, (method, part) in enumerate(rows.groupby("method", sort=False)):
+    dashes = _dashes(rows["method"].drop_duplicates().tolist(), colors)
+    for dash, (method, part) in zip(dashes, rows.groupby("method", sort=False), strict=True):
         ends = part["subset"].str.removeprefix(DEPTH_PREFIX).str.split("-", expand=True)
         middle = ends.astype(float).mean(axis=1)
         order = np.argsort(middle.to_numpy())
@@ -108,13 +133,10 @@ def depth_curves(rows: pd.DataFrame, colors: dict[str, str], column: Column = RM
             {
                 "type": "scatter",
                 "mode": "lines+markers",
-                "name": str(method),
+                "name": short(str(method)),
                 "x": middle.to_numpy()[order].tolist(),
                 "y": (part[column.name].to_numpy() * column.factor)[order].tolist(),
-                "line": {
-                    "color": colors[str(method)],
-                    "dash": _DASHES[i // len(OBJECT_COLORS) % len(_DASHES)],
-                },
+                "line": {"color": colors[str(method)], "dash": dash},
                 "hovertemplate": f"{method}<br>%{{x:.2f}} m: %{{y:.1f}} {column.unit}"
                 "<extra></extra>",
             }
@@ -129,7 +151,7 @@ def depth_curves(rows: pd.DataFrame, colors: dict[str, str], column: Column = RM
 
 def speed_against_error(rows: pd.DataFrame, colors: dict[str, str]) -> str | None:
     """Frames per second against RMSE: best is the lower right corner."""
-    rows = rows.dropna(subset=["frames_per_s", "rmse"])
+    rows = one_of_each(rows.dropna(subset=["frames_per_s", "rmse"]))
     if rows.empty:
         return None
     traces: list[dict[str, Any]] = []
@@ -142,7 +164,7 @@ def speed_against_error(rows: pd.DataFrame, colors: dict[str, str]) -> str | Non
                 "mode": "markers+text",
                 "x": [row.frames_per_s],
                 "y": [row.rmse * 1e3],
-                "text": [f"{row.method} (published)" if printed else row.method],
+                "text": [f"{short(row.method)} (published)" if printed else short(row.method)],
                 "textposition": "top center",
                 "marker": {
                     "color": "rgba(0,0,0,0)" if printed else color,
@@ -163,6 +185,17 @@ def speed_against_error(rows: pd.DataFrame, colors: dict[str, str]) -> str | Non
     for axis in ("xaxis", "yaxis"):
         layout[axis] |= {"dtick": "D2", "minor": {"showgrid": False}}
     return figure_json(traces, layout)
+
+
+def short(name: str) -> str:
+    """A name that leaves room for the figure beside it."""
+    return name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 1]}…"
+
+
+def _dashes(methods: Sequence[str], colors: dict[str, str]) -> list[str]:
+    """Dashes that tell apart the methods of one colour."""
+    like = [colors[m] for m in methods]
+    return [_DASHES[like[:i].count(color) % len(_DASHES)] for i, color in enumerate(like)]
 
 
 def _relative(values: np.ndarray, column: Column) -> Sequence[float]:

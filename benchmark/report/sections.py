@@ -10,10 +10,23 @@ import numpy as np
 import pandas as pd
 
 from benchmark.protocols.registry import get_protocol
-from benchmark.report.board import MEASURED, PAPERS_PROTOCOL, PUBLISHED, Board
+from benchmark.report.board import (
+    MEASURED,
+    PAPERS_PROTOCOL,
+    PUBLISHED,
+    SIGNIFICANT,
+    Board,
+    one_of_each,
+)
 from benchmark.report.columns import BOARD, COSTS, METRICS, Column
-from benchmark.report.plots import DEPTH_PREFIX, bars, depth_curves, radar, speed_against_error
-from benchmark.report.text import MAIN_SUBSETS, best_figures, not_worse
+from benchmark.report.plots import (
+    DEPTH_PREFIX,
+    bars,
+    depth_curves,
+    radar,
+    speed_against_error,
+)
+from benchmark.report.text import MAIN_SUBSETS, best_figures, not_worse, printed_where
 from benchmark.running.gallery import FOLDER, INDEX_FILE, Gallery
 from benchmark.running.panels import PANELS
 from benchmark.running.results import RunResult
@@ -22,8 +35,6 @@ from std_toolkit.io.documents import read_document
 
 RMSE = METRICS[0]
 FEW_SCENES = 10
-# The sign-flip test over n scenes gives no p below 2 / 2**n.
-FEWEST_SCENES = 6
 _RANKS = {
     "best": "where it does best",
     "median": "as usual",
@@ -45,7 +56,7 @@ def leaderboard(board: Board, split: str, protocol: str, colors: dict[str, str])
         parts.append(
             paragraph(
                 f"{_counted(frames, 'frame')} of {_counted(scenes, 'scene')} with such pixels. "
-                f"Bold: best measured. {_certainty(scenes)}"
+                f"Bold: best measured. {_certainty(scenes, (rows['kind'] == MEASURED).sum())}"
             )
         )
         if protocol != PAPERS_PROTOCOL and (rows["kind"] == PUBLISHED).any():
@@ -69,18 +80,27 @@ def _counted(number: int, what: str) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
 
 
-def _certainty(scenes: int) -> str:
+def can_differ(scenes: int, methods: int) -> bool:
+    """Whether the test of differences could tell two of the methods apart at all: over n scenes it
+    gives no p below 2 / 2**n, and all pairs are corrected for."""
+    pairs = methods * (methods - 1) / 2
+    return bool(pairs * 2.0 ** (1 - scenes) < SIGNIFICANT)
+
+
+def _certainty(scenes: int, methods: int) -> str:
     if scenes < 2:
         return "With one scene there are no intervals, and no test of differences."
-    intervals = "Small: 95 % intervals over scenes"
-    if scenes < FEWEST_SCENES:
-        return (
-            f"{intervals}, too narrow with so few of them; with less than {FEWEST_SCENES} no "
-            "difference can be significant."
-        )
     few = ", too narrow with so few of them" if scenes < FEW_SCENES else ""
+    intervals = f"Small: 95 % intervals over scenes{few}."
+    if methods < 2:
+        return intervals
+    if not can_differ(scenes, methods):
+        return (
+            f"{intervals} With {_counted(scenes, 'scene')} and {methods} methods no difference "
+            "can be significant."
+        )
     return (
-        f"{intervals}{few}. ≈: not significantly worse than the best in RMSE (sign-flip test over "
+        f"{intervals} ≈: not significantly worse than the best in RMSE (sign-flip test over "
         "scenes, corrected for all pairs)."
     )
 
@@ -118,7 +138,7 @@ def speed(board: Board, colors: dict[str, str]) -> str:
     """Cost of each method, and accuracy against speed on the first board."""
     split, protocol = board.boards[0]
     rows = board.main_rows(split, protocol)
-    known = rows.dropna(subset=["frames_per_s"])
+    known = one_of_each(rows.dropna(subset=["frames_per_s"]))
     if known.empty:
         return ""
     figure = speed_against_error(known, colors)
@@ -182,7 +202,9 @@ def runs(results: Sequence[RunResult]) -> str:
             [
                 escape(m.label),
                 escape(f"{s.split}, {s.protocol}"),
-                str(s.frames),
+                str(s.frames)
+                if not result.missing
+                else f'<b class="over">{s.frames - result.missing} of {s.frames}</b>',
                 f'<b class="over">{failed}</b>' if failed else "0",
                 escape(", ".join(h for h in how if h) if network or settings else settings),
                 f"<code>{escape(s.weights_sha256[:12])}</code>" if s.weights_sha256 else "",
@@ -196,6 +218,7 @@ def runs(results: Sequence[RunResult]) -> str:
 
 def _table(rows: pd.DataFrame, columns: Sequence[Column], *, hardware: bool = False) -> str:
     best = best_figures(rows, columns)
+    methods = int((rows["kind"] == MEASURED).sum())
     heads = "".join(
         f'<th class="n" data-less="{int(c.less_is_better is not False)}">{escape(c.heading)}'
         f"<small>{escape(c.unit)}</small></th>"
@@ -205,8 +228,9 @@ def _table(rows: pd.DataFrame, columns: Sequence[Column], *, hardware: bool = Fa
     body = []
     for row in rows.itertuples():
         printed = row.kind == PUBLISHED
-        note = f"<small>published; {escape(row.table)}</small>" if printed else ""
-        tested = not printed and row.scenes >= FEWEST_SCENES
+        note = f"<small>published; {escape(printed_where(row))}</small>" if printed else ""
+        # Costs are not what the test is about.
+        tested = not printed and not hardware and can_differ(row.scenes, methods)
         mark = "" if not tested or not not_worse(row) else ' <abbr title="not worse">≈</abbr>'
         cells = [f"<td>{escape(row.method)}{mark}{note}</td>"]
         for column in columns:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import pandas as pd
 
 from benchmark.protocols.registry import get_protocol
-from benchmark.report.board import PUBLISHED, SIGNIFICANT, Board
+from benchmark.report.board import PUBLISHED, SIGNIFICANT, Board, one_of_each
 from benchmark.report.columns import BOARD, Column
 
 # Of the subsets that were measured, those that the short tables show.
@@ -113,6 +113,14 @@ def board_title(split: str, protocol: str) -> str:
     return f"{split}, protocol {protocol}, {get_protocol(protocol).main[0]}"
 
 
+def printed_where(row: object) -> str:
+    """Where a published row is printed, and what was trained on: papers print a method several
+    times, by another training or once more."""
+    training = getattr(row, "training_data", "")
+    table = str(getattr(row, "table", ""))
+    return f"{table}; trained on {training}" if isinstance(training, str) and training else table
+
+
 def not_worse(row: object) -> bool:
     """Whether the best method may be better than this one by chance alone."""
     p = getattr(row, "p_best", float("nan"))
@@ -125,7 +133,8 @@ def _tables(board: Board) -> list[tuple[str, pd.DataFrame, Sequence[Column]]]:
         grid, first = get_protocol(protocol).main
         subsets = dict.fromkeys((first, *MAIN_SUBSETS))
         rows = pd.concat(
-            [board.part(split, protocol, grid, subset) for subset in subsets], ignore_index=True
+            [one_of_each(board.part(split, protocol, grid, subset)) for subset in subsets],
+            ignore_index=True,
         )
         found.append((board_title(split, protocol), rows, BOARD))
     return found

@@ -8,11 +8,13 @@ from pathlib import Path
 
 import pandas as pd
 
+from benchmark.protocols.summary import OVER_ALL, OVER_ANSWERED
 from benchmark.running.manifest import MANIFEST, Manifest
-from benchmark.running.parts import TABLE, read_table
+from benchmark.running.parts import ERROR, INDEX, SCENE, TABLE, read_table
 from benchmark.running.speed import SPEED, Speed
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import read_document
+from std_toolkit.log import logger
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,11 @@ class RunResult:
     table: pd.DataFrame
     speed: Speed | None
 
+    @property
+    def missing(self) -> int:
+        """Frames that the run has not come to: it was interrupted, or a worker failed."""
+        return self.manifest.setup.frames - int(self.table[INDEX].nunique())
+
 
 def read_run(folder: Path) -> RunResult:
     """One run's results.
@@ -41,6 +48,11 @@ def read_run(folder: Path) -> RunResult:
     """
     manifest = read_document(folder / MANIFEST, Manifest)
     table = read_table(folder / TABLE)
+    needed = [INDEX, SCENE, ERROR, "grid", "subset", "n_pixels", "n_answered"]
+    if "grid" in table and (table["grid"] != "").any():
+        needed += [*OVER_ALL, *OVER_ANSWERED]
+    if absent := [name for name in needed if name not in table]:
+        raise ToolkitError("the table lacks columns", path=folder / TABLE, field=", ".join(absent))
     names = (manifest.setup.split, manifest.setup.protocol, manifest.label)
     for place, (column, value) in enumerate(
         zip(("split", "protocol", "method"), names, strict=True)
@@ -61,9 +73,15 @@ def read_results(folders: Iterable[Path]) -> list[RunResult]:
     """
     found: dict[tuple[str, str, str], RunResult] = {}
     for folder in folders:
-        paths = sorted(p.parent for p in folder.rglob(MANIFEST) if (p.parent / TABLE).exists())
+        begun = sorted(p.parent for p in folder.rglob(MANIFEST))
+        paths = [path for path in begun if (path / TABLE).exists()]
         if not paths:
-            raise ToolkitError("no results of std-bench here", path=folder)
+            problem = "no finished run here" if begun else "no results of std-bench here"
+            hint = "run the same std-bench command again to go on" if begun else None
+            raise ToolkitError(problem, path=folder, hint=hint)
+        for path in begun:
+            if path not in paths:
+                logger.warning("%s: not finished, left out", path)
         for path in paths:
             result = read_run(path)
             setup = result.manifest.setup
@@ -76,4 +94,9 @@ def read_results(folders: Iterable[Path]) -> list[RunResult]:
                     hint="give one of them another name with --label",
                 )
             found[key] = result
+            if result.missing:
+                logger.warning(
+                    "%s: not finished: %d of %d frames are missing",
+                    path, result.missing, setup.frames,
+                )  # fmt: skip
     return list(found.values())
