@@ -116,9 +116,11 @@ def _train(args: argparse.Namespace) -> int:
                 "is needed", field=f"--{name}", hint="`std-train --help` tells all options"
             )
     _needs_torch()
-    from benchmark.training.fit import Machine, fit
+    from benchmark.training.fit import Machine, fit, process_rank
     from benchmark.training.plan import TrainWishes, plan_training
 
+    if process_rank() > 0:  # the first of several processes tells for all
+        logger.setLevel(logging.WARNING)
     wishes = TrainWishes(
         method=args.method,
         preset=args.preset,
@@ -158,6 +160,8 @@ def _train(args: argparse.Namespace) -> int:
         progress=sys.stderr.isatty(),
     )
     best = fit(args.out, config, data, machine, beginning)
+    if process_rank() > 0:
+        return 0
     settings = " ".join(f"{name}={value}" for name, value in config.settings.items())
     told = f" --set {settings}" if settings else ""
     print(f"{best}: std-bench --method {args.method} --preset {args.preset} --weights {best}{told}")

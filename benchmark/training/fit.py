@@ -138,7 +138,7 @@ def fit(
     """
     machine = machine or Machine()
     trainable = get_trainable(config.method)
-    is_first = _rank() == 0
+    is_first = process_rank() == 0
     with ExitStack() as stack:
         if is_first:
             folder.mkdir(parents=True, exist_ok=True)
@@ -229,7 +229,7 @@ def _judged_at_once(config: TrainConfig) -> int:
     return max(1, config.optimization.batch_size // config.accumulate)
 
 
-def _rank() -> int:
+def process_rank() -> int:
     """Number of this process, before Lightning knows it."""
     for name in ("RANK", "SLURM_PROCID", "LOCAL_RANK"):
         if name in os.environ:
@@ -240,6 +240,6 @@ def _rank() -> int:
 def _quiet() -> None:
     """Advice of Lightning that does not concern users of std-train."""
     logging.getLogger("pytorch_lightning").setLevel(logging.WARNING)
-    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    logging.getLogger("lightning_fabric").setLevel(logging.WARNING)
     for text in (".*does not have many workers.*", ".*`LeafSpec`.*", ".*isinstance.*LeafSpec.*"):
         warnings.filterwarnings("ignore", text)
