@@ -122,10 +122,10 @@ def run_method(run: Run, jobs: JobOptions | None = None) -> pd.DataFrame:
             # A network uses all of a device; a second process would only double its memory.
             jobs = replace(jobs, workers=len(run.devices))
         del restorer
-        batches_of = _items(batches, jobs.worker_count)
+        items = _items(batches, jobs.worker_count)
         report = run_jobs(
             _Worker(run),
-            batches_of,
+            items,
             name=run.title,
             key=lambda item: f"frames {item[0][0]} to {item[-1][-1]}",
             options=jobs,
@@ -135,7 +135,7 @@ def run_method(run: Run, jobs: JobOptions | None = None) -> pd.DataFrame:
         # The log has a line for each; here the first one, since they tend to be of one kind.
         where, why = next(iter(report.failed.items()))
         raise ToolkitError(
-            f"{len(report.failed)} of {len(batches_of)} pieces of work failed; {where}: {why}",
+            f"{len(report.failed)} of {len(items)} pieces of work failed; {where}: {why}",
             path=run.folder,
             hint="what was scored is kept; the same command goes on",
         )
