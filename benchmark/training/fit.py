@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -78,9 +79,9 @@ class Data:
 
 
 class _Loaders(pl.LightningDataModule):
-    def __init__(self, data: Data, config: TrainConfig, readers: int) -> None:
+    def __init__(self, data: Data, config: TrainConfig, readers: int, lock: Path) -> None:
         super().__init__()
-        self.data, self.config, self.readers = data, config, readers
+        self.data, self.config, self.readers, self.lock = data, config, readers, lock
 
     def train_dataloader(self) -> DataLoader[Any]:
         trainer, config = self.trainer, self.config
@@ -103,6 +104,7 @@ class _Loaders(pl.LightningDataModule):
             persistent_workers=self.readers > 0,
             prefetch_factor=4 if self.readers else None,
             pin_memory=torch.cuda.is_available(),
+            worker_init_fn=partial(_let_go, self.lock),
         )
 
 
@@ -158,7 +160,7 @@ def fit(
         checkpoint = folder / CHECKPOINT
         trainer.fit(
             module,
-            datamodule=_Loaders(data, config, machine.readers),
+            datamodule=_Loaders(data, config, machine.readers, folder / ".std" / "lock"),
             ckpt_path=checkpoint if checkpoint.exists() else None,
         )
         if trainer.is_global_zero:
@@ -243,3 +245,13 @@ def _quiet() -> None:
     logging.getLogger("lightning_fabric").setLevel(logging.WARNING)
     for text in (".*does not have many workers.*", ".*`LeafSpec`.*", ".*isinstance.*LeafSpec.*"):
         warnings.filterwarnings("ignore", text)
+
+
+def _let_go(lock: Path, reader: int) -> None:  # noqa: ARG001
+    """Close a reader's copy of the run's lock.
+
+    Readers outlive a killed training by seconds, in which nobody could go on with it.
+    """
+    for entry in Path("/proc/self/fd").glob("*"):
+        if entry.is_symlink() and os.path.realpath(entry) == str(lock.resolve()):
+            os.close(int(entry.name))
