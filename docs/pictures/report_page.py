@@ -1,6 +1,6 @@
 """Makes docs/pictures/report.jpg: the top of a report, as Chromium shows it.
 
-    make demo && python docs/pictures/report_page.py build/demo/benchmark/report.html
+make demo && python docs/pictures/report_page.py build/demo/benchmark/report.html
 """
 
 from __future__ import annotations
