@@ -10,7 +10,7 @@ from benchmark.report.plots import method_colors
 from benchmark.report.text import board_title
 from std_toolkit import __version__
 from std_toolkit.checks.markup import section
-from std_toolkit.checks.style import CSS
+from std_toolkit.checks.style import CSS, PLOTS_SCRIPT
 
 _STYLE = """
 td small, th small { display:block; color:var(--faint); font-weight:400; font-size:11.5px; }
@@ -34,11 +34,6 @@ b.over { color:var(--bad); }
 _SCRIPT = """
 (function () {
   'use strict';
-  var settings = {responsive: true, displaylogo: false, displayModeBar: false};
-  document.querySelectorAll('script[type="application/json"][data-plot]').forEach(function (s) {
-    var figure = JSON.parse(s.textContent);
-    Plotly.newPlot(s.dataset.plot, figure.data, figure.layout, settings);
-  });
   function value(row, column, numeric) {
     var cell = row.cells[column];
     if (!numeric) { return cell.textContent.toLowerCase(); }
@@ -101,6 +96,6 @@ def render_page(board: Board) -> str:
         f'<nav><div class="inner">{links}</div></nav>'
         f"<main>{''.join(section(k, t, body) for k, t, body in parts)}"
         f"<footer>std-toolkit {__version__}, std-report. The same figures: leaderboard.csv."
-        f"</footer></main><script>{get_plotlyjs()}</script><script>{_SCRIPT}</script>"
+        f"</footer></main><script>{get_plotlyjs()}</script><script>{PLOTS_SCRIPT}{_SCRIPT}</script>"
         "</body></html>\n"
     )

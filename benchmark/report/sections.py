@@ -30,7 +30,7 @@ from benchmark.report.text import MAIN_SUBSETS, best_figures, not_worse, printed
 from benchmark.running.gallery import FOLDER, INDEX_FILE, Gallery
 from benchmark.running.panels import PANELS
 from benchmark.running.results import RunResult
-from std_toolkit.checks.markup import paragraph, plot, words
+from std_toolkit.checks.markup import Cell, paragraph, plot, table, words
 from std_toolkit.io.documents import read_document
 
 RMSE = METRICS[0]
@@ -118,10 +118,10 @@ def breakdown(board: Board, split: str, protocol: str, colors: dict[str, str]) -
         wide = block.pivot(index="method", columns="subset", values=RMSE.name)
         wide = wide.reindex(index=methods, columns=list(dict.fromkeys(block["subset"])))
         parts.append(f"<h3>{RMSE.title} by pixels, {escape(str(name))}</h3>{_matrix(wide)}")
-    table = board.tables
-    chosen = (table["split"] == split) & (table["protocol"] == protocol)
-    chosen &= (table["grid"] == grid) & (table["subset"] == first) & (table["n_pixels"] > 0)
-    scenes = table[chosen].pivot_table(
+    frames = board.tables
+    chosen = (frames["split"] == split) & (frames["protocol"] == protocol)
+    chosen &= (frames["grid"] == grid) & (frames["subset"] == first) & (frames["n_pixels"] > 0)
+    scenes = frames[chosen].pivot_table(
         index="scene", columns="method", values=RMSE.name, aggfunc="mean"
     )
     scenes = scenes.reindex(columns=[m for m in methods if m in scenes])
@@ -213,7 +213,9 @@ def runs(results: Sequence[RunResult]) -> str:
             ]
         )
     heads = ("method", "split, protocol", "frames", "failed", "how", "weights", "ran on", "tool")
-    return _plain_table(heads, rows, numeric={2, 3})
+    numeric = (heads.index("frames"), heads.index("failed"))
+    cells = [[Cell(html, numeric=i in numeric) for i, html in enumerate(row)] for row in rows]
+    return table([(head, "") for head in heads], cells)
 
 
 def _table(rows: pd.DataFrame, columns: Sequence[Column], *, hardware: bool = False) -> str:
@@ -281,20 +283,6 @@ def _matrix(wide: pd.DataFrame, *, by_row: bool = False) -> str:
     return (
         f'<div class="scroll"><table><thead><tr>{head}</tr></thead>'
         f"<tbody>{''.join(body)}</tbody></table></div>"
-    )
-
-
-def _plain_table(heads: Sequence[str], rows: Sequence[Sequence[str]], *, numeric: set[int]) -> str:
-    def cell(tag: str, place: int, html: str) -> str:
-        return f"<{tag}{' class=n' if place in numeric else ''}>{html}</{tag}>"
-
-    head = "".join(cell("th", i, escape(h)) for i, h in enumerate(heads))
-    body = "".join(
-        f"<tr>{''.join(cell('td', i, html) for i, html in enumerate(row))}</tr>" for row in rows
-    )
-    return (
-        f'<div class="scroll"><table><thead><tr>{head}</tr></thead>'
-        f"<tbody>{body}</tbody></table></div>"
     )
 
 

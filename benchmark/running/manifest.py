@@ -12,7 +12,7 @@ import msgspec
 
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.documents import begin_folder
 
 MANIFEST = "run.json"
 _PACKAGES = ("numpy", "opencv-python-headless", "pandas", "pyarrow", "scipy", "torch")
@@ -76,16 +76,7 @@ def begin(folder: Path, manifest: Manifest) -> None:
         ToolkitError: another run was begun there; the field that differs is named.
     """
     path = folder / MANIFEST
-    if not path.exists():
-        if any(p.name[0] != "." for p in folder.iterdir()):
-            raise ToolkitError(
-                f"the folder holds files but no {MANIFEST}",
-                path=folder,
-                hint="choose another --out",
-            )
-        write_document(path, manifest)
-        return
-    begun = read_document(path, Manifest)
+    begun = begin_folder(path, manifest, hint="choose another --out")
     for name in Setup.__struct_fields__:
         was, now = getattr(begun.setup, name), getattr(manifest.setup, name)
         if was != now:

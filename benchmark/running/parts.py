@@ -7,10 +7,11 @@ killed knows what it has. At the end all are joined into one table in the order 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from std_toolkit.errors import ToolkitError
@@ -39,16 +40,6 @@ def write_part(folder: Path, first: int, last: int, rows: Sequence[dict[str, Any
         pd.DataFrame(list(rows)).to_parquet(temporary, index=False)
 
 
-def part_ranges(folder: Path) -> list[tuple[int, int, Path]]:
-    """First frame, last frame and path of every part, in order."""
-    found = [
-        (int(match[1]), int(match[2]), path)
-        for path in (folder / PARTS).glob("*.parquet")
-        if (match := _NAME.fullmatch(path.name))
-    ]
-    return sorted(found)
-
-
 def read_table(path: Path) -> pd.DataFrame:
     """A Parquet table of ours.
 
@@ -65,13 +56,9 @@ def read_table(path: Path) -> pd.DataFrame:
         ) from error
 
 
-def finished_frames(folder: Path) -> set[int]:
+def good_frames(table: pd.DataFrame) -> set[int]:
     """Frames of the split that need not be scored again; those that failed are tried again."""
-    finished: set[int] = set()
-    for _, _, path in part_ranges(folder):
-        finished |= _good(read_table(path))
-    table = folder / TABLE
-    return finished | _good(read_table(table)) if table.exists() else finished
+    return set(table.loc[table[ERROR] == "", INDEX].tolist())
 
 
 def join_parts(folder: Path) -> pd.DataFrame:
@@ -85,9 +72,9 @@ def join_parts(folder: Path) -> pd.DataFrame:
     Raises:
         ToolkitError: a part cannot be read, or the table not be written.
     """
-    paths = [path for _, _, path in part_ranges(folder)]
+    paths = sorted(p for p in (folder / PARTS).glob("*.parquet") if _NAME.fullmatch(p.name))
     earlier = [folder / TABLE] if (folder / TABLE).exists() else []
-    table = _newest(read_table(path) for path in (*earlier, *paths))
+    table = _newest([read_table(path) for path in (*earlier, *paths)])
     if paths:
         with atomic_path(folder / TABLE) as temporary:
             table.to_parquet(temporary, index=False)
@@ -100,22 +87,14 @@ def join_parts(folder: Path) -> pd.DataFrame:
     return table
 
 
-def _newest(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
+def _newest(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
     """One table in the order of the frames; a frame's later rows take the place of earlier ones."""
-    kept: pd.DataFrame | None = None
-    for table in tables:
-        if kept is not None:
-            # A frame that succeeded is not thrown away for a later failure.
-            good = _good(kept)
-            table = table[~((table[ERROR] != "") & table[INDEX].isin(good))]
-            kept = pd.concat([kept[~kept[INDEX].isin(table[INDEX])], table], ignore_index=True)
-        else:
-            kept = table
-    if kept is None:
+    if not tables:
         return pd.DataFrame({INDEX: [], SCENE: [], FRAME: [], ERROR: []})
+    joined = pd.concat(tables, ignore_index=True)
+    place = np.repeat(np.arange(len(tables)), [len(table) for table in tables])
+    # A frame that succeeded is not thrown away for a later failure.
+    worth = pd.Series(place + len(tables) * (joined[ERROR] == "").to_numpy())
+    kept = joined[worth == worth.groupby(joined[INDEX]).transform("max")]
     # Stable: the rows of one frame keep the order in which the protocol gave them.
     return kept.sort_values(INDEX, kind="stable", ignore_index=True)
-
-
-def _good(table: pd.DataFrame) -> set[int]:
-    return set(table.loc[table[ERROR] == "", INDEX].tolist())

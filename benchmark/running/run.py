@@ -24,7 +24,7 @@ from benchmark.protocols.registry import get_protocol
 from benchmark.running.batch import Loaded, load_frames, score_batch
 from benchmark.running.device import check_device, claim_device
 from benchmark.running.manifest import Setup, begin, manifest_of
-from benchmark.running.parts import finished_frames, join_parts, write_part
+from benchmark.running.parts import good_frames, join_parts, write_part
 from benchmark.running.saving import save_depth
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import sweep_temporaries
@@ -116,7 +116,8 @@ def run_method(run: Run, jobs: JobOptions | None = None) -> pd.DataFrame:
             ),
         )
         sweep_temporaries(run.folder)
-        done = finished_frames(run.folder)
+        # Joined before anything is added: the parts of this run may have the names of earlier ones.
+        done = good_frames(join_parts(run.folder))
         batches = [b for b in _batches(chosen, run.batch_size) if not done.issuperset(b)]
         if jobs.workers is None and hasattr(restorer, "network"):
             # A network uses all of a device; a second process would only double its memory.

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from benchmark.training.optimization import Optimization
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.documents import begin_folder
 
 CONFIG = "config.json"
 
@@ -71,14 +71,7 @@ def begin(folder: Path, config: TrainConfig) -> None:
         ToolkitError: another was begun there; all that differs is told.
     """
     path = folder / CONFIG
-    if not path.exists():
-        if any(p.name[0] != "." for p in folder.iterdir()):
-            raise ToolkitError(
-                f"the folder holds files but no {CONFIG}", path=folder, hint="choose another --out"
-            )
-        write_document(path, config)
-        return
-    begun = flat(read_document(path, TrainConfig))
+    begun = flat(begin_folder(path, config, hint="choose another --out"))
     now = flat(config)
     differing = [name for name in {**begun, **now} if begun.get(name) != now.get(name)]
     if differing:

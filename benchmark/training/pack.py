@@ -25,7 +25,7 @@ from benchmark.training.shards import (
 )
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import atomic_path, sweep_temporaries
-from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.documents import begin_folder, read_document, write_document
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.jobs.runner import error_of
 from std_toolkit.scene.lock import hold_lock
@@ -133,14 +133,7 @@ def record_of(frame: DepthFrame, setup: PackSetup) -> np.ndarray:
 
 def _begin(folder: Path, setup: PackSetup) -> None:
     path = folder / PACK
-    if not path.exists():
-        if any(p.name[0] != "." for p in folder.iterdir()):
-            raise ToolkitError(
-                f"the folder holds files but no {PACK}", path=folder, hint="choose another one"
-            )
-        write_document(path, setup)
-        return
-    begun = read_document(path, PackSetup)
+    begun = begin_folder(path, setup, hint="choose another one")
     for name in PackSetup.__struct_fields__:
         if getattr(begun, name) != getattr(setup, name):
             raise ToolkitError(

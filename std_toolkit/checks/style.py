@@ -94,7 +94,8 @@ footer { color:var(--faint); font-size:13px; padding:28px 0 40px; }
 @media print { nav { display:none; } section { break-inside:avoid; } }
 """
 
-SCRIPT = """
+# Draws the figures that `markup.plot` leaves room for.
+PLOTS_SCRIPT = """
 (function () {
   'use strict';
   var settings = {responsive: true, displaylogo: false, displayModeBar: false};
@@ -102,6 +103,14 @@ SCRIPT = """
     var figure = JSON.parse(s.textContent);
     Plotly.newPlot(s.dataset.plot, figure.data, figure.layout, settings);
   });
+})();
+"""
+
+SCRIPT = (
+    PLOTS_SCRIPT
+    + """
+(function () {
+  'use strict';
   var box = document.getElementById('outlines');
   function apply() { document.body.classList.toggle('plain', !box.checked); }
   box.addEventListener('change', apply);
@@ -126,3 +135,4 @@ SCRIPT = """
   dialog.addEventListener('click', function () { dialog.close(); });
 })();
 """
+)

@@ -93,6 +93,31 @@ def write_document(path: Path | str, document: Any) -> None:
     write_bytes_atomic(path, document_bytes(document, path=path))
 
 
+def begin_folder(path: Path, document: T, *, hint: str) -> T:
+    """The document that says what a folder of results was begun with; written if it is new.
+
+    Args:
+        path: of the document.
+        document: what the folder would be begun with.
+        hint: what to do where the folder is somebody else's.
+
+    Returns:
+        The document that is there now: for the caller to compare with its own.
+
+    Raises:
+        ToolkitError: the folder holds files, hidden ones aside, but not this document; or it
+            cannot be read or written.
+    """
+    if path.exists():
+        return read_document(path, type(document))
+    if any(p.name[0] != "." for p in path.parent.iterdir()):
+        raise ToolkitError(
+            f"the folder holds files but no {path.name}", path=path.parent, hint=hint
+        )
+    write_document(path, document)
+    return document
+
+
 def _join_number_lists(text: str) -> str:
     """Put lists of plain numbers on one line: a pose as 16 lines cannot be read."""
     return _NUMBER_LIST.sub(lambda m: "[" + " ".join(m.group(1).split()) + "]", text)

@@ -17,7 +17,7 @@ from benchmark.data.splits import open_split
 from benchmark.methods.registry import MethodOptions
 from benchmark.protocols.registry import get_protocol
 from benchmark.protocols.score import score_frame
-from benchmark.running.parts import FAILURES, TABLE
+from benchmark.running.parts import FAILURES, TABLE, write_part
 from benchmark.running.run import chosen_frames, run_method
 from benchmark.running.views import view_of
 from std_toolkit.errors import ToolkitError
@@ -162,6 +162,22 @@ def test_a_frame_at_which_the_method_fails_counts_as_missed(root: Path, tmp_path
         good.drop(columns="error").reset_index(drop=True),
         rest.drop(columns="error").reset_index(drop=True),
     )
+
+
+def test_parts_of_equal_name_do_not_lose_frames(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run that was killed left a part whose first and last frame failed, the others good."""
+    # Both failed batches come in one piece of work, hence in one part.
+    monkeypatch.setattr("benchmark.running.run._ITEMS_PER_WORKER", 1)
+    run = a_run(root, tmp_path)
+    whole = run_method(run, SERIAL)
+    (run.folder / TABLE).unlink()
+    ends = whole["index"].isin([0, 1, 10, 11])
+    left = whole.assign(error=np.where(ends, "a disk that was away", ""))
+    write_part(run.folder, 0, 11, left.to_dict("records"))
+    again = run_method(run, JobOptions(engine="serial", workers=1, progress=False))
+    pd.testing.assert_frame_equal(again, whole)
 
 
 def test_nan_is_counted_as_missed_and_told(root: Path, tmp_path: Path) -> None:
