@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmark.methods.pose_fitting import FitMethod, FitOptions, fit_pose
 from benchmark.metrics.pose import box_iou, rotation_errors_deg, translation_errors_cm
+from benchmark.pose_methods.fitting import FitMethod, FitOptions, fit_pose
 from std_toolkit.errors import ToolkitError
 
 PAPER = FitOptions(fit=FitMethod.PAPER)

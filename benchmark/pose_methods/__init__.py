@@ -1,0 +1,1 @@
+"""Methods that find the pose and size of objects of known categories."""
