@@ -82,6 +82,7 @@ def build_pack_parser() -> argparse.ArgumentParser:
     add("--depth", choices=("float32", "float16"), default="float32")
     add("--color", choices=("cubic", "area", "nearest"), default="cubic", help="how it is resized")
     add("--shard", type=int, default=64, metavar="N", help="frames per file (64)")
+    add("--nocs", action="store_true", help="also NOCS and classes, for pose networks")
     add_job_arguments(parser)
     return parser
 
@@ -100,7 +101,11 @@ def _pack(args: argparse.Namespace) -> int:
     from benchmark.training.pack import PackOptions, pack_split
 
     options = PackOptions(
-        size=tuple(args.size), depth=args.depth, color=args.color, shard=args.shard
+        size=tuple(args.size),
+        depth=args.depth,
+        color=args.color,
+        shard=args.shard,
+        nocs=args.nocs,
     )
     packed = pack_split(args.folder, args.split, args.data, options, job_options(args))
     print(f"{args.folder}: {packed.frames} frames")

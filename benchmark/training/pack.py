@@ -44,12 +44,14 @@ class PackOptions:
         color: how colour is resized; `cubic` as published. Depth and masks go by the nearest
             pixel.
         shard: frames per shard: what is lost at most when packing is killed.
+        nocs: also NOCS and classes, for pose networks.
     """
 
     size: tuple[int, int] = (224, 224)
     depth: DepthKind = "float32"
     color: ColorWay = "cubic"
     shard: int = 64
+    nocs: bool = False
 
     def __post_init__(self) -> None:
         if min(self.size) < 1:
@@ -95,6 +97,7 @@ def pack_split(
         depth=options.depth,
         color=options.color,
         shard=options.shard,
+        nocs=options.nocs,
     )
     folder.mkdir(parents=True, exist_ok=True)
     with hold_lock(folder, "lock", doing="packing into"):
@@ -114,7 +117,11 @@ def pack_split(
 
 
 def record_of(frame: DepthFrame, setup: PackSetup) -> np.ndarray:
-    """() the record of a frame."""
+    """() the record of a frame.
+
+    Raises:
+        ToolkitError: NOCS is wanted of a frame that has none.
+    """
     record = np.zeros((), record_type(setup))
     if setup.color == "nearest":
         record["color"] = resize_nearest(frame.color, setup.size)
@@ -128,6 +135,14 @@ def record_of(frame: DepthFrame, setup: PackSetup) -> np.ndarray:
         materials[instance.mask_id] = instance.material
     record["materials"] = materials
     record["K"] = frame.camera.resized(*setup.size).K
+    if setup.nocs:
+        if frame.nocs is None:
+            raise ToolkitError("the frame has no NOCS map", path=frame.key, hint="pack it without")
+        record["nocs"] = np.rint(255 * resize_nearest(frame.nocs, setup.size))
+        classes = np.full(256, BACKGROUND, np.uint8)
+        for instance in frame.instances:
+            classes[instance.mask_id] = instance.class_id
+        record["classes"] = classes
     return record
 
 
@@ -158,7 +173,7 @@ def _pack_shard(folder: Path, setup: PackSetup, root: Path, number: int) -> int:
     records = []
     for i in range(number * setup.shard, min((number + 1) * setup.shard, setup.frames)):
         try:
-            record = record_of(source.load(i), setup)
+            record = record_of(source.load(i, nocs=setup.nocs), setup)
         except Exception as error:  # a damaged file can raise anything in the libraries below
             index.failed[str(keys[i])] = error_of(error).error or type(error).__name__
             continue

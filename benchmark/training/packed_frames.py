@@ -25,6 +25,7 @@ from std_toolkit.io.documents import read_document
 from std_toolkit.log import logger
 
 _TENSORS = ("color", "raw", "true", "mask", "materials", "K")
+_OF_POSES = ("nocs", "classes")
 
 
 class PackedFrame(NamedTuple):
@@ -50,7 +51,8 @@ class PackedFrames(Dataset[dict[str, Tensor]]):
 
     A batch holds color (b, h, w, 3) uint8 RGB, raw and true (b, h, w) float32 metres, mask
     (b, h, w) uint8, materials (b, 256) uint8, K (b, 3, 3) float32, as in `record_type`, and index
-    (b,) int64. In a `DataLoader` give it a sampler of lists and `batch_size=None`.
+    (b,) int64; where every pack has NOCS, also nocs (b, h, w, 3) and classes (b, 256) uint8. In a
+    `DataLoader` give it a sampler of lists and `batch_size=None`.
 
     Args:
         folders: packs, of one size.
@@ -79,6 +81,11 @@ class PackedFrames(Dataset[dict[str, Tensor]]):
         """(width, height) of all maps."""
         return self.setups[0].size
 
+    @property
+    def has_nocs(self) -> bool:
+        """Whether every pack holds NOCS and classes."""
+        return all(setup.nocs for setup in self.setups)
+
     def __len__(self) -> int:
         return len(self.frames)
 
@@ -86,7 +93,7 @@ class PackedFrames(Dataset[dict[str, Tensor]]):
         records = [self.record(i) for i in frames]
         batch = {
             name: torch.from_numpy(np.stack([record[name] for record in records]))
-            for name in _TENSORS
+            for name in (*_TENSORS, *(_OF_POSES if self.has_nocs else ()))
         }
         batch |= {name: batch[name].float() for name in ("raw", "true")}
         return {**batch, "index": torch.tensor(frames)}
@@ -117,6 +124,8 @@ class PackedFrames(Dataset[dict[str, Tensor]]):
         w, h = self.size
         K = record["K"].astype(float)
         known = np.flatnonzero(record["materials"] != BACKGROUND)
+        posed = self.setups[place.pack].nocs
+        classes = record["classes"] if posed else np.zeros(256, np.uint8)
         return DepthFrame(
             scene=place.scene,
             name=place.name,
@@ -126,8 +135,10 @@ class PackedFrames(Dataset[dict[str, Tensor]]):
             mask=np.array(record["mask"]),
             camera=Camera(w, h, K[0, 0], K[1, 1], K[0, 2], K[1, 2]),
             instances=tuple(
-                Instance(int(i), 0, Material(int(record["materials"][i]))) for i in known
+                Instance(int(i), int(classes[i]), Material(int(record["materials"][i])))
+                for i in known
             ),
+            nocs=record["nocs"] / np.float32(255) if posed else None,
         )
 
     def __getstate__(self) -> dict[str, Any]:

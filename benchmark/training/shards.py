@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -31,6 +31,7 @@ class PackSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         depth: type of numbers of depth.
         color: how colour was resized.
         shard: frames per shard.
+        nocs: whether records hold NOCS and classes; packs of before had neither.
     """
 
     split: str
@@ -41,6 +42,7 @@ class PackSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     depth: DepthKind
     color: ColorWay
     shard: int
+    nocs: bool = False
     format: int = 1
 
     @property
@@ -68,18 +70,22 @@ def record_type(setup: PackSetup) -> np.dtype[np.void]:
     color (h, w, 3) uint8 RGB; raw, true (h, w) metres, 0 = none; mask (h, w) uint8 instance ids,
     255 elsewhere; materials (256,) uint8 `Material` by instance id, 255 for ids that there are
     not; K (3, 3) float32 intrinsics at this size.
+
+    With NOCS also: nocs (h, w, 3) uint8, round(255 x), x y z not flipped, 0 in the background;
+    classes (256,) uint8 class by instance id, 255 for ids that there are not.
     """
     w, h = setup.size
-    return np.dtype(
-        [
-            ("color", "u1", (h, w, 3)),
-            ("raw", setup.depth, (h, w)),
-            ("true", setup.depth, (h, w)),
-            ("mask", "u1", (h, w)),
-            ("materials", "u1", (256,)),
-            ("K", "f4", (3, 3)),
-        ]
-    )
+    fields: list[tuple[Any, ...]] = [
+        ("color", "u1", (h, w, 3)),
+        ("raw", setup.depth, (h, w)),
+        ("true", setup.depth, (h, w)),
+        ("mask", "u1", (h, w)),
+        ("materials", "u1", (256,)),
+        ("K", "f4", (3, 3)),
+    ]
+    if setup.nocs:
+        fields += [("nocs", "u1", (h, w, 3)), ("classes", "u1", (256,))]
+    return np.dtype(fields)
 
 
 def shard_path(folder: Path, number: int) -> Path:
