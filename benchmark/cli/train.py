@@ -14,7 +14,7 @@ from std_toolkit.cli.outcome import exit_status
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import log_to_stderr, logger
 
-PACK = "pack"
+PACK, EXPORT = "pack", "export"
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -23,7 +23,8 @@ def build_parser() -> argparse.ArgumentParser:
         prog="std-train",
         description="Train a network that restores depth, on frames that `std-train pack` made "
         "ready. Interrupted or killed, the same command goes on from the last checkpoint and ends "
-        "with the same weights. `std-train pack --help` tells how to pack.",
+        "with the same weights. `std-train pack --help` tells how to pack, "
+        "`std-train export --help` how to give trained weights away.",
     )
     add = parser.add_argument
     add("--version", action="version", version=f"std-toolkit {__version__}")
@@ -87,13 +88,27 @@ def build_pack_parser() -> argparse.ArgumentParser:
     return parser
 
 
+def build_export_parser() -> argparse.ArgumentParser:
+    """The parser of giving weights away; imports no heavy library."""
+    parser = argparse.ArgumentParser(
+        prog="std-train export",
+        description="Write the best weights of a training in half precision, with their SHA-256 "
+        "and a model card: data, steps, machine, time, scores.",
+    )
+    add = parser.add_argument
+    add("run", type=Path, metavar="RUN", help="folder of the training")
+    add("--debug", action="store_true", help="show the traceback of an error")
+    add("--out", required=True, type=Path, metavar="DIR", help="where the files go")
+    add("--results", nargs="+", type=Path, metavar="DIR", help="of std-bench, for the card")
+    return parser
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    packs = given[:1] == [PACK]
-    args = build_pack_parser().parse_args(given[1:]) if packs else build_parser().parse_args(given)
+    builder, work = _COMMANDS.get(given[0] if given else "", (build_parser, _train))
+    args = builder().parse_args(given[1:] if work is not _train else given)
     log_to_stderr(logging.INFO)
-    work = _pack if packs else _train
     return exit_status(lambda: work(args), program="std-train", debug=args.debug)
 
 
@@ -112,6 +127,18 @@ def _pack(args: argparse.Namespace) -> int:
     for key, error in packed.failed.items():
         print(f"error: {key}: {error}", file=sys.stderr)
     return 1 if packed.failed else 0
+
+
+def _export(args: argparse.Namespace) -> int:
+    _needs_torch()
+    from benchmark.report.board import make_board
+    from benchmark.report.text import markdown
+    from benchmark.running.results import read_results
+    from benchmark.training.export import export_weights
+
+    scores = markdown(make_board(read_results(args.results))) if args.results else ""
+    print(export_weights(args.run, args.out, scores=scores))
+    return 0
 
 
 def _train(args: argparse.Namespace) -> int:
@@ -192,6 +219,8 @@ def _pairs(texts: Sequence[str], option: str) -> dict[str, str]:
         pairs[name] = value
     return pairs
 
+
+_COMMANDS = {PACK: (build_pack_parser, _pack), EXPORT: (build_export_parser, _export)}
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -97,12 +97,13 @@ def manifest_of(setup: Setup, *, label: str, root: Path, weights: Path | None) -
         setup=setup,
         root=str(root),
         weights=str(weights or ""),
-        packages=_versions(),
+        packages=package_versions(),
         hardware=hardware(),
     )
 
 
-def _versions() -> dict[str, str]:
+def package_versions() -> dict[str, str]:
+    """Versions of the libraries that compute, as far as they are installed."""
     found = {"python": platform.python_version()}
     for name in _PACKAGES:
         try:

@@ -27,8 +27,10 @@ from benchmark.training.judging import Judge
 from benchmark.training.module import RestorerTraining, seed_of
 from benchmark.training.order import BatchOrder, Steps
 from benchmark.training.packed_frames import PackedFrames
+from benchmark.training.run_note import RUN_NOTE, note_of
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import sweep_temporaries
+from std_toolkit.io.documents import write_document
 from std_toolkit.log import logger
 from std_toolkit.scene.lock import hold_lock
 
@@ -147,6 +149,9 @@ def fit(
             stack.enter_context(hold_lock(folder, "lock", doing="training in"))
             begin(folder, config)
             sweep_temporaries(folder)
+            if not (folder / RUN_NOTE).exists():
+                note = note_of(data.training, data.of_training, data.validation, data.of_validation)
+                write_document(folder / RUN_NOTE, note)
         _quiet()
         module = RestorerTraining(
             config,

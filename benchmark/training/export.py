@@ -1,0 +1,166 @@
+"""Trained weights made ready to be given away: half precision, a digest, a model card."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors.torch import save_file
+
+from benchmark.methods.weights import read_weights, sha256_of
+from benchmark.training.callbacks import BEST
+from benchmark.training.config import CONFIG
+from benchmark.training.run_note import RUN_NOTE, PartNote, RunNote
+from std_toolkit import __version__
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import atomic_path, write_bytes_atomic
+from std_toolkit.io.documents import read_document
+
+_SHOWN_OPTIONS = ("sensor", "views", "width", "height", "quality", "matcher", "materials", "depth")
+_MIB = 2**20
+
+
+def export_weights(run: Path, out: Path, *, scores: str = "") -> Path:
+    """Write `<method>-<preset>.safetensors` in half precision, `.sha256` and `.md` beside it.
+
+    Numbers too large or too small for half precision would become infinite or nothing: such
+    tensors stay as they are.
+
+    Args:
+        run: folder of a training.
+        out: where the files go; those of the same method and preset are replaced.
+        scores: Markdown for the card's section of scores; see `std-report --format markdown`.
+
+    Returns:
+        The file of weights.
+
+    Raises:
+        ToolkitError: no training, one that has not come to its first validation, or weights that
+            are not finite.
+    """
+    config = read_document(run / CONFIG, dict)
+    if not (run / BEST).is_file():
+        raise ToolkitError(
+            "the training has no weights yet: they are written after a validation",
+            path=run,
+            hint="run the same std-train command again to go on",
+        )
+    note = read_document(run / RUN_NOTE, RunNote)
+    best = read_document(run / "best.json", dict)
+    state = {
+        name: half(tensor, name, run / BEST) for name, tensor in read_weights(run / BEST).items()
+    }
+    path = out / f"{config['method']}-{config['preset']}.safetensors"
+    out.mkdir(parents=True, exist_ok=True)
+    with atomic_path(path) as temporary:
+        save_file(state, temporary)
+    digest = sha256_of(path)
+    write_bytes_atomic(path.with_name(path.name + ".sha256"), f"{digest}  {path.name}\n".encode())
+    size = path.stat().st_size / _MIB
+    parameters = sum(t.numel() for t in state.values())
+    lines = [
+        f"# {config['method']}, preset {config['preset']}",
+        "",
+        f"Weights that `std-bench --method {config['method']} --preset {config['preset']}` uses. "
+        f"{parameters / 1e6:.2f} million numbers in half precision, {size:.1f} MiB, "
+        f"SHA-256 `{digest}`. Made by std-toolkit {__version__}; licence: Apache-2.0, as the "
+        "toolkit's.",
+        "",
+        *_table("Trained on", _data(note.training)),
+        *_table("Judged by (which weights are the best)", _data(note.validation)),
+        *_table("How", _how(config, best, run, note)),
+    ]
+    named = {k: v for k, v in best["scores"].items() if k.startswith("specular_transparent")}
+    lines += _table(
+        "Scores of validation, specular and transparent pixels, at the size of training",
+        [(name.removeprefix("specular_transparent_"), f"{v:.4f}") for name, v in named.items()],
+    )
+    if scores:
+        lines += ["## Scores on test sets", "", scores.rstrip(), ""]
+    write_bytes_atomic(path.with_suffix(".md"), "\n".join(lines).encode())
+    return path
+
+
+def half(tensor: torch.Tensor, name: str, path: Path) -> torch.Tensor:
+    """A tensor in half precision, or as it is where that would lose its size.
+
+    Raises:
+        ToolkitError: a number is not finite.
+    """
+    if not tensor.is_floating_point():
+        return tensor.contiguous()
+    if not torch.isfinite(tensor).all():
+        raise ToolkitError("weights that are not finite", path=path, field=name)
+    small = tensor.half()
+    lost = torch.isinf(small).any() or ((small == 0) & (tensor != 0)).float().mean() > 0.01
+    return tensor.contiguous() if lost else small.contiguous()
+
+
+def _data(parts: Sequence[PartNote]) -> list[tuple[str, str]]:
+    rows = []
+    for part in parts:
+        rows.append(
+            (
+                part.split,
+                f"{part.frames} frames of {len(part.scenes)} scenes "
+                f"({part.scenes[0]} to {part.scenes[-1]}), packed at "
+                f"{part.size[0]}x{part.size[1]}, colour {part.color}",
+            )
+        )
+        if part.simulation:
+            told = ", ".join(
+                f"{k} {part.simulation[k]}" for k in _SHOWN_OPTIONS if k in part.simulation
+            )
+            rows.append(("simulated by std-sim", f"{told}; scenes are named after their seeds"))
+    return rows
+
+
+def _how(
+    config: dict[str, Any], best: dict[str, Any], run: Path, note: RunNote
+) -> list[tuple[str, str]]:
+    batch = config["optimization"]["batch_size"]
+    rate = config["optimization"]["learning_rate"]
+    frames = sum(part.frames for part in note.training)
+    rows = [
+        (
+            "steps",
+            f"{config['steps']} of {batch} frames, {config['steps'] * batch / frames:.1f} times "
+            f"through the data; best at {best['step']}",
+        ),
+        ("optimizer", f"{config['optimization']['optimizer']}, {rate:g}, {config['precision']}"),
+        ("seed", str(config["seed"])),
+        ("machine", ", ".join(f"{k}: {v}" for k, v in note.hardware.items())),
+        ("torch", note.packages.get("torch", "")),
+    ]
+    if config["settings"]:
+        rows.append(("settings", ", ".join(f"{k}={v}" for k, v in config["settings"].items())))
+    if config["loss"]:
+        rows.append(("loss", ", ".join(f"{k}={v}" for k, v in config["loss"].items())))
+    hours, speed = _hours(run, batch)
+    if not math.isnan(hours):
+        rows.append(("time", f"{hours:.2f} h at {speed:.1f} samples/s"))
+    return rows
+
+
+def _hours(run: Path, batch: int) -> tuple[float, float]:
+    """Hours that the steps took, and samples per second; NaN if the log tells nothing."""
+    path = run / "steps.csv"
+    if not path.is_file():
+        return math.nan, math.nan
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = [(int(r["step"]), float(r["samples_per_s"])) for r in csv.DictReader(file)]
+    before, seconds = 0, 0.0
+    for step, speed in rows:
+        seconds += (step - before) * batch / max(speed, 1e-9)
+        before = step
+    if not seconds:
+        return math.nan, math.nan
+    return seconds / 3600, before * batch / seconds
+
+
+def _table(title: str, rows: Sequence[tuple[str, str]]) -> list[str]:
+    return [f"## {title}", "", "| | |", "|---|---|", *(f"| {a} | {b} |" for a, b in rows), ""]

@@ -1,0 +1,96 @@
+"""What a training saw and ran on, in a file beside it: packs may be gone when somebody asks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from benchmark.running.manifest import hardware, package_versions
+from benchmark.training.packed_frames import PackedFrames
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import read_document
+
+RUN_NOTE = "run.json"
+_SET = "simulation.json"  # what std-sim leaves beside a set
+
+
+class PartNote(msgspec.Struct, frozen=True, kw_only=True):
+    """Frames of one pack.
+
+    Attributes:
+        split: name of the split.
+        frames: how many of its frames are meant.
+        scenes: their names; those of a simulated set are its seeds.
+        size: (width, height) at which they were packed.
+        color: how colour was resized.
+        simulation: options of the simulated set, empty for other data.
+    """
+
+    split: str
+    frames: int
+    scenes: list[str]
+    size: tuple[int, int]
+    color: str
+    simulation: dict[str, str | int | float | bool | None]
+
+
+class RunNote(msgspec.Struct, frozen=True, kw_only=True):
+    """Circumstances of a training; nothing of it decides what the training ends with.
+
+    Attributes:
+        training, validation: frames to train on and to judge by.
+        hardware, packages: of the machine where it began.
+    """
+
+    training: list[PartNote]
+    validation: list[PartNote]
+    hardware: dict[str, str]
+    packages: dict[str, str]
+
+
+def note_of(
+    training: PackedFrames,
+    of_training: Sequence[int],
+    validation: PackedFrames,
+    of_validation: Sequence[int],
+) -> RunNote:
+    """A note with this machine's circumstances."""
+    return RunNote(
+        training=_parts(training, of_training),
+        validation=_parts(validation, of_validation),
+        hardware=hardware(),
+        packages=package_versions(),
+    )
+
+
+def _parts(frames: PackedFrames, chosen: Sequence[int]) -> list[PartNote]:
+    """A note for each pack that chosen frames are of."""
+    notes = []
+    for number, setup in enumerate(frames.setups):
+        mine = [frames.frames[i].scene for i in chosen if frames.frames[i].pack == number]
+        if mine:
+            notes.append(
+                PartNote(
+                    split=setup.split,
+                    frames=len(mine),
+                    scenes=sorted(set(mine)),
+                    size=setup.size,
+                    color=setup.color,
+                    simulation=_simulation(Path(setup.root)),
+                )
+            )
+    return notes
+
+
+def _simulation(root: Path) -> dict[str, str | int | float | bool | None]:
+    for folder in (root, *root.parents[:1]):
+        if (folder / _SET).is_file():
+            try:
+                told = read_document(folder / _SET, dict)
+            except ToolkitError:  # the note is a courtesy; the frames themselves were read
+                return {}
+            options = told.get("options")
+            return options if isinstance(options, dict) else {}
+    return {}

@@ -1,0 +1,78 @@
+"""Weights given away: half precision, digest and card tell the truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from benchmark.methods.weights import sha256_of
+from benchmark.training.export import export_weights, half
+from std_toolkit.errors import ToolkitError
+from tests.benchmark.training.training_set import packed, trained, wishes, write_scenes
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("export")
+    pack = packed(folder / "pack", write_scenes(folder / "data"))
+    trained(wishes("dfnet", pack), folder / "run")
+    return folder / "run"
+
+
+def test_numbers_are_those_of_the_best_weights_rounded(run: Path, tmp_path: Path) -> None:
+    path = export_weights(run, tmp_path / "out")
+    best, given = load_file(run / "best.safetensors"), load_file(path)
+    assert path.name == "dfnet-compact.safetensors"
+    assert best.keys() == given.keys()
+    for name, tensor in best.items():
+        if tensor.is_floating_point():
+            torch.testing.assert_close(given[name].float(), tensor, rtol=1e-3, atol=1e-5)
+        else:
+            assert torch.equal(given[name], tensor)
+    assert {t.dtype for t in given.values() if t.is_floating_point()} == {torch.float16}
+
+
+def test_the_digest_is_that_of_the_file(run: Path, tmp_path: Path) -> None:
+    path = export_weights(run, tmp_path)
+    assert path.with_name(path.name + ".sha256").read_text().split() == [
+        sha256_of(path),
+        path.name,
+    ]
+
+
+def test_the_card_tells_data_steps_machine_and_scores(run: Path, tmp_path: Path) -> None:
+    card = export_weights(run, tmp_path, scores="| a | b |").with_suffix(".md").read_text()
+    for told in (
+        "dreds-catknown-train",
+        "9 frames of 3 scenes",
+        "32x32",
+        "6 of 4 frames",
+        "processor: ",
+        "| rmse | ",
+        "| a | b |",
+    ):
+        assert told in card, told
+
+
+def test_what_half_precision_cannot_hold_stays(tmp_path: Path) -> None:
+    large = torch.tensor([1e6, 1.0])
+    tiny = torch.tensor([1e-9, 1.0])
+    whole = torch.tensor([3, 4])
+    assert half(large, "a", tmp_path).dtype == torch.float32
+    assert half(tiny, "a", tmp_path).dtype == torch.float32
+    assert half(whole, "a", tmp_path).dtype == torch.int64
+    with pytest.raises(ToolkitError, match="not finite"):
+        half(torch.tensor([float("nan")]), "a", tmp_path)
+
+
+def test_a_training_without_weights_is_refused(run: Path, tmp_path: Path) -> None:
+    (tmp_path / "config.json").write_bytes((run / "config.json").read_bytes())
+    with pytest.raises(ToolkitError, match="no weights yet"):
+        export_weights(tmp_path, tmp_path / "out")
+    save_file({"a": torch.zeros(1)}, tmp_path / "best.safetensors")
+    with pytest.raises(ToolkitError, match="cannot read the document"):
+        export_weights(tmp_path, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
