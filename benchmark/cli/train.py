@@ -84,6 +84,12 @@ def build_pack_parser() -> argparse.ArgumentParser:
     add("--color", choices=("cubic", "area", "nearest"), default="cubic", help="how it is resized")
     add("--shard", type=int, default=64, metavar="N", help="frames per file (64)")
     add("--nocs", action="store_true", help="also NOCS and classes, for pose networks")
+    add(
+        "--raw",
+        choices=("sensor", "cut"),
+        default="sensor",
+        help="cut: exact depth without specular and transparent objects, for the sensor's",
+    )
     add_job_arguments(parser)
     return parser
 
@@ -121,6 +127,7 @@ def _pack(args: argparse.Namespace) -> int:
         color=args.color,
         shard=args.shard,
         nocs=args.nocs,
+        raw=args.raw,
     )
     packed = pack_split(args.folder, args.split, args.data, options, job_options(args))
     print(f"{args.folder}: {packed.frames} frames")

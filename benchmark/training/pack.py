@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmark.data.frame import BACKGROUND, DepthFrame
+from benchmark.data.frame import BACKGROUND, DepthFrame, Material
 from benchmark.data.splits import open_split
 from benchmark.metrics.resize import resize_nearest
 from benchmark.training.shards import (
@@ -18,6 +18,7 @@ from benchmark.training.shards import (
     ColorWay,
     DepthKind,
     PackSetup,
+    RawKind,
     ShardIndex,
     index_path,
     record_type,
@@ -45,6 +46,9 @@ class PackOptions:
             pixel.
         shard: frames per shard: what is lost at most when packing is killed.
         nocs: also NOCS and classes, for pose networks.
+        raw: the sensor's depth, or `cut`: exact depth from which specular and transparent objects
+            are cut out, as `std-sim --depth cut` makes it: training input without any simulation
+            of a sensor.
     """
 
     size: tuple[int, int] = (224, 224)
@@ -52,6 +56,7 @@ class PackOptions:
     color: ColorWay = "cubic"
     shard: int = 64
     nocs: bool = False
+    raw: RawKind = "sensor"
 
     def __post_init__(self) -> None:
         if min(self.size) < 1:
@@ -98,6 +103,7 @@ def pack_split(
         color=options.color,
         shard=options.shard,
         nocs=options.nocs,
+        raw=options.raw,
     )
     folder.mkdir(parents=True, exist_ok=True)
     with hold_lock(folder, "lock", doing="packing into"):
@@ -127,13 +133,17 @@ def record_of(frame: DepthFrame, setup: PackSetup) -> np.ndarray:
         record["color"] = resize_nearest(frame.color, setup.size)
     else:
         record["color"] = cv2.resize(frame.color, setup.size, interpolation=_WAYS[setup.color])
-    record["raw"] = resize_nearest(frame.depth_raw, setup.size)
     record["true"] = resize_nearest(frame.depth_true, setup.size)
     record["mask"] = resize_nearest(frame.mask, setup.size)
     materials = np.full(256, BACKGROUND, np.uint8)
     for instance in frame.instances:
         materials[instance.mask_id] = instance.material
     record["materials"] = materials
+    if setup.raw == "cut":
+        unmeasured = np.isin(materials, (Material.SPECULAR, Material.TRANSPARENT))
+        record["raw"] = np.where(unmeasured[record["mask"]], 0, record["true"])
+    else:
+        record["raw"] = resize_nearest(frame.depth_raw, setup.size)
     record["K"] = frame.camera.resized(*setup.size).K
     if setup.nocs:
         if frame.nocs is None:

@@ -19,6 +19,7 @@ from std_toolkit.io.documents import read_document
 PACK = "pack.json"
 DepthKind = Literal["float32", "float16"]
 ColorWay = Literal["cubic", "area", "nearest"]
+RawKind = Literal["sensor", "cut"]
 
 
 class PackSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -32,6 +33,7 @@ class PackSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         color: how colour was resized.
         shard: frames per shard.
         nocs: whether records hold NOCS and classes; packs of before had neither.
+        raw: what raw depth is, see `PackOptions`; packs of before have the sensor's.
     """
 
     split: str
@@ -43,6 +45,7 @@ class PackSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     color: ColorWay
     shard: int
     nocs: bool = False
+    raw: RawKind = "sensor"
     format: int = 1
 
     @property

@@ -55,6 +55,21 @@ def test_colour_is_resized_as_asked(way, data, tmp_path):
     assert np.array_equal(frames[[3]]["color"][0].numpy(), expected)
 
 
+def test_cut_depth_is_exact_where_a_sensor_measures(data, tmp_path):
+    cut = PackedFrames([packed(tmp_path / "cut", data, raw="cut")])
+    sensed = PackedFrames([packed(tmp_path / "sensed", data)])
+    assert [setup.raw for setup in cut.setups + sensed.setups] == ["cut", "sensor"]
+    batch, other = cut[list(range(12))], sensed[list(range(12))]
+    for name in ("color", "true", "mask", "materials", "K"):
+        assert torch.equal(batch[name], other[name])
+    for i in range(12):
+        material = batch["materials"][i][batch["mask"][i].long()]
+        hard = (material == 2) | (material == 3)
+        assert 0 < hard.sum() < hard.numel()
+        assert (batch["raw"][i][hard] == 0).all()
+        assert torch.equal(batch["raw"][i][~hard], batch["true"][i][~hard])
+
+
 def test_half_floats_round_by_a_quarter_of_a_millimetre_at_most(data, tmp_path):
     whole = PackedFrames([packed(tmp_path / "whole", data)])
     half = PackedFrames([packed(tmp_path / "half", data, depth="float16")])
