@@ -117,6 +117,16 @@ GRASPNET = Gripper(
     base=-0.02,
 )
 
+# The hand that GraspNet's published planner looks for in the measured cloud: fingers of 6 cm
+# whatever the depth, and 5 cm of way behind the hand.
+GRASPNET_SWEPT = Gripper(
+    name="graspnet-swept",
+    max_width=0.1,
+    finger_height=0.02,
+    finger_sections=((0.06, 0.01, 0.02),),
+    palm=(0.06, 0.0, 0.02),
+)
+
 # The hand of the Franka Emika Panda, after the collision boxes of its maker's description: a
 # fingertip of 18.5 x 15.2 x 17.5 mm before a thicker shank; tips 46 mm before the housing, which
 # is 63 mm x 204 mm and 66 mm long.
@@ -128,7 +138,7 @@ PANDA = Gripper(
     palm=(0.066, 0.204, 0.063),
 )
 
-GRIPPERS = {gripper.name: gripper for gripper in (PANDA, GRASPNET)}
+GRIPPERS = {gripper.name: gripper for gripper in (PANDA, GRASPNET, GRASPNET_SWEPT)}
 
 
 def get_gripper(name: str) -> Gripper:
