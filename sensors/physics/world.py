@@ -75,43 +75,7 @@ class World:
         self._radius = np.array([o.diagonal_m / 2 for o in self.objects])
 
     def _compiled(self, half_width_m: float | None) -> mujoco.MjModel:
-        mujoco = self._mujoco
-        spec = mujoco.MjSpec()
-        spec.option.timestep = TIMESTEP_S
-        spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-        # Soft contacts let what leans on others creep for ever; these two stop that.
-        spec.option.impratio = 10.0
-        spec.option.noslip_iterations = 3
-        spec.memory = 2**28
-        contact = {"condim": 6, "friction": _FRICTION, "solref": _SOLREF}
-        plane = mujoco.mjtGeom.mjGEOM_PLANE
-        spec.worldbody.add_geom(name="floor", type=plane, size=[0, 0, 1], **contact)
-        if half_width_m is not None:
-            for k, (x, y) in enumerate(((1, 0), (-1, 0), (0, 1), (0, -1))):
-                spec.worldbody.add_geom(
-                    name=f"{_WALL}{k}",
-                    type=plane,
-                    size=[0, 0, 1],
-                    pos=[-half_width_m * x, -half_width_m * y, 0],
-                    # A plane's normal is its z axis.
-                    quat=[np.sqrt(0.5), -y * np.sqrt(0.5), x * np.sqrt(0.5), 0],
-                    **contact,
-                )
-        for i, thing in enumerate(self.objects):
-            body = spec.worldbody.add_body(name=f"object{i}")
-            body.add_freejoint()
-            volumes = np.array([_volume(p) for p in thing.parts])
-            for k, part in enumerate(thing.parts):
-                mesh = spec.add_mesh(
-                    name=f"{i}-{k}", uservert=(part * thing.diagonal_m).ravel().tolist()
-                )
-                mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-                body.add_geom(
-                    type=mujoco.mjtGeom.mjGEOM_MESH,
-                    meshname=f"{i}-{k}",
-                    mass=float(_MASS_KG * volumes[k] / volumes.sum()),
-                    **contact,
-                )
+        spec = objects_on_floor(self.objects, half_width_m=half_width_m)
         try:
             return spec.compile()
         except ValueError as error:
@@ -168,6 +132,63 @@ class World:
     def _walls(self) -> set[int]:
         names = (self.model.geom(k).name for k in range(self.model.ngeom))
         return {k for k, name in enumerate(names) if name.startswith(_WALL)}
+
+
+def objects_on_floor(
+    objects: Sequence[PhysicalObject],
+    *,
+    half_width_m: float | None = None,
+    masses_kg: Sequence[float] | None = None,
+) -> mujoco.MjSpec:
+    """A floor at z = 0 and free bodies `object0`, `object1`, ..., to which more can be added.
+
+    Args:
+        objects: with their parts, which are their geometries in the order given.
+        half_width_m: walls stand so far from the origin along x and y; None for none.
+        masses_kg: of the objects; None makes all equal.
+
+    Raises:
+        ToolkitError: MuJoCo is not installed.
+    """
+    mujoco = _mujoco()
+    masses = [_MASS_KG] * len(objects) if masses_kg is None else masses_kg
+    spec = mujoco.MjSpec()
+    spec.option.timestep = TIMESTEP_S
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    # Soft contacts let what leans on others creep for ever; these two stop that.
+    spec.option.impratio = 10.0
+    spec.option.noslip_iterations = 3
+    spec.memory = 2**28
+    contact = {"condim": 6, "friction": _FRICTION, "solref": _SOLREF}
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    spec.worldbody.add_geom(name="floor", type=plane, size=[0, 0, 1], **contact)
+    if half_width_m is not None:
+        for k, (x, y) in enumerate(((1, 0), (-1, 0), (0, 1), (0, -1))):
+            spec.worldbody.add_geom(
+                name=f"{_WALL}{k}",
+                type=plane,
+                size=[0, 0, 1],
+                pos=[-half_width_m * x, -half_width_m * y, 0],
+                # A plane's normal is its z axis.
+                quat=[np.sqrt(0.5), -y * np.sqrt(0.5), x * np.sqrt(0.5), 0],
+                **contact,
+            )
+    for i, (thing, mass) in enumerate(zip(objects, masses, strict=True)):
+        body = spec.worldbody.add_body(name=f"object{i}")
+        body.add_freejoint()
+        volumes = np.array([_volume(p) for p in thing.parts])
+        for k, part in enumerate(thing.parts):
+            mesh = spec.add_mesh(
+                name=f"{i}-{k}", uservert=(part * thing.diagonal_m).ravel().tolist()
+            )
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+            body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_MESH,
+                meshname=f"{i}-{k}",
+                mass=float(mass * volumes[k] / volumes.sum()),
+                **contact,
+            )
+    return spec
 
 
 def motion(before: Sequence[SE3], after: Sequence[SE3], radius: Sequence[float]) -> float:
