@@ -12,7 +12,7 @@ from std_toolkit import __version__
 from std_toolkit.cli.outcome import exit_status
 from std_toolkit.log import log_to_stderr
 
-PAGE, CSV, MARKDOWN, LATEX = "report.html", "leaderboard.csv", "leaderboard.md", "leaderboard.tex"
+PAGE = "report.html"
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -20,7 +20,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="std-report",
         description="Tables and a page of one or several folders of results: in the terminal, and "
-        f"as {PAGE}, {CSV}, {MARKDOWN} and {LATEX}.",
+        f"as {PAGE} with CSV, Markdown and LaTeX beside it.",
     )
     add = parser.add_argument
     add("--version", action="version", version=f"std-toolkit {__version__}")
@@ -39,23 +39,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(args: argparse.Namespace) -> int:
-    from benchmark.report.board import make_board
     from benchmark.report.page import render_page
-    from benchmark.report.text import board_csv, latex, markdown, terminal
-    from benchmark.running.results import read_results
+    from benchmark.report.part import make_parts
     from std_toolkit.io.atomic import write_bytes_atomic
 
-    board = make_board(read_results(args.results), published=not args.no_published)
+    parts = make_parts(args.results, published=not args.no_published)
     out = args.out or args.results[0]
-    texts = {
-        CSV: board_csv(board),
-        MARKDOWN: markdown(board),
-        LATEX: latex(board),
-        PAGE: render_page(board),
-    }
-    for name, text in texts.items():
+    texts = {name: text for part in parts for name, text in part.files.items()}
+    for name, text in {**texts, PAGE: render_page(parts)}.items():
         write_bytes_atomic(out / name, text.encode())
-    print(terminal(board))
+    print("\n\n".join(part.terminal for part in parts))
     print(f"\n{out / PAGE}")
     return 0
 

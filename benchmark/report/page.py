@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
 
-from benchmark.report import sections
-from benchmark.report.board import Board
-from benchmark.report.plots import method_colors
-from benchmark.report.text import board_title
+from benchmark.report.part import PageSection, ReportPart
 from std_toolkit import __version__
-from std_toolkit.checks.markup import section
+from std_toolkit.checks.markup import section, words
 from std_toolkit.checks.style import CSS, PLOTS_SCRIPT
 
 _STYLE = """
@@ -30,6 +28,7 @@ abbr { text-decoration:none; color:var(--faint); cursor:help; }
 details { margin:8px 0; }
 summary { cursor:pointer; color:var(--link); font-size:15px; }
 b.over { color:var(--bad); }
+.verdict + .verdict { margin-top:8px; }
 """
 _SCRIPT = """
 (function () {
@@ -67,35 +66,32 @@ _SCRIPT = """
 """
 
 
-def render_page(board: Board) -> str:
-    """The leaderboard as HTML; the same results give the same bytes."""
+def render_page(parts: Sequence[ReportPart]) -> str:
+    """The parts as HTML; the same results give the same bytes."""
     from plotly.offline import get_plotlyjs
 
-    colors = method_colors(board)
-    parts: list[tuple[str, str, str]] = []
-    for i, (split, protocol) in enumerate(board.boards):
-        title = board_title(split, protocol)
-        parts.append((f"board-{i}", title, sections.leaderboard(board, split, protocol, colors)))
-    for i, (split, protocol) in enumerate(board.boards):
-        title = f"In detail: {split}, {protocol}"
-        parts.append((f"detail-{i}", title, sections.breakdown(board, split, protocol, colors)))
-    parts += [
-        ("speed", "Speed", sections.speed(board, colors)),
-        ("gallery", "Gallery", sections.gallery(board.results)),
-        ("runs", "What ran", sections.runs(board.results)),
-    ]
-    links = "".join(f'<a href="#{k}">{escape(t)}</a>' for k, t, body in parts if body)
+    shown = [s for s in (_answers(parts), *(s for p in parts for s in p.sections)) if s.html]
+    links = "".join(f'<a href="#{s.anchor}">{escape(s.title)}</a>' for s in shown)
+    titles = [part.title for part in parts]
+    title = ", ".join([titles[0], *(t[:1].lower() + t[1:] for t in titles[1:])])
+    lines = "".join(f'<div class="verdict"><span>{part.summary}</span></div>' for part in parts)
+    files = words(", ".join(f"`{name}`" for part in parts for name in part.files))
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width,initial-scale=1">'
-        '<title>Benchmark: depth restoration</title><link rel="icon" href="data:,">'
+        f'<title>Benchmark: {escape(title)}</title><link rel="icon" href="data:,">'
         f"<style>{CSS}{_STYLE}</style></head><body>"
         '<header><div class="inner"><div class="kind">Benchmark</div>'
-        "<h1>Depth restoration</h1>"
-        f'<div class="verdict"><span>{sections.summary_line(board)}</span></div></div></header>'
+        f"<h1>{escape(title)}</h1>{lines}</div></header>"
         f'<nav><div class="inner">{links}</div></nav>'
-        f"<main>{''.join(section(k, t, body) for k, t, body in parts)}"
-        f"<footer>std-toolkit {__version__}, std-report. The same figures: leaderboard.csv."
+        f"<main>{''.join(section(s.anchor, s.title, s.html) for s in shown)}"
+        f"<footer>std-toolkit {__version__}, std-report. The same figures: {files}."
         f"</footer></main><script>{get_plotlyjs()}</script><script>{PLOTS_SCRIPT}{_SCRIPT}</script>"
         "</body></html>\n"
     )
+
+
+def _answers(parts: Sequence[ReportPart]) -> PageSection:
+    """What every task says to the question that the page is for."""
+    html = "".join(f"<h3>{escape(p.title)}</h3>{p.answer}" for p in parts if p.answer)
+    return PageSection("does-it-help", "Does restoring depth help, and how sure is that?", html)

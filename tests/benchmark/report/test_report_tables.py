@@ -11,10 +11,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmark.cli.report import CSV, LATEX, MARKDOWN, PAGE, main
+from benchmark.cli.report import PAGE, main
 from benchmark.protocols.summary import summarise
 from benchmark.report.board import PUBLISHED, make_board
 from benchmark.report.columns import METRICS
+from benchmark.report.depth_part import CSV, LATEX, MARKDOWN
 from benchmark.report.text import escape_latex, latex, markdown, terminal
 from benchmark.running.campaign import run_all
 from benchmark.running.results import read_results
