@@ -32,12 +32,17 @@ def build_parser() -> argparse.ArgumentParser:
 
     what = parser.add_argument_group("what is trained")
     add = what.add_argument
-    add("--method", metavar="NAME", help="swindrnet, nlspn, dfnet, or package.module:TRAINABLE")
+    add(
+        "--method",
+        metavar="NAME",
+        help="swindrnet, nlspn, lidf, cleargrasp, dfnet, or package.module:TRAINABLE",
+    )
     add("--preset", default="compact", help="size of the network: published or compact")
     add("--set", nargs="+", default=[], metavar="NAME=VALUE", dest="settings", help="of networks")
     add("--data", nargs="+", type=Path, metavar="DIR", help="packed frames")
     add("--validation", nargs="+", type=Path, default=[], metavar="DIR", help="packed frames")
     add("--hold-out", type=float, default=0.1, metavar="SHARE", help="of scenes, else (0.1)")
+    add("--share", type=float, default=1.0, metavar="X", help="train on this share of the scenes")
     add("--out", type=Path, metavar="RUN", help="folder of the training")
     add("--weights", type=Path, metavar="FILE", help="begin with these weights")
     add("--imagenet", type=Path, metavar="FILE", help="begin with these of a classifier")
@@ -46,10 +51,15 @@ def build_parser() -> argparse.ArgumentParser:
     add = how.add_argument
     add("--steps", type=int, metavar="N")
     add("--epochs", type=int, metavar="N")
+    add("--phases", nargs="+", default=[], metavar="NAME=STEPS", help="of methods with several")
     add("--batch-size", type=int, metavar="N", help="of a step, over all devices")
     add("--learning-rate", type=float, metavar="X")
+    add("--weight-decay", type=float, metavar="X")
+    add("--optimizer", choices=("adam", "adamw", "sgd"))
     add("--loss", nargs="+", default=[], metavar="NAME=VALUE", help="form=released, ...")
-    add("--colors", choices=("published", "on", "off"), default="published", help="augmentation")
+    colors = ("published", "on", "jitter", "off")
+    add("--colors", choices=colors, default="published", help="augmentation of colour")
+    add("--geometry", choices=("published", "on", "off"), default="published", help="of geometry")
     add("--holes", type=float, default=0.0, metavar="SHARE", help="frames that lose depth (0)")
     add("--seed", type=int, default=0)
     add("--precision", choices=("fp32", "bf16"), default="fp32")
@@ -168,14 +178,19 @@ def _train(args: argparse.Namespace) -> int:
         data=args.data,
         validation=args.validation,
         hold_out=args.hold_out,
+        share=args.share,
         steps=args.steps,
         epochs=args.epochs,
+        phases=_steps(args.phases),
+        optimizer=args.optimizer,
         batch_size=args.batch_size,
         learning_rate=args.learning_rate,
+        weight_decay=args.weight_decay,
         accumulate=args.accumulate,
         precision=args.precision,
         seed=args.seed,
         colors=args.colors,
+        geometry=args.geometry,
         holes=args.holes,
         validate_every=args.validate_every,
         checkpoint_every=args.checkpoint_every,
@@ -205,6 +220,16 @@ def _train(args: argparse.Namespace) -> int:
     told = f" --set {settings}" if settings else ""
     print(f"{best}: std-bench --method {args.method} --preset {args.preset} --weights {best}{told}")
     return 0
+
+
+def _steps(texts: Sequence[str]) -> dict[str, int]:
+    found = {}
+    for name, text in _pairs(texts, "--phases").items():
+        try:
+            found[name] = int(text)
+        except ValueError:
+            raise ToolkitError("expected a whole number", field="--phases", value=text) from None
+    return found
 
 
 def _needs_torch() -> None:

@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Literal
 
 from benchmark.methods.settings import configured
-from benchmark.training.catalogue import get_trainable
+from benchmark.training.catalogue import Trainable, get_trainable
 from benchmark.training.config import TrainConfig
 from benchmark.training.fit import Beginning, Data
+from benchmark.training.optimization import Optimization
 from benchmark.training.order import BatchOrder
 from benchmark.training.packed_frames import PackedFrames
-from benchmark.training.scenes import check_no_leak, frames_digest, hold_out
+from benchmark.training.scenes import check_no_leak, frames_digest, hold_out, thinned
 from std_toolkit.errors import ToolkitError
 from std_toolkit.scene.provenance import digest_file
 
@@ -29,10 +30,14 @@ class TrainWishes:
     Attributes:
         data, validation: packs; without the latter, scenes of the former are held out.
         hold_out: share of the scenes.
+        share: of the scenes that are left, those that are trained on.
         steps, epochs: how long; `epochs` is left aside where there are `steps`.
-        batch_size, learning_rate: as in `Optimization`.
+        phases: steps of each phase, instead; those that are not named are left out.
+        optimizer, batch_size, learning_rate, weight_decay: as in `Optimization`.
         weights, imagenet: as in `Beginning`.
-        colors: `published` for what was published for the method, `on`, `off`.
+        colors: `published` for what was published for the method, `on` for SwinDRNet's,
+            `jitter` for NLSPN's, `off`.
+        geometry: whether frames are moved: `published` for what was published for the method.
         others: as in `TrainConfig`.
     """
 
@@ -43,14 +48,19 @@ class TrainWishes:
     data: Sequence[Path]
     validation: Sequence[Path] = ()
     hold_out: float = 0.1
+    share: float = 1.0
     steps: int | None = None
     epochs: int | None = None
+    phases: Mapping[str, int] = field(default_factory=dict)
+    optimizer: Literal["adam", "adamw", "sgd"] | None = None
     batch_size: int | None = None
     learning_rate: float | None = None
+    weight_decay: float | None = None
     accumulate: int = 1
     precision: Literal["fp32", "bf16"] = "fp32"
     seed: int = 0
-    colors: Literal["published", "on", "off"] = "published"
+    colors: Literal["published", "on", "jitter", "off"] = "published"
+    geometry: Literal["published", "on", "off"] = "published"
     holes: float = 0.0
     validate_every: int | None = None
     checkpoint_every: int | None = None
@@ -78,9 +88,18 @@ def plan_training(wishes: TrainWishes) -> tuple[TrainConfig, Data, Beginning]:
     for name, value in changes.items():
         if not value > 0:
             raise ToolkitError("must be positive", field=name, value=value)
+    if wishes.weight_decay is not None:
+        if not wishes.weight_decay >= 0:
+            raise ToolkitError(
+                "must not be negative", field="weight_decay", value=wishes.weight_decay
+            )
+        changes["weight_decay"] = wishes.weight_decay
+    if wishes.optimizer is not None:
+        changes["optimizer"] = wishes.optimizer
     optimization = replace(trainable.optimization, **changes)
     order = BatchOrder(len(data.of_training), optimization.batch_size, seed=wishes.seed)
-    steps = optimization.epochs * order.steps_per_epoch if wishes.steps is None else wishes.steps
+    phases = _phases(wishes, optimization, order.steps_per_epoch)
+    steps = sum(phases.values())
     every = wishes.checkpoint_every
     if every is None:
         every = max(1, min(_LONGEST_INTERVAL, steps // _CHECKPOINTS))
@@ -92,10 +111,13 @@ def plan_training(wishes: TrainWishes) -> tuple[TrainConfig, Data, Beginning]:
         loss=dict(wishes.loss),
         optimization=optimization,
         steps=steps,
+        phases={name: count for name, count in phases.items() if name},
         accumulate=wishes.accumulate,
         precision=wishes.precision,
         seed=wishes.seed,
         colors=trainable.colors if wishes.colors == "published" else wishes.colors == "on",
+        jitter=trainable.jitter if wishes.colors == "published" else wishes.colors == "jitter",
+        geometry=_geometry(wishes, trainable),
         holes=wishes.holes,
         validate_every=(about_an_epoch if wishes.validate_every is None else wishes.validate_every),
         checkpoint_every=every,
@@ -106,6 +128,33 @@ def plan_training(wishes: TrainWishes) -> tuple[TrainConfig, Data, Beginning]:
     return config, data, Beginning(wishes.weights, wishes.imagenet)
 
 
+def _phases(
+    wishes: TrainWishes, optimization: Optimization, steps_per_epoch: int
+) -> dict[str, int]:
+    """Steps of each phase; of a training without phases all of them, without a name."""
+    known = optimization.phase_epochs
+    if not wishes.phases:
+        steps = optimization.epochs * steps_per_epoch if wishes.steps is None else wishes.steps
+        return optimization.phases(steps) or {"": steps}
+    for name, steps in wishes.phases.items():
+        if name not in known:
+            told = f"it has {', '.join(known)}" if known else "its training has only one"
+            raise ToolkitError("the method has no such phase", field=name, hint=told)
+        if steps < 0:
+            raise ToolkitError("must not be negative", field=name, value=steps)
+    if wishes.steps is not None or wishes.epochs is not None:
+        raise ToolkitError("do not go with --steps or --epochs", field="--phases")
+    return {name: wishes.phases.get(name, 0) for name in known}
+
+
+def _geometry(wishes: TrainWishes, trainable: Trainable) -> bool:
+    if wishes.geometry == "on" and trainable.geometry is None:
+        raise ToolkitError(
+            "frames of this method cannot be moved", field="--geometry", value=wishes.method
+        )
+    return bool(trainable.geometry) if wishes.geometry == "published" else wishes.geometry == "on"
+
+
 def _data(wishes: TrainWishes, size: tuple[int, int]) -> Data:
     training = PackedFrames(wishes.data)
     if wishes.validation:
@@ -114,6 +163,7 @@ def _data(wishes: TrainWishes, size: tuple[int, int]) -> Data:
     else:
         validation = training
         of_training, of_validation = hold_out(training, wishes.hold_out, seed=wishes.seed)
+    of_training = thinned(training, of_training, wishes.share, seed=wishes.seed)
     for frames in (training, validation):
         if frames.size != size:
             raise ToolkitError(

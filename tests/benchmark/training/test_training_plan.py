@@ -17,7 +17,7 @@ from benchmark.training.config import TrainConfig, flat
 from benchmark.training.order import BatchOrder, Steps
 from benchmark.training.packed_frames import PackedFrames
 from benchmark.training.plan import plan_training
-from benchmark.training.scenes import check_no_leak, hold_out
+from benchmark.training.scenes import check_no_leak, hold_out, thinned
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import read_document, write_document
 
@@ -91,6 +91,26 @@ def test_held_out_are_whole_scenes(share, pack):
     assert validation
     assert not {frames.scene(i) for i in training} & {frames.scene(i) for i in validation}
     check_no_leak(frames, training, frames, validation)
+
+
+def test_a_share_of_the_scenes_trains_and_the_same_ones_judge(tmp_path):
+    pack = packed(tmp_path / "p", write_scenes(tmp_path / "data", scenes=12, frames=2))
+    whole = plan_training(wishes("dfnet", pack))[1]
+    half = plan_training(wishes("dfnet", pack, share=0.5))[1]
+    third = plan_training(wishes("dfnet", pack, share=0.34))[1]
+    assert half.of_validation == whole.of_validation
+
+    def scenes(data):
+        return {data.training.scene(i) for i in data.of_training}
+
+    assert scenes(third) < scenes(half) < scenes(whole)
+    assert 2 * len(scenes(half)) == len(scenes(whole)) == 8
+    assert len(half.of_training) == 8
+    frames = PackedFrames([pack])
+    assert len({frames.scene(i) for i in thinned(frames, [0, 1, 2, 3], 0.01, seed=0)}) == 1
+    for share in (0.0, 1.5):
+        with pytest.raises(ToolkitError, match="share: must lie above 0"):
+            plan_training(wishes("dfnet", pack, share=share))
 
 
 def test_other_seeds_hold_out_other_scenes(pack):
