@@ -56,6 +56,11 @@ class ColorAugmentation:
         return _on_some(color, _GAPS, _coarse_gaps)
 
 
+def jitter() -> Change:
+    """Brightness, contrast and saturation by up to 0.4, as published for NLSPN."""
+    return ka.ColorJitter(0.4, 0.4, 0.4, p=1.0)
+
+
 @torch.no_grad()
 def lose_objects(depth: Tensor, mask: Tensor, share: float) -> Tensor:
     """Sensor depth of which a share of the frames has lost some objects, or most of their pixels.

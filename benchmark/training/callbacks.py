@@ -11,7 +11,7 @@ import torch
 from torch.utils.tensorboard import SummaryWriter
 
 from benchmark.methods.weights import save_weights
-from benchmark.training.judging import Judge, main_score, scores_of
+from benchmark.training.judging import Judging
 from benchmark.training.module import RestorerTraining
 from benchmark.training.progress import Rows, Speed
 from std_toolkit.io.documents import write_document
@@ -33,7 +33,7 @@ class Watch(pl.Callback):
         log_every: steps.
     """
 
-    def __init__(self, folder: Path, judge: Judge, *, log_every: int) -> None:
+    def __init__(self, folder: Path, judge: Judging, *, log_every: int) -> None:
         self.folder, self.judge, self.log_every = folder, judge, log_every
         self.best, self.best_step = math.inf, -1
         self.speed = Speed()
@@ -77,11 +77,11 @@ class Watch(pl.Callback):
             return
         if step % self.log_every == 0 or step in (1, pl_module.config.steps):
             config = pl_module.config
-            share = config.optimization.rate(step - 1, config.steps)
-            rate = share * config.optimization.learning_rate
-            parts = {name: float(part) for name, part in pl_module.parts.items()}
-            row = {"step": step, "learning_rate": rate, **parts, **self.speed.told()}
-            self.steps.add(row)
+            row = {"step": step, "learning_rate": config.rate(step - 1)}
+            row |= {name: float(part) for name, part in pl_module.parts.items()}
+            row |= self.speed.told()
+            phase = {"phase": config.moment(step - 1).phase} if config.phases else {}
+            self.steps.add({**row, **phase})
             self._show("train", row)
 
     def on_train_epoch_end(
@@ -118,8 +118,8 @@ class Watch(pl.Callback):
             summed = torch.from_numpy(states).to(device)
             torch.distributed.all_reduce(summed)
             states = summed.cpu().numpy()
-        scores = scores_of(states)
-        name, score = main_score(scores)
+        scores = self.judge.scores(states)
+        name, score = self.judge.main_score(scores)
         better = score < self.best or self.best_step < 0
         if better:
             self.best, self.best_step = score, step
@@ -136,7 +136,7 @@ class Watch(pl.Callback):
                 self.folder / "best.json", {"step": step, "ranked_by": name, "scores": known}
             )
         logger.info(
-            "step %d: %s %.4f m%s; %.1f samples/s, %.0f %% of the time waiting for data",
+            "step %d: %s %.4f%s; %.1f samples/s, %.0f %% of the time waiting for data",
             step,
             name,
             score,

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from torch import nn
 
+from benchmark.methods.cleargrasp.config import PRESETS as CLEARGRASP
+from benchmark.methods.cleargrasp.network import ClearGraspNetwork
 from benchmark.methods.dfnet.config import PRESETS as DFNET
 from benchmark.methods.dfnet.network import DFNetwork
+from benchmark.methods.lidf.config import PRESETS as LIDF
+from benchmark.methods.lidf.network import LIDFNetwork
 from benchmark.methods.nlspn.config import PRESETS as NLSPN
 from benchmark.methods.nlspn.imagenet import load_imagenet as load_resnet
 from benchmark.methods.nlspn.network import NLSPNetwork
@@ -18,11 +23,16 @@ from benchmark.methods.settings import configured, preset_of
 from benchmark.methods.swindrnet.config import PRESETS as SWINDRNET
 from benchmark.methods.swindrnet.imagenet import load_imagenet as load_swin
 from benchmark.methods.swindrnet.network import SwinDRNetwork
+from benchmark.training.cleargrasp import ClearGraspJudge, cleargrasp_step
+from benchmark.training.judging import Judge, Judging
+from benchmark.training.lidf import lidf_depth, lidf_step
+from benchmark.training.losses.cleargrasp import ClearGraspLoss
 from benchmark.training.losses.dfnet import DFNetLoss
+from benchmark.training.losses.lidf import COARSE, HARD, REFINE, LIDFLoss
 from benchmark.training.losses.nlspn import NLSPNLoss
 from benchmark.training.losses.swindrnet import SwinDRNetLoss
-from benchmark.training.losses.terms import LossFunction
 from benchmark.training.optimization import Optimization
+from benchmark.training.step import StepFunction, depth_step
 from std_toolkit.errors import ToolkitError
 from std_toolkit.plugins import Registry
 
@@ -35,18 +45,27 @@ class Trainable:
         presets: configurations of its network by name.
         settings: what training sets otherwise than a preset does, by preset.
         network: makes the network of a configuration.
-        loss: the loss, a frozen dataclass.
+        loss: the loss, a frozen dataclass, whose fields are what `--loss` sets.
+        step: sends a batch through the network to that loss.
+        judge: `judge(frames, chosen, batch, loss)`: validation.
         optimization: as published.
         colors: whether colour is augmented as published for SwinDRNet.
+        jitter: whether it is as published for NLSPN.
+        geometry: whether frames are turned, mirrored and enlarged; None where that is not
+            possible, because the method wants more than depth, masks and materials.
         imagenet: begins the network with weights of a classifier, of those that have this.
         idle: whether a configuration leaves parameters without gradient.
     """
 
     presets: Mapping[str, Any]
     network: Callable[[Any], nn.Module]
-    loss: LossFunction
+    loss: Any
+    step: StepFunction = depth_step
+    judge: Callable[..., Judging] = Judge
     optimization: Optimization
     colors: bool = False
+    jitter: bool = False
+    geometry: bool | None = None
     settings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     imagenet: Callable[[Any, Path], None] | None = None
     idle: Callable[[Any], bool] = lambda config: False  # noqa: ARG005
@@ -72,6 +91,7 @@ SWINDRNET_TRAINING = Trainable(
     loss=SwinDRNetLoss(),
     optimization=Optimization(warmup_steps=500),
     colors=True,
+    geometry=False,
     imagenet=load_swin,
     idle=lambda config: config.fusion == "released",
 )
@@ -90,6 +110,8 @@ NLSPN_TRAINING = Trainable(
         factor=0.2,
         warmup_share=1 / 20,
     ),
+    jitter=True,
+    geometry=True,
     imagenet=load_resnet,
 )
 DFNET_TRAINING = Trainable(
@@ -104,6 +126,47 @@ DFNET_TRAINING = Trainable(
         milestones=(5 / 40, 15 / 40, 25 / 40, 35 / 40),
         factor=0.2,
     ),
+    geometry=False,
+)
+# Published are the lengths of the first two phases. The last one's is not; it is as long as the
+# one before.
+LIDF_TRAINING = Trainable(
+    presets=LIDF,
+    network=LIDFNetwork,
+    loss=LIDFLoss(),
+    step=lidf_step,
+    judge=partial(Judge, restore=lidf_depth),
+    optimization=Optimization(
+        optimizer="adam",
+        learning_rate=1e-3,
+        weight_decay=0.0,
+        batch_size=32,
+        epochs=120,
+        decay="steps",
+        phase_epochs={COARSE: 60, REFINE: 30, HARD: 30},
+        phase_rates={HARD: 0.1},
+    ),
+    geometry=False,
+    idle=lambda config: True,  # noqa: ARG005  # one stage always rests
+)
+# Batch and epochs are not known; colour alone is what the networks see, so that it is augmented.
+CLEARGRASP_TRAINING = Trainable(
+    presets=CLEARGRASP,
+    network=ClearGraspNetwork,
+    loss=ClearGraspLoss(),
+    step=cleargrasp_step,
+    judge=ClearGraspJudge,
+    optimization=Optimization(
+        optimizer="adam",
+        learning_rate=1e-4,
+        weight_decay=0.0,
+        batch_size=32,
+        epochs=20,
+        decay="steps",
+    ),
+    colors=True,
+    geometry=False,
+    idle=lambda config: True,  # noqa: ARG005  # networks whose loss has no weight
 )
 
 trainables: Registry[Trainable] = Registry(
@@ -112,6 +175,8 @@ trainables: Registry[Trainable] = Registry(
         "swindrnet": "benchmark.training.catalogue:SWINDRNET_TRAINING",
         "nlspn": "benchmark.training.catalogue:NLSPN_TRAINING",
         "dfnet": "benchmark.training.catalogue:DFNET_TRAINING",
+        "lidf": "benchmark.training.catalogue:LIDF_TRAINING",
+        "cleargrasp": "benchmark.training.catalogue:CLEARGRASP_TRAINING",
     },
 )
 

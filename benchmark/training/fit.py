@@ -23,7 +23,6 @@ from benchmark.training.callbacks import BEST, CHECKPOINT, Watch
 from benchmark.training.catalogue import Trainable, get_trainable
 from benchmark.training.checkpoint_file import AtomicCheckpoints
 from benchmark.training.config import TrainConfig, begin
-from benchmark.training.judging import Judge
 from benchmark.training.module import RestorerTraining, seed_of
 from benchmark.training.order import BatchOrder, Steps
 from benchmark.training.packed_frames import PackedFrames
@@ -153,13 +152,15 @@ def fit(
                 note = note_of(data.training, data.of_training, data.validation, data.of_validation)
                 write_document(folder / RUN_NOTE, note)
         _quiet()
+        loss = configured(trainable.loss, config.loss)
         module = RestorerTraining(
             config,
             make_network(trainable, config, beginning or Beginning()),
-            configured(trainable.loss, config.loss),
+            trainable.step,
+            loss,
             data.training.key,
         )
-        judge = Judge(data.validation, data.of_validation, _judged_at_once(config))
+        judge = trainable.judge(data.validation, data.of_validation, _judged_at_once(config), loss)
         watch = Watch(folder, judge, log_every=machine.log_every)
         trainer = _trainer(trainable, config, machine, watch, folder)
         checkpoint = folder / CHECKPOINT

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import pytorch_lightning as pl
 import torch
 from torch import Tensor, nn
 
-from benchmark.data.frame import BACKGROUND
-from benchmark.methods.network import Prediction
 from benchmark.training.config import TrainConfig
-from benchmark.training.losses.terms import LossFunction, Target
+from benchmark.training.step import Batch, Seen, StepFunction, seen_of
 from std_toolkit.errors import ToolkitError
 
 _TOLD = 8  # frames named in an error
@@ -24,8 +22,9 @@ class RestorerTraining(pl.LightningModule):
 
     Args:
         config: of the training.
-        network: `network(color, depth) -> Prediction`.
-        loss: what is minimised.
+        network: whatever `step` knows how to ask.
+        step: sends a batch through the network to the loss.
+        loss: what is minimised, as configured.
         key: name of a frame by its index.
 
     A step whose loss or gradients are not finite raises `ToolkitError` before it changes a weight.
@@ -35,36 +34,35 @@ class RestorerTraining(pl.LightningModule):
         self,
         config: TrainConfig,
         network: nn.Module,
-        loss: LossFunction,
+        step: StepFunction,
+        loss: Any,
         key: Callable[[int], str],
     ) -> None:
         super().__init__()
-        self.config, self.network, self.loss, self.key = config, network, loss, key
+        self.config, self.network, self.key = config, network, key
+        self.step, self.loss = step, loss
         self.parts: dict[str, Tensor] = {}
         self._frames: list[int] = []
-        self._change_color: Callable[[Tensor], Tensor] | None = None
+        self._change_color: list[Callable[[Tensor], Tensor]] = []
+        if config.jitter:
+            from benchmark.training.augmentation import jitter
+
+            self._change_color.append(jitter())
         if config.colors:
             from benchmark.training.augmentation import ColorAugmentation
 
-            self._change_color = ColorAugmentation()
+            self._change_color.append(ColorAugmentation())
 
-    def training_step(self, batch: Mapping[str, Tensor], batch_idx: int) -> Tensor:
+    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         part = batch_idx % self.config.accumulate
         frames = batch["index"].tolist()
         self._frames = frames if part == 0 else self._frames + frames
         # No generator's state has to survive an interruption: dropout and augmentation of a step
         # depend on its number alone.
         torch.manual_seed(seed_of(self.config.seed, self.global_step, part, self.global_rank))
-        color, depth = network_inputs(batch)
-        if self._change_color is not None:
-            color = self._change_color(color)
-        if self.config.holes:
-            from benchmark.training.augmentation import lose_objects
-
-            depth = lose_objects(depth, batch["mask"], self.config.holes)
-        prediction = in_full_precision(self.network(color, depth))
-        with torch.autocast(self.device.type, enabled=False):
-            loss = self.loss(prediction, target_of(batch))
+        with torch.no_grad(), torch.autocast(self.device.type, enabled=False):
+            seen = self._augmented(seen_of(batch))
+        loss = self.step(self.network, self.loss, seen, self.config.moment(self.global_step))
         if not torch.isfinite(loss.total):
             self._stop("the loss is not a number", {n: float(p) for n, p in loss.parts.items()})
         self.parts = {"loss": loss.total.detach(), **loss.parts}
@@ -81,12 +79,26 @@ class RestorerTraining(pl.LightningModule):
         config = self.config
         optimizer = config.optimization.make(self.network.parameters())
         schedule = torch.optim.lr_scheduler.LambdaLR(
-            optimizer, lambda step: config.optimization.rate(step, config.steps)
+            optimizer, lambda step: config.rate(step) / config.optimization.learning_rate
         )
         return {
             "optimizer": optimizer,
             "lr_scheduler": {"scheduler": schedule, "interval": "step"},
         }
+
+    def _augmented(self, seen: Seen) -> Seen:
+        if self.config.geometry:
+            from benchmark.training.geometry import moved
+
+            seen = moved(seen)
+        color, depth, batch = seen
+        for change in self._change_color:
+            color = change(color)
+        if self.config.holes:
+            from benchmark.training.augmentation import lose_objects
+
+            depth = lose_objects(depth, batch["mask"], self.config.holes)
+        return Seen(color, depth, batch)
 
     def _stop(self, problem: str, value: object) -> None:
         names = [self.key(i) for i in self._frames[:_TOLD]]
@@ -104,19 +116,3 @@ def seed_of(*numbers: int) -> int:
     """A seed for every row of numbers, as unlike to its neighbours' as any other."""
     digest = hashlib.blake2b(repr(numbers).encode(), digest_size=7).digest()
     return int.from_bytes(digest, "little")
-
-
-def network_inputs(batch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-    """(b, 3, h, w) colour in [0, 1] and (b, 1, h, w) the sensor's depth, metres."""
-    color = batch["color"].permute(0, 3, 1, 2).float() / 255
-    return color.contiguous(), batch["raw"][:, None]
-
-
-def target_of(batch: Mapping[str, Tensor]) -> Target:
-    """What the network should answer to a batch."""
-    return Target(batch["true"][:, None], (batch["mask"] != BACKGROUND)[:, None], batch["K"])
-
-
-def in_full_precision(prediction: Prediction) -> Prediction:
-    """The same in float32."""
-    return Prediction(*(None if p is None else p.float() for p in prediction))  # type: ignore[arg-type]

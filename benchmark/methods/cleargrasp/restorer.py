@@ -8,27 +8,17 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn.functional import interpolate
 
 from benchmark.methods.cleargrasp.config import PRESETS
-from benchmark.methods.cleargrasp.global_optimization import (
-    OptimizationOptions,
-    normals_to_opencv,
-    optimize_depth,
-)
 from benchmark.methods.cleargrasp.network import ClearGraspNetwork
+from benchmark.methods.cleargrasp.optimized import DepthOfMaps
 from benchmark.methods.network import NetworkRestorer, device_called
 from benchmark.methods.protocol import Restored, View
 from benchmark.methods.registry import MethodOptions
 from benchmark.methods.settings import configured, preset_of
 from benchmark.methods.weights import load_weights, weights_for
-from benchmark.metrics.resize import resize_nearest
 from std_toolkit.errors import ToolkitError
-
-_TRANSPARENT = 1  # class of the mask
-_OCCLUSION = 1  # class of the boundaries
 
 
 class ClearGrasp(NetworkRestorer):
@@ -50,8 +40,7 @@ class ClearGrasp(NetworkRestorer):
         load_weights(network, weights_for("cleargrasp", options))
         super().__init__(network, options, None)
         self.needs_mask = self.config.mask == "given"
-        # The mask is widened here, for what is kept of the view depends on it, too.
-        self._optimization = OptimizationOptions(grow_px=0)
+        self._depth = DepthOfMaps(self.config)
 
     def inputs(self, views: Sequence[View]) -> tuple[Tensor, ...]:
         """Colour at the networks' size."""
@@ -66,55 +55,4 @@ class ClearGrasp(NetworkRestorer):
 
     def answers(self, outputs: Any, views: Sequence[View]) -> list[Restored]:
         """Optimise the depth of each view with the networks' maps."""
-        size = self.config.depth_size[::-1]
-        maps = (
-            outputs.normals.float(),
-            outputs.masks.float().softmax(dim=1)[:, _TRANSPARENT, None],
-            outputs.boundaries.float().softmax(dim=1)[:, _OCCLUSION, None],
-        )
-        sized = [interpolate(i, size=size, mode="bilinear", align_corners=False) for i in maps]
-        sized[0] = torch.nn.functional.normalize(sized[0], dim=1)
-        normals, chances, boundaries = (i.permute(0, 2, 3, 1).cpu().numpy() for i in sized)
-        found = []
-        for index, view in enumerate(views):
-            mask = chances[index, ..., 0] > 0.5
-            if self.needs_mask:
-                mask = resize_nearest(_given(view), self.config.depth_size)
-            boundary = boundaries[index, ..., 0].clip(0, 1)
-            found.append(Restored(self._optimized(view, normals[index], boundary, mask)))
-        return found
-
-    def _optimized(
-        self,
-        view: View,
-        normals: NDArray[np.float32],
-        boundary: NDArray[np.float32],
-        mask: NDArray[np.bool_],
-    ) -> NDArray[np.float32]:
-        size = self.config.depth_size
-        reach = 2 * self.config.grow_px + 1
-        doubted = cv2.dilate(mask.astype(np.uint8), np.ones((reach, reach), np.uint8)) > 0
-        measured = np.isfinite(view.depth) & (view.depth >= self._optimization.nearest_m)
-        depth = np.where(measured, view.depth, np.float32(0))
-        optimized = optimize_depth(
-            resize_nearest(depth, size),
-            normals_to_opencv(normals),
-            boundary,
-            doubted,
-            view.camera.resized(*size),
-            self._optimization,
-        )
-        own = (view.camera.width, view.camera.height)
-        kept = measured & ~resize_nearest(doubted, own)
-        return np.where(kept, depth, resize_nearest(optimized, own))
-
-
-def _given(view: View) -> NDArray[np.bool_]:
-    if view.mask is None:
-        raise ToolkitError(
-            "method `cleargrasp` with mask=given needs to know the pixels of the objects, and this "
-            "view has no mask",
-            field="mask",
-            hint="use mask=predicted, or data whose frames have instance masks",
-        )
-    return view.mask
+        return [Restored(depth) for depth in self._depth(outputs, views)]

@@ -34,9 +34,9 @@ def normals(depth: Tensor, K: Tensor) -> Tensor:
         (b, 3, h, w), away from the camera where depth is positive. The last row and column repeat
         their neighbours.
     """
-    points = _points(depth, K)
-    here = points[..., :-1, :-1]
-    to_right, below = points[..., :-1, 1:] - here, points[..., 1:, :-1] - here
+    at = points(depth, K)
+    here = at[..., :-1, :-1]
+    to_right, below = at[..., :-1, 1:] - here, at[..., 1:, :-1] - here
     across = torch.linalg.cross(to_right, below, dim=1)
     # Under the root, so that the gradient of a length of 0 is 0 and not NaN.
     length = (across.square().sum(dim=1, keepdim=True) + _SMALLEST**2).sqrt()
@@ -49,7 +49,7 @@ def whole_around(known: Tensor) -> Tensor:
     return max_pool2d(unknown, 3, stride=1, padding=1) == 0
 
 
-def _points(depth: Tensor, K: Tensor) -> Tensor:
+def points(depth: Tensor, K: Tensor) -> Tensor:
     """(b, 3, h, w) points in the camera frame."""
     h, w = depth.shape[-2:]
     v, u = torch.meshgrid(

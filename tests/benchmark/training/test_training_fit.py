@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 import os
 import socket
@@ -24,9 +25,9 @@ from benchmark.running.views import view_of
 from benchmark.training.catalogue import get_trainable
 from benchmark.training.fit import Beginning, make_network
 from benchmark.training.judging import Judge, main_score, scores_of
-from benchmark.training.module import network_inputs, target_of
 from benchmark.training.packed_frames import PackedFrames
 from benchmark.training.plan import plan_training
+from benchmark.training.step import Moment, depth_step, seen_of
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import read_color
 
@@ -119,14 +120,17 @@ def test_every_parameter_receives_a_gradient(method, pack):
     network = make_network(trainable, config, beginning).train()
     optimizer = config.optimization.make(network.parameters())
     moved = {name: torch.zeros_like(p) for name, p in network.named_parameters()}
-    for step in range(4):  # what begins at 0 holds up the gradients of what is behind it
+    # What begins at 0 holds up the gradients of what is behind it: several steps.
+    for step, phase in itertools.product(range(4), config.phases or [""]):
         batch = data.training[[0, 1, 2, step + 3]]
         optimizer.zero_grad()
-        trainable.loss(network(*network_inputs(batch)), target_of(batch)).total.backward()
+        moment = Moment(phase, step, 4)
+        trainable.step(network, trainable.loss, seen_of(batch), moment).total.backward()
         optimizer.step()
         for name, parameter in network.named_parameters():
-            assert parameter.grad is not None, name
-            moved[name] += parameter.grad.abs()
+            assert parameter.grad is not None or config.phases, name
+            if parameter.grad is not None:
+                moved[name] += parameter.grad.abs()
     assert [name for name, total in moved.items() if not total.any()] == []
 
 
@@ -136,7 +140,7 @@ def test_released_fusion_leaves_its_attention_without_gradient(pack):
     trainable = get_trainable("swindrnet")
     network = make_network(trainable, config, beginning).train()
     batch = data.training[[0, 1]]
-    trainable.loss(network(*network_inputs(batch)), target_of(batch)).total.backward()
+    depth_step(network, trainable.loss, seen_of(batch), Moment()).total.backward()
     idle = {name for name, p in network.named_parameters() if p.grad is None}
     assert idle
     # What makes queries, keys and values of depth, and nothing else.

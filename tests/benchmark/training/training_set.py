@@ -35,6 +35,22 @@ TINY = {
         "steps": "2",
     },
     "dfnet": {"input_size": f"{SIDE},{SIDE}", "channels": "8", "layers": "1"},
+    "lidf": {
+        "input_size": f"{SIDE},{SIDE}",
+        "channels": "8",
+        "blocks": "1,1,1,1",
+        "color_features": "8",
+        "point_channels": "8",
+        "head": "32,16,8",
+    },
+    "cleargrasp": {
+        "input_size": f"{SIDE},{SIDE}",
+        "depth_size": f"{SIDE},{SIDE}",
+        "width": "2",
+        "bottleneck": "false",
+        "blocks": "1,1,1,1,1,1,1,1",
+        "head_channels": "8",
+    },
 }
 
 
