@@ -29,11 +29,13 @@ from benchmark.data.assemble import (
     check_same_size,
     first_file,
 )
+from benchmark.data.cad_boxes import model_sides
 from benchmark.data.frame import DepthFrame, Instance, Material
 from benchmark.data.layout_camera import SceneCamera, read_scene_camera
 from benchmark.data.listing import FrameIndex, scene_files
 from benchmark.data.maps import read_coord_picture, read_depth_map, read_id_mask
 from benchmark.data.source import FrameKey, SceneFiles
+from benchmark.data.true_poses import KnownBox
 from std_toolkit.errors import ToolkitError
 from std_toolkit.importers.std import DREDS_LAYOUT, STD_LAYOUT, Layout
 from std_toolkit.importers.std_objects import MetaLine, read_meta
@@ -109,6 +111,18 @@ class LayoutScenes:
             )
         except ToolkitError as error:
             raise about(error, key, mask_path) from error
+
+    def known_boxes(self, index: int) -> dict[int, KnownBox]:
+        """See `KnowsBoxes`: of the models that lie beside the scenes."""
+        scene, stem = self.index.at(index)
+        folder = Path(scene.path)
+        found = {}
+        for line in read_meta(first_file(folder, (stem + META[0],), "meta file"), any_class=True):
+            if line.class_folder is not None and line.instance_folder is not None:
+                sides = model_sides(folder, line.class_folder, line.instance_folder)
+                if sides is not None:
+                    found[line.mask_id] = KnownBox(sides)
+        return found
 
     def files(self) -> Iterator[SceneFiles]:
         """See `DepthSource`."""

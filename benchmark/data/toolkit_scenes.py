@@ -22,8 +22,11 @@ from benchmark.data.frame import BACKGROUND, DepthFrame, Instance, Material
 from benchmark.data.listing import FrameIndex, SceneFolder
 from benchmark.data.maps import read_coord_picture, read_depth_map, read_id_mask
 from benchmark.data.source import FrameKey, SceneFiles
+from benchmark.data.true_poses import KnownBox
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters.frame_maps import check_fresh
+from std_toolkit.geometry.alignment import Similarity
+from std_toolkit.geometry.mesh import nocs_frame
 from std_toolkit.importers.pairing import natural_key
 from std_toolkit.rendering.encoding import load_nocs
 from std_toolkit.rendering.ground_truth import info_path, map_paths, read_frame_truth
@@ -106,6 +109,27 @@ class ToolkitScenes:
             )
         except ToolkitError as error:
             raise about(error, key, truth.mask) from error
+
+    def known_boxes(self, index: int) -> dict[int, KnownBox]:
+        """See `KnowsBoxes`: of the scene's meshes, with the poses that were rendered."""
+        listed, stem = self.index.at(index)
+        scene = self._scene(listed.path)
+        frame = next((f for f in scene.frames if f.name == stem), None)
+        if frame is None:
+            raise ToolkitError("no such frame any more", path=scene.root, value=stem)
+        poses = {}
+        if _fresh_truth(scene, frame).rendered:
+            rows = read_frame_truth(scene, frame.id).objects
+            poses = {row.object: row.pose.matrix() for row in rows}
+        found = {}
+        for thing in scene.objects.objects:
+            centre, diagonal = nocs_frame(scene.mesh(thing.model))
+            sides = np.array(scene.objects.model(thing.model).size_m) / diagonal
+            RT = None
+            if thing.id in poses:
+                RT = poses[thing.id] @ Similarity(diagonal, np.eye(3), centre).matrix()
+            found[thing.id] = KnownBox(sides, RT)
+        return found
 
     def files(self) -> Iterator[SceneFiles]:
         """See `DepthSource`."""

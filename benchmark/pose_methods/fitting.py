@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +58,28 @@ class FitOptions:
                 raise ToolkitError("must be positive", field=name, value=getattr(self, name))
 
 
+@dataclass(frozen=True, kw_only=True)
+class FitSettings:
+    """The settings of a fit that a method's user gives; configurations of methods inherit them.
+
+    Attributes:
+        fit: `ransac` or `paper`, see `FitMethod`; `std-bench --fit` sets it.
+        threshold_m: largest distance of an inlier, metres; for `ransac`.
+    """
+
+    fit: Literal["ransac", "paper"] = "ransac"
+    threshold_m: float = 0.02
+
+    @property
+    def fit_options(self) -> FitOptions:
+        """As `fit_pose` takes them.
+
+        Raises:
+            ToolkitError: a threshold that is not positive.
+        """
+        return FitOptions(fit=FitMethod(self.fit), threshold_m=self.threshold_m)
+
+
 @dataclass(frozen=True, eq=False)
 class FittedPose:
     """A box in space.
@@ -65,11 +88,29 @@ class FittedPose:
         RT: (4, 4) object to camera; the scale inside is the box's diagonal in metres.
         size: (3,) of the box before RT, of length 1.
         inliers: (N,) which points the pose was fitted to.
+        diagonal: the box's, in normalised coordinates.
     """
 
     RT: Floats
     size: Floats
     inliers: NDArray[np.bool_]
+    diagonal: float = 1.0
+
+    def with_sides(self, sides: Floats) -> FittedPose:
+        """The same pose with another box.
+
+        Args:
+            sides: (3,) of the box in normalised coordinates.
+
+        >>> box = np.array([[x, y, z] for x in (-0.4, 0.4) for y in (-0.3, 0.3) for z in (0, 0.1)])
+        >>> found = fit_pose(box, 0.2 * box + np.array([0.0, 0.0, 1.0]))
+        >>> found.with_sides(np.array([0.0, 0.0, 2.0])).RT[2, 2].round(6).item()
+        0.4
+        """
+        diagonal = float(np.linalg.norm(sides))
+        RT = self.RT.copy()
+        RT[:3, :3] *= diagonal / self.diagonal
+        return FittedPose(RT, np.asarray(sides) / diagonal, self.inliers, diagonal)
 
 
 def fit_pose(
@@ -140,4 +181,4 @@ def _box(RT: Floats, c: Floats, inliers: NDArray[np.bool_]) -> FittedPose:
     if not np.linalg.det(RT[:3, :3]) > 0:
         raise ToolkitError("the fitted pose has no positive scale", value=RT.round(4).tolist())
     RT[:3, :3] *= diagonal
-    return FittedPose(RT, extent / diagonal, inliers)
+    return FittedPose(RT, extent / diagonal, inliers, diagonal)

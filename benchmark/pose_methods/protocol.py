@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -23,11 +23,14 @@ class PoseAnswer:
         mask: (h, w) uint8 `Instance.mask_id` of each pixel, `BACKGROUND` (255) elsewhere.
         instances: the objects of `mask`.
         nocs: (h, w, 3) float32 normalised coordinates x y z in [0, 1], 0 in the background.
+        sides: (3,) sides of an object's box, of length 1 together, by mask id; objects whose box
+            nobody knows are missing.
     """
 
     mask: NDArray[np.uint8]
     instances: tuple[Instance, ...]
     nocs: NDArray[np.float32]
+    sides: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +89,9 @@ class Estimated:
 
 class PoseEstimator(Protocol):
     """A method that finds objects, their poses and their sizes.
+
+    It takes the settings of `benchmark.pose_methods.fitting.FitSettings`: how poses are fitted to
+    what it found is the user's choice.
 
     Attributes:
         input_size: (width, height) that it works at, or None for any: it is then given the size
