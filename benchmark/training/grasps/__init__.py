@@ -1,0 +1,1 @@
+"""Scenes of labelled grasps: made, packed, and trained on."""

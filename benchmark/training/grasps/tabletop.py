@@ -1,0 +1,197 @@
+"""Objects on a table at known poses, and what a depth camera sees of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.se3 import SE3
+
+Array = NDArray[np.float64]
+DepthKind = Literal["exact", "sensor"]
+Surface = Literal["diffuse", "transparent", "specular"]
+SURFACES: tuple[Surface, ...] = ("diffuse", "transparent", "specular")
+_SURFACE_SHARES = (0.5, 0.25, 0.25)
+# Streams of random numbers of a scene: one more draw in one changes no other.
+_OBJECTS, _DROP, _VIEWS, _NOISE = range(4)
+
+
+@dataclass(frozen=True, eq=False)
+class TableObject:
+    """An object of a scene.
+
+    Attributes:
+        name: of its shape and size: equal names, equal meshes.
+        vertices: (V, 3) metres, object frame.
+        faces: (F, 3).
+        T_world_obj: where it lies; the table is z = 0, z up.
+        surface: what a depth camera makes of it.
+    """
+
+    name: str
+    vertices: Array
+    faces: NDArray[np.int64]
+    T_world_obj: SE3
+    surface: Surface = "diffuse"
+
+
+@dataclass(frozen=True)
+class TableOptions:
+    """What is drawn.
+
+    Attributes:
+        assets: name of an asset source.
+        assets_root: folder of its files, of sources that have files.
+        split: `train`, `test` or `all` of its shapes.
+        objects: least and largest number of objects.
+        sizes: range of what the usual sizes of the categories are multiplied by; objects of the
+            usual sizes are mostly too wide for a jaw of 8 cm.
+        half_width_m: of the square that they fall on.
+    """
+
+    assets: str = "procedural"
+    assets_root: Path | None = None
+    split: Literal["train", "test", "all"] = "train"
+    objects: tuple[int, int] = (4, 8)
+    sizes: tuple[float, float] = (0.4, 0.9)
+    half_width_m: float = 0.25
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.objects[0] <= self.objects[1]:
+            raise ToolkitError("must be two rising counts", field="objects", value=self.objects)
+        if not 0 < self.sizes[0] <= self.sizes[1]:
+            raise ToolkitError("must be two rising factors", field="sizes", value=self.sizes)
+
+
+def draw_table(
+    seed: int, options: TableOptions, *, parts_cache: Path | None = None
+) -> list[TableObject]:
+    """Drop objects on a table; the same seed gives the same scene.
+
+    Args:
+        seed: of the scene.
+        options: what is drawn.
+        parts_cache: folder that keeps convex parts over runs.
+
+    Raises:
+        ToolkitError: no such assets, or the objects do not come to rest.
+    """
+    from sensors.assets import SourceOptions, draw_diagonal, open_source
+    from sensors.physics import PhysicalObject, SettleOptions, convex_parts, settle
+
+    source = open_source(
+        options.assets, SourceOptions(root=options.assets_root, split=options.split)
+    )
+    rng = np.random.default_rng([seed, _OBJECTS])
+    categories = source.categories()
+    count = int(rng.integers(options.objects[0], options.objects[1] + 1))
+    falling, surfaces = [], []
+    for _ in range(count):
+        asset = source.sample(rng, categories[int(rng.integers(len(categories)))])
+        diagonal = draw_diagonal(rng, asset)
+        if asset.diagonal_m is None:
+            diagonal *= rng.uniform(*options.sizes)
+        # Whole millimetres: labels of shapes that come again can be kept.
+        diagonal = max(0.02, round(diagonal, 3))
+        surfaces.append(SURFACES[int(rng.choice(len(SURFACES), p=_SURFACE_SHARES))])
+        falling.append(PhysicalObject(asset, diagonal, convex_parts(asset, parts_cache)))
+    drop = int(np.random.default_rng([seed, _DROP]).integers(2**31))
+    settled = settle(falling, drop, SettleOptions(half_width_m=options.half_width_m))
+    found = []
+    for thing, surface, pose in zip(falling, surfaces, settled.poses, strict=True):
+        mesh = thing.asset.scaled(thing.diagonal_m)
+        name = f"{thing.asset.id}-{round(1000 * thing.diagonal_m):03d}mm"
+        faces = np.asarray(mesh.faces, np.int64)
+        found.append(TableObject(name, np.asarray(mesh.vertices), faces, pose, surface))
+    return found
+
+
+def draw_cameras(seed: int, count: int) -> list[SE3]:
+    """T_world_cam of the views of a scene, all around the table."""
+    from sensors.viewpoints import ViewpointOptions, random_viewpoints
+
+    number = int(np.random.default_rng([seed, _VIEWS]).integers(2**31))
+    return [v.T_world_cam for v in random_viewpoints(number, ViewpointOptions(count=count))]
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What a camera sees of a table.
+
+    Attributes:
+        depth: (h, w) float32 metres, 0 where nothing was measured.
+        index: (h, w) int16 number of the object that is truly seen, -1 table.
+    """
+
+    depth: NDArray[np.float32]
+    index: NDArray[np.int16]
+
+
+def look_at_table(
+    objects: Sequence[TableObject],
+    camera: Camera,
+    T_world_cam: SE3,
+    kind: DepthKind,
+    seed: tuple[int, int] = (0, 0),
+) -> Look:
+    """Depth of objects and table.
+
+    Args:
+        objects: of the scene.
+        camera, T_world_cam: who looks.
+        kind: `exact`, or `sensor` as an active stereo camera errs: noise, holes, glass that is
+            looked through and metal that is misread.
+        seed: of scene and view, for the noise.
+    """
+    exact, index = _rendered(objects, camera, T_world_cam)
+    if kind == "exact":
+        return Look(exact, index)
+    from sensors.synthetic.stereo_depth import sensor_depth
+
+    opaque = [o for o in objects if o.surface != "transparent"]
+    behind = _rendered(opaque, camera, T_world_cam)[0] if len(opaque) < len(objects) else exact
+    material = np.zeros(index.shape, np.uint8)
+    for number, thing in enumerate(objects):
+        material[index == number] = 1 + SURFACES.index(thing.surface)
+    rng = np.random.default_rng([*seed, _NOISE])
+    return Look(sensor_depth(exact, behind, material, fx=camera.fx, bias=1.0, rng=rng), index)
+
+
+def _rendered(
+    objects: Sequence[TableObject], camera: Camera, T_world_cam: SE3
+) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
+    from std_toolkit.rendering.maps import compose
+    from std_toolkit.rendering.mesh import RenderMesh
+    from std_toolkit.rendering.protocol import PlacedMesh
+    from std_toolkit.rendering.raycast import RaycastRenderer
+
+    T_cam_world = T_world_cam.inverse()
+    table = table_depth(camera, T_world_cam)
+    if not objects:
+        return table, np.full(table.shape, -1, np.int16)
+    placed = [
+        PlacedMesh(
+            number + 1, RenderMesh.from_arrays(o.vertices, o.faces), T_cam_world @ o.T_world_obj
+        )
+        for number, o in enumerate(objects)
+    ]
+    composition = compose(RaycastRenderer(), camera, placed)
+    depth, index = composition.depth, composition.index
+    hidden = (depth <= 0) | ((table > 0) & (table < depth))
+    return np.where(hidden, table, depth), np.where(hidden, -1, index).astype(np.int16)
+
+
+def table_depth(camera: Camera, T_world_cam: SE3) -> NDArray[np.float32]:
+    """(h, w) z-depth of the plane z = 0 of the world, 0 where a ray does not meet it."""
+    rays = camera.rays()
+    downwards = -(rays @ T_world_cam.R[2])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = T_world_cam.t[2] / downwards
+    return np.where((downwards > 0) & np.isfinite(depth), depth, 0).astype(np.float32)
