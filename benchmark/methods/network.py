@@ -57,14 +57,7 @@ class NetworkRestorer:
     ) -> None:
         self.input_size = input_size
         self.device = device_called(options.device)
-        if options.precision not in _PRECISIONS:
-            raise ToolkitError(
-                "no such precision",
-                field="--precision",
-                value=options.precision,
-                hint=f"known: {', '.join(_PRECISIONS)}",
-            )
-        self._narrow = _PRECISIONS[options.precision]
+        self._narrow = narrow_type(options.precision)
         self.network = network.to(self.device).eval().requires_grad_(False)
         self._run: Any = torch.compile(self.network) if options.compile else self.network
 
@@ -171,6 +164,22 @@ def device_called(name: str) -> torch.device:
             hint=f"there is {', '.join(there)}{built}",
         ) from error
     return device
+
+
+def narrow_type(precision: str) -> torch.dtype | None:
+    """The type that a network's arithmetic is narrowed to; None at full precision.
+
+    Raises:
+        ToolkitError: no such precision.
+    """
+    if precision not in _PRECISIONS:
+        raise ToolkitError(
+            "no such precision",
+            field="--precision",
+            value=precision,
+            hint=f"known: {', '.join(_PRECISIONS)}",
+        )
+    return _PRECISIONS[precision]
 
 
 def parameter_count(network: nn.Module) -> int:

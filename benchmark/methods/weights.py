@@ -27,6 +27,9 @@ _TOLD = 3  # keys named in an error
 
 # Keys by which the weights of an architecture are known; the first whose prefixes all occur.
 ARCHITECTURES: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("SwinDRNet's pose network", ("backbone_rgb_branch.", "decode_head_nocs.")),
+    # Of the authors: it has decoders of depth too, and more blocks of fusion than SwinDRNet.
+    ("SwinDRNet's pose network", ("cross_attention_0.cross_attn_layer.blocks.1.",)),
     ("SwinDRNet", ("backbone_rgb_branch.", "decode_head_depth_restoration.")),
     ("SwinDRNet of one stream", ("backbone.patch_embed.", "decode_head_depth_restoration.")),
     ("SwinDRNet's pose network", ("backbone_rgb_branch.",)),
@@ -38,6 +41,7 @@ ARCHITECTURES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("a Swin backbone", ("patch_embed.", "layers.")),
     ("a Swin of transformers", ("swin.embeddings.patch_embeddings.",)),
     ("a Swin of transformers", ("embeddings.patch_embeddings.", "encoder.layers.")),
+    ("NOCS", ("pyramid.backbone.", "detector.", "coordinate_heads.")),
     ("a ResNet classifier (ImageNet)", ("conv1.weight", "layer4.", "fc.")),
     ("a ResNet", ("layer1.", "layer4.")),
     ("DeepLabv3+, such as one of ClearGrasp's three", ("backbone.", "aspp", "decoder.")),

@@ -1,0 +1,169 @@
+"""Regions of images: cut out of features, and put back into images.
+
+Boxes are (x0, y0, x1, y1) in pixels whose centres are whole numbers, as everywhere; the edges of
+an image of width w are -0.5 and w - 0.5.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn.functional import grid_sample
+
+_CELLS = 14.0  # a region is cut out of the level on which it is about so many pixels wide
+_SAMPLES = 2  # in each direction of a cell; their mean counts
+
+
+class Regions(NamedTuple):
+    """Where objects are, best first within an image.
+
+    Attributes:
+        boxes: (n, 4) pixels.
+        image: (n,) which image of the batch each is of.
+        class_ids: (n,) 1 to 7.
+        scores: (n,) in [0, 1]; 1 of those that are given.
+        ids: (n,) instance ids in the mask of their image; -1 of those that are found.
+    """
+
+    boxes: Tensor
+    image: Tensor
+    class_ids: Tensor
+    scores: Tensor
+    ids: Tensor
+
+
+def cut_out(
+    levels: Sequence[Tensor], boxes: Tensor, image: Tensor, strides: Sequence[int], side: int
+) -> Tensor:
+    """Features of regions (RoIAlign of Mask R-CNN, He et al., ICCV 2017).
+
+    Args:
+        levels: (b, c, h, w) of the pyramid.
+        boxes: (n, 4).
+        image: (n,) which image each is of.
+        strides: pixels of the image per pixel of each level.
+        side: of the result, in cells.
+
+    Returns:
+        (n, c, side, side).
+    """
+    found = levels[0].new_zeros(len(boxes), levels[0].shape[1], side, side)
+    of_level = level_of(boxes, strides)
+    # Samples at the middles of a finer grid; each cell takes the mean of its own.
+    grids = grid_of(boxes, side * _SAMPLES, _image_size(levels[0], strides[0]))
+    for number, level in enumerate(levels):
+        for b in range(len(level)):
+            chosen = ((of_level == number) & (image == b)).nonzero()[:, 0]
+            if not len(chosen):
+                continue
+            grid = grids[chosen].flatten(0, 1)[None].to(level.dtype)
+            fine = grid_sample(level[b : b + 1], grid, padding_mode="border", align_corners=False)
+            cells = fine[0].reshape(-1, len(chosen), side, _SAMPLES, side, _SAMPLES).mean((3, 5))
+            found = found.index_copy(0, chosen, cells.transpose(0, 1).to(found.dtype))
+    return found
+
+
+def level_of(boxes: Tensor, strides: Sequence[int]) -> Tensor:
+    """(n,) the level that each region is cut out of: 224 pixels from stride 16, as published."""
+    size = ((boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1])).clamp(min=1).sqrt()
+    level = torch.log2(size / _CELLS).floor() - math.log2(strides[0])
+    return level.long().clamp(0, len(strides) - 1)
+
+
+def grid_of(boxes: Tensor, side: int, size: tuple[int, int]) -> Tensor:
+    """(n, side, side, 2) x and y of the middles of a region's cells, for `grid_sample`.
+
+    Args:
+        size: (width, height) of the image.
+    """
+    x, y = cell_middles(boxes, side)
+    across = (2 * x + 1) / size[0] - 1
+    down = (2 * y + 1) / size[1] - 1
+    n = len(boxes)
+    return torch.stack(
+        [across[:, None].expand(n, side, side), down[:, :, None].expand(n, side, side)], dim=-1
+    )
+
+
+def cell_middles(boxes: Tensor, side: int) -> tuple[Tensor, Tensor]:
+    """(n, side) x and (n, side) y of the middles of each region's cells, pixels."""
+    share = (torch.arange(side, device=boxes.device) + 0.5) / side
+    x = boxes[:, 0:1] + (boxes[:, 2:3] - boxes[:, 0:1]) * share
+    y = boxes[:, 1:2] + (boxes[:, 3:4] - boxes[:, 1:2]) * share
+    return x, y
+
+
+def nearest_pixels(boxes: Tensor, image: Tensor, maps: Tensor, side: int) -> Tensor:
+    """What maps hold at the pixels nearest to the middles of regions' cells.
+
+    Args:
+        boxes, image: as in `cut_out`.
+        maps: (b, h, w, ...).
+
+    Returns:
+        (n, side, side, ...).
+    """
+    h, w = maps.shape[1:3]
+    x, y = (middles.round().long() for middles in cell_middles(boxes, side))
+    return maps[image[:, None, None], y.clamp(0, h - 1)[:, :, None], x.clamp(0, w - 1)[:, None]]
+
+
+def put_back(values: Tensor, boxes: Tensor, size: tuple[int, int], mode: str) -> Tensor:
+    """Regions in their images, 0 outside of the boxes.
+
+    Args:
+        values: (n, c, side, side).
+        boxes: (n, 4).
+        size: (width, height) of the image.
+        mode: `bilinear` or `nearest`.
+
+    Returns:
+        (n, c, height, width).
+    """
+    w, h = size
+    x = torch.arange(w, device=boxes.device, dtype=boxes.dtype)
+    y = torch.arange(h, device=boxes.device, dtype=boxes.dtype)
+    wide = (boxes[:, 2:3] - boxes[:, 0:1]).clamp(min=1e-3)
+    high = (boxes[:, 3:4] - boxes[:, 1:2]).clamp(min=1e-3)
+    across = 2 * (x[None] - boxes[:, 0:1]) / wide - 1
+    down = 2 * (y[None] - boxes[:, 1:2]) / high - 1
+    n = len(boxes)
+    grid = torch.stack([across[:, None].expand(n, h, w), down[:, :, None].expand(n, h, w)], dim=-1)
+    inside = (grid.abs() <= 1).all(dim=-1)[:, None]
+    found = grid_sample(
+        values.float(), grid.float(), mode=mode, padding_mode="border", align_corners=False
+    )
+    return found * inside
+
+
+def boxes_of_ids(mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Boxes around the pixels of every id of masks.
+
+    Args:
+        mask: (b, h, w) uint8.
+
+    Returns:
+        (b, 256, 4) boxes, edges of pixels, and (b, 256) numbers of pixels; boxes of ids that there
+        are not mean nothing.
+    """
+    b, h, w = mask.shape
+    index = mask.flatten(1).long()
+    x = torch.arange(w, device=mask.device).float().expand(b, h, w).flatten(1)
+    y = torch.arange(h, device=mask.device).float()[:, None].expand(b, h, w).flatten(1)
+    edges = [
+        torch.zeros(b, 256, device=mask.device).scatter_reduce(
+            1, index, values, reduce, include_self=False
+        )
+        for values, reduce in ((x, "amin"), (y, "amin"), (x, "amax"), (y, "amax"))
+    ]
+    counts = torch.zeros(b, 256, device=mask.device).scatter_add(1, index, torch.ones_like(x))
+    half = torch.tensor([-0.5, -0.5, 0.5, 0.5], device=mask.device)
+    return torch.stack(edges, dim=-1) + half, counts
+
+
+def _image_size(level: Tensor, stride: int) -> tuple[int, int]:
+    return level.shape[-1] * stride, level.shape[-2] * stride
