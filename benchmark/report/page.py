@@ -23,7 +23,7 @@ abbr { text-decoration:none; color:var(--faint); cursor:help; }
 .pair { display:grid; grid-template-columns:repeat(auto-fit,minmax(420px,1fr)); gap:16px; }
 .strip { margin:0 0 10px; }
 .strip img { width:100%; display:block; border-radius:3px; }
-.panels { display:grid; grid-template-columns:repeat(5,1fr); font-size:12px; color:var(--faint);
+.panels { display:grid; font-size:12px; color:var(--faint);
   margin:2px 0; }
 details { margin:8px 0; }
 summary { cursor:pointer; color:var(--link); font-size:15px; }

@@ -28,7 +28,7 @@ from benchmark.report.plots import (
 )
 from benchmark.report.text import MAIN_SUBSETS, best_figures, not_worse, printed_where
 from benchmark.running.gallery import FOLDER, INDEX_FILE, Gallery
-from benchmark.running.panels import PANELS
+from benchmark.running.panels import PANELS, TRUST_PANEL
 from benchmark.running.results import RunResult
 from std_toolkit.checks.markup import Cell, paragraph, plot, table, words
 from std_toolkit.io.documents import read_document
@@ -160,10 +160,9 @@ def gallery(results: Sequence[RunResult]) -> str:
             if p.rank == "common":
                 key = (setup.split, setup.protocol, p.scene, p.frame)
                 common.setdefault(key, []).append((result, p.picture, p.rmse))
-    titles = "".join(f"<span>{escape(t)}</span>" for t in PANELS)
     for (split, protocol, scene, frame), shown in common.items():
         parts.append(f"<h3>{escape(f'{split} {scene}/{frame}, {protocol}')}</h3>")
-        parts.append(f'<div class="panels">{titles}</div>')
+        parts.append(_panel_titles(PANELS))
         for result, picture, rmse in sorted(shown, key=lambda s: s[2]):
             parts.append(_strip(result, picture, f"{result.manifest.label}: {rmse * 1e3:.1f} mm"))
     for result, pictures in found:
@@ -172,6 +171,7 @@ def gallery(results: Sequence[RunResult]) -> str:
             continue
         setup = result.manifest.setup
         title = f"{result.manifest.label} on {setup.split}, {setup.protocol}"
+        panels = (*PANELS, TRUST_PANEL) if all(p.trust for p in own) else PANELS
         strips = "".join(
             _strip(
                 result,
@@ -181,12 +181,17 @@ def gallery(results: Sequence[RunResult]) -> str:
             for p in own
         )
         parts.append(
-            f"<details><summary>{escape(title)}</summary>"
-            f'<div class="panels">{titles}</div>{strips}</details>'
+            f"<details><summary>{escape(title)}</summary>{_panel_titles(panels)}{strips}</details>"
         )
     if not parts:
         return ""
     return _legend() + "".join(parts)
+
+
+def _panel_titles(titles: Sequence[str]) -> str:
+    spans = "".join(f"<span>{escape(t)}</span>" for t in titles)
+    columns = f"grid-template-columns:repeat({len(titles)},1fr)"
+    return f'<div class="panels" style="{columns}">{spans}</div>'
 
 
 def runs(results: Sequence[RunResult]) -> str:
@@ -307,7 +312,9 @@ def _legend() -> str:
         '<i style="background:linear-gradient(90deg,#000004,#bc3754,#fcffa4)"></i>'
         "error, 0 to 50 mm"
         '<i style="width:14px;background:#963cc8"></i>no answer'
-        '<i style="width:14px;background:#1c1c20"></i>no ground truth, or no depth</div>'
+        '<i style="width:14px;background:#1c1c20"></i>no ground truth, or no depth'
+        '<i style="background:linear-gradient(90deg,#000,#54546f,#a9c5c5,#fff)"></i>'
+        "trust in the sensor, 0 to 1</div>"
     )
 
 

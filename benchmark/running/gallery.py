@@ -32,9 +32,11 @@ class GalleryPicture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         rank: `best`, `median`, `worst`, or `common` for the frames that every method shows.
         scene, frame: which it is.
         rmse: metres, on the main grid and subset of the protocol.
-        picture: file name; its panels are those of `PANELS`.
+        picture: file name; its panels are those of `PANELS`, and `TRUST_PANEL` if `trust`.
         near, far: metres at the ends of the colours of depth.
         largest_error: metres at the end of the colours of error.
+        trust: whether the method's trust in the sensor is shown; never where methods are compared,
+            since most have none.
     """
 
     rank: str
@@ -45,6 +47,7 @@ class GalleryPicture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     near: float
     far: float
     largest_error: float = LARGEST_ERROR_M
+    trust: bool = False
 
 
 class Gallery(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -71,7 +74,8 @@ def make_gallery(run: Run) -> Gallery:
         frame = source.load(index)
         restored = restorer.restore([frame_view(frame, restorer, protocol)])[0]
         name = f"{rank}-{index:07d}.jpg"
-        write_color(run.folder / FOLDER / name, strip(frame, restored.depth), quality=88)
+        trust = None if rank == "common" else restored.confidence
+        write_color(run.folder / FOLDER / name, strip(frame, restored.depth, trust), quality=88)
         scale = depth_scale(frame)
         pictures.append(
             GalleryPicture(
@@ -82,6 +86,7 @@ def make_gallery(run: Run) -> Gallery:
                 picture=name,
                 near=scale.near,
                 far=scale.far,
+                trust=trust is not None,
             )
         )
     gallery = Gallery(pictures=pictures)

@@ -14,6 +14,7 @@ from benchmark.metrics.resize import resize_nearest
 Image = NDArray[np.uint8]
 # Titles of the panels of a strip, from the left.
 PANELS = ("colour", "raw depth", "restored", "ground truth", "error")
+TRUST_PANEL = "trust in the sensor"  # behind them, of methods that tell it
 PANEL_WIDTH = 320
 # Errors beyond are as red as it gets: 5 cm is useless for a gripper.
 LARGEST_ERROR_M = 0.05
@@ -42,8 +43,12 @@ def depth_scale(frame: DepthFrame) -> DepthScale:
     return DepthScale(float(near - margin), float(far + margin))
 
 
-def strip(frame: DepthFrame, restored: NDArray[np.float32]) -> Image:
-    """(h, w, 3) the panels of `PANELS` beside each other."""
+def strip(
+    frame: DepthFrame,
+    restored: NDArray[np.float32],
+    confidence: NDArray[np.float32] | None = None,
+) -> Image:
+    """(h, w, 3) the panels of `PANELS` beside each other, and `TRUST_PANEL` where it is given."""
     scale = depth_scale(frame)
     width = PANEL_WIDTH
     height = round(width * frame.camera.height / frame.camera.width)
@@ -59,6 +64,8 @@ def strip(frame: DepthFrame, restored: NDArray[np.float32]) -> Image:
         depth_picture(resize_nearest(true, size), scale),
         resize_nearest(error_picture(answer, true), size),
     ]
+    if confidence is not None:
+        panels.append(trust_picture(resize_nearest(np.asarray(confidence, np.float32), size)))
     gap = np.full((height, _GAP, 3), 255, np.uint8)
     return np.hstack([part for panel in panels for part in (panel, gap)][:-1])
 
@@ -82,6 +89,11 @@ def error_picture(restored: NDArray[np.float32], true: NDArray[np.float32]) -> I
     picture[~known] = _NOTHING
     picture[known & ~answered] = _MISSED
     return picture
+
+
+def trust_picture(confidence: NDArray[np.float32]) -> Image:
+    """(h, w, 3) trust in the sensor's depth: 0 black, 1 light."""
+    return _colored(np.clip(confidence, 0, 1), cv2.COLORMAP_BONE)
 
 
 def _colored(level: NDArray[np.floating], scale: int) -> Image:

@@ -64,6 +64,21 @@ def test_the_pictures_of_a_run(tmp_path: Path) -> None:
     assert picture.shape[1] == len(PANELS) * 320 + (len(PANELS) - 1) * 4
 
 
+def test_trust_in_the_sensor_is_shown_of_methods_that_tell_it(tmp_path: Path) -> None:
+    root = write_split(tmp_path / "data", scenes=1, frames=3)
+    run = a_run(root, tmp_path / "out", "tests.benchmark.running.bench_set:Trusting")
+    run_method(run, JobOptions(engine="serial", progress=False))
+    for shown in make_gallery(run).pictures:
+        assert shown.trust == (shown.rank != "common")
+        picture = read_color(run.folder / FOLDER / shown.picture)
+        panels = 6 if shown.trust else 5
+        assert picture.shape[1] == panels * 320 + (panels - 1) * 4
+        if shown.trust:
+            last = picture[:, -320:].astype(int)
+            assert last[:, :150].min() > 200, "trusted is light"
+            assert last[:, 170:].max() < 40, "not trusted is dark"
+
+
 def test_error_colours_tell_missed_from_wrong() -> None:
     true = np.array([[1.0, 1.0, 1.0, 0.0]], np.float32)
     restored = np.array([[1.0, 1 + LARGEST_ERROR_M, 0.0, 1.0]], np.float32)
