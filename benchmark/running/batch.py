@@ -22,14 +22,14 @@ Loaded = DepthFrame | str  # the frame, or why there is none
 Keep = Callable[[FrameKey, Restored], None]
 
 
-def load_frames(source: DepthSource, indices: Sequence[int]) -> list[Loaded]:
+def load_frames(source: DepthSource, indices: Sequence[int], *, nocs: bool = False) -> list[Loaded]:
     """The frames of a batch; for one that cannot be read, the error as one line."""
     loaded: list[Loaded] = []
     for index in indices:
         try:
-            loaded.append(source.load(index))
+            loaded.append(source.load(index, nocs=nocs))
         except Exception as error:  # a damaged file can raise anything in the libraries below
-            loaded.append(_told(error))
+            loaded.append(told(error))
     return loaded
 
 
@@ -57,7 +57,7 @@ def score_batch(
     """
     frames = {i: f for i, f in zip(indices, loaded, strict=True) if isinstance(f, DepthFrame)}
     views = {i: frame_view(f, restorer, protocol) for i, f in frames.items()}
-    answers = _restore(restorer, views)
+    answers = restore_views(restorer, views)
     rows: list[dict[str, Any]] = []
     for index, key, frame in zip(indices, keys, loaded, strict=True):
         base: dict[str, Any] = {INDEX: index, SCENE: key.scene, FRAME: key.name}
@@ -89,8 +89,11 @@ def frame_view(frame: DepthFrame, restorer: Restorer, protocol: Protocol) -> Vie
     )
 
 
-def _restore(restorer: Restorer, views: dict[int, View]) -> dict[int, Restored | str]:
-    """Answers by index. If the batch fails as a whole, its frames are tried one by one."""
+def restore_views(restorer: Restorer, views: dict[int, View]) -> dict[int, Restored | str]:
+    """Answers by index, or why there is none.
+
+    If the batch fails as a whole, its frames are tried one by one.
+    """
     if not views:
         return {}
     try:
@@ -99,10 +102,10 @@ def _restore(restorer: Restorer, views: dict[int, View]) -> dict[int, Restored |
         raise
     except Exception as error:
         if len(views) == 1:
-            return {next(iter(views)): _told(error)}
+            return {next(iter(views)): told(error)}
     found: dict[int, Restored | str] = {}
     for index, view in views.items():
-        found |= _restore(restorer, {index: view})
+        found |= restore_views(restorer, {index: view})
     return found
 
 
@@ -122,5 +125,6 @@ def _checked(restorer: Restorer, views: list[View]) -> list[Restored]:
     return answers
 
 
-def _told(error: Exception) -> str:
+def told(error: Exception) -> str:
+    """An error as one line."""
     return error_of(error).error or type(error).__name__

@@ -7,6 +7,7 @@ import platform
 import sys
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -69,21 +70,26 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     hardware: dict[str, str]
 
 
-def begin(folder: Path, manifest: Manifest) -> None:
+def begin(folder: Path, manifest: Any, name: str = MANIFEST) -> None:
     """Write the manifest of a new run, or see that the run that was begun there is the same.
+
+    Args:
+        folder: of the run.
+        manifest: a structure with a field `setup`, such as `Manifest`.
+        name: of its file.
 
     Raises:
         ToolkitError: another run was begun there; the field that differs is named.
     """
-    path = folder / MANIFEST
+    path = folder / name
     begun = begin_folder(path, manifest, hint="choose another --out")
-    for name in Setup.__struct_fields__:
-        was, now = getattr(begun.setup, name), getattr(manifest.setup, name)
+    for field in manifest.setup.__struct_fields__:
+        was, now = getattr(begun.setup, field), getattr(manifest.setup, field)
         if was != now:
             raise ToolkitError(
                 f"these results were begun with {was!r}",
                 path=path,
-                field=f"setup.{name}",
+                field=f"setup.{field}",
                 value=now,
                 hint="give the new run a name of its own with --label, or another --out",
             )

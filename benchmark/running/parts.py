@@ -61,8 +61,8 @@ def good_frames(table: pd.DataFrame) -> set[int]:
     return set(table.loc[table[ERROR] == "", INDEX].tolist())
 
 
-def join_parts(folder: Path) -> pd.DataFrame:
-    """Join all parts with the table of earlier runs, and write `images.parquet`, `failures.csv`.
+def join_parts(folder: Path, name: str = TABLE) -> pd.DataFrame:
+    """Join all parts with the table of earlier runs, and write table `name` and `failures.csv`.
 
     The table is the same however the frames came to be spread over parts.
 
@@ -73,10 +73,10 @@ def join_parts(folder: Path) -> pd.DataFrame:
         ToolkitError: a part cannot be read, or the table not be written.
     """
     paths = sorted(p for p in (folder / PARTS).glob("*.parquet") if _NAME.fullmatch(p.name))
-    earlier = [folder / TABLE] if (folder / TABLE).exists() else []
+    earlier = [folder / name] if (folder / name).exists() else []
     table = _newest([read_table(path) for path in (*earlier, *paths)])
     if paths:
-        with atomic_path(folder / TABLE) as temporary:
+        with atomic_path(folder / name) as temporary:
             table.to_parquet(temporary, index=False)
         failed = table[table[ERROR] != ""]
         with atomic_path(folder / FAILURES) as temporary:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -21,10 +20,11 @@ from benchmark.methods.filling.raw import Raw
 from benchmark.methods.protocol import Restorer
 from benchmark.methods.registry import MethodOptions, make_restorer
 from benchmark.protocols.registry import get_protocol
-from benchmark.running.batch import Loaded, load_frames, score_batch
+from benchmark.running.batch import load_frames, score_batch
 from benchmark.running.device import check_device, claim_device
 from benchmark.running.manifest import Setup, begin, manifest_of
 from benchmark.running.parts import good_frames, join_parts, write_part
+from benchmark.running.pieces import Batch, batches_of, chosen_frames, pieces_of, read_ahead
 from benchmark.running.saving import save_depth
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import sweep_temporaries
@@ -34,9 +34,6 @@ from std_toolkit.scene.provenance import digest_file
 
 # A killed worker loses what it has not written; a method slower than this writes every batch.
 _FLUSH_S = 2.0
-# Items per worker: enough that no worker waits long for the slowest at the end.
-_ITEMS_PER_WORKER = 16
-_LONGEST_ITEM = 64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,12 +115,12 @@ def run_method(run: Run, jobs: JobOptions | None = None) -> pd.DataFrame:
         sweep_temporaries(run.folder)
         # Joined before anything is added: the parts of this run may have the names of earlier ones.
         done = good_frames(join_parts(run.folder))
-        batches = [b for b in _batches(chosen, run.batch_size) if not done.issuperset(b)]
+        batches = [b for b in batches_of(chosen, run.batch_size) if not done.issuperset(b)]
         if jobs.workers is None and hasattr(restorer, "network"):
             # A network uses all of a device; a second process would only double its memory.
             jobs = replace(jobs, workers=len(run.devices))
         del restorer
-        items = _items(batches, jobs.worker_count)
+        items = pieces_of(batches, jobs.worker_count)
         report = run_jobs(
             _Worker(run),
             items,
@@ -169,25 +166,6 @@ def source_of(run: Run) -> DepthSource:
     return source if run.depth_from is None else WithSavedDepth(source, run.depth_from)
 
 
-def chosen_frames(total: int, limit: int | None) -> list[int]:
-    """Frames of a split that a run takes: all, or `limit` of them evenly spread."""
-    if limit is None or limit >= total:
-        return list(range(total))
-    return [(2 * i + 1) * total // (2 * limit) for i in range(limit)]
-
-
-Batch = tuple[int, ...]
-
-
-def _batches(frames: Sequence[int], size: int) -> list[Batch]:
-    return [tuple(frames[i : i + size]) for i in range(0, len(frames), size)]
-
-
-def _items(batches: Sequence[Batch], workers: int) -> list[tuple[Batch, ...]]:
-    each = max(1, min(_LONGEST_ITEM, len(batches) // (workers * _ITEMS_PER_WORKER)))
-    return [tuple(batches[i : i + each]) for i in range(0, len(batches), each)]
-
-
 class _Worker:
     """Scores batches in a worker process, which keeps data set and network from item to item."""
 
@@ -202,7 +180,7 @@ class _Worker:
         rows: list[dict[str, Any]] = []
         pending: list[Batch] = []
         since = time.monotonic()
-        for batch, loaded in _ahead(source, batches):
+        for batch, loaded in read_ahead(batches, partial(load_frames, source)):
             rows += score_batch(batch, [keys[i] for i in batch], loaded, restorer, protocol, keep)
             pending.append(batch)
             if time.monotonic() - since > _FLUSH_S:
@@ -214,17 +192,6 @@ class _Worker:
 
     def _flush(self, batches: Sequence[Batch], rows: Sequence[dict[str, Any]]) -> None:
         write_part(self.run.folder, batches[0][0], batches[-1][-1], rows)
-
-
-def _ahead(source: DepthSource, batches: Sequence[Batch]) -> Iterator[tuple[Batch, list[Loaded]]]:
-    """Batches with their frames; the next is read while the method works on this one."""
-    with ThreadPoolExecutor(1) as reader:
-        coming = reader.submit(load_frames, source, batches[0])
-        for place, batch in enumerate(batches):
-            loaded = coming.result()
-            if place + 1 < len(batches):
-                coming = reader.submit(load_frames, source, batches[place + 1])
-            yield batch, loaded
 
 
 _kept: dict[str, tuple[DepthSource, Restorer]] = {}

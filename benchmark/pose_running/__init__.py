@@ -1,0 +1,1 @@
+"""Pose methods over splits: views, batches, tables of what was there and what was found, scores."""

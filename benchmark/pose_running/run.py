@@ -1,0 +1,254 @@
+"""One pose method over one split with one depth: in batches, resumable, over many workers."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from benchmark.data.source import DepthSource
+from benchmark.data.splits import open_split
+from benchmark.methods.registry import MethodOptions
+from benchmark.pose_methods.protocol import PoseEstimator
+from benchmark.pose_methods.registry import make_pose_method
+from benchmark.pose_running.batch import estimate_batch, load_pose_frame, load_pose_frames
+from benchmark.pose_running.depths import DepthChoice, DepthGiver
+from benchmark.pose_running.manifest import POSE_MANIFEST, PoseSetup, pose_manifest
+from benchmark.pose_running.table import POSES
+from benchmark.running.device import check_device, claim_device
+from benchmark.running.manifest import begin
+from benchmark.running.parts import good_frames, join_parts, write_part
+from benchmark.running.pieces import Batch, batches_of, chosen_frames, pieces_of, read_ahead
+from benchmark.running.run import UnusableMethod
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import sweep_temporaries
+from std_toolkit.jobs import JobOptions, run_jobs
+from std_toolkit.scene.lock import hold_lock
+from std_toolkit.scene.provenance import digest_file
+
+POSE_FOLDER = "pose"
+AS_INPUT = "as-input"
+# A killed worker loses what it has not written; a method slower than this writes every batch.
+_FLUSH_S = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseRun:
+    """What is estimated, by what, how.
+
+    Attributes:
+        split, root: name of the split and folder of the data.
+        method, options: the pose method; `options.device` is ignored in favour of `devices`.
+        depth: what poses are fitted to.
+        fit: how they are fitted, `ransac` or `paper`.
+        as_input: networks look at that depth, too, and not at raw depth.
+        devices: torch devices, of which each worker takes one.
+        label: what the method is called in tables.
+        out: folder of results.
+        batch_size: frames that go through the method together.
+        limit: of frames, evenly spread over the split; None for all.
+    """
+
+    split: str
+    root: Path
+    method: str
+    options: MethodOptions
+    depth: DepthChoice
+    label: str
+    out: Path
+    fit: str = "ransac"
+    as_input: bool = False
+    devices: tuple[str, ...] = ("cpu",)
+    batch_size: int = 8
+    limit: int | None = None
+
+    @property
+    def depth_label(self) -> str:
+        """What the depth is called in folders and tables."""
+        return f"{self.depth.label}-{AS_INPUT}" if self.as_input else self.depth.label
+
+    @property
+    def folder(self) -> Path:
+        """Where this run's files lie."""
+        return self.out / POSE_FOLDER / self.split / self.label / self.depth_label / self.fit
+
+    @property
+    def title(self) -> str:
+        """For people."""
+        return f"{self.label} on {self.split}, {self.depth_label} depth, fit {self.fit}"
+
+    @property
+    def settings(self) -> dict[str, str]:
+        """The method's, the fit among them."""
+        return {**self.options.settings, "fit": self.fit}
+
+
+def run_poses(run: PoseRun, jobs: JobOptions | None = None) -> pd.DataFrame:
+    """Estimate the poses of frames that have not been done yet.
+
+    Frames are numbered by their place in the split, and batches by their frames: whatever is
+    interrupted, killed or spread over machines, the table is the same in the end.
+
+    Returns:
+        The rows of `benchmark.pose_running.table`; frames that failed have a text in `error`.
+
+    Raises:
+        ToolkitError: data, method, weights or depth cannot be used, or another run was begun in
+            this folder.
+    """
+    jobs = jobs or JobOptions()
+    source = open_split(run.split, run.root)
+    chosen = chosen_frames(len(source), run.limit)
+    _check_truth(source, chosen)
+    # Once and at once, and not first in every worker: a wrong option is told in one line.
+    method, depths = _usable(run)
+    run.folder.mkdir(parents=True, exist_ok=True)
+    with hold_lock(run.folder, "lock", doing="writing to"):
+        setup = _setup(run, source, method, depths, chosen)
+        manifest = pose_manifest(
+            setup,
+            label=run.label,
+            depth_label=run.depth_label,
+            fit=run.fit,
+            root=run.root,
+            weights=run.options.weights,
+            depth_weights=run.depth.options.weights,
+        )
+        begin(run.folder, manifest, POSE_MANIFEST)
+        sweep_temporaries(run.folder)
+        # Joined before anything is added: the parts of this run may have the names of earlier ones.
+        done = good_frames(join_parts(run.folder, POSES))
+        batches = [b for b in batches_of(chosen, run.batch_size) if not done.issuperset(b)]
+        if jobs.workers is None and _has_network(method, depths):
+            # A network uses all of a device; a second process would only double its memory.
+            jobs = replace(jobs, workers=len(run.devices))
+        del method, depths
+        pieces = pieces_of(batches, jobs.worker_count)
+        report = run_jobs(
+            _Worker(run),
+            pieces,
+            name=run.title,
+            key=lambda piece: f"frames {piece[0][0]} to {piece[-1][-1]}",
+            options=jobs,
+        )
+        table = join_parts(run.folder, POSES)
+    if report.failed:
+        where, why = next(iter(report.failed.items()))
+        raise ToolkitError(
+            f"{len(report.failed)} of {len(pieces)} pieces of work failed; {where}: {why}",
+            path=run.folder,
+            hint="what was found is kept; the same command goes on",
+        )
+    return table
+
+
+def _check_truth(source: DepthSource, chosen: Sequence[int]) -> None:
+    """Tell at once where a split has no true poses at all, and not once per frame."""
+    for index in chosen[:1]:
+        load_pose_frame(source, index)
+
+
+def _usable(run: PoseRun) -> tuple[PoseEstimator, DepthGiver]:
+    try:
+        for device in run.devices:
+            check_device(device)
+        return _make(run, run.devices[0])
+    except ToolkitError as error:
+        raise UnusableMethod(
+            error.problem, path=error.path, field=error.field, value=error.value, hint=error.hint
+        ) from error
+
+
+def _make(run: PoseRun, device: str) -> tuple[PoseEstimator, DepthGiver]:
+    method = make_pose_method(
+        run.method, replace(run.options, device=device, settings=run.settings)
+    )
+    options = replace(run.depth.options, device=device)
+    return method, DepthGiver(replace(run.depth, options=options), run.split)
+
+
+def _has_network(method: PoseEstimator, depths: DepthGiver) -> bool:
+    return any(hasattr(part, "network") for part in (method, depths.restorer))
+
+
+class _Worker:
+    """Estimates batches in a worker process, which keeps data set and networks."""
+
+    def __init__(self, run: PoseRun) -> None:
+        self.run = run
+
+    def __call__(self, batches: Sequence[Batch]) -> int:
+        source, method, depths = _equipment(self.run)
+        keys = source.keys()
+        rows: list[dict[str, Any]] = []
+        pending: list[Batch] = []
+        since = time.monotonic()
+        for batch, loaded in read_ahead(batches, partial(load_pose_frames, source)):
+            named = [keys[i] for i in batch]
+            as_input = self.run.as_input
+            rows += estimate_batch(batch, named, loaded, method, depths, as_input=as_input)
+            pending.append(batch)
+            if time.monotonic() - since > _FLUSH_S:
+                self._flush(pending, rows)
+                rows, pending, since = [], [], time.monotonic()
+        if pending:
+            self._flush(pending, rows)
+        return sum(len(batch) for batch in batches)
+
+    def _flush(self, batches: Sequence[Batch], rows: Sequence[dict[str, Any]]) -> None:
+        write_part(self.run.folder, batches[0][0], batches[-1][-1], rows)
+
+
+_kept: dict[str, tuple[DepthSource, PoseEstimator, DepthGiver]] = {}
+
+
+def _equipment(run: PoseRun) -> tuple[DepthSource, PoseEstimator, DepthGiver]:
+    """Data set, method and depth of this process; those of an earlier run make room."""
+    key = repr(run)
+    if key not in _kept:
+        _kept.clear()
+        device = claim_device(run.devices, run.folder / ".devices")
+        _kept[key] = (open_split(run.split, run.root), *_make(run, device))
+    return _kept[key]
+
+
+def _setup(
+    run: PoseRun,
+    source: DepthSource,
+    method: PoseEstimator,
+    depths: DepthGiver,
+    chosen: Sequence[int],
+) -> PoseSetup:
+    keys = source.keys()
+    names = "\n".join(str(keys[i]) for i in chosen)
+    folder = run.depth.folder
+    return PoseSetup(
+        split=run.split,
+        frames=len(chosen),
+        frames_sha256=hashlib.sha256(names.encode()).hexdigest(),
+        method=run.method,
+        preset=run.options.preset,
+        settings=run.settings,
+        weights_sha256=_digest(method, run.options),
+        precision=run.options.precision,
+        compile=run.options.compile,
+        device=run.devices[0].partition(":")[0],
+        batch_size=run.batch_size,
+        depth=run.depth.name,
+        depth_settings=dict(run.depth.options.settings),
+        depth_weights_sha256=_digest(depths.restorer, run.depth.options),
+        depth_folder="" if folder is None else str(folder.resolve()),
+        as_input=run.as_input,
+    )
+
+
+def _digest(made: object, options: MethodOptions) -> str:
+    # A method of somebody's own may use the file without telling.
+    weights = getattr(made, "weights", None) or options.weights
+    return digest_file(weights) if isinstance(weights, Path) else ""
