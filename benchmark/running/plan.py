@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
@@ -62,7 +62,7 @@ class Wishes:
                 raise ToolkitError("must be at least 1", field=name, value=value)
         if self.label is not None and len(self.methods) > 1:
             raise ToolkitError("names one method, not several", field="label", value=self.label)
-        object.__setattr__(self, "roots", dict(_root(text) for text in self.data))
+        object.__setattr__(self, "roots", roots_of(self.data))
 
 
 def plan_runs(wishes: Wishes) -> list[Run]:
@@ -72,17 +72,12 @@ def plan_runs(wishes: Wishes) -> list[Run]:
         ToolkitError: weights or settings for a method that is not asked for, a split without
             data, or a label that cannot be a folder's name.
     """
-    weights = {m: Path(text) for m, text in _by_method(wishes.weights, wishes, "weights", "=")}
-    settings: dict[str, dict[str, str]] = {method: {} for method in wishes.methods}
-    for method, text in _by_method(wishes.settings, wishes, "settings", "."):
-        name, equals, value = text.partition("=")
-        if not (name and equals):
-            raise ToolkitError("expected NAME=VALUE", field="settings", value=text)
-        settings[method][name] = value
+    weights = weights_by_method(wishes.weights, wishes.methods)
+    settings = settings_by_method(wishes.settings, wishes.methods)
     return [
         Run(
             split=split,
-            root=_data_of(split, wishes),
+            root=data_of(split, wishes.roots),
             method=method,
             options=MethodOptions(
                 preset=wishes.preset,
@@ -92,7 +87,7 @@ def plan_runs(wishes: Wishes) -> list[Run]:
                 settings=settings[method],
             ),
             protocol=protocol,
-            label=_label(wishes.label or method.replace(":", ".")),
+            label=checked_label(wishes.label or method.replace(":", ".")),
             out=wishes.out,
             devices=wishes.devices,
             batch_size=wishes.batch_size,
@@ -104,41 +99,92 @@ def plan_runs(wishes: Wishes) -> list[Run]:
     ]
 
 
-def _root(text: str) -> tuple[str | None, Path]:
-    split, equals, root = text.partition("=")
-    # A folder's own name may hold "=".
-    return (split, Path(root)) if equals and not Path(text).exists() else (None, Path(text))
+def roots_of(texts: Sequence[str]) -> dict[str | None, Path]:
+    """Folders of data by split; None for those that are not told otherwise.
+
+    Args:
+        texts: `SPLIT=ROOT`, or `ROOT`.
+    """
+    found: dict[str | None, Path] = {}
+    for text in texts:
+        split, equals, root = text.partition("=")
+        # A folder's own name may hold "=".
+        named = bool(equals) and not Path(text).exists()
+        found[split if named else None] = Path(root if named else text)
+    return found
 
 
-def _data_of(split: str, wishes: Wishes) -> Path:
-    root = wishes.roots.get(split, wishes.roots.get(None))
+def data_of(split: str, roots: Mapping[str | None, Path]) -> Path:
+    """The folder of a split's data.
+
+    Raises:
+        ToolkitError: there is none for it.
+    """
+    root = roots.get(split, roots.get(None))
     if root is None:
         raise ToolkitError("no data for this split", field="data", value=split, hint="give ROOT")
     return root
 
 
+def weights_by_method(texts: Sequence[str], methods: Sequence[str]) -> dict[str, Path]:
+    """Files of weights by the method that they are for.
+
+    Args:
+        texts: `METHOD=FILE`, or `FILE` where there is one method.
+        methods: that there are.
+
+    Raises:
+        ToolkitError: weights for none of them.
+    """
+    return {m: Path(text) for m, text in _by_method(texts, methods, "weights", "=")}
+
+
+def settings_by_method(texts: Sequence[str], methods: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Settings by the method that they are for, each of `methods` having some or none.
+
+    Args:
+        texts: `METHOD.NAME=VALUE`, or `NAME=VALUE` where there is one method.
+        methods: that there are.
+
+    Raises:
+        ToolkitError: a setting for none of them, or one without a value.
+    """
+    settings: dict[str, dict[str, str]] = {method: {} for method in methods}
+    for method, text in _by_method(texts, methods, "settings", "."):
+        name, equals, value = text.partition("=")
+        if not (name and equals):
+            raise ToolkitError("expected NAME=VALUE", field="settings", value=text)
+        settings[method][name] = value
+    return settings
+
+
 def _by_method(
-    texts: Sequence[str], wishes: Wishes, field_name: str, separator: str
+    texts: Sequence[str], methods: Sequence[str], field_name: str, separator: str
 ) -> list[tuple[str, str]]:
     """Pairs of a method and what is told of it."""
     found = []
     for text in texts:
-        method = next((m for m in wishes.methods if text.startswith(m + separator)), None)
+        method = next((m for m in methods if text.startswith(m + separator)), None)
         if method is not None:
             found.append((method, text.removeprefix(method + separator)))
-        elif len(wishes.methods) == 1:
-            found.append((wishes.methods[0], text))
+        elif len(methods) == 1:
+            found.append((methods[0], text))
         else:
             raise ToolkitError(
                 "does not say which method it is for",
                 field=field_name,
                 value=text,
-                hint=f"METHOD{separator}..., with one of {', '.join(wishes.methods)}",
+                hint=f"METHOD{separator}..., with one of {', '.join(methods)}",
             )
     return found
 
 
-def _label(text: str) -> str:
+def checked_label(text: str) -> str:
+    """A name of a method in tables and folders.
+
+    Raises:
+        ToolkitError: it cannot be a folder's name.
+    """
     if len(text) > _LONGEST_LABEL:
         raise ToolkitError(
             f"must have at most {_LONGEST_LABEL} characters",
