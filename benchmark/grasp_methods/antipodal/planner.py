@@ -1,0 +1,94 @@
+"""The planner: contacts, hands, and which of them are best."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.grasp_methods.antipodal.hands import hands_at
+from benchmark.grasp_methods.antipodal.obstacles import Obstacles, obstacles_of
+from benchmark.grasp_methods.antipodal.pairs import Pairs, antipodal_pairs, best_spread, rim_pairs
+from benchmark.grasp_methods.antipodal.settings import AntipodalSettings
+from benchmark.grasp_methods.antipodal.surface import surface_of
+from benchmark.grasp_methods.antipodal.table import find_table
+from benchmark.grasp_methods.protocol import GraspView
+from benchmark.grasping.grasp import Grasps
+from benchmark.grasping.gripper import GRIPPERS
+from benchmark.grasping.nms import suppress_similar
+from benchmark.methods.registry import MethodOptions
+from benchmark.methods.settings import configured
+from std_toolkit.geometry.se3 import SE3
+
+Floats = NDArray[np.float64]
+
+
+class Antipodal:
+    """Grasps from geometry alone; nothing is learned, and no object is known.
+
+    Pairs of seen points whose normals look away from each other within the friction cones are
+    held by a hand that comes from above, where it hits neither what is seen, nor what must lie
+    beneath that, nor the table.
+
+    Args:
+        options: settings as in `AntipodalSettings`.
+
+    Raises:
+        ToolkitError: a setting that it does not have or that cannot be.
+    """
+
+    def __init__(self, options: MethodOptions | None = None) -> None:
+        given = (options or MethodOptions()).settings
+        self.settings = configured(AntipodalSettings(), given)
+        self.gripper = GRIPPERS[self.settings.gripper]
+
+    def plan(self, view: GraspView) -> Grasps:
+        rng = np.random.default_rng(self.settings.seed)
+        if view.T_cam_table is not None:
+            T_cam_table = SE3.from_matrix(view.T_cam_table)
+        else:
+            T_cam_table = find_table(view.depth, view.camera, not_table=view.mask, rng=rng)
+        grasps = self._plan_on_table(view, T_cam_table, rng)
+        return grasps.transformed(T_cam_table)
+
+    def _plan_on_table(self, view: GraspView, T_cam_table: SE3, rng: np.random.Generator) -> Grasps:
+        s = self.settings
+        surface = surface_of(
+            view, T_cam_table, least_height=s.least_height, count=s.points, rng=rng
+        )
+        pairs = antipodal_pairs(
+            surface.points,
+            surface.normals,
+            widest=self.gripper.max_width,
+            cone=s.cone,
+            eye=surface.eye,
+        )
+        rims = rim_pairs(surface.points, surface.normals, surface.at_edge, surface.eye)
+        pairs = Pairs.concatenated(pairs, rims)
+        if not len(pairs):
+            return Grasps.empty()
+        obstacles = obstacles_of(surface.obstacles)
+        worth = _worth(pairs, obstacles, s.cone)
+        pairs = best_spread(pairs, s.pairs, worth)
+        grasps, of_pair = hands_at(
+            pairs, obstacles, self.gripper, surface.eye, room=s.room, table_room=s.table_room
+        )
+        score = _worth(pairs[of_pair], obstacles, s.cone) - 0.5 * (1 + grasps.approaches[:, 2])
+        kept = suppress_similar(grasps.replaced(scores=score), swapped_fingers=True)
+        return kept.top(s.grasps)
+
+
+def _worth(pairs: Pairs, obstacles: Obstacles, cone: float) -> Floats:
+    """(K,) how good pairs are before hands are fitted: square to the surface, level, central."""
+    if not len(pairs):
+        return np.zeros(0)
+    square = (pairs.quality - cone) / (1 - cone)
+    level = 1 - np.abs(pairs.closings[:, 2])
+    return square + level - 6 * off_middle(pairs.middles, obstacles)
+
+
+def off_middle(points: Floats, obstacles: Obstacles) -> Floats:
+    """(K,) how far points lie from the middle of their object, seen from above, metres."""
+    from scipy.spatial import cKDTree
+
+    nearest = cKDTree(obstacles.seen).query(points)[1]
+    return np.linalg.norm(points[:, :2] - obstacles.middles[obstacles.object_of[nearest]], axis=1)
