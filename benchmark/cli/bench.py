@@ -1,14 +1,16 @@
-"""`std-bench`: score depth restorers on the splits of STD, DREDS and ClearGrasp."""
+"""`std-bench`: score depth restorers and pose methods on STD, DREDS, ClearGrasp and one's own."""
 
 from __future__ import annotations
 
 import argparse
 import logging
 import sys
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from benchmark.cli.bench_bop import score_bop_results
+from benchmark.cli.bench_pose import add_pose_arguments, list_pose_methods, score_poses
 from std_toolkit import __version__
 from std_toolkit.cli.job_arguments import add_job_arguments, job_options
 from std_toolkit.cli.outcome import exit_status
@@ -22,8 +24,9 @@ def build_parser() -> argparse.ArgumentParser:
     """The parser; imports no heavy library."""
     parser = argparse.ArgumentParser(
         prog="std-bench",
-        description="Score methods that restore depth. What is scored already is kept: run the "
-        "same command again to go on. `std-report` makes tables and pages of the results.",
+        description="Score methods that restore depth, and what rests on depth. What is scored "
+        "already is kept: run the same command again to go on. `std-report` makes tables and pages "
+        "of the results.",
     )
     add = parser.add_argument
     add("--version", action="version", version=f"std-toolkit {__version__}")
@@ -31,6 +34,7 @@ def build_parser() -> argparse.ArgumentParser:
 
     what = parser.add_argument_group("what is scored")
     add = what.add_argument
+    add("--task", choices=tuple(TASKS), default="depth", help="what is scored (depth)")
     add("--method", nargs="+", metavar="NAME", help="see --list-methods, or package.module:Class")
     add(
         "--data",
@@ -42,6 +46,13 @@ def build_parser() -> argparse.ArgumentParser:
     add("--out", type=Path, metavar="DIR", help="results")
     add("--protocol", nargs="+", default=["strict"], metavar="NAME", help="strict, paper, ...")
     add("--limit", type=int, metavar="N", help="so many frames, evenly spread over the split")
+    add(
+        "--depth",
+        nargs="+",
+        default=["raw"],
+        metavar="NAME",
+        help="what poses rest on: raw, gt, restorers, or NAME=DIR of saved depth",
+    )
     add("--depth-from", type=Path, metavar="DIR", help="depth saved earlier, for the sensor's")
 
     how = parser.add_argument_group("how the methods work")
@@ -75,6 +86,8 @@ def build_parser() -> argparse.ArgumentParser:
         "--gpus-per-task", type=float, default=0.0, metavar="X", help="with --engine ray"
     )
 
+    add_pose_arguments(parser)
+
     instead = parser.add_argument_group("instead of scoring")
     add = instead.add_argument
     add("--list-methods", action="store_true", help="what methods there are")
@@ -91,21 +104,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(args: argparse.Namespace) -> int:
+    _check_task(args)
     if args.list_methods:
-        return _list_methods()
+        return _list_methods(args.task)
     if args.list_splits:
         return _list_splits()
     if args.check_data is not None:
         return _check_data(args)
-    return _score(args)
-
-
-def _score(args: argparse.Namespace) -> int:
-    for name in ("method", "data", "split", "out"):
+    task = TASKS[args.task]
+    for name in task.needed:
         if not getattr(args, name):
             raise ToolkitError(
                 "is needed", field=f"--{name}", hint="`std-bench --help` tells all options"
             )
+    return task.score(args)
+
+
+def _check_task(args: argparse.Namespace) -> None:
+    """Refuse options of other tasks, which would do nothing without a word."""
+    parser = build_parser()
+    for task in TASKS.values():
+        for name in set(task.own) - set(TASKS[args.task].own):
+            if getattr(args, name) != parser.get_default(name):
+                raise ToolkitError(
+                    f"is no option of --task {args.task}", field=f"--{name.replace('_', '-')}"
+                )
+
+
+def _score_depth(args: argparse.Namespace) -> int:
     from benchmark.running.campaign import run_all
     from benchmark.running.plan import Wishes, plan_runs
     from benchmark.running.results import read_run
@@ -138,7 +164,9 @@ def _score(args: argparse.Namespace) -> int:
     return 1 if report.failed or report.failed_frames else 0
 
 
-def _list_methods() -> int:
+def _list_methods(task: str) -> int:
+    if task == "pose":
+        return list_pose_methods()
     import inspect
 
     from benchmark.methods.registry import restorers
@@ -169,6 +197,34 @@ def _check_data(args: argparse.Namespace) -> int:
     for report in reports:
         print(report.text())
     return 0 if all(report.is_complete for report in reports) else 1
+
+
+@dataclass(frozen=True)
+class Task:
+    """Something that is scored.
+
+    Attributes:
+        score: does it; returns the exit status.
+        needed: options that must be given.
+        own: options that only some tasks have, of those that this one has.
+    """
+
+    score: Callable[[argparse.Namespace], int]
+    needed: tuple[str, ...]
+    own: tuple[str, ...]
+
+
+TASKS = {
+    "depth": Task(
+        _score_depth, ("method", "data", "split", "out"), ("depth_from", "save_depth", "no_speed")
+    ),
+    "pose": Task(
+        score_poses,
+        ("method", "data", "split", "out"),
+        ("depth", "fit", "depth_as_input", "iou", "score", "gates"),
+    ),
+    "bop": Task(score_bop_results, ("data", "results"), ("results", "bop_split")),
+}
 
 
 if __name__ == "__main__":
