@@ -21,7 +21,7 @@ from benchmark.methods.network import (
 from benchmark.methods.protocol import View
 from benchmark.methods.registry import MethodOptions
 from benchmark.metrics.resize import resize_nearest
-from benchmark.pose_methods.fitting import FitMethod, FitOptions
+from benchmark.pose_methods.fitting import FitOptions
 from benchmark.pose_methods.posing import posed
 from benchmark.pose_methods.protocol import Estimated, PoseView
 from benchmark.pose_methods.segmented import Segmented
@@ -40,15 +40,13 @@ class Found(NamedTuple):
     coordinates: NDArray[np.float32]
 
 
-class FitSettings(Protocol):
-    """What a network's configuration says of the fit."""
+class NetworkSettings(Protocol):
+    """What a network's configuration says of its images, and of the fit."""
 
     @property
     def input_size(self) -> tuple[int, int]: ...
     @property
-    def fit(self) -> str: ...
-    @property
-    def threshold_m(self) -> float: ...
+    def fit_options(self) -> FitOptions: ...
 
 
 class NetworkEstimator:
@@ -66,12 +64,12 @@ class NetworkEstimator:
 
     needs_truth = False
 
-    def __init__(self, network: nn.Module, options: MethodOptions, config: FitSettings) -> None:
+    def __init__(self, network: nn.Module, options: MethodOptions, config: NetworkSettings) -> None:
         self.input_size: tuple[int, int] | None = config.input_size
         self.size = config.input_size
         self.device = device_called(options.device)
         self._narrow = narrow_type(options.precision)
-        self.fit = FitOptions(fit=FitMethod(config.fit), threshold_m=config.threshold_m)
+        self.fit = config.fit_options
         self.network = network.to(self.device).eval().requires_grad_(False)
         self._run: Any = torch.compile(self.network) if options.compile else self.network
 

@@ -177,6 +177,8 @@ trainables: Registry[Trainable] = Registry(
         "dfnet": "benchmark.training.catalogue:DFNET_TRAINING",
         "lidf": "benchmark.training.catalogue:LIDF_TRAINING",
         "cleargrasp": "benchmark.training.catalogue:CLEARGRASP_TRAINING",
+        "swindrnet-nocs": "benchmark.training.pose_catalogue:SWINDRNET_NOCS_TRAINING",
+        "nocs": "benchmark.training.pose_catalogue:NOCS_TRAINING",
     },
 )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import torch
@@ -42,11 +43,23 @@ def load_imagenet(network: SwinDRNetwork, path: Path) -> None:
     Raises:
         ToolkitError: the file cannot be read, or holds a Swin of another size or something else.
     """
-    state = published_keys(read_weights(path))
     if network.config.fusion == "none":
-        streams = [network.backbone]
+        begin_streams([network.backbone], path)
     else:
-        streams = [network.backbone_rgb_branch, network.backbone_xyz_branch]
+        begin_streams([network.backbone_rgb_branch, network.backbone_xyz_branch], path)
+
+
+def begin_streams(streams: Iterable[Swin], path: Path) -> None:
+    """Begin Swin transformers with the weights of one that was trained on ImageNet.
+
+    Args:
+        streams: their norms of the levels keep what they have.
+        path: weights under the published keys, or under those of `transformers`.
+
+    Raises:
+        ToolkitError: the file cannot be read, or holds a Swin of another size or something else.
+    """
+    state = published_keys(read_weights(path))
     for stream in streams:
         own = {k: v for k, v in stream.state_dict().items() if not _kept(k)}
         check_keys(own, _for_channels(state, stream), path)

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from benchmark.pose_methods.fitting import FitSettings
+
 CLASSES = 7  # 1 bottle to 7 aeroplane; what is of no class is not looked for
 
 
 @dataclass(frozen=True, kw_only=True)
-class NOCSConfig:
+class NOCSConfig(FitSettings):
     """NOCS; the defaults are the published sizes, where there are any.
 
     Attributes:
@@ -27,8 +29,7 @@ class NOCSConfig:
         overlap: IoU of boxes of one class above which the worse one goes.
         most: objects of an image.
         input_size: (width, height) of the images.
-        fit: `ransac` with a metric threshold, or `paper`: least squares over all pixels.
-        threshold_m: largest distance of an inlier, metres.
+        fit, threshold_m: of poses, see `FitSettings`.
     """
 
     block: Literal["bottleneck", "basic"] = "bottleneck"
@@ -44,8 +45,6 @@ class NOCSConfig:
     overlap: float = 0.5
     most: int = 30
     input_size: tuple[int, int] = (640, 360)
-    fit: Literal["ransac", "paper"] = "ransac"
-    threshold_m: float = 0.02
 
     @property
     def level_channels(self) -> tuple[int, ...]:

@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from benchmark.pose_methods.fitting import FitSettings
+
 # Numbers of the segmentation: 0 other, 1 to 7 the classes of DREDS, 8 background.
 CLASSES = 9
 BACKGROUND_CLASS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
-class SwinNOCSConfig:
+class SwinNOCSConfig(FitSettings):
     """SwinDRNet + NOCSHead; the defaults are the published network's sizes.
 
     Attributes:
@@ -30,8 +32,7 @@ class SwinNOCSConfig:
         instances: what counts as an object: all pixels of a `class`, as published, or each
             connected `piece` of them.
         least_pixels: pixels of an object at least, at the network's size.
-        fit: `ransac` with a metric threshold, or `paper`: least squares over all pixels.
-        threshold_m: largest distance of an inlier, metres.
+        fit, threshold_m: of poses, see `FitSettings`.
     """
 
     fusion: Literal["released", "paper"] = "released"
@@ -48,8 +49,6 @@ class SwinNOCSConfig:
     input_size: tuple[int, int] = (224, 224)
     instances: Literal["class", "piece"] = "class"
     least_pixels: int = 10
-    fit: Literal["ransac", "paper"] = "ransac"
-    threshold_m: float = 0.02
 
     @property
     def level_channels(self) -> tuple[int, ...]:

@@ -1,0 +1,208 @@
+"""The loss of NOCS: coordinates and masks as published (Wang et al., CVPR 2019), boxes as FCOS
+(Tian et al., ICCV 2019) learns them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn.functional import binary_cross_entropy_with_logits, log_softmax
+
+from benchmark.pose_methods.nocs.detector import Boxes, boxes_of
+from benchmark.pose_methods.nocs.network import NOCSPrediction
+from benchmark.pose_methods.nocs.regions import Regions, nearest_pixels
+from benchmark.training.losses.swindrnet_nocs import PoseTarget
+from benchmark.training.losses.terms import Loss
+from benchmark.training.losses.turns import TURNS, is_round, turned
+
+_ALPHA, _GAMMA = 0.25, 2  # of the focal loss (Lin et al., ICCV 2017)
+_NEAR = 1.5  # strides around an object's middle that answer for it
+_WIDTHS = 8  # strides that an object is wide at most on its level
+
+
+class NOCSTarget(NamedTuple):
+    """What the network should have answered.
+
+    Attributes:
+        objects: all objects of a class, with their exact boxes.
+        pose: classes and coordinates of pixels.
+    """
+
+    objects: Regions
+    pose: PoseTarget
+
+
+class Assigned(NamedTuple):
+    """What places of an image should say.
+
+    Attributes:
+        classes: (P,) 1 to 7, 0 for nothing.
+        edges: (P, 4) distances to the edges of the object's box, pixels.
+    """
+
+    classes: Tensor
+    edges: Tensor
+
+
+@dataclass(frozen=True, kw_only=True)
+class NOCSLoss:
+    """Sum of five parts: classes, boxes and middles of the detector, masks, coordinates.
+
+    Coordinates: cross entropy of the bins of x, y and z, over the pixels of an object, then over
+    the objects. Of bottles, bowls and cans the turn of six with the least one counts, for each
+    object. What of these parts weighs how much is not published but for that they are equal.
+
+    Attributes:
+        classes, boxes, middles, masks, coordinates: weights.
+        jitter: share of its size by which the box of an object is moved and resized at random
+            before masks and coordinates are learnt in it, as found boxes are off.
+        least_pixels: smaller objects are not learnt.
+    """
+
+    classes: float = 1.0
+    boxes: float = 1.0
+    middles: float = 1.0
+    masks: float = 1.0
+    coordinates: float = 1.0
+    jitter: float = 0.1
+    least_pixels: int = 10
+
+    def __call__(self, prediction: NOCSPrediction, target: NOCSTarget) -> Loss:
+        classes, boxes, middles = detection_loss(prediction.boxes, target.objects)
+        masks = self._masks(prediction, target.pose)
+        coordinates = self._coordinates(prediction, target.pose)
+        total = (
+            self.classes * classes
+            + self.boxes * boxes
+            + self.middles * middles
+            + self.masks * masks
+            + self.coordinates * coordinates
+        )
+        parts = {
+            "classes": classes,
+            "boxes": boxes,
+            "middles": middles,
+            "masks": masks,
+            "coordinates": coordinates,
+        }
+        return Loss(total, {name: part.detach() for name, part in parts.items()})
+
+    def _masks(self, prediction: NOCSPrediction, target: PoseTarget) -> Tensor:
+        regions, logits = prediction.regions, prediction.masks
+        inside = _inside(regions, target, logits.shape[-1])
+        wrong = binary_cross_entropy_with_logits(logits, inside.to(logits.dtype), reduction="none")
+        return wrong.sum() / max(1, wrong.numel())
+
+    def _coordinates(self, prediction: NOCSPrediction, target: PoseTarget) -> Tensor:
+        regions, bins = prediction.regions, prediction.bins
+        n, _, count, side, _ = bins.shape
+        maps = target.nocs.permute(0, 2, 3, 1)
+        true = nearest_pixels(regions.boxes, regions.image, maps, side)  # (n, side, side, 3)
+        known = nearest_pixels(regions.boxes, regions.image, target.known, side)
+        inside = _inside(regions, target, side) & known
+        pixels = inside.sum(dim=(1, 2)).clamp(min=1)
+        chances = log_softmax(bins, dim=2)
+        loose = is_round(regions.class_ids)
+        costs = []
+        for number in range(TURNS):
+            # Objects that are not round do not turn: all six are the same.
+            turn = (loose.long() * number)[:, None, None].expand(n, side, side)
+            wanted = bin_of(turned(true, turn, 3), count).permute(0, 3, 1, 2)[:, :, None]
+            entropy = -chances.gather(2, wanted)[:, :, 0].sum(dim=1)
+            costs.append(entropy.masked_fill(~inside, 0.0).sum(dim=(1, 2)) / pixels)
+        least = torch.stack(costs).amin(dim=0)
+        return least.sum() / max(1, n)
+
+
+def bin_of(coordinates: Tensor, count: int) -> Tensor:
+    """Numbers of the bins that coordinates are in, as published: the upper edge belongs to it."""
+    return (coordinates * count - 1e-6).floor().long().clamp(0, count - 1)
+
+
+def detection_loss(boxes: Boxes, objects: Regions) -> tuple[Tensor, Tensor, Tensor]:
+    """Losses of classes, boxes and middles; sums over the batch by its places with an object."""
+    logits = boxes.classes
+    wanted = torch.zeros_like(logits)
+    classes, edges = [], []
+    for b in range(len(logits)):
+        mine = objects.image == b
+        assigned = assign(boxes.places, boxes.strides, objects.boxes[mine], objects.class_ids[mine])
+        classes.append(assigned.classes)
+        edges.append(assigned.edges)
+    there = torch.stack(classes)
+    positive = there > 0
+    wanted[positive, there[positive] - 1] = 1.0
+    count = positive.sum().clamp(min=1)
+    focal = focal_loss(logits, wanted).sum() / count
+
+    true = torch.stack(edges)[positive]
+    found = boxes.edges[positive]
+    places = boxes.places.expand(*positive.shape, 2)[positive].to(found.dtype)
+    middle = middle_of(true)
+    apart = 1 - generalised_overlap(boxes_of(found, places), boxes_of(true, places))
+    off = (apart * middle).sum() / middle.sum().clamp(min=1e-6)
+    near = binary_cross_entropy_with_logits(boxes.middles[positive], middle, reduction="sum")
+    return focal, off, near / count
+
+
+def assign(places: Tensor, strides: Tensor, boxes: Tensor, class_ids: Tensor) -> Assigned:
+    """Which object each place of an image answers for: the smallest whose middle is near, and
+    that is as large as objects of the place's level are.
+
+    Args:
+        places: (P, 2) x and y.
+        strides: (P,) pixels between places of the same level.
+        boxes, class_ids: (m, 4) and (m,) of the objects.
+    """
+    if not len(boxes):
+        return Assigned(torch.zeros_like(strides), places.new_zeros(len(places), 4))
+    low = places[:, None] - boxes[None, :, :2]
+    high = boxes[None, :, 2:] - places[:, None]
+    edges = torch.cat([low, high], dim=-1)  # (P, m, 4)
+    off = (places[:, None] - (boxes[None, :, :2] + boxes[None, :, 2:]) / 2).abs().amax(dim=-1)
+    width = edges.amax(dim=-1)
+    step = strides[:, None].to(width.dtype)
+    finest, coarsest = strides.min(), strides.max()
+    least = torch.where(step == finest, 0.0, _WIDTHS / 2 * step)
+    most = torch.where(step == coarsest, torch.inf, _WIDTHS * step)
+    fits = (edges.amin(dim=-1) > 0) & (off < _NEAR * step) & (width >= least) & (width < most)
+    area = (boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1])
+    smallest, which = torch.where(fits, area, torch.inf).min(dim=1)
+    classes = torch.where(smallest.isfinite(), class_ids[which], 0)
+    return Assigned(classes, edges[torch.arange(len(places), device=places.device), which])
+
+
+def focal_loss(logits: Tensor, wanted: Tensor) -> Tensor:
+    """Cross entropy of yes and no, less of what is easy, of the shape of `logits`."""
+    entropy = binary_cross_entropy_with_logits(logits, wanted, reduction="none")
+    chance = logits.sigmoid()
+    missed = torch.where(wanted > 0, 1 - chance, chance)
+    return torch.where(wanted > 0, _ALPHA, 1 - _ALPHA) * missed**_GAMMA * entropy
+
+
+def middle_of(edges: Tensor) -> Tensor:
+    """(n,) 1 in the middle of a box, 0 at its edges, of (n, 4) distances to the edges."""
+    left, top, right, bottom = edges.unbind(-1)
+    across = torch.minimum(left, right) / torch.maximum(left, right)
+    down = torch.minimum(top, bottom) / torch.maximum(top, bottom)
+    return (across * down).clamp(min=0).sqrt()
+
+
+def generalised_overlap(one: Tensor, other: Tensor) -> Tensor:
+    """(n,) IoU of boxes, less the share of their common box that is in neither
+    (Rezatofighi et al., CVPR 2019)."""
+    low, high = torch.maximum(one[:, :2], other[:, :2]), torch.minimum(one[:, 2:], other[:, 2:])
+    both = (high - low).clamp(min=0).prod(dim=-1)
+    area = (one[:, 2:] - one[:, :2]).prod(dim=-1) + (other[:, 2:] - other[:, :2]).prod(dim=-1)
+    either = (area - both).clamp(min=1e-6)
+    around = torch.maximum(one[:, 2:], other[:, 2:]) - torch.minimum(one[:, :2], other[:, :2])
+    whole = around.prod(dim=-1).clamp(min=1e-6)
+    return both / either - (whole - either) / whole
+
+
+def _inside(regions: Regions, target: PoseTarget, side: int) -> Tensor:
+    """(n, side, side) bool cells whose nearest pixel is of the region's object."""
+    ids = nearest_pixels(regions.boxes, regions.image, target.mask, side)
+    return ids.long() == regions.ids[:, None, None]
