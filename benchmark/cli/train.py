@@ -8,13 +8,15 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from benchmark.cli.recipe import build_recipe_parser
+from benchmark.cli.recipe import run as run_recipe
 from std_toolkit import __version__
 from std_toolkit.cli.job_arguments import add_job_arguments, job_options
 from std_toolkit.cli.outcome import exit_status
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import log_to_stderr, logger
 
-PACK, EXPORT = "pack", "export"
+PACK, EXPORT, RECIPE = "pack", "export", "recipe"
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -24,7 +26,8 @@ def build_parser() -> argparse.ArgumentParser:
         description="Train a network that restores depth, on frames that `std-train pack` made "
         "ready. Interrupted or killed, the same command goes on from the last checkpoint and ends "
         "with the same weights. `std-train pack --help` tells how to pack, "
-        "`std-train export --help` how to give trained weights away.",
+        "`std-train export --help` how to give trained weights away, `std-train recipe` runs whole "
+        "experiments.",
     )
     add = parser.add_argument
     add("--version", action="version", version=f"std-toolkit {__version__}")
@@ -158,6 +161,12 @@ def _export(args: argparse.Namespace) -> int:
     return 0
 
 
+def _recipe(args: argparse.Namespace) -> int:
+    if args.name is not None:
+        _needs_torch()
+    return run_recipe(args)
+
+
 def _train(args: argparse.Namespace) -> int:
     for name in ("method", "data", "out"):
         if not getattr(args, name):
@@ -252,7 +261,11 @@ def _pairs(texts: Sequence[str], option: str) -> dict[str, str]:
     return pairs
 
 
-_COMMANDS = {PACK: (build_pack_parser, _pack), EXPORT: (build_export_parser, _export)}
+_COMMANDS = {
+    PACK: (build_pack_parser, _pack),
+    EXPORT: (build_export_parser, _export),
+    RECIPE: (build_recipe_parser, _recipe),
+}
 
 if __name__ == "__main__":
     sys.exit(main())

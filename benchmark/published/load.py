@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from std_toolkit.errors import ToolkitError
+
 _FILE = Path(__file__).with_name("published_results.csv")
 # Names of data sets as printed, and of our splits.
 SPLIT_OF = {
@@ -59,9 +61,45 @@ def published_depth() -> pd.DataFrame:
     """
     rows = published_rows()
     rows = rows[(rows["task"] == "depth_restoration") & rows["dataset"].isin(SPLIT_OF)]
+    return _wide(rows.assign(split=rows["dataset"].map(SPLIT_OF)), "split")
+
+
+def published_table(table: str) -> pd.DataFrame:
+    """One table of depth restoration, by the paper's own names of data sets.
+
+    Returns:
+        The columns of `published_depth`, with `dataset` in place of `split`, in the order of the
+        table.
+
+    Raises:
+        ToolkitError: no such table.
+    """
+    rows = published_rows()
+    tables = rows.loc[rows["task"] == "depth_restoration", "table"]
+    if table not in set(tables):
+        raise ToolkitError(
+            "no such table of depth restoration",
+            path=_FILE,
+            field="table",
+            value=table,
+            hint=f"it has {', '.join(dict.fromkeys(tables))}",
+        )
+    rows = rows[(rows["task"] == "depth_restoration") & (rows["table"] == table)]
+    wide = _wide(rows, "dataset")
+    # As printed, not by the alphabet.
+    first = {key: place for place, key in reversed(list(enumerate(_keys_of(rows))))}
+    order = [first[key] for key in _keys_of(wide)]
+    return wide.iloc[sorted(range(len(wide)), key=order.__getitem__)].reset_index(drop=True)
+
+
+def _keys_of(rows: pd.DataFrame) -> list[tuple[str, ...]]:
+    return list(rows[["dataset", "method", "training_data"]].itertuples(index=False, name=None))
+
+
+def _wide(rows: pd.DataFrame, place: str) -> pd.DataFrame:
     long = [
         {
-            "split": SPLIT_OF[row.dataset],
+            place: getattr(row, place),
             "subset": subset,
             "method": row.method,
             "training_data": row.training_data,
@@ -72,7 +110,7 @@ def published_depth() -> pd.DataFrame:
         for row in rows.itertuples()
         for subset in SUBSETS_OF[row.subset]
     ]
-    keys = ["split", "subset", "method", "training_data", "table"]
+    keys = [place, "subset", "method", "training_data", "table"]
     wide = pd.DataFrame(long).pivot(index=keys, columns="metric", values="value").reset_index()
     wide.columns.name = None
     return wide[[*keys, *(name for name, _ in _METRICS.values())]]

@@ -1,0 +1,126 @@
+"""`std-train recipe`: an experiment from its data to its table."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from std_toolkit.cli.job_arguments import add_job_arguments, job_options
+from std_toolkit.errors import ToolkitError
+
+if TYPE_CHECKING:
+    from benchmark.recipes.run import Outcome
+
+
+def build_recipe_parser() -> argparse.ArgumentParser:
+    """The parser of recipes; imports no heavy library."""
+    parser = argparse.ArgumentParser(
+        prog="std-train recipe",
+        description="Run an experiment: simulate and pack frames, train every variant, score it, "
+        "and write the table with the published rows beside. Without NAME: which recipes and "
+        "scales there are. What is finished is left alone: run the same command again to go on.",
+    )
+    add = parser.add_argument
+    add("name", nargs="?", metavar="NAME", help="of a recipe, or FILE.toml")
+    add("--debug", action="store_true", help="show the traceback of an error")
+    add("--scale", metavar="NAME", help="tiny (plumbing only), small (hours), paper (full size)")
+    add("--out", type=Path, default=Path("recipe-runs"), metavar="DIR", help="(recipe-runs)")
+    add("--plan", action="store_true", help="tell what would be done, and do nothing")
+    add("--only", nargs="+", default=[], metavar="VARIANT", help="these variants")
+    add("--seed", type=int, default=0, help="of weights, order and held-out scenes (0)")
+    add("--steps", type=int, metavar="N", help="of every training, instead of the scale's")
+
+    data = parser.add_argument_group("data that are there already")
+    add = data.add_argument
+    add(
+        "--data",
+        nargs="+",
+        default=[],
+        metavar="[TEST=]ROOT",
+        help="STD, DREDS, ClearGrasp to test on: folders above them, or of one test",
+    )
+    add(
+        "--train-data",
+        nargs="+",
+        default=[],
+        metavar="[SET=]DIR",
+        help="DREDS, or a set of std-sim, instead of simulating one to train on",
+    )
+    add("--test-data", nargs="+", default=[], metavar="[SET=]DIR", help="the same to test on")
+    add("--validation-data", type=Path, metavar="DIR", help="chooses the best weights; else "
+        "scenes of the training data are held out")  # fmt: skip
+
+    where = parser.add_argument_group("where networks are trained and scored")
+    add = where.add_argument
+    add("--accelerator", choices=("auto", "cpu", "gpu"), default="auto")
+    add("--precision", choices=("fp32", "bf16"), default="fp32", help="of training")
+    add("--readers", type=int, default=2, metavar="N", help="processes that read packed frames")
+    add_job_arguments(parser)
+    return parser
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run a recipe, or tell of it.
+
+    Raises:
+        ToolkitError: no such recipe or scale, data that are not there, or a step that fails.
+    """
+    from benchmark.recipes.show import plan_text, recipe_list
+
+    if args.name is None:
+        print(recipe_list())
+        return 0
+    if args.scale is None:
+        from benchmark.recipes.scale import scales
+
+        raise ToolkitError("is needed", field="--scale", hint=f"one of {', '.join(scales())}")
+    from benchmark.recipes.plan import RecipeWishes, plan_recipe
+
+    wishes = RecipeWishes(
+        recipe=args.name,
+        scale=args.scale,
+        out=args.out,
+        train_data=args.train_data,
+        test_data=args.test_data,
+        validation_data=args.validation_data,
+        data=args.data,
+        only=args.only,
+        seed=args.seed,
+        steps=args.steps,
+        devices=_devices(args.accelerator),
+    )
+    plan = plan_recipe(wishes)
+    if args.plan:
+        print(plan_text(plan))
+        return 0
+    from benchmark.recipes.page import terminal, write_pages
+    from benchmark.recipes.run import run_recipe
+    from benchmark.recipes.table import findings, recipe_rows
+    from benchmark.training.fit import Machine
+
+    def show(outcome: Outcome) -> None:
+        write_pages(plan, outcome)
+
+    machine = Machine(
+        accelerator=args.accelerator, readers=args.readers, progress=sys.stderr.isatty()
+    )
+    outcome = run_recipe(plan, machine, job_options(args), precision=args.precision, after=show)
+    page = write_pages(plan, outcome)
+    print(terminal(plan, recipe_rows(plan, outcome), findings(plan, outcome)))
+    print(page)
+    for what, why in outcome.problems.items():
+        print(f"error: {what}: {why}", file=sys.stderr)
+    return 1 if outcome.problems else 0
+
+
+def _devices(accelerator: str) -> tuple[str, ...]:
+    """Torch devices to score on."""
+    if accelerator == "cpu":
+        return ("cpu",)
+    import torch
+
+    if torch.cuda.is_available():
+        return tuple(f"cuda:{i}" for i in range(torch.cuda.device_count()))
+    return ("cpu",)

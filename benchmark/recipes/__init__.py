@@ -1,0 +1,1 @@
+"""Experiments as recipes: data, trainings, scores and the table, by one command."""

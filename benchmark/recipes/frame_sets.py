@@ -1,0 +1,243 @@
+"""Sets of frames that a recipe trains and tests on: simulated here, or given by the user."""
+
+from __future__ import annotations
+
+import hashlib
+import multiprocessing
+import os
+import threading
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing import connection
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import msgspec
+
+from benchmark.data.splits import open_split, where_to_get
+from benchmark.recipes.recipe import BASE_SETS, Recipe
+from benchmark.recipes.scale import Scale
+from std_toolkit.errors import ToolkitError
+from std_toolkit.jobs import JobOptions
+
+if TYPE_CHECKING:
+    from sensors.simulation.options import SimulationOptions
+
+Part = Literal["train", "test"]
+_PARTS = ("train", "val", "test")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameSet:
+    """Frames in the DREDS layout.
+
+    Attributes:
+        name: in names of files; other data have another name.
+        root: folder of the set.
+        split: of the benchmark, below `root`.
+        options: what it is simulated with; None for a set that the user gives.
+        seeds: of its scenes.
+    """
+
+    name: str
+    root: Path
+    split: str
+    options: SimulationOptions | None = None
+    seeds: tuple[int, ...] = ()
+
+    @property
+    def part(self) -> Part:
+        """The part of the DREDS layout that is simulated."""
+        return "test" if self.split.endswith("test") else "train"
+
+    @property
+    def frames(self) -> int:
+        """How many there are, or will be."""
+        if self.options is None:
+            return len(open_split(self.split, self.root))
+        return len(self.seeds) * self.options.views
+
+    @property
+    def origin(self) -> str:
+        """Where its frames come from, for people."""
+        if self.options is None:
+            return f"given: {self.root}"
+        return f"simulated by std-sim: {len(self.seeds)} scenes of {self.options.views} views"
+
+    def missing(self) -> list[int]:
+        """Scenes that are still to be simulated."""
+        from sensors.output.dreds import scene_folder
+        from sensors.simulation.dataset import scene_name
+
+        return [
+            seed
+            for seed in self.seeds
+            if not scene_folder(self.root, self.part, scene_name(seed)).is_dir()
+        ]
+
+
+def parse_given(texts: Sequence[str], usual: str, recipe: Recipe) -> dict[str, Path]:
+    """Folders by set, of texts `[SET=]DIR`.
+
+    Raises:
+        ToolkitError: no such set or folder, or a set twice.
+    """
+    known = (*BASE_SETS, *recipe.sets)
+    found: dict[str, Path] = {}
+    for text in texts:
+        name, equals, folder = text.partition("=")
+        if not equals or Path(text).exists():
+            name, folder = usual, text
+        if name not in known:
+            raise ToolkitError(
+                "the recipe has no such set", value=name, hint=f"it has {', '.join(known)}"
+            )
+        if name in found:
+            raise ToolkitError("two folders for one set", field=name, value=folder)
+        if not Path(folder).is_dir():
+            raise ToolkitError("no such folder", path=folder)
+        found[name] = Path(folder)
+    return found
+
+
+def given_set(name: str, root: Path, prefer: str) -> FrameSet:
+    """A set of the user's.
+
+    Args:
+        name: of the set.
+        root: a set of `std-sim`, or DREDS-CatKnown as published.
+        prefer: part that is looked for first: `train`, `val` or `test`.
+
+    Raises:
+        ToolkitError: it holds no frames.
+    """
+    parts = sorted(_PARTS, key=lambda part: part != prefer)
+    for part in parts:
+        split = f"dreds-catknown-{part}"
+        try:
+            open_split(split, root)
+        except ToolkitError:
+            continue
+        digest = hashlib.sha256(str(root.resolve()).encode()).hexdigest()[:8]
+        return FrameSet(name=f"{name}-{digest}", root=root, split=split)
+    from benchmark.data.splits import get_split
+
+    raise ToolkitError(
+        "no frames of a simulated set here",
+        path=root,
+        hint=where_to_get(get_split(f"dreds-catknown-{prefer}")),
+    )
+
+
+def plan_set(
+    name: str, recipe: Recipe, scale: Scale, given: Mapping[str, Path], out: Path
+) -> FrameSet:
+    """A set by its name: the user's, or what is to be simulated.
+
+    A set that differs from another in some options has the scenes of the other, also where that
+    one is the user's.
+
+    Raises:
+        ToolkitError: options that there are not, or the user's set does not say how it was made.
+    """
+    from sensors.simulation.options import SimulationOptions
+
+    derived = recipe.sets.get(name)
+    base = derived.like if derived else name
+    if name in given:
+        return given_set(name, given[name], base)
+    if base in given:
+        return _alike(name, recipe, given_set(base, given[base], base), out)
+    size = scale.sets[base]
+    options = {**size.options, "split": size.split, **(derived.options if derived else {})}
+    return FrameSet(
+        name=name,
+        root=out / "data" / name,
+        split=f"dreds-catknown-{size.split}",
+        options=_convert(options, SimulationOptions, name),
+        seeds=tuple(range(size.seed, size.seed + size.scenes)),
+    )
+
+
+def _alike(name: str, recipe: Recipe, base: FrameSet, out: Path) -> FrameSet:
+    """A set with the scenes of the user's, by other options."""
+    from sensors.simulation.dataset import SET_FILE, SetRecord
+    from sensors.simulation.options import SimulationOptions
+    from std_toolkit.io.documents import read_document
+
+    like, record = recipe.sets[name].like, base.root / SET_FILE
+    hint = f"give this set, too: {name}=DIR"
+    keys = open_split(base.split, base.root).keys()
+    scenes = list(dict.fromkeys(key.scene for key in keys))
+    if not record.is_file() or not all(scene.isdigit() for scene in scenes):
+        raise ToolkitError(
+            f"set {name} is to have the scenes of {like}, which was not made by std-sim",
+            path=base.root,
+            hint=hint,
+        )
+    made = msgspec.to_builtins(read_document(record, SetRecord).options)
+    return FrameSet(
+        name=f"{name}-{base.name.removeprefix(f'{like}-')}",
+        root=out / "data" / f"{name}-{base.name.removeprefix(f'{like}-')}",
+        split=f"dreds-catknown-{'test' if made['split'] == 'test' else 'train'}",
+        options=_convert({**made, **recipe.sets[name].options}, SimulationOptions, name),
+        seeds=tuple(int(scene) for scene in scenes),
+    )
+
+
+def _convert(options: Mapping[str, Any], type_: Any, name: str) -> Any:
+    try:
+        return msgspec.convert(dict(options), type_)
+    except msgspec.ValidationError as error:
+        problem, _, at = str(error).partition(" - at `$")
+        raise ToolkitError(problem, field=f"sets.{name}.options{at.strip('`')}") from error
+
+
+def simulate(frames: FrameSet, jobs: JobOptions) -> dict[str, str]:
+    """Make the scenes that are not there yet, in a process of their own.
+
+    The tracer's libraries stay out of this process, which is going to load torch.
+
+    Returns:
+        An error line for each scene that failed.
+
+    Raises:
+        ToolkitError: the folder holds another set, the disk is full, or the simulator cannot run.
+    """
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=context, initializer=_prepare) as pool:
+        try:
+            return pool.submit(_simulate_here, frames, jobs).result()
+        except BrokenProcessPool as error:
+            raise ToolkitError(
+                "the simulating process died (killed, or out of memory)",
+                path=frames.root,
+                hint="run the same command again to go on",
+            ) from error
+
+
+def _simulate_here(frames: FrameSet, jobs: JobOptions) -> dict[str, str]:
+    from sensors.simulation.dataset import simulate_set
+
+    assert frames.options is not None
+    report = simulate_set(frames.root, frames.options, frames.seeds, split=frames.part, jobs=jobs)
+    return report.failed
+
+
+def _prepare() -> None:
+    import logging
+
+    from std_toolkit.log import log_to_stderr
+
+    log_to_stderr(logging.INFO)
+    threading.Thread(target=_die_with_parent, daemon=True).start()
+
+
+def _die_with_parent() -> None:
+    # A killed recipe must not go on simulating beside the one that is started next.
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+        os._exit(1)

@@ -1,0 +1,181 @@
+"""What an experiment is: sets of frames, variants that are trained on them, tests.
+
+A recipe is a TOML file; those of the toolkit lie in `experiments/`. How large everything is says
+the scale, see `scale.py`.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import msgspec
+
+from std_toolkit.errors import ToolkitError
+
+FOLDER = Path(__file__).with_name("experiments")
+# Sets that every scale has.
+BASE_SETS = ("train", "test")
+_NAME = re.compile(r"[a-z0-9][a-z0-9.-]*")
+T = TypeVar("T")
+
+
+class Printed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A row of a paper's table, in the words of `published_results.csv`."""
+
+    method: str
+    training_data: str
+
+
+class DerivedSet(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A set of simulated frames that differs from another one in some options.
+
+    Attributes:
+        like: the other one, `train` or `test`: the same scenes and views.
+        options: fields of `SimulationOptions`.
+    """
+
+    like: str
+    options: dict[str, Any]
+
+
+class Test(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Frames that everything is scored on.
+
+    Attributes:
+        split: of the benchmark; the test's own name where it is left out.
+        title: for people.
+        dataset: what the paper calls it; the split's where it is left out.
+        set: set of simulated frames that stands in where the user gives no data; empty for none.
+        get: where the data come from, where the split does not know it.
+    """
+
+    split: str = ""
+    title: str = ""
+    dataset: str = ""
+    set: str = ""
+    get: str = ""
+
+
+class Variant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A network and what it is trained on.
+
+    Attributes:
+        title: its name in tables.
+        method, settings: of `std-train`.
+        set: frames that it is trained on.
+        raw: what it is given as raw depth: the sensor's, or exact depth from which specular and
+            transparent objects are cut.
+        share: of the scenes that it is trained on.
+        published: the row of the recipe's table that it is held against.
+    """
+
+    title: str
+    method: str
+    settings: dict[str, str] = {}
+    set: str = "train"
+    raw: Literal["sensor", "cut"] = "sensor"
+    share: float = 1.0
+    published: Printed | None = None
+
+
+class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """An experiment.
+
+    Attributes:
+        title, about: for people.
+        table: the paper's, as `published_results.csv` names it; empty for none.
+        variants, tests, sets: by name.
+        baselines: methods without learning that are scored beside.
+        protocols: that everything is scored by; the paper's own first.
+    """
+
+    title: str
+    about: str = ""
+    table: str = ""
+    variants: dict[str, Variant]
+    tests: dict[str, Test]
+    sets: dict[str, DerivedSet] = {}
+    baselines: list[str] = msgspec.field(default_factory=lambda: ["raw"])
+    protocols: list[str] = msgspec.field(default_factory=lambda: ["paper", "strict"])
+
+    def __post_init__(self) -> None:
+        for field in ("variants", "tests", "sets"):
+            for name in getattr(self, field):
+                if not _NAME.fullmatch(name):
+                    raise ToolkitError(
+                        "names are lower-case letters, digits, . and -", field=field, value=name
+                    )
+        for field in ("variants", "tests", "protocols"):
+            if not getattr(self, field):
+                raise ToolkitError("needs at least one", field=field)
+        for name, derived in self.sets.items():
+            if name in BASE_SETS:
+                raise ToolkitError("the scale has this set", field="sets", value=name)
+            if derived.like not in BASE_SETS:
+                raise ToolkitError(
+                    "no such set", field=f"sets.{name}.like", value=derived.like,
+                    hint=f"one of {', '.join(BASE_SETS)}",
+                )  # fmt: skip
+        known = (*BASE_SETS, *self.sets)
+        used = {f"variants.{n}.set": v.set for n, v in self.variants.items()}
+        used |= {f"tests.{n}.set": t.set for n, t in self.tests.items() if t.set}
+        for field, value in used.items():
+            if value not in known:
+                raise ToolkitError(
+                    "no such set", field=field, value=value, hint=f"one of {', '.join(known)}"
+                )
+        for name, variant in self.variants.items():
+            if not 0 < variant.share <= 1:
+                raise ToolkitError(
+                    "must lie above 0 and at most 1",
+                    field=f"variants.{name}.share",
+                    value=variant.share,
+                )
+
+
+def recipe_names() -> list[str]:
+    """Recipes of the toolkit, the paper's main comparison first."""
+    names = sorted(path.stem for path in FOLDER.glob("*.toml"))
+    return sorted(names, key=lambda name: name != "main-comparison")
+
+
+def load_recipe(name: str) -> tuple[str, Recipe]:
+    """A recipe of the toolkit by its name, or the user's own by its path (`*.toml`).
+
+    Returns:
+        Its name, and the recipe.
+
+    Raises:
+        ToolkitError: no such recipe, or a field of it is wrong.
+    """
+    if name in recipe_names():
+        return name, read_toml(FOLDER / f"{name}.toml", Recipe)
+    path = Path(name)
+    if path.suffix != ".toml":
+        raise ToolkitError(
+            "no such recipe", value=name, hint=f"one of {', '.join(recipe_names())}, or FILE.toml"
+        )
+    return path.stem, read_toml(path, Recipe)
+
+
+def read_toml(path: Path, type_: type[T]) -> T:
+    """A TOML file as a Struct, or whatever msgspec knows.
+
+    Raises:
+        ToolkitError: it cannot be read, is no TOML, or a field is wrong; the field is named.
+    """
+    try:
+        return msgspec.toml.decode(path.read_bytes(), type=type_)
+    except OSError as error:
+        raise ToolkitError(f"cannot read the file: {error.strerror}", path=path) from error
+    except msgspec.ValidationError as error:
+        problem, _, at = str(error).partition(" - at `$")
+        raise ToolkitError(problem, path=path, field=at.strip("`.") or None) from error
+    except ToolkitError as error:
+        raise ToolkitError(
+            error.problem, path=path, field=error.field, value=error.value, hint=error.hint
+        ) from error
+    except ValueError as error:  # msgspec.DecodeError too
+        raise ToolkitError(f"no TOML: {error}", path=path) from error
