@@ -156,7 +156,7 @@ class _Attempt:
         self._keep("closed")
         touched = tuple(sorted(i for i in self._touched_by_fingers() if i >= 0))
         nothing = self._opening() < 2 * _SHUT_M or not touched
-        self._move(self.tip + [0, 0, LIFT_M], _LIFT_M_S)
+        self._move(self.tip + np.array([0, 0, LIFT_M]), _LIFT_M_S)
         self._wait(_HOLD_S)
         self._keep("lifted")
         held = tuple(i for i, low in enumerate(self._lowest()) if low > HELD_M)
@@ -185,9 +185,7 @@ class _Attempt:
                 self.data.ctrl[:3] = self.data.qpos[self._carriage]
                 return False
         self._step(50)
-        if stops and self._lag() > _LAG_M:
-            return False
-        return True
+        return not (stops and self._lag() > _LAG_M)
 
     def _close(self) -> None:
         self.data.ctrl[3:] = CLOSED

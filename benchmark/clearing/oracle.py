@@ -93,7 +93,7 @@ def _at(
     gripper: Gripper, tilt: float,
 ) -> Grasps | None:  # fmt: skip
     """The grasp that closes on what is beside point k, if one does. All in the axes of R."""
-    x, y, z = mine[k]
+    y, z = mine[k, 1:]
     near = np.abs(mine[:, 2] - z) < gripper.finger_height / 2
     column = near & (np.abs(mine[:, 1] - y) < gripper.max_width / 2)
     if column.sum() < 8:

@@ -1,0 +1,104 @@
+"""What stands on the table in one round: drawn from its seed, dropped until it lies still."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sensors.assets import AssetSource, SourceOptions, draw_diagonal, open_source
+from sensors.materials import DrawnMaterial, draw_material, draw_material_class
+from sensors.physics import PhysicalObject, SettleOptions, convex_parts, settle
+from std_toolkit.geometry.se3 import SE3
+
+# As in the scenes of DREDS: a vessel of each kind, which may be of glass, and others of metal.
+VESSELS = ("bottle", "bowl", "mug")
+OTHERS = ("can", "car", "aeroplane")
+OBJECTS = (4, 5)
+# The jaw opens by 80 mm: no object is thicker than this in its thinnest direction. Bowls and mugs
+# are held by the rim as well.
+THICKEST_M = 0.058
+# Side of the square that objects fall on, and of the table.
+DROP_HALF_M, TABLE_HALF_M = 0.19, 0.45
+MASS_KG = (0.08, 0.25)
+
+
+@dataclass(frozen=True, eq=False)
+class TableObject:
+    """One object of a round.
+
+    Attributes:
+        number: 0, 1, ... within the round.
+        body: shape, size and collision parts.
+        material: its surface.
+        mass_kg: its mass.
+    """
+
+    number: int
+    body: PhysicalObject
+    material: DrawnMaterial
+    mass_kg: float
+
+    @property
+    def label(self) -> str:
+        """For people: what it is made of and what it is."""
+        return f"{self.material.material_class} {self.body.asset.category}"
+
+
+@dataclass(frozen=True, eq=False)
+class Arrangement:
+    """A round before the first attempt.
+
+    Attributes:
+        seed: of the round.
+        objects: specular and transparent ones.
+        poses: T_world_obj, z up, the table at z = 0.
+    """
+
+    seed: int
+    objects: tuple[TableObject, ...]
+    poses: tuple[SE3, ...]
+
+
+def round_seed(seed: int, index: int) -> int:
+    """The seed of round `index` of a run: the same for every depth and planner."""
+    return int(np.random.default_rng([seed, index]).integers(2**31))
+
+
+def arrange(
+    seed: int, *, assets: AssetSource | None = None, parts_cache: Path | None = None
+) -> Arrangement:
+    """Draw the objects of a round and let them fall on the table.
+
+    Args:
+        seed: of the round.
+        assets: where shapes come from; the test part of the built-in library by default.
+        parts_cache: folder that keeps convex parts.
+
+    Raises:
+        ToolkitError: the objects do not come to rest, or a simulation library is missing.
+    """
+    assets = assets or open_source("procedural", SourceOptions(split="test"))
+    shapes, looks = (np.random.default_rng([seed, k]) for k in range(2))
+    count = int(shapes.integers(OBJECTS[0], OBJECTS[1] + 1))
+    others = [OTHERS[int(k)] for k in shapes.permutation(len(OTHERS))]
+    objects = []
+    for number, category in enumerate([*VESSELS, *others][:count]):
+        asset = assets.sample(shapes, category)
+        thinnest = float(np.ptp(asset.vertices, axis=0).min())
+        diagonal = min(draw_diagonal(shapes, asset), THICKEST_M / thinnest)
+        material_class = draw_material_class(looks, category, allowed=("specular", "transparent"))
+        material = draw_material(looks, material_class, textured=asset.texture is not None)
+        body = PhysicalObject(asset, diagonal, convex_parts(asset, parts_cache))
+        objects.append(TableObject(number, body, material, float(shapes.uniform(*MASS_KG))))
+    settled = settle(
+        [o.body for o in objects], seed, SettleOptions(half_width_m=DROP_HALF_M, attempts=20)
+    )
+    return Arrangement(seed, tuple(objects), settled.poses)
+
+
+def off_table(poses: Sequence[SE3]) -> list[int]:
+    """Places of those poses that lie beyond the table's edge."""
+    return [k for k, T in enumerate(poses) if np.abs(T.t[:2]).max() > TABLE_HALF_M]
