@@ -25,6 +25,7 @@ from benchmark.training.losses.cleargrasp import (
 )
 from benchmark.training.losses.outlines import CONTACT, NONE, OCCLUSION, outlines_of
 from benchmark.training.losses.terms import Loss
+from benchmark.training.module import seed_of
 from benchmark.training.packed_frames import PackedFrames
 from benchmark.training.step import Batch, Moment, Seen, made_of, network_inputs
 from std_toolkit.io.images import write_color
@@ -111,10 +112,14 @@ class ClearGraspJudge:
 
 
 def _answers(network: ClearGraspNetwork, loss: ClearGraspLoss, color: Tensor) -> ClearGraspAnswers:
-    asked = {
-        name: network.get_submodule(name)(color).float() if getattr(loss, name) else None
-        for name in _NETWORKS
-    }
+    seed, asked = torch.initial_seed(), dict.fromkeys(_NETWORKS)
+    for place, name in enumerate(_NETWORKS):
+        if not getattr(loss, name):
+            continue
+        if network.training:
+            # So that a network drops out the same whether others are trained with it or not.
+            torch.manual_seed(seed_of(seed, place))
+        asked[name] = network.get_submodule(name)(color).float()
     if asked["normals"] is not None:
         asked["normals"] = normalize(asked["normals"], dim=1)
     return ClearGraspAnswers(**asked)

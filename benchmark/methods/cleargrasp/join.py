@@ -2,7 +2,8 @@
 
     python -m benchmark.methods.cleargrasp.join masks.pth normals.pth boundaries.pth all.safetensors
 
-A run of the benchmark notes the one file by its hash.
+A run of the benchmark notes the one file by its hash. A file may also hold all three networks, as
+`std-train` writes them: what it is given for is taken from it.
 """
 
 from __future__ import annotations
@@ -10,9 +11,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from torch import nn
+
 from benchmark.methods.cleargrasp.config import PRESETS, ClearGraspConfig
 from benchmark.methods.cleargrasp.network import ClearGraspNetwork
-from benchmark.methods.weights import load_weights, save_weights
+from benchmark.methods.weights import check_keys, load_weights, read_weights, save_weights
 from std_toolkit.errors import ToolkitError
 
 
@@ -29,10 +32,22 @@ def join_weights(
         ToolkitError: one cannot be read, or is of another network.
     """
     network = ClearGraspNetwork(config)
-    load_weights(network.masks, masks)
-    load_weights(network.normals, normals)
-    load_weights(network.boundaries, boundaries)
+    files = {"masks": masks, "normals": normals, "boundaries": boundaries}
+    for name, file in files.items():
+        _load(network.get_submodule(name), name, file)
     save_weights(network, path)
+
+
+def _load(part: nn.Module, name: str, path: Path) -> None:
+    found = read_weights(path)
+    own = {
+        key.removeprefix(f"{name}."): t for key, t in found.items() if key.startswith(f"{name}.")
+    }
+    if not own:
+        load_weights(part, path)
+        return
+    check_keys(part.state_dict(), own, path)
+    part.load_state_dict(own)
 
 
 def main() -> None:

@@ -42,7 +42,7 @@ class LIDFLoss:
     told: float = 0.1
 
     def __call__(self, prediction: LIDFPrediction, target: Target, phase: str) -> Loss:
-        depth = prediction.depth.float()
+        depth = prediction.depth.to(target.depth.dtype)
         rays = points(torch.ones_like(target.depth), target.K)
         reach = rays.abs().mean(dim=1, keepdim=True)
         apart = (depth - target.depth).abs() * reach
@@ -68,7 +68,7 @@ def end_loss(told: Terminations, true: Tensor) -> Tensor:
     """Mean of -log of the chance of the voxel that holds (b, 1, h, w) the true depth."""
     distance = true.flatten()[told.rays.pixel] / told.rays.direction[:, 2]
     ends = true_pairs(told.pairs, distance)
-    found = told.log_probability.float()[ends[ends >= 0]]
+    found = told.log_probability[ends[ends >= 0]]
     return -found.sum() / max(len(found), 1)
 
 

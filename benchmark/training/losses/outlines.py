@@ -92,7 +92,7 @@ def _jump(z: Tensor, known: Tensor, axis: int) -> Tensor:
 
     The inverse depth of a plane is linear in the image, however slanted it is. Of the slopes
     before and behind the two pixels the smaller one counts: the other may be a boundary itself,
-    or that of a round surface that turns away.
+    or that of a round surface that turns away. A slope that goes the other way explains nothing.
     """
     inverse = torch.where(known, 1 / z.clamp(min=1e-6), 0.0)
     step = _ahead(inverse, axis) - inverse
@@ -101,7 +101,7 @@ def _jump(z: Tensor, known: Tensor, axis: int) -> Tensor:
     before, behind = slope.roll(1, axis), slope.roll(-1, axis)
     least = torch.where(before.abs() <= behind.abs(), before, behind)
     least = torch.where(least.isfinite(), least, 0.0)
-    return (step - least).abs() * z * _ahead(z, axis)
+    return (step - least).abs().minimum(step.abs()) * z * _ahead(z, axis)
 
 
 def _step(at: Tensor, connected: Tensor, axis: int) -> tuple[Tensor, Tensor]:

@@ -63,9 +63,10 @@ def test_from_packing_to_the_leaderboard(method, data, tmp_path, capsys):
     assert "waiting for data" in told.err
     best = json.loads((run / "best.json").read_text())
     rows = list(csv.DictReader((run / "validation.csv").open()))
-    scores = [float(row["specular_transparent_rmse"]) for row in rows]
-    assert best["ranked_by"] == "specular_transparent_rmse"
-    assert best["scores"]["specular_transparent_rmse"] == pytest.approx(min(scores), rel=1e-4)
+    ranked = "loss" if method == "cleargrasp" else "specular_transparent_rmse"
+    scores = [float(row[ranked]) for row in rows]
+    assert best["ranked_by"] == ranked
+    assert best["scores"][ranked] == pytest.approx(min(scores), rel=1e-4)
     assert len(list((run / "gallery").glob("step-*.jpg"))) == len(rows)
     assert list((run / "tensorboard").glob("events*"))
 
@@ -76,12 +77,16 @@ def test_from_packing_to_the_leaderboard(method, data, tmp_path, capsys):
 
     made = MethodOptions(preset="compact", weights=run / "best.safetensors", settings=TINY[method])
     restorer, source = make_restorer(method, made), open_split(SPLIT, data)
+    if ranked == "loss":
+        return  # its depth is that of the optimisation, which validation leaves out
     frames = PackedFrames([pack])
     config, found, _ = plan_training(
         replace(wishes(method, pack), hold_out=0.3, settings=TINY[method])
     )
     answers = [
-        restorer.restore([view_of(source.load(i), (SIDE, SIDE))])[0].depth
+        restorer.restore(
+            [view_of(source.load(i), (SIDE, SIDE), with_mask=restorer.needs_mask)]
+        )[0].depth
         for i in found.of_validation
     ]
     from benchmark.metrics.accumulate import DepthMetrics
@@ -104,10 +109,14 @@ def test_training_learns(method, pack, tmp_path):
     settings, rate = dict(TINY[method]), 3e-3
     if method == "swindrnet":
         settings, rate = settings | {"drop_path": "0", "dropout": "0"}, 1e-2
+    if method == "cleargrasp":
+        rate = 1e-2
     asked = wishes(
         method, pack, settings=settings, steps=80, learning_rate=rate, colors="off",
-        checkpoint_every=40, validate_every=40,
+        geometry="off", checkpoint_every=40, validate_every=40,
     )  # fmt: skip
+    if method == "lidf":
+        asked = replace(asked, steps=None, phases={"coarse": 80})
     trained(asked, tmp_path)
     losses = [float(row["loss"]) for row in csv.DictReader((tmp_path / "steps.csv").open())]
     assert np.mean(losses[-5:]) < 0.5 * np.mean(losses[:2]), losses
