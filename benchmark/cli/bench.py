@@ -11,12 +11,14 @@ from pathlib import Path
 
 from benchmark.cli.bench_bop import score_bop_results
 from benchmark.cli.bench_pose import add_pose_arguments, list_pose_methods, score_poses
+from benchmark.cli.grasp_task import OWN, add_grasp_arguments, list_planners, score_grasps
 from std_toolkit import __version__
 from std_toolkit.cli.job_arguments import add_job_arguments, job_options
 from std_toolkit.cli.outcome import exit_status
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import log_to_stderr
 
+PRIORS = "priors"
 PRECISIONS = ("fp32", "bf16", "fp16")
 
 
@@ -26,7 +28,7 @@ def build_parser() -> argparse.ArgumentParser:
         prog="std-bench",
         description="Score methods that restore depth, and what rests on depth. What is scored "
         "already is kept: run the same command again to go on. `std-report` makes tables and pages "
-        "of the results.",
+        "of the results. `std-bench priors --help` tells how to make shape priors of meshes.",
     )
     add = parser.add_argument
     add("--version", action="version", version=f"std-toolkit {__version__}")
@@ -87,6 +89,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
 
     add_pose_arguments(parser)
+    add_grasp_arguments(parser)
 
     instead = parser.add_argument_group("instead of scoring")
     add = instead.add_argument
@@ -98,8 +101,13 @@ def build_parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status."""
-    args = build_parser().parse_args(arguments)
+    words = list(sys.argv[1:] if arguments is None else arguments)
     log_to_stderr(logging.INFO)
+    if words[:1] == [PRIORS]:
+        from benchmark.cli.priors import main as make_priors
+
+        return make_priors(words[1:])
+    args = build_parser().parse_args(words)
     return exit_status(lambda: _run(args), program="std-bench", debug=args.debug)
 
 
@@ -167,6 +175,8 @@ def _score_depth(args: argparse.Namespace) -> int:
 def _list_methods(task: str) -> int:
     if task == "pose":
         return list_pose_methods()
+    if task == "grasp":
+        return list_planners()
     import inspect
 
     from benchmark.methods.registry import restorers
@@ -223,6 +233,7 @@ TASKS = {
         ("method", "data", "split", "out"),
         ("depth", "fit", "depth_as_input", "iou", "score", "gates"),
     ),
+    "grasp": Task(score_grasps, ("depth", "planner", "out"), ("depth", *OWN)),
     "bop": Task(score_bop_results, ("data", "results"), ("results", "bop_split")),
 }
 

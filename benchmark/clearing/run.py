@@ -1,0 +1,267 @@
+"""One planner on one depth over seeded rounds: resumable, over many workers, the same each time."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import pandas as pd
+
+from benchmark.clearing.arrange import arrange, round_seed
+from benchmark.clearing.manifest import GRASP_MANIFEST, GraspSetup, grasp_manifest
+from benchmark.clearing.round import MOST_ATTEMPTS, GivenDepth, Plan, State, clear_table
+from benchmark.clearing.sensing import CameraKind, Looked, camera_pose, make_camera
+from benchmark.clearing.strip import attempt_strip
+from benchmark.clearing.table import ATTEMPTS, rows_of_round, scene_name
+from benchmark.grasp_methods.protocol import GraspView
+from benchmark.grasp_methods.registry import make_planner
+from benchmark.grasping.grasp import Grasps
+from benchmark.grasping.gripper import PANDA
+from benchmark.methods.protocol import Restorer
+from benchmark.methods.registry import MethodOptions, make_restorer
+from benchmark.running.batch import restore_views
+from benchmark.running.device import check_device, claim_device
+from benchmark.running.manifest import begin
+from benchmark.running.parts import good_frames, join_parts, write_part
+from benchmark.running.run import UnusableMethod
+from benchmark.running.views import view_of
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import sweep_temporaries
+from std_toolkit.io.images import write_color
+from std_toolkit.jobs import JobOptions, run_jobs
+from std_toolkit.scene.lock import hold_lock
+from std_toolkit.scene.provenance import digest_file
+
+GRASP_FOLDER, STRIPS = "grasp", "strips"
+RAW, TRUE = "raw", "gt"
+# Knows where the objects are: what can be reached at all.
+ORACLE = "oracle"
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspRun:
+    """What clears the table, and how.
+
+    Attributes:
+        depth, depth_options: `raw`, `gt`, or a restorer and its options.
+        planner, planner_options: a registered planner, or `oracle`.
+        rounds, seed: how many, and of which seed.
+        out: folder of results.
+        camera: `quick` or `simulated`.
+        attempts: at most so many a round.
+        devices: torch devices, of which each worker takes one.
+        strips: keep pictures of every attempt.
+    """
+
+    depth: str
+    planner: str
+    rounds: int
+    seed: int
+    out: Path
+    depth_options: MethodOptions = field(default_factory=MethodOptions)
+    planner_options: MethodOptions = field(default_factory=MethodOptions)
+    camera: CameraKind = "quick"
+    attempts: int = MOST_ATTEMPTS
+    devices: tuple[str, ...] = ("cpu",)
+    strips: bool = True
+
+    @property
+    def depth_label(self) -> str:
+        return self.depth.replace(":", ".")
+
+    @property
+    def planner_label(self) -> str:
+        return self.planner.replace(":", ".")
+
+    @property
+    def folder(self) -> Path:
+        """Where this run's files lie."""
+        seeded = f"{self.camera}-seed{self.seed}"
+        return self.out / GRASP_FOLDER / seeded / self.planner_label / self.depth_label
+
+    @property
+    def title(self) -> str:
+        """For people."""
+        return f"{self.planner_label} on {self.depth_label} depth"
+
+    @property
+    def is_restored(self) -> bool:
+        """Whether a restorer makes the depth."""
+        return self.depth not in (RAW, TRUE)
+
+
+def run_clearing(run: GraspRun, jobs: JobOptions | None = None) -> pd.DataFrame:
+    """Clear the tables that have not been cleared yet.
+
+    Rounds and their noise follow from the run's seed and their number alone: however they are
+    interrupted, resumed or spread over workers, the table is the same.
+
+    Returns:
+        The rows of `benchmark.clearing.table`.
+
+    Raises:
+        ToolkitError: planner, restorer or camera cannot be used, rounds failed, or another run was
+            begun in this folder.
+    """
+    jobs = jobs or JobOptions()
+    equipment = _usable(run)
+    run.folder.mkdir(parents=True, exist_ok=True)
+    with hold_lock(run.folder, "lock", doing="writing to"):
+        manifest = grasp_manifest(
+            _setup(run, equipment),
+            depth_label=run.depth_label,
+            planner_label=run.planner_label,
+            planner_weights=run.planner_options.weights,
+            depth_weights=run.depth_options.weights,
+        )
+        begin(run.folder, manifest, GRASP_MANIFEST)
+        sweep_temporaries(run.folder)
+        done = good_frames(join_parts(run.folder, ATTEMPTS))
+        if jobs.workers is None and equipment.has_network and run.devices[0] != "cpu":
+            # A second process would only double the memory on the device.
+            jobs = replace(jobs, workers=len(run.devices))
+        report = run_jobs(
+            _Worker(run),
+            [index for index in range(run.rounds) if index not in done],
+            name=run.title,
+            key=scene_name,
+            options=jobs,
+        )
+        table = join_parts(run.folder, ATTEMPTS)
+    if report.failed:
+        where, why = next(iter(report.failed.items()))
+        raise ToolkitError(
+            f"{len(report.failed)} of {run.rounds} rounds failed; {where}: {why}",
+            path=run.folder,
+            hint="finished rounds are kept; the same command goes on",
+        )
+    return table
+
+
+class _Equipment:
+    """Restorer and planner of a process."""
+
+    def __init__(self, run: GraspRun, device: str) -> None:
+        self.restorer: Restorer | None = None
+        if run.is_restored:
+            self.restorer = make_restorer(run.depth, replace(run.depth_options, device=device))
+        self.true = run.depth == TRUE
+        self.planner = None
+        if run.planner != ORACLE:
+            self.planner = make_planner(run.planner, replace(run.planner_options, device=device))
+
+    @property
+    def has_network(self) -> bool:
+        return any(hasattr(part, "network") for part in (self.restorer, self.planner))
+
+    @property
+    def looks_at_color(self) -> bool:
+        """Restorers do; planners only where they say so."""
+        return self.restorer is not None or bool(getattr(self.planner, "needs_color", False))
+
+    def given(self, looked: Looked) -> GivenDepth:
+        """The depth to plan on; a restorer's at the size that it works at, never stretched."""
+        frame = looked.frame
+        if self.restorer is None:
+            depth = frame.depth_true if self.true else frame.depth_raw
+            return GivenDepth(frame.color, depth, frame.camera)
+        view = view_of(frame, self.restorer.input_size, with_mask=self.restorer.needs_mask)
+        answer = restore_views(self.restorer, {0: view})[0]
+        if isinstance(answer, str):
+            raise ToolkitError(f"the restorer failed: {answer}")
+        depth = answer.depth.copy()
+        depth[~((depth > 0) & (depth < float("inf")))] = 0  # NaN as well: no answer
+        return GivenDepth(view.color, depth, view.camera)
+
+    def plan(self, view: GraspView, state: State) -> Grasps:
+        if self.planner is not None:
+            return self.planner.plan(view)
+        from benchmark.clearing.oracle import plan_from_surfaces, surfaces_of
+
+        surfaces = surfaces_of([o.body for o in state.objects], state.poses)
+        return plan_from_surfaces(surfaces).transformed(camera_pose().inverse())
+
+
+class _Worker:
+    """Clears the table of one round and writes its rows and pictures."""
+
+    def __init__(self, run: GraspRun) -> None:
+        self.run = run
+
+    def __call__(self, index: int) -> int:
+        from sensors.simulation.dataset import parts_cache
+
+        equipment = _kept_equipment(self.run)
+        arrangement = arrange(round_seed(self.run.seed, index), parts_cache=parts_cache())
+        camera = make_camera(self.run.camera, arrangement, parts_cache=parts_cache())
+        plan: Plan = equipment.plan
+        attempts = list(
+            clear_table(
+                arrangement, camera, equipment.given, plan,
+                color=equipment.looks_at_color, attempts=self.run.attempts,
+            )
+        )  # fmt: skip
+        if self.run.strips:
+            for attempt in attempts:
+                name = f"{scene_name(index)}-attempt-{attempt.number:02d}.png"
+                write_color(self.run.folder / STRIPS / name, attempt_strip(attempt))
+        write_part(self.run.folder, index, index, rows_of_round(index, arrangement, attempts))
+        return len(attempts)
+
+
+_kept: dict[str, _Equipment] = {}
+
+
+def _kept_equipment(run: GraspRun) -> _Equipment:
+    key = repr(run)
+    if key not in _kept:
+        _kept.clear()
+        device = claim_device(run.devices, run.folder / ".devices")
+        _kept[key] = _Equipment(run, device)
+        _one_thread()
+    return _kept[key]
+
+
+def _one_thread() -> None:
+    """Sums over several threads come out a little different with another number of workers."""
+    if (torch := sys.modules.get("torch")) is not None:
+        torch.set_num_threads(1)
+
+
+def _usable(run: GraspRun) -> _Equipment:
+    try:
+        for device in run.devices:
+            check_device(device)
+        return _Equipment(run, run.devices[0])
+    except ToolkitError as error:
+        raise UnusableMethod(
+            error.problem, path=error.path, field=error.field, value=error.value, hint=error.hint
+        ) from error
+
+
+def _setup(run: GraspRun, equipment: _Equipment) -> GraspSetup:
+    planner, depth = run.planner_options, run.depth_options
+    model = Path(__file__).with_name("depth_model.json")
+    return GraspSetup(
+        seed=run.seed,
+        attempts=run.attempts,
+        camera=run.camera,
+        depth_model_sha256=digest_file(model) if run.camera == "quick" else "",
+        gripper=PANDA.name,
+        planner=run.planner,
+        planner_settings=dict(planner.settings),
+        planner_weights_sha256=_weights(equipment.planner, planner),
+        depth=run.depth,
+        depth_settings=dict(depth.settings),
+        depth_weights_sha256=_weights(equipment.restorer, depth),
+        preset=planner.preset,
+        precision=planner.precision,
+        compile=planner.compile,
+        device=run.devices[0].partition(":")[0],
+    )
+
+
+def _weights(method: object, options: MethodOptions) -> str:
+    path = getattr(method, "weights", None) or options.weights
+    return "" if path is None else digest_file(path)

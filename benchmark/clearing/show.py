@@ -1,0 +1,67 @@
+"""The results of table clearing as the paper's table, in the terminal and as text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from benchmark.clearing.rates import Rate
+from benchmark.clearing.results import GraspResult
+
+HEADINGS = (
+    "planner", "depth", "rounds", "grasped / attempts", "success % per attempt", "per table",
+    "removed / objects", "completion % per object", "per table", "tables cleared %",
+    "transparent %", "specular %",
+)  # fmt: skip
+
+
+def grasp_table(results: Sequence[GraspResult]) -> str:
+    """One line per run; intervals of 95 % in brackets."""
+    blocks = []
+    for camera, seed in dict.fromkeys(r.name[:2] for r in results):
+        mine = [r for r in results if r.name[:2] == (camera, seed)]
+        lines = [list(HEADINGS), *(cells(r) for r in mine)]
+        widths = [max(len(line[i]) for line in lines) for i in range(len(HEADINGS))]
+        shown = "\n".join(
+            "  ".join(
+                cell.ljust(w) if i < 2 else cell.rjust(w)
+                for i, (cell, w) in enumerate(zip(line, widths, strict=True))
+            ).rstrip()
+            for line in lines
+        )
+        blocks.append(f"table clearing, {camera} camera, seed {seed}\n{shown}")
+    return "\n\n".join(blocks)
+
+
+def cells(result: GraspResult) -> list[str]:
+    """The texts of a run's line, in the order of `HEADINGS`."""
+    r = result.rates
+    removed = r.grasped + r.lost
+    lost = f" ({r.lost} off)" if r.lost else ""
+    return [
+        result.manifest.planner_label,
+        result.manifest.depth_label,
+        str(r.rounds),
+        f"{int(r.success_attempts.count)} / {r.attempts}",
+        share(r.success_attempts),
+        share(r.success_tables),
+        f"{removed} / {r.objects}{lost}",
+        share(r.completion_objects),
+        share(r.completion_tables),
+        share(r.cleared),
+        share(r.completion_of.get("transparent")),
+        share(r.completion_of.get("specular")),
+    ]
+
+
+def share(rate: Rate | None) -> str:
+    """A rate in percent, with its interval where there is one.
+
+    >>> share(Rate(0.5, 0.25, 0.75, 3, 6)), share(None)
+    ('50.0 [25.0, 75.0]', '-')
+    """
+    if rate is None or math.isnan(rate.value):
+        return "-"
+    if math.isnan(rate.low):
+        return f"{100 * rate.value:.1f}"
+    return f"{100 * rate.value:.1f} [{100 * rate.low:.1f}, {100 * rate.high:.1f}]"

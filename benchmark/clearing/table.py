@@ -1,0 +1,109 @@
+"""The table of a run: what became of every object and of every attempt.
+
+Each round has a row of kind `object` for each object at its start, and one of kind `attempt` for
+each view that something was, or could not be, tried upon. Nothing in it depends on how long
+anything took or where it ran.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from benchmark.clearing.arrange import Arrangement
+from benchmark.clearing.round import Attempt, target_of
+from benchmark.running.parts import ERROR, FRAME, INDEX, SCENE
+
+ATTEMPTS = "attempts.parquet"
+KIND, OBJECT, ATTEMPT = "kind", "object", "attempt"
+GRASPED, LOST, LEFT = "grasped", "off-table", "left"
+_POINTS = 1500
+_AXES = ("x", "y", "z")
+# Columns of the other kind of rows keep their type.
+_NOTHING = {
+    "number": -1, "asset": "", "category": "", "material": "", "diagonal_m": np.nan,
+    "mass_kg": np.nan, "fate": "", "fate_attempt": -1,
+    "attempt": -1, "present": -1, "found": -1, "executed": False, "outcome": "", "held": 0,
+    "lost": 0, "target": -1, "score": np.nan, "width": np.nan, "depth": np.nan,
+    **{f"{what}_{a}": np.nan for what in ("tip", "approach", "closing") for a in _AXES},
+    "opening": np.nan, "pushed_m": np.nan,
+}  # fmt: skip
+
+
+def scene_name(index: int) -> str:
+    """What round `index` is called."""
+    return f"round-{index:04d}"
+
+
+def rows_of_round(
+    index: int, arrangement: Arrangement, attempts: Sequence[Attempt]
+) -> list[dict[str, Any]]:
+    """The rows of a round: its objects, then its attempts."""
+    base = {INDEX: index, SCENE: scene_name(index), FRAME: "", ERROR: ""}
+    fates = {o.number: (LEFT, -1) for o in arrangement.objects}
+    for attempt in attempts:
+        fates |= dict.fromkeys(attempt.removed, (GRASPED, attempt.number))
+        fates |= dict.fromkeys(attempt.lost, (LOST, attempt.number))
+    rows: list[dict[str, Any]] = []
+    for o in arrangement.objects:
+        fate, when = fates[o.number]
+        told = {
+            "number": o.number,
+            "asset": o.body.asset.id,
+            "category": o.body.asset.category,
+            "material": o.material.material_class,
+            "diagonal_m": o.body.diagonal_m,
+            "mass_kg": o.mass_kg,
+            "fate": fate,
+            "fate_attempt": when,
+        }
+        rows.append(base | {KIND: OBJECT} | _NOTHING | told)
+    return rows + [base | {KIND: ATTEMPT} | _NOTHING | _attempt(a) for a in attempts]
+
+
+def _attempt(attempt: Attempt) -> dict[str, Any]:
+    told: dict[str, Any] = {
+        "attempt": attempt.number,
+        "present": len(attempt.before.objects),
+        "found": attempt.found,
+        "executed": attempt.executed is not None,
+        "outcome": attempt.outcome,
+        "held": len(attempt.removed),
+        "lost": len(attempt.lost),
+    }
+    grasp, executed = attempt.grasp, attempt.executed
+    if grasp is None or executed is None:
+        return told
+    target = _target(attempt)
+    told |= {
+        "target": target.number,
+        "category": target.body.asset.category,
+        "material": target.material.material_class,
+        "score": float(grasp.scores[0]),
+        "width": float(grasp.widths[0]),
+        "depth": float(grasp.depths[0]),
+        "pushed_m": executed.pushed_m,
+    }
+    for what, vector in (
+        ("tip", grasp.tips[0]),
+        ("approach", grasp.approaches[0]),
+        ("closing", grasp.closings[0]),
+    ):
+        told |= {f"{what}_{a}": float(x) for a, x in zip(_AXES, vector, strict=True)}
+    closed = [s.opening for s in executed.stages if s.name == "closed"]
+    return told | ({"opening": closed[0]} if closed else {})
+
+
+def _target(attempt: Attempt) -> Any:
+    import trimesh
+
+    points = []
+    for thing, T in zip(attempt.before.objects, attempt.before.poses, strict=True):
+        mesh = thing.body.asset.mesh
+        canonical = np.asarray(trimesh.sample.sample_surface(mesh, _POINTS, seed=0)[0])
+        points.append(T @ (canonical * thing.body.diagonal_m))
+    place = target_of(attempt, points)
+    assert place is not None
+    return attempt.before.objects[place]
