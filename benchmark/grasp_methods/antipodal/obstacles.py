@@ -8,12 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.grasping.collision import Cloud, voxel_means
+from benchmark.grasping.grasp import Grasps
+from benchmark.grasping.gripper import Boxes, Gripper
 
 Floats = NDArray[np.float64]
 
 FINE_M, COARSE_M = 0.004, 0.01
 # Points of one object are nearer to each other than this, at the fine spacing.
 _CONNECTED_M = 0.012
+# Cells of about 5 mm on a fingertip, along and across.
+_PAD_CELLS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +70,27 @@ def obstacles_of(points: Floats) -> Obstacles:
         middles=(low[:, :2] + high[:, :2]) / 2,
         tops=high[:, 2],
     )
+
+
+def filled_pads(grasps: Grasps, obstacles: Obstacles, gripper: Gripper) -> Floats:
+    """(N,) share of the fingertips' faces before which something was seen between the fingers.
+
+    A grasp of a corner or an edge has little there, and slips or turns.
+    """
+    share = np.zeros(len(grasps))
+    across = gripper.finger_height / _PAD_CELLS
+    along = gripper.finger_sections[0][0] / _PAD_CELLS
+    half = grasps.widths / 2
+    cloud = Cloud(obstacles.seen)
+    for row in range(_PAD_CELLS):
+        low = np.stack([grasps.depths - (row + 1) * along, -half, np.zeros_like(half)], axis=1)
+        high = np.stack([grasps.depths - row * along, half, np.zeros_like(half)], axis=1)
+        for column in range(_PAD_CELLS):
+            low[:, 2] = -gripper.finger_height / 2 + column * across
+            high[:, 2] = low[:, 2] + across
+            cell = Boxes(low[:, None].copy(), high[:, None].copy())
+            share += cloud.count_inside(grasps, cell)[:, 0] > 0
+    return share / _PAD_CELLS**2
 
 
 def _columns(points: Floats) -> Floats:

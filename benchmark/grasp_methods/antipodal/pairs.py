@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +14,10 @@ Floats = NDArray[np.float64]
 _LEAST_WIDTH_M = 0.0015
 # Cells by which pairs are told apart when the best are chosen.
 _CELL_M, _CELL_COS = 0.012, 0.25
-# How far the middle may be moved where both contacts are seen on the near side of a round body.
-_LARGEST_SHIFT_M = 0.015
+# Two points of a circle: cosine of the least angle between their normals, how much the radii that
+# they give may differ, and the sine from which on an axis is taken to lie.
+_ROUND_COS, _ROUNDNESS, _LYING = -0.1, 0.15, 0.3
+_LEAST_RADIUS_M = 0.004
 # Walls whose other side is hidden: how thick they may be, how squarely they face the eye, how
 # steep they are (z of the normal), and what is thought of such a pair.
 _WALL_M = 0.005
@@ -42,13 +45,13 @@ class Pairs:
         return len(self.widths)
 
     @staticmethod
-    def concatenated(a: Pairs, b: Pairs) -> Pairs:
-        """The pairs of both."""
+    def concatenated(batches: Sequence[Pairs]) -> Pairs:
+        """The pairs of all."""
         return Pairs(
-            np.concatenate([a.middles, b.middles]),
-            np.concatenate([a.closings, b.closings]),
-            np.concatenate([a.widths, b.widths]),
-            np.concatenate([a.quality, b.quality]),
+            np.concatenate([b.middles for b in batches]),
+            np.concatenate([b.closings for b in batches]),
+            np.concatenate([b.widths for b in batches]),
+            np.concatenate([b.quality for b in batches]),
         )
 
     def __getitem__(self, which: NDArray[np.integer] | NDArray[np.bool_]) -> Pairs:
@@ -57,22 +60,21 @@ class Pairs:
         )
 
 
-def antipodal_pairs(
-    points: Floats, normals: Floats, *, widest: float, cone: float, eye: Floats
-) -> Pairs:
+_NO_PAIRS = Pairs(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+
+
+def antipodal_pairs(points: Floats, normals: Floats, *, widest: float, cone: float) -> Pairs:
     """All pairs whose normals look away from each other, along the line between them.
 
     Args:
         points, normals: (C, 3), normals out of the object.
         widest: metres.
         cone: least cosine of the angle between a normal and the line.
-        eye: (3,) from where the points were seen.
     """
     from scipy.spatial import cKDTree
 
-    nothing = Pairs(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
     if len(points) < 2:
-        return nothing
+        return _NO_PAIRS
     i, j = cKDTree(points).query_pairs(widest, output_type="ndarray").T
     # Cheap first: the normals themselves must look apart.
     apart = np.einsum("ni,ni->n", normals[i], normals[j]) < 1 - 2 * cone**2
@@ -86,10 +88,57 @@ def antipodal_pairs(
         -np.einsum("ni,ni->n", normals[i], closing), np.einsum("ni,ni->n", normals[j], closing)
     )
     held = quality >= cone
-    i, j, closing, width, quality = i[held], j[held], closing[held], width[held], quality[held]
-    middle = (points[i] + points[j]) / 2
-    shift, wider = _behind(normals[i] + normals[j], middle, width, eye)
-    return Pairs(middle + shift, closing, wider, quality)
+    return Pairs((points[i] + points[j])[held] / 2, closing[held], width[held], quality[held])
+
+
+def round_pairs(points: Floats, normals: Floats, *, widest: float) -> Pairs:
+    """Level diameters of round bodies of which the camera sees less than half.
+
+    The lines through two points along their normals meet in the middle of a ball, or on the axis
+    of a cylinder, as far from the one point as from the other. That circle is closed by
+    assumption, and held where it is level, also where nothing of it is seen there.
+
+    Args:
+        points, normals: (C, 3), normals out of the object.
+        widest: metres.
+    """
+    from scipy.spatial import cKDTree
+
+    if len(points) < 2:
+        return _NO_PAIRS
+    i, j = cKDTree(points).query_pairs(widest, output_type="ndarray").T
+    cosine = np.einsum("ni,ni->n", normals[i], normals[j])
+    apart = (cosine < _ROUND_COS) & (cosine > -0.999)
+    i, j, cosine = i[apart], j[apart], cosine[apart]
+    # Closest points p - a n and q - b m of the two lines; m, n of unit length.
+    line = points[i] - points[j]
+    along_i = np.einsum("ni,ni->n", normals[i], line)
+    along_j = np.einsum("ni,ni->n", normals[j], line)
+    slant = 1 - cosine**2
+    a = (along_i - cosine * along_j) / slant
+    b = (cosine * along_i - along_j) / slant
+    on_i, on_j = points[i] - a[:, None] * normals[i], points[j] - b[:, None] * normals[j]
+    radius = (a + b) / 2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fits = (
+            (radius > _LEAST_RADIUS_M)
+            & (2 * radius < widest)
+            & (np.abs(a - b) < _ROUNDNESS * radius)
+            & (np.linalg.norm(on_i - on_j, axis=1) < _ROUNDNESS / 2 * radius)
+        )
+    i, j, cosine, radius = i[fits], j[fits], cosine[fits], radius[fits]
+    middle = (on_i + on_j)[fits] / 2
+    axis = np.cross(normals[i], normals[j])
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    level = np.cross(axis, np.array([0.0, 0.0, 1.0]))
+    lying = np.linalg.norm(level, axis=1)
+    # Round an upright axis all directions are level: that between the points is as good as any.
+    chord = points[j] - points[i]
+    closing = np.where((lying > _LYING)[:, None], level, chord)
+    closing /= np.linalg.norm(closing, axis=1, keepdims=True)
+    # The more of the circle was seen, the better.
+    quality = np.sqrt((1 - cosine) / 2)
+    return Pairs(middle, closing, 2 * radius, quality)
 
 
 def rim_pairs(points: Floats, normals: Floats, at_edge: NDArray[np.bool_], eye: Floats) -> Pairs:
@@ -115,28 +164,6 @@ def rim_pairs(points: Floats, normals: Floats, at_edge: NDArray[np.bool_], eye: 
         np.full(count, _WALL_M),
         np.full(count, _RIM_QUALITY),
     )
-
-
-def _behind(leaning: Floats, middle: Floats, width: Floats, eye: Floats) -> tuple[Floats, Floats]:
-    """How far the widest place lies behind a chord of a round body, and how wide it is.
-
-    Of a cylinder or ball the camera sees less than half; the outermost points that it sees lie on
-    a chord before the middle, and their normals lean towards it. The circle through both that has
-    these normals has its centre behind the chord by half the width times the tangent of the lean.
-
-    Args:
-        leaning: (K, 3) sums of the two normals.
-        middle, width: (K, 3) and (K,) of the chords.
-        eye: (3,).
-    """
-    flat = leaning * [1.0, 1.0, 0.0]
-    sine = np.linalg.norm(flat, axis=1) / 2
-    back = np.divide(-flat, 2 * sine[:, None], out=np.zeros_like(flat), where=sine[:, None] > 1e-6)
-    away = np.einsum("ni,ni->n", back, middle - eye) > 0
-    sine = np.clip(np.where(away, sine, 0), 0, 0.9)
-    cosine = np.sqrt(1 - sine**2)
-    shift = np.minimum(width / 2 * sine / cosine, _LARGEST_SHIFT_M)
-    return shift[:, None] * back, np.hypot(width, 2 * shift)
 
 
 def best_spread(pairs: Pairs, count: int, score: Floats) -> Pairs:

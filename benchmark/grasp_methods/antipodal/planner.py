@@ -6,8 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.grasp_methods.antipodal.hands import hands_at
-from benchmark.grasp_methods.antipodal.obstacles import Obstacles, obstacles_of
-from benchmark.grasp_methods.antipodal.pairs import Pairs, antipodal_pairs, best_spread, rim_pairs
+from benchmark.grasp_methods.antipodal.obstacles import Obstacles, filled_pads, obstacles_of
+from benchmark.grasp_methods.antipodal.pairs import (
+    Pairs,
+    antipodal_pairs,
+    best_spread,
+    rim_pairs,
+    round_pairs,
+)
 from benchmark.grasp_methods.antipodal.settings import AntipodalSettings
 from benchmark.grasp_methods.antipodal.surface import surface_of
 from benchmark.grasp_methods.antipodal.table import find_table
@@ -55,15 +61,15 @@ class Antipodal:
         surface = surface_of(
             view, T_cam_table, least_height=s.least_height, count=s.points, rng=rng
         )
-        pairs = antipodal_pairs(
-            surface.points,
-            surface.normals,
-            widest=self.gripper.max_width,
-            cone=s.cone,
-            eye=surface.eye,
+        points, normals = surface.points, surface.normals
+        widest = self.gripper.max_width
+        pairs = Pairs.concatenated(
+            [
+                antipodal_pairs(points, normals, widest=widest, cone=s.cone),
+                round_pairs(points, normals, widest=widest),
+                rim_pairs(points, normals, surface.at_edge, surface.eye),
+            ]
         )
-        rims = rim_pairs(surface.points, surface.normals, surface.at_edge, surface.eye)
-        pairs = Pairs.concatenated(pairs, rims)
         if not len(pairs):
             return Grasps.empty()
         obstacles = obstacles_of(surface.obstacles)
@@ -72,7 +78,11 @@ class Antipodal:
         grasps, of_pair = hands_at(
             pairs, obstacles, self.gripper, surface.eye, room=s.room, table_room=s.table_room
         )
-        score = _worth(pairs[of_pair], obstacles, s.cone) - 0.5 * (1 + grasps.approaches[:, 2])
+        score = (
+            _worth(pairs[of_pair], obstacles, s.cone)
+            - 0.5 * (1 + grasps.approaches[:, 2])
+            + 2 * filled_pads(grasps, obstacles, self.gripper)
+        )
         kept = suppress_similar(grasps.replaced(scores=score), swapped_fingers=True)
         return kept.top(s.grasps)
 
