@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.splits import open_split
-from benchmark.metrics.pose import get_pose_protocol, match_poses
+from benchmark.metrics.pose import PoseTruth, get_pose_protocol, match_poses
+from benchmark.metrics.pose.boxes import box_corners
 from benchmark.pose_running.boxes_drawn import ESTIMATE_COLOR, TRUE_COLOR, draw_boxes
 from benchmark.pose_running.run import PoseRun
 from benchmark.pose_running.table import POSES, READ, PoseFrames, frames_of
@@ -25,6 +26,9 @@ POSE_GALLERY = "gallery"
 PICTURES_FILE = "pictures.json"
 SHOWN = 6
 WIDTH = 560
+# Of the window around the objects; it is at least so much of the image.
+_MARGIN, _LEAST_SHARE = 0.06, 0.3
+_PALER = 0.25
 
 
 class PosePicture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -87,17 +91,37 @@ def make_pose_pictures(run: PoseRun) -> PosePictures:
 def picture_of(
     color: NDArray[np.uint8], camera: Camera, frames: PoseFrames, place: int
 ) -> NDArray[np.uint8]:
-    """(h, `WIDTH`, 3) the image, a little paler, with the boxes of one of the frames."""
-    size = (WIDTH, round(WIDTH * camera.height / camera.width))
-    shrinks = color.shape[1] > size[0]
-    way = cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC
-    resized = cv2.resize(color, size, interpolation=way)
-    image = np.ascontiguousarray(255 - (0.85 * (255 - resized.astype(np.float32)))).astype(np.uint8)
-    drawn = camera.resized(*size)
+    """(h, `WIDTH`, 3) the objects of one of the frames, a little paler, with their boxes.
+
+    Where both boxes are in one place, the green line has a red core.
+    """
     truth, found = frames.truths[place], frames.found[place]
-    draw_boxes(image, drawn, truth.RT, truth.sizes, TRUE_COLOR)
-    draw_boxes(image, drawn, found.RT, found.sizes, ESTIMATE_COLOR, width=1)
+    whole = camera.resized(color.shape[1], color.shape[0])
+    x, y, w, h = _window(whole, truth)
+    size = (WIDTH, round(WIDTH * h / w))
+    way = cv2.INTER_AREA if w > WIDTH else cv2.INTER_CUBIC
+    resized = cv2.resize(color[y : y + h, x : x + w], size, interpolation=way)
+    pale = 255 - (1 - _PALER) * (255 - resized.astype(np.float32))
+    image = np.ascontiguousarray(pale.astype(np.uint8))
+    drawn = whole.cropped(x, y, w, h).resized(*size)
+    draw_boxes(image, drawn, truth.RT, truth.sizes, TRUE_COLOR, width=4)
+    draw_boxes(image, drawn, found.RT, found.sizes, ESTIMATE_COLOR, width=2)
     return image
+
+
+def _window(camera: Camera, truth: PoseTruth) -> tuple[int, int, int, int]:
+    """x, y, width, height of the part of the image that holds the true boxes, as wide for its
+    height as the image, so that pictures can stand beside each other."""
+    if not len(truth.class_ids):
+        return 0, 0, camera.width, camera.height
+    pixels = camera.project(box_corners(truth.RT, truth.sizes).transpose(0, 2, 1).reshape(-1, 3))
+    size = np.array(camera.size)
+    low, high = np.nanmin(pixels, axis=0), np.nanmax(pixels, axis=0)
+    low, high = (np.clip(end, 0, size - 1) for end in (low, high))
+    share = np.clip(((high - low) / size).max() * (1 + 2 * _MARGIN), _LEAST_SHARE, 1)
+    wanted = np.maximum(1, np.rint(share * size)).astype(int)
+    corner = np.clip(np.rint((low + high - wanted) / 2), 0, size - wanted).astype(int)
+    return int(corner[0]), int(corner[1]), int(wanted[0]), int(wanted[1])
 
 
 def _right(frames: PoseFrames, place: int) -> int:

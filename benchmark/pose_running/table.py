@@ -6,7 +6,7 @@ Every frame has a row of kind `frame`, and one for each true object (`true`) and
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -114,31 +114,30 @@ def frames_of(table: pd.DataFrame, materials: frozenset[Material] = frozenset())
         found = found[_belongs(true, found, keep)]
         true = true[keep]
     order = frames[INDEX].to_numpy(np.int64)
-    true_rows, found_rows = (_by_frame(rows, order) for rows in (true, found))
     return PoseFrames(
         order,
         frames[SCENE].to_numpy(),
         frames[FRAME].to_numpy(),
-        [PoseTruth(*_poses(r), r["handle_visible"].to_numpy(bool)) for r in true_rows],
-        [PosePrediction(*_poses(r), r["score"].to_numpy(np.float64)) for r in found_rows],
+        [PoseTruth(*told) for told in _by_frame(true, order, "handle_visible")],
+        [PosePrediction(*told) for told in _by_frame(found, order, "score")],
     )
 
 
-def _by_frame(rows: pd.DataFrame, order: NDArray[np.int64]) -> list[pd.DataFrame]:
-    sorted_rows = rows.sort_values(INDEX, kind="stable")
-    at = sorted_rows[INDEX].to_numpy(np.int64)
-    begins, ends = np.searchsorted(at, order), np.searchsorted(at, order, side="right")
-    return [sorted_rows.iloc[b:e] for b, e in zip(begins, ends, strict=True)]
-
-
-def _poses(
-    rows: pd.DataFrame,
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+def _by_frame(
+    rows: pd.DataFrame, order: NDArray[np.int64], more: str
+) -> Iterator[tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]]:
+    """Classes, poses, sizes and another column of the rows of each frame."""
+    rows = rows.sort_values(INDEX, kind="stable")
+    at = rows[INDEX].to_numpy(np.int64)
     RT = np.zeros((len(rows), 4, 4))
     RT[:, :3] = rows[list(RT_COLUMNS)].to_numpy(np.float64).reshape(-1, 3, 4)
     RT[:, 3, 3] = 1
     sizes = rows[list(SIZE_COLUMNS)].to_numpy(np.float64)
-    return rows["class_id"].to_numpy(np.int64), RT, sizes
+    classes, others = rows["class_id"].to_numpy(np.int64), rows[more].to_numpy()
+    begins, ends = np.searchsorted(at, order), np.searchsorted(at, order, side="right")
+    for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
+        these = slice(begin, end)
+        yield classes[these], RT[these], sizes[these], others[these]
 
 
 def _belongs(true: pd.DataFrame, found: pd.DataFrame, keep: NDArray[np.bool_]) -> NDArray[np.bool_]:

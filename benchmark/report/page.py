@@ -28,6 +28,13 @@ abbr { text-decoration:none; color:var(--faint); cursor:help; }
 details { margin:8px 0; }
 summary { cursor:pointer; color:var(--link); font-size:15px; }
 b.over { color:var(--bad); }
+tr.bound td { color:var(--faint); }
+h4 { font-size:13.5px; font-weight:600; margin:16px 0 4px; color:var(--soft); }
+ul.findings { padding-left:20px; max-width:92ch; }
+ul.findings li { margin:6px 0; }
+b.good { color:var(--good); }
+img.boxes { width:100%; display:block; border-radius:3px; }
+.sidebyside { display:grid; grid-template-columns:repeat(auto-fill,minmax(350px,1fr)); gap:10px; }
 .verdict + .verdict { margin-top:8px; }
 """
 _SCRIPT = """

@@ -7,6 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from benchmark.clearing.manifest import GRASP_MANIFEST
+from benchmark.pose_running.bop_results import FILE as BOP_FILE
+from benchmark.pose_running.manifest import POSE_MANIFEST
 from benchmark.running.manifest import MANIFEST
 from std_toolkit.errors import ToolkitError
 
@@ -73,7 +76,12 @@ class ReportTask:
         return make(folders, published=published)
 
 
-TASKS = (ReportTask(MANIFEST, "benchmark.report.depth_part:depth_part"),)
+TASKS = (
+    ReportTask(MANIFEST, "benchmark.report.depth_part:depth_part"),
+    ReportTask(POSE_MANIFEST, "benchmark.report.pose_part:pose_part"),
+    ReportTask(BOP_FILE, "benchmark.report.pose_part:bop_part"),
+    ReportTask(GRASP_MANIFEST, "benchmark.report.grasp_part:grasp_part"),
+)
 
 
 def make_parts(folders: Sequence[Path], *, published: bool = True) -> list[ReportPart]:
