@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -32,6 +32,7 @@ from benchmark.training.losses.lidf import COARSE, HARD, REFINE, LIDFLoss
 from benchmark.training.losses.nlspn import NLSPNLoss
 from benchmark.training.losses.swindrnet import SwinDRNetLoss
 from benchmark.training.optimization import Optimization
+from benchmark.training.packed_frames import fitting_frames
 from benchmark.training.step import StepFunction, depth_step
 from std_toolkit.errors import ToolkitError
 from std_toolkit.plugins import Registry
@@ -46,6 +47,7 @@ class Trainable:
         settings: what training sets otherwise than a preset does, by preset.
         network: makes the network of a configuration.
         loss: the loss, a frozen dataclass, whose fields are what `--loss` sets.
+        frames: `frames(folders, configuration)`: the packs, which must fit the network.
         step: sends a batch through the network to that loss.
         judge: `judge(frames, chosen, batch, loss)`: validation.
         optimization: as published.
@@ -60,6 +62,7 @@ class Trainable:
     presets: Mapping[str, Any]
     network: Callable[[Any], nn.Module]
     loss: Any
+    frames: Callable[[Sequence[Path], Any], Any] = fitting_frames
     step: StepFunction = depth_step
     judge: Callable[..., Judging] = Judge
     optimization: Optimization
@@ -177,8 +180,11 @@ trainables: Registry[Trainable] = Registry(
         "dfnet": "benchmark.training.catalogue:DFNET_TRAINING",
         "lidf": "benchmark.training.catalogue:LIDF_TRAINING",
         "cleargrasp": "benchmark.training.catalogue:CLEARGRASP_TRAINING",
+        "graspnet": "benchmark.training.grasps.catalogue:GRASPNET_TRAINING",
         "swindrnet-nocs": "benchmark.training.pose_catalogue:SWINDRNET_NOCS_TRAINING",
         "nocs": "benchmark.training.pose_catalogue:NOCS_TRAINING",
+        "spd": "benchmark.training.prior_methods:SPD_TRAINING",
+        "sgpa": "benchmark.training.prior_methods:SGPA_TRAINING",
     },
 )
 

@@ -162,3 +162,21 @@ class PackedFrames(Dataset[dict[str, Tensor]]):
             self.frames += [PackedFrame(pack, shard, row, *told) for row, told in enumerate(rows)]
         if failed:
             logger.warning("%s: %d frames could not be packed and are left out", folder, failed)
+
+
+def fitting_frames(folders: Sequence[Path], config: Any) -> PackedFrames:
+    """The frames of packs for a network of this configuration.
+
+    Raises:
+        ToolkitError: no pack, or one of another size than the network's.
+    """
+    frames, size = PackedFrames(folders), config.input_size
+    if frames.size != size:
+        raise ToolkitError(
+            f"frames are packed at {frames.size[0]}x{frames.size[1]}, "
+            f"the network works at {size[0]}x{size[1]}",
+            path=frames.folders[0],
+            hint=f"pack them with --size {size[0]} {size[1]}, "
+            f"or train with --set input_size={frames.size[0]},{frames.size[1]}",
+        )
+    return frames

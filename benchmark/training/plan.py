@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from benchmark.methods.settings import configured
 from benchmark.training.catalogue import Trainable, get_trainable
@@ -13,7 +13,6 @@ from benchmark.training.config import TrainConfig
 from benchmark.training.fit import Beginning, Data
 from benchmark.training.optimization import Optimization
 from benchmark.training.order import BatchOrder
-from benchmark.training.packed_frames import PackedFrames
 from benchmark.training.scenes import check_no_leak, frames_digest, hold_out, thinned
 from std_toolkit.errors import ToolkitError
 from std_toolkit.scene.provenance import digest_file
@@ -79,7 +78,7 @@ def plan_training(wishes: TrainWishes) -> tuple[TrainConfig, Data, Beginning]:
     settings = trainable.settings_of(wishes.preset, wishes.settings)
     network = trainable.config(wishes.preset, settings)
     configured(trainable.loss, wishes.loss)  # a wrong name is told before anything is read
-    data = _data(wishes, network.input_size)
+    data = _data(wishes, trainable, network)
     changes = {
         name: value
         for name in ("epochs", "batch_size", "learning_rate")
@@ -155,24 +154,15 @@ def _geometry(wishes: TrainWishes, trainable: Trainable) -> bool:
     return bool(trainable.geometry) if wishes.geometry == "published" else wishes.geometry == "on"
 
 
-def _data(wishes: TrainWishes, size: tuple[int, int]) -> Data:
-    training = PackedFrames(wishes.data)
+def _data(wishes: TrainWishes, trainable: Trainable, network: Any) -> Data:
+    training = trainable.frames(wishes.data, network)
     if wishes.validation:
-        validation = PackedFrames(wishes.validation)
+        validation = trainable.frames(wishes.validation, network)
         of_training, of_validation = list(range(len(training))), list(range(len(validation)))
     else:
         validation = training
         of_training, of_validation = hold_out(training, wishes.hold_out, seed=wishes.seed)
     of_training = thinned(training, of_training, wishes.share, seed=wishes.seed)
-    for frames in (training, validation):
-        if frames.size != size:
-            raise ToolkitError(
-                f"frames are packed at {frames.size[0]}x{frames.size[1]}, "
-                f"the network works at {size[0]}x{size[1]}",
-                path=frames.folders[0],
-                hint=f"pack them with --size {size[0]} {size[1]}, "
-                f"or train with --set input_size={frames.size[0]},{frames.size[1]}",
-            )
     check_no_leak(training, of_training, validation, of_validation)
     return Data(training, of_training, validation, of_validation)
 

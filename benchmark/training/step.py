@@ -19,8 +19,8 @@ class Seen(NamedTuple):
     """A batch, augmented.
 
     Attributes:
-        color: (b, 3, h, w) RGB in [0, 1].
-        depth: (b, 1, h, w) the sensor's, metres, 0 = none.
+        color: (b, 3, h, w) RGB in [0, 1]; empty where a batch holds no images.
+        depth: (b, 1, h, w) the sensor's, metres, 0 = none; likewise.
         batch: the frames, of which `color` and `raw` are as they were packed.
     """
 
@@ -65,7 +65,9 @@ def network_depth(network: nn.Module, batch: Batch) -> Tensor:
 
 
 def seen_of(batch: Batch) -> Seen:
-    """A batch as it is."""
+    """A batch as it is; of one without images there is nothing to augment."""
+    if "color" not in batch:
+        return Seen(*(batch["index"].new_zeros(0, dtype=torch.float32),) * 2, batch)
     return Seen(*network_inputs(batch), batch)
 
 

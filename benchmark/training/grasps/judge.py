@@ -1,0 +1,181 @@
+"""How good the grasps of a network are, on frames that it was not trained on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from benchmark.grasp_methods.graspnet.decode import best_of_seeds
+from benchmark.grasp_methods.graspnet.network import GraspNetwork
+from benchmark.grasp_methods.graspnet.views import gripper_rotations
+from benchmark.grasping.collision import Cloud, hits_plane
+from benchmark.grasping.force_closure import FRICTIONS, GraspedMesh
+from benchmark.grasping.grasp import Grasps
+from benchmark.grasping.gripper import Gripper, get_gripper
+from benchmark.grasping.nms import suppress_similar
+from benchmark.training.grasps.packed import PackedGrasps
+from benchmark.training.grasps.step import grasp_step
+from benchmark.training.grasps.tabletop import TableObject, even_points
+from benchmark.training.judging import batches, evaluating, shown_of
+from benchmark.training.step import Moment, seen_of
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.io.images import write_color
+
+# Grasps of a frame that are judged, and metres between the points that stand for objects.
+BEST = 50
+_SPACING = 0.004
+_DRAWN = 12
+
+
+class GraspJudge:
+    """Validation: the loss, and how many of the best grasps of each frame hold and hit nothing.
+
+    Nothing is left out because it collides: what a planner does with the cloud is not the
+    network's merit.
+
+    Args:
+        frames: packed scenes.
+        chosen: those to judge by.
+        batch: frames that go through the network together.
+        loss: the method's.
+    """
+
+    def __init__(self, frames: PackedGrasps, chosen: Sequence[int], batch: int, loss: Any) -> None:
+        self.frames, self.chosen, self.batch, self.loss = frames, tuple(chosen), batch, loss
+
+    @torch.no_grad()
+    def states(
+        self,
+        network: nn.Module,
+        device: torch.device,
+        *,
+        rank: int = 0,
+        world: int = 1,
+        context: Callable[[], AbstractContextManager[Any]] = nullcontext,
+    ) -> np.ndarray:
+        """See `Judging`: frames, their losses, and the precision at each friction."""
+        total = np.zeros(2 + len(FRICTIONS))
+        frames: Any = self.frames
+        with evaluating(network):
+            for batch in batches(frames, self.chosen[rank::world], self.batch, device):
+                count = len(batch["index"])
+                with context():
+                    lost = grasp_step(network, self.loss, seen_of(batch), Moment())
+                    found = _best(network, batch["cloud"])
+                total[:2] += count, count * float(lost.total)
+                for index, grasps in zip(batch["index"].tolist(), found, strict=True):
+                    total[2:] += precision(self.friction(index, grasps))
+        return total
+
+    def friction(self, index: int, grasps: Grasps) -> NDArray[np.float64]:
+        """(N,) least friction at which grasps of a frame truly hold, -1 for none."""
+        frame = self.frames.frames[index]
+        gripper = get_gripper(self.frames.packs[frame.pack].gripper)
+        in_world = grasps.transformed(self.frames.T_world_cam(index))
+        return true_friction(self.frames.objects(index), in_world, gripper)
+
+    def scores(self, states: np.ndarray) -> dict[str, float]:
+        """See `Judging`."""
+        frames = states[0]
+        means = states[1:] / frames if frames else np.full(len(states) - 1, math.nan)
+        found = {"loss": float(means[0]), "precision": float(means[1:].mean())}
+        return found | {
+            f"precision_{friction:.1f}": float(mean)
+            for friction, mean in zip(FRICTIONS, means[1:], strict=True)
+        }
+
+    def main_score(self, scores: dict[str, float]) -> tuple[str, float]:
+        """See `Judging`."""
+        value = 1 - scores["precision"]
+        return "share of wrong grasps", math.inf if math.isnan(value) else value
+
+    def gallery(self, network: nn.Module, device: torch.device, path: Path) -> None:
+        """Depth of a few frames with the best grasps: green those that hold, red the others."""
+        shown = shown_of(self.chosen)
+        batch = {name: tensor.to(device) for name, tensor in self.frames[shown].items()}
+        with evaluating(network), torch.no_grad():
+            found = _best(network, batch["cloud"])
+        pictures = []
+        for index, grasps in zip(shown, found, strict=True):
+            best = grasps.top(_DRAWN)
+            camera = self.frames.packs[self.frames.frames[index].pack].camera
+            depth = self.frames.look(index).depth
+            pictures.append(picture(depth, camera, best, self.friction(index, best) > 0))
+        write_color(path, np.vstack(pictures), quality=88)
+
+
+def true_friction(
+    objects: Sequence[TableObject], grasps: Grasps, gripper: Gripper
+) -> NDArray[np.float64]:
+    """(N,) least friction at which grasps of a scene truly hold, -1 for none or a collision.
+
+    Args:
+        objects: of the scene; the table is z = 0.
+        grasps: in the world.
+        gripper: that must hit nothing.
+    """
+    held = np.full(len(grasps), -1.0)
+    if not len(grasps):
+        return held
+    placed = [(o, o.T_world_obj @ o.vertices) for o in objects]
+    for thing, vertices in placed:
+        own = GraspedMesh(vertices, thing.faces).friction_scores(grasps)
+        # Of two objects between the fingers that hold, whichever needs less.
+        better = (own > 0) & ((held < 0) | (own < held))
+        held[better] = own[better]
+    surface = np.concatenate([even_points(v, o.faces, _SPACING) for o, v in placed])
+    hit = Cloud(surface).hit_by(grasps, gripper) | hits_plane(grasps, gripper, SE3.identity())
+    held[hit] = -1
+    return held
+
+
+def precision(friction: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(6,) at each friction, the mean over k = 1..50 of the share of good ones among the best k.
+
+    Args:
+        friction: (N,) of grasps, best first; fewer than 50 count as if the others failed.
+    """
+    good = np.zeros((BEST, len(FRICTIONS)))
+    best = friction[:BEST, None]
+    good[: len(best)] = (best > 0) & (best <= np.asarray(FRICTIONS) + 1e-9)
+    return (good.cumsum(axis=0) / np.arange(1, BEST + 1)[:, None]).mean(axis=0)
+
+
+def picture(
+    depth: NDArray[np.float32], camera: Camera, grasps: Grasps, good: NDArray[np.bool_]
+) -> NDArray[np.uint8]:
+    """(h, w, 3) depth with opened jaws drawn on it."""
+    known = depth > 0
+    near, far = np.percentile(depth[known], (1, 99)) if known.any() else (0.0, 1.0)
+    shade = np.clip(255 - 200 * (depth - near) / max(far - near, 1e-6), 0, 255)
+    image = np.repeat(np.where(known, shade, 0).astype(np.uint8)[..., None], 3, axis=2)
+    for k in range(len(grasps) - 1, -1, -1):
+        half, tip = grasps.widths[k] / 2, grasps.depths[k]
+        corners = [(tip, -half), (-0.02, -half), (-0.02, 0), (-0.06, 0), (-0.02, 0)]
+        corners += [(-0.02, half), (tip, half)]
+        local = np.array([(x, y, 0.0) for x, y in corners])
+        pixels = camera.project(local @ grasps.rotations[k].T + grasps.translations[k])
+        if np.isfinite(pixels).all():
+            color = (60, 200, 60) if good[k] else (220, 60, 60)
+            line = np.rint(pixels).astype(np.int32)[:, None]
+            cv2.polylines(image, [line], False, color, 1, cv2.LINE_AA)
+    return image
+
+
+def _best(network: nn.Module, clouds: torch.Tensor) -> list[Grasps]:
+    """The best grasps of each cloud, none like another, best first."""
+    assert isinstance(network, GraspNetwork)
+    turned = gripper_rotations(network.config.views, network.config.angles)
+    rotations = torch.from_numpy(turned).to(clouds.device, torch.float32)
+    found = best_of_seeds(network, clouds, rotations)
+    return [suppress_similar(f.grasps[f.on_object.numpy()]).top(BEST) for f in found]

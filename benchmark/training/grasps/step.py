@@ -1,0 +1,141 @@
+"""GraspNet's training step: what is known of the seeds, and of the view that is chosen of each."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from benchmark.grasp_methods.graspnet.heads import Approaches, Operations
+from benchmark.grasp_methods.graspnet.network import GraspNetwork
+from benchmark.grasp_methods.graspnet.views import fibonacci_views, gripper_rotations
+from benchmark.training.grasps.object_labels import UNIT
+from benchmark.training.losses.graspnet import GraspTarget
+from benchmark.training.losses.terms import Loss
+from benchmark.training.step import Batch, Moment, Seen
+
+_FRICTIONS = (0.2, 0.4, 0.6, 0.8, 1.0, 1.2)
+# Momentum of batch normalisation: at first, by what it falls how often, and at last.
+_MOMENTUM, _FALL, _FALLS, _LAST = 0.5, 0.5, 9, 0.001
+
+
+class Known(NamedTuple):
+    """What is known of a batch.
+
+    Attributes:
+        views: (b, s, v) score of the best grasp of each of the camera's views.
+        alike: (O, v) of each object the view of its own that is nearest to each of the camera's.
+        table: (R, v, a, d) scores of the rows.
+    """
+
+    views: Tensor
+    alike: Tensor
+    table: Tensor
+
+
+def grasp_step(network: nn.Module, loss: Any, seen: Seen, moment: Moment) -> Loss:
+    """The step of `GraspNetwork`; `seen.batch` is one of `PackedGrasps`."""
+    assert isinstance(network, GraspNetwork)
+    if network.training:
+        soften_normalisation(network, moment)
+    approaches, operations, target = answers_and_truth(network, seen.batch)
+    with torch.autocast(seen.batch["cloud"].device.type, enabled=False):
+        return loss(
+            Approaches(*(part.float() for part in approaches)),
+            Operations(*(part.float() for part in operations)),
+            target,
+        )
+
+
+def answers_and_truth(
+    network: GraspNetwork, batch: Batch
+) -> tuple[Approaches, Operations, GraspTarget]:
+    """What the network says of a batch, and what it should have said.
+
+    The view of each seed is the one that the network holds for the best, and its grasps are those
+    of the nearest view of the object; the gripper is turned as that view has it, so that turns are
+    counted from the same one.
+    """
+    config = network.config
+    cloud = batch["cloud"]
+    seeds = network.seeds(cloud, (batch["first"], batch["second"]))
+    known = known_of(batch, config.views)
+    row = batch["row"]
+    there = row >= 0
+    at = row.clamp(min=0)
+    view = seeds.approaches.views.detach().argmax(dim=2)  # of the camera's
+    rotations = _rotations(config.views, config.angles, str(cloud.device))
+    turned = rotations[view]
+    if len(known.table):
+        owner = batch["row_object"][at]
+        own = known.alike[owner, view]  # of the object's
+        turned = torch.where(
+            there[..., None, None], batch["turned"][owner] @ rotations[own], turned
+        )
+        scores, widths, tolerances = (
+            part[at, own] for part in (known.table, batch["widths"], batch["tolerances"])
+        )
+        mask = there[..., None, None]
+        scores = torch.where(mask, scores, 0.0)
+        widths, tolerances = (torch.where(mask, part * UNIT, 0.0) for part in (widths, tolerances))
+    else:
+        shape = (*view.shape, config.angles, len(config.depths))
+        scores = widths = tolerances = cloud.new_zeros(shape)
+    operations = network.operations(cloud, seeds.points, turned)
+    # A seed on an object whose grasps are not known was measured where the object is not.
+    objectness = torch.where(batch["object"] < 0, 0, torch.where(there, 1, -1))
+    target = GraspTarget(objectness, there, known.views, scores, widths, tolerances)
+    return seeds.approaches, operations, target
+
+
+def known_of(batch: Batch, views: int) -> Known:
+    """What is known of a batch's rows and seeds."""
+    device = batch["cloud"].device
+    table = _scores(str(device))[batch["friction"].long()]
+    directions = _views(views, str(device))
+    # (O, v, v): of each object its own views, turned to the camera, against the camera's.
+    closeness = (directions @ batch["turned"].transpose(1, 2)) @ directions.T
+    alike = closeness.argmax(dim=1)
+    row = batch["row"]
+    if not len(table):
+        return Known(table.new_zeros(*row.shape, views), alike, table)
+    best = table.amax(dim=(2, 3)).gather(1, alike[batch["row_object"]])
+    return Known(torch.where((row >= 0)[..., None], best[row.clamp(min=0)], 0.0), alike, table)
+
+
+def soften_normalisation(network: nn.Module, moment: Moment) -> None:
+    """Batch normalisation's momentum falls by halves, as published every second of 18 epochs."""
+    falls = int(_FALLS * moment.step / moment.steps)
+    momentum = max(_MOMENTUM * _FALL**falls, _LAST)
+    for module in network.modules():
+        if isinstance(module, nn.BatchNorm1d | nn.BatchNorm2d):
+            module.momentum = momentum
+
+
+def score_of_friction(friction: float) -> float:
+    """What the network predicts of a grasp: the logarithm of how much less friction it needs.
+
+    >>> round(score_of_friction(0.2), 3), score_of_friction(1.2)
+    (1.792, 0.0)
+    """
+    return float(np.log(_FRICTIONS[-1] / friction))
+
+
+@lru_cache(maxsize=4)
+def _scores(device: str) -> Tensor:
+    table = [0.0, *(score_of_friction(f) for f in _FRICTIONS)]
+    return torch.tensor(table, dtype=torch.float32, device=device)
+
+
+@lru_cache(maxsize=4)
+def _views(count: int, device: str) -> Tensor:
+    return torch.from_numpy(fibonacci_views(count)).to(device, torch.float32)
+
+
+@lru_cache(maxsize=4)
+def _rotations(views: int, angles: int, device: str) -> Tensor:
+    """(v, 3, 3) before any turn."""
+    return torch.from_numpy(gripper_rotations(views, angles)[:, 0]).to(device, torch.float32)
