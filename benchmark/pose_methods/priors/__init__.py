@@ -1,0 +1,1 @@
+"""Shape priors: what the mean shape of a category is, as points."""
