@@ -100,7 +100,8 @@ class SE3:
         )
         if not np.isfinite(translation).all():
             raise ToolkitError("a translation is not finite", value=translation.tolist())
-        return SE3(R, translation)
+        # Copied: a simulation's own numbers go on changing, a pose must not.
+        return SE3(R, translation.copy())
 
     @staticmethod
     def exp(xi: ArrayLike) -> SE3:

@@ -165,3 +165,10 @@ def test_wrong_shapes_are_refused_and_float32_is_widened() -> None:
     with pytest.raises(ToolkitError, match="3x3"):
         nearest_rotation(np.eye(2))
     assert SE3(np.eye(3, dtype=np.float32), np.zeros(3, dtype=np.float32)).R.dtype == np.float64
+
+
+def test_a_pose_does_not_change_with_the_numbers_it_came_from() -> None:
+    state = np.array([1.0, 0, 0, 0, 0.1, 0.2, 0.3])
+    T = SE3.from_quat(state[:4], state[4:])
+    state[:] = 7
+    np.testing.assert_array_equal(T.t, [0.1, 0.2, 0.3])
