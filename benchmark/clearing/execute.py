@@ -205,7 +205,7 @@ class _Attempt:
 
     def _poses(self) -> tuple[SE3, ...]:
         rows = self.data.qpos[: 7 * len(self.objects)].reshape(-1, 7)
-        return tuple(SE3.from_quat(row[3:] / np.linalg.norm(row[3:]), row[:3]) for row in rows)
+        return tuple(SE3.from_quat(row[3:], row[:3]) for row in rows)
 
     def _pairs(self) -> list[tuple[SE3, SE3]]:
         return list(zip(self.start, self._poses(), strict=True))
