@@ -140,6 +140,7 @@ class NetworkEstimator:
         plain = [View(view.color, view.sensor, view.camera) for view in views]
         color, depth = color_and_depth(plain, self.device)
         if color.shape[-1:-3:-1] != self.size:
+            # As frames are packed for training, and as the runner shows them.
             color = interpolate(color, size=self.size[::-1], mode="nearest")
             depth = interpolate(depth, size=self.size[::-1], mode="nearest")
         K = np.stack([view.camera.resized(*self.size).K for view in views])

@@ -30,12 +30,14 @@ def load_pose_weights(network: SwinNOCSNetwork, path: Path) -> bool:
         ToolkitError: the file cannot be read, or holds weights of another network.
     """
     state = read_weights(path)
-    own = f"decode_head_nocs{_LAST}" in state and f"decode_head_classes{_LAST}" in state
-    state = state if own else own_names(state)
+    own = f"decode_head_nocs{_LAST}" in state
+    authors = not own and {len(t) for k, t in state.items() if k.endswith(_LAST)} >= {*_OWN_NAMES}
+    if authors:
+        state = own_names(state)
     check_keys(network.state_dict(), state, path)
     wanted = {name: tensor.dtype for name, tensor in network.state_dict().items()}
     network.load_state_dict({n: t.to(wanted[n]) for n, t in state.items()}, assign=True)
-    return not own
+    return authors
 
 
 def own_names(state: Mapping[str, Tensor]) -> dict[str, Tensor]:

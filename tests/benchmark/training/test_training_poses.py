@@ -1,0 +1,173 @@
+"""Trainings of pose networks: gradients everywhere, resume, what they leave, what they refuse."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from training_set import HERE, SIDE, packed, same, trained, wishes, write_scenes
+
+from benchmark.cli.train import main
+from benchmark.methods.registry import MethodOptions
+from benchmark.pose_methods.registry import make_pose_method
+from benchmark.training.catalogue import get_trainable
+from benchmark.training.fit import make_network
+from benchmark.training.plan import TrainWishes, plan_training
+from benchmark.training.step import Moment, seen_of
+from std_toolkit.errors import ToolkitError
+from tests.benchmark.pose_methods.learnt_poses import packed_things, write_things
+
+TINY = {
+    "swindrnet-nocs": {
+        "input_size": f"{SIDE},{SIDE}",
+        "channels": "8",
+        "depths": "1,1,1,1",
+        "heads": "1,1,1,1",
+        "head_channels": "8",
+    },
+    "nocs": {
+        "input_size": f"{SIDE},{SIDE}",
+        "channels": "8",
+        "blocks": "1,1,1,1",
+        "pyramid": "8",
+        "tower": "1",
+        "region_channels": "8",
+        "region_convs": "1",
+    },
+}
+# The things of these scenes are some pixels wide at this size.
+LOSS = {"swindrnet-nocs": {}, "nocs": {"least_pixels": "4"}}
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_scenes(tmp_path_factory.mktemp("pose_data"))
+
+
+@pytest.fixture(scope="module")
+def pack(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return packed(tmp_path_factory.mktemp("poses") / "pack", data, nocs=True)
+
+
+def asked(method: str, pack: Path, **changes: Any) -> TrainWishes:
+    plain = wishes("dfnet", pack, settings=TINY[method])
+    return replace(plain, **{"method": method, "loss": LOSS[method], **changes})
+
+
+@pytest.mark.parametrize("method", TINY)
+def test_every_parameter_of_a_pose_network_receives_a_gradient(method, tmp_path):
+    """With objects that are as large as the detector looks for."""
+    frames = packed_things(tmp_path / "pack", write_things(tmp_path / "data"), method)
+    torch.manual_seed(0)
+    trainable = get_trainable(method)
+    network = trainable.network(trainable.config("compact", TINY[method])).train()
+    assert not trainable.idle(network.config)
+    optimizer = torch.optim.Adam(network.parameters(), 1e-4)
+    moved = {name: torch.zeros_like(p) for name, p in network.named_parameters()}
+    for step in range(3):  # what begins at 0 holds up the gradients of what is behind it
+        optimizer.zero_grad()
+        seen = seen_of(frames[[0, 1]])
+        trainable.step(network, trainable.loss, seen, Moment("", step, 3)).total.backward()
+        optimizer.step()
+        for name, parameter in network.named_parameters():
+            assert parameter.grad is not None, name
+            moved[name] += parameter.grad.abs()
+    assert [name for name, total in moved.items() if not total.any()] == []
+
+
+def test_the_released_fusion_is_known_to_leave_parameters_idle():
+    trainable = get_trainable("swindrnet-nocs")
+    assert trainable.settings_of("published", {}) == {"fusion": "paper"}
+    assert trainable.idle(trainable.config("published", {}))
+    assert not trainable.idle(trainable.config("published", {"fusion": "paper"}))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", TINY)
+def test_an_interrupted_training_of_poses_ends_with_the_same_weights(method, pack, tmp_path):
+    whole = trained(asked(method, pack, colors="on"), tmp_path / "whole")
+    config, data, beginning = plan_training(asked(method, pack, colors="on"))
+    from benchmark.training import module
+    from benchmark.training.fit import fit
+
+    plain, steps = module.RestorerTraining.training_step, []
+
+    def dies(self, batch, batch_idx):
+        if len(steps) == 3:
+            raise KeyboardInterrupt
+        steps.append(batch_idx)
+        return plain(self, batch, batch_idx)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module.RestorerTraining, "training_step", dies)
+        with pytest.raises((KeyboardInterrupt, SystemExit)):
+            fit(tmp_path / "cut", config, data, HERE, beginning)
+    assert not (tmp_path / "cut" / "last.safetensors").exists()
+    again = trained(asked(method, pack, colors="on"), tmp_path / "cut")
+    assert same(whole, again)
+    rows = list(csv.DictReader((tmp_path / "cut" / "steps.csv").open()))
+    assert [row["step"] for row in rows] == ["1", "2", "3", "4", "5", "6"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", TINY)
+def test_from_packing_to_an_estimator(method, data, tmp_path, capsys):
+    run, pack = tmp_path / "run", tmp_path / "pack"
+    command = ["pack", str(pack), "--split", "dreds-catknown-train", "--data", str(data), "--nocs"]
+    assert main([*command, "--size", str(SIDE), str(SIDE), "--engine", "serial"]) == 0
+    settings = [f"{name}={value}" for name, value in TINY[method].items()]
+    command = ["--method", method, "--set", *settings, "--data", str(pack), "--out", str(run)]
+    command += ["--steps", "4", "--batch-size", "4", "--hold-out", "0.3", "--readers", "0"]
+    assert main([*command, "--accelerator", "cpu", "--debug"]) == 0
+    told = capsys.readouterr()
+    assert f"--weights {run / 'best.safetensors'}" in told.out
+    best = json.loads((run / "best.json").read_text())
+    assert best["ranked_by"] == "nocs_error"
+    rows = list(csv.DictReader((run / "validation.csv").open()))
+    errors = [float(row["nocs_error"]) for row in rows]
+    assert best["scores"]["nocs_error"] == pytest.approx(min(errors), rel=1e-4)
+    assert all(0 < error <= 0.5 for error in errors)
+    assert len(list((run / "gallery").glob("step-*.jpg"))) == len(rows)
+    estimator = make_pose_method(
+        method,
+        MethodOptions(preset="compact", weights=run / "best.safetensors", settings=TINY[method]),
+    )
+    assert estimator.parameter_count > 0
+
+
+@pytest.mark.parametrize("method", TINY)
+def test_packs_without_nocs_are_refused(method, data, tmp_path, capsys):
+    pack = packed(tmp_path / "plain", data)
+    settings = [f"{name}={value}" for name, value in TINY[method].items()]
+    command = ["--method", method, "--set", *settings, "--data", str(pack), "--batch-size", "4"]
+    command += ["--out", str(tmp_path / "run"), "--hold-out", "0.3", "--readers", "0"]
+    assert main([*command, "--steps", "2", "--accelerator", "cpu"]) == 1
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "hold no NOCS" in error
+    assert "--nocs" in error
+
+
+@pytest.mark.parametrize("method", TINY)
+def test_frames_are_not_turned_for_poses(method, pack):
+    """Geometric augmentation would have to turn coordinates too."""
+    with pytest.raises(ToolkitError, match="geometry"):
+        plan_training(asked(method, pack, geometry="on"))
+
+
+def test_loose_and_known_pixels_do_not_depend_on_the_order_of_frames(pack):
+    """The loss of a batch is that of the same frames in another order."""
+    trainable = get_trainable("swindrnet-nocs")
+    config, data, beginning = plan_training(asked("swindrnet-nocs", pack))
+    network = make_network(trainable, config, beginning).eval()
+    totals = []
+    for order in ([0, 1, 2, 3], [3, 1, 0, 2]):
+        seen = seen_of(data.training[order])
+        with torch.no_grad():
+            totals.append(float(trainable.step(network, trainable.loss, seen, Moment()).total))
+    assert np.isclose(*totals, rtol=1e-5)
