@@ -11,6 +11,7 @@ import numpy as np
 from sensors.assets import AssetSource, SourceOptions, draw_diagonal, open_source
 from sensors.materials import DrawnMaterial, draw_material, draw_material_class
 from sensors.physics import PhysicalObject, SettleOptions, convex_parts, settle
+from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 
 # As in the scenes of DREDS: a vessel of each kind, which may be of glass, and others of metal.
@@ -22,6 +23,7 @@ OBJECTS = (4, 5)
 THICKEST_M = 0.058
 # Side of the square that objects fall on, and of the table.
 DROP_HALF_M, TABLE_HALF_M = 0.19, 0.45
+_ROOMY_HALF_M = 0.24
 MASS_KG = (0.08, 0.25)
 
 
@@ -93,10 +95,17 @@ def arrange(
         material = draw_material(looks, material_class, textured=asset.texture is not None)
         body = PhysicalObject(asset, diagonal, convex_parts(asset, parts_cache))
         objects.append(TableObject(number, body, material, float(shapes.uniform(*MASS_KG))))
-    settled = settle(
-        [o.body for o in objects], seed, SettleOptions(half_width_m=DROP_HALF_M, attempts=20)
-    )
-    return Arrangement(seed, tuple(objects), settled.poses)
+    return Arrangement(seed, tuple(objects), _settled(objects, seed))
+
+
+def _settled(objects: Sequence[TableObject], seed: int) -> tuple[SE3, ...]:
+    """Where the objects lie still; on a little more room where they do not on the usual one."""
+    bodies = [o.body for o in objects]
+    try:
+        return settle(bodies, seed, SettleOptions(half_width_m=DROP_HALF_M)).poses
+    except ToolkitError:
+        roomy = SettleOptions(half_width_m=_ROOMY_HALF_M, attempts=20)
+        return settle(bodies, seed, roomy).poses
 
 
 def off_table(poses: Sequence[SE3]) -> list[int]:
