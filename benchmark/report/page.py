@@ -34,7 +34,9 @@ ul.findings { padding-left:20px; max-width:92ch; }
 ul.findings li { margin:6px 0; }
 b.good { color:var(--good); }
 img.boxes { width:100%; display:block; border-radius:3px; }
-.sidebyside { display:grid; grid-template-columns:repeat(auto-fill,minmax(350px,1fr)); gap:10px; }
+.sidebyside { display:grid; grid-template-columns:repeat(var(--n),minmax(0,1fr)); gap:10px;
+  max-width:calc(var(--n) * 400px); }
+@media (max-width:700px) { .sidebyside { grid-template-columns:1fr; } }
 .verdict + .verdict { margin-top:8px; }
 """
 _SCRIPT = """

@@ -26,7 +26,8 @@ class Finding:
 
     Attributes:
         split, subset, method, depth, fit: what was compared.
-        gain, low, high: in points of percent, with the 95 % interval over scenes.
+        after: percent of poses that are right on the restored depth.
+        gain, low, high: over raw depth, in points of percent, with the 95 % interval over scenes.
         p: of the swap test, corrected for all restored depths and methods of the split.
         scenes: that were compared.
     """
@@ -36,6 +37,7 @@ class Finding:
     method: str
     depth: str
     fit: str
+    after: float
     gain: float
     low: float
     high: float
@@ -60,7 +62,8 @@ def findings(board: PoseBoard, subset: str) -> list[Finding]:
         p_values = holm([p for *_, p in values])
         for compared, (gain, low, high, _), p in zip(made, values, p_values, strict=True):
             method, depth, fit = compared.scored.result.name
-            points = 100 * gain, 100 * low, 100 * high
+            after = 100 * compared.scored.scores.mean[MAIN]
+            points = after, 100 * gain, 100 * low, 100 * high
             scenes = compared.scored.scene_count
             found.append(Finding(split, subset, method, depth, fit, *points, float(p), scenes))
     return found
@@ -91,11 +94,11 @@ def answer(board: PoseBoard) -> str:
 
 
 def _sentence(finding: Finding) -> str:
-    about = f"{finding.method}, fit {finding.fit}, on {finding.split}"
+    about = f"{finding.method}, fit {finding.fit}, {finding.split}"
     interval = ""
     if not math.isnan(finding.low):
-        interval = f", 95 % interval {number(finding.low, sign=True)} to "
-        interval += f"{number(finding.high, sign=True)}"
+        low, high = (number(x, sign=True) for x in (finding.low, finding.high))
+        interval = f"; 95 % interval of the change {low} to {high}"
     p = f", {_p(finding.p)}" if not math.isnan(finding.p) else ""
     verdict = {
         "helps": '<b class="good">It helps.</b>',
@@ -103,10 +106,11 @@ def _sentence(finding: Finding) -> str:
         "cannot be told": "<b>Whether it helps cannot be told</b> from "
         f"{finding.scenes} scene{'' if finding.scenes == 1 else 's'}.",
     }[finding.verdict]
+    before = finding.after - finding.gain
     return (
-        f"{verdict} Depth restored by {words(f'`{finding.depth}`')} puts "
-        f"{number(finding.gain, sign=True)} points of {_OBJECTS[finding.subset]} within "
-        f"{heading(MAIN)} ({escape(about)}{interval}{p})."
+        f"{verdict} Of {_OBJECTS[finding.subset]}, {number(before)} % of the poses are within "
+        f"{heading(MAIN)} on raw depth and {number(finding.after)} % on depth restored by "
+        f"{words(f'`{finding.depth}`')} ({escape(about)}{interval}{p})."
     )
 
 
@@ -143,7 +147,7 @@ def _difference(gain: float, low: float, high: float, p: float) -> Cell:
 
 
 def _p(p: float) -> str:
-    return "p &lt; 0.001" if p < 0.001 else f"p = {p:.3f}"
+    return "p&nbsp;&lt;&nbsp;0.001" if p < 0.001 else f"p&nbsp;=&nbsp;{p:.3f}"
 
 
 def _is_true(compared: Compared) -> bool:

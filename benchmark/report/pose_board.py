@@ -10,6 +10,7 @@ import pandas as pd
 from benchmark.metrics.pose import PoseProtocol, get_pose_protocol
 from benchmark.pose_running.comparing import PoseDifference, compare_runs
 from benchmark.pose_running.depths import RAW, TRUE
+from benchmark.pose_running.plan import FITS
 from benchmark.pose_running.results import PoseResult
 from benchmark.pose_running.scoring import ALL, HARD, SAMPLES, SUBSETS, Scored, score_run
 from benchmark.pose_running.show import heading
@@ -92,7 +93,7 @@ def make_pose_board(
     Raises:
         ToolkitError: no run has a frame with a true object.
     """
-    ordered = sorted(results, key=lambda r: (r.split, r.name[0], r.name[2], _place(r)))
+    ordered = sorted(results, key=lambda r: (r.split, r.name[0], FITS.index(r.name[2]), _place(r)))
     rows, details, compared = [], {}, {}
     for split in dict.fromkeys(result.split for result in ordered):
         mine = [result for result in ordered if result.split == split]

@@ -24,6 +24,7 @@ from std_toolkit.io.documents import read_document
 
 _OBJECTS = {ALL: "All objects", HARD: "Specular and transparent"}
 _FEW_SCENES = 10
+_ABREAST = 4  # pictures in a row
 
 
 def pose_tables(board: PoseBoard, split: str, protocol: str) -> str:
