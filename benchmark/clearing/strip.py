@@ -27,7 +27,7 @@ PANELS = ("seen", "depth given", "pre-grasp", "closed", "lifted")
 WIDTH, HEIGHT = 288, 216
 _BAND = 18
 # From the right of the camera's place, further away, so that the lifted hand is in view.
-_EYE, _TARGET = (0.42, -0.55, 0.42), (0.0, 0.0, 0.11)
+_EYE, _TARGET = (0.42, -0.55, 0.42), (0.0, 0.0, 0.14)
 _COLORS = {"transparent": (120, 170, 235), "specular": (185, 185, 190)}
 _HAND, _TABLE = (235, 140, 60), (232, 226, 214)
 
@@ -53,7 +53,7 @@ def attempt_strip(attempt: Attempt, *, gripper: Gripper = PANDA) -> Image:
 def _stage_picture(attempt: Attempt, stage: Stage, gripper: Gripper) -> Image:
     from sensors.viewpoints.look_at import look_at
 
-    camera = Camera(WIDTH, HEIGHT, 300.0, 300.0, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
+    camera = Camera(WIDTH, HEIGHT, 260.0, 260.0, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
     T_world_cam = look_at(_EYE, _TARGET)
     T_cam_world = T_world_cam.inverse()
     placed: list[PlacedMesh] = []

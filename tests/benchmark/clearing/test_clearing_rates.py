@@ -19,10 +19,9 @@ def run_table(rounds: list[tuple[list[tuple[str, str]], list[tuple[str, int]]]])
                 {INDEX: index, KIND: ATTEMPT, "outcome": outcome, "held": held}
                 | {"executed": outcome != "no-grasp"}
             )
-    table = pd.DataFrame(rows)
-    return table.assign(
-        executed=table["executed"].fillna(False).astype(bool), held=table["held"].fillna(0)
-    )
+    columns = [INDEX, KIND, "material", "fate", "outcome", "held", "executed"]
+    table = pd.DataFrame(rows, columns=columns)
+    return table.assign(executed=table["executed"].eq(True), held=table["held"].fillna(0))
 
 
 TABLE = run_table(
