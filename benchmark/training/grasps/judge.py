@@ -17,11 +17,11 @@ from torch import nn
 from benchmark.grasp_methods.graspnet.decode import best_of_seeds
 from benchmark.grasp_methods.graspnet.network import GraspNetwork
 from benchmark.grasp_methods.graspnet.views import gripper_rotations
+from benchmark.grasping.ap import Judged, JudgedObject, judge_grasps, precision_at
 from benchmark.grasping.collision import Cloud, hits_plane
 from benchmark.grasping.force_closure import FRICTIONS, GraspedMesh
 from benchmark.grasping.grasp import Grasps
-from benchmark.grasping.gripper import Gripper, get_gripper
-from benchmark.grasping.nms import suppress_similar
+from benchmark.grasping.gripper import Gripper
 from benchmark.training.grasps.packed import PackedGrasps
 from benchmark.training.grasps.step import grasp_step
 from benchmark.training.grasps.tabletop import TableObject, even_points
@@ -31,16 +31,15 @@ from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.images import write_color
 
-# Grasps of a frame that are judged, and metres between the points that stand for objects.
-BEST = 50
+# Metres between the points that stand for objects, and grasps that are drawn.
 _SPACING = 0.004
 _DRAWN = 12
 
 
 class GraspJudge:
-    """Validation: the loss, and how many of the best grasps of each frame hold and hit nothing.
+    """Validation: the loss, and GraspNet's average precision of the best grasps of each frame.
 
-    Nothing is left out because it collides: what a planner does with the cloud is not the
+    No grasp is left out because it collides: what a planner does with the cloud is not the
     network's merit.
 
     Args:
@@ -52,6 +51,7 @@ class GraspJudge:
 
     def __init__(self, frames: PackedGrasps, chosen: Sequence[int], batch: int, loss: Any) -> None:
         self.frames, self.chosen, self.batch, self.loss = frames, tuple(chosen), batch, loss
+        self._objects: dict[tuple[int, int], list[JudgedObject]] = {}
 
     @torch.no_grad()
     def states(
@@ -74,30 +74,37 @@ class GraspJudge:
                     found = _best(network, batch["cloud"])
                 total[:2] += count, count * float(lost.total)
                 for index, grasps in zip(batch["index"].tolist(), found, strict=True):
-                    total[2:] += precision(self.friction(index, grasps))
+                    total[2:] += precision_at(self.judged(index, grasps).friction).mean(axis=0)
         return total
 
-    def friction(self, index: int, grasps: Grasps) -> NDArray[np.float64]:
-        """(N,) least friction at which grasps of a frame truly hold, -1 for none."""
+    def judged(self, index: int, grasps: Grasps) -> Judged:
+        """Grasps of a frame, judged as GraspNet does."""
         frame = self.frames.frames[index]
-        gripper = get_gripper(self.frames.packs[frame.pack].gripper)
-        in_world = grasps.transformed(self.frames.T_world_cam(index))
-        return true_friction(self.frames.objects(index), in_world, gripper)
+        place = frame.pack, frame.number
+        if place not in self._objects:
+            self._objects[place] = [
+                JudgedObject(o.vertices, o.faces, even_points(o.vertices, o.faces, _SPACING))
+                for o in self.frames.objects(index)
+            ]
+        table = self.frames.T_world_cam(index).inverse()
+        return judge_grasps(grasps, self._objects[place], self.frames.poses(index), table)
 
     def scores(self, states: np.ndarray) -> dict[str, float]:
         """See `Judging`."""
         frames = states[0]
         means = states[1:] / frames if frames else np.full(len(states) - 1, math.nan)
-        found = {"loss": float(means[0]), "precision": float(means[1:].mean())}
-        return found | {
-            f"precision_{friction:.1f}": float(mean)
-            for friction, mean in zip(FRICTIONS, means[1:], strict=True)
+        by_friction = dict(zip(FRICTIONS, means[1:].tolist(), strict=True))
+        return {
+            "loss": float(means[0]),
+            "ap": float(means[1:].mean()),
+            "ap08": by_friction[0.8],
+            "ap04": by_friction[0.4],
         }
 
     def main_score(self, scores: dict[str, float]) -> tuple[str, float]:
         """See `Judging`."""
-        value = 1 - scores["precision"]
-        return "share of wrong grasps", math.inf if math.isnan(value) else value
+        value = 1 - scores["ap"]
+        return "1 - AP", math.inf if math.isnan(value) else value
 
     def gallery(self, network: nn.Module, device: torch.device, path: Path) -> None:
         """Depth of a few frames with the best grasps: green those that hold, red the others."""
@@ -107,10 +114,11 @@ class GraspJudge:
             found = _best(network, batch["cloud"])
         pictures = []
         for index, grasps in zip(shown, found, strict=True):
-            best = grasps.top(_DRAWN)
+            judged = self.judged(index, grasps)
+            best, good = judged.grasps[:_DRAWN], judged.friction[:_DRAWN] > 0
             camera = self.frames.packs[self.frames.frames[index].pack].camera
             depth = self.frames.look(index).depth
-            pictures.append(picture(depth, camera, best, self.friction(index, best) > 0))
+            pictures.append(picture(depth, camera, best, good))
         write_color(path, np.vstack(pictures), quality=88)
 
 
@@ -139,18 +147,6 @@ def true_friction(
     return held
 
 
-def precision(friction: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(6,) at each friction, the mean over k = 1..50 of the share of good ones among the best k.
-
-    Args:
-        friction: (N,) of grasps, best first; fewer than 50 count as if the others failed.
-    """
-    good = np.zeros((BEST, len(FRICTIONS)))
-    best = friction[:BEST, None]
-    good[: len(best)] = (best > 0) & (best <= np.asarray(FRICTIONS) + 1e-9)
-    return (good.cumsum(axis=0) / np.arange(1, BEST + 1)[:, None]).mean(axis=0)
-
-
 def picture(
     depth: NDArray[np.float32], camera: Camera, grasps: Grasps, good: NDArray[np.bool_]
 ) -> NDArray[np.uint8]:
@@ -173,9 +169,9 @@ def picture(
 
 
 def _best(network: nn.Module, clouds: torch.Tensor) -> list[Grasps]:
-    """The best grasps of each cloud, none like another, best first."""
+    """The grasps of the seeds on objects, of each cloud."""
     assert isinstance(network, GraspNetwork)
     turned = gripper_rotations(network.config.views, network.config.angles)
     rotations = torch.from_numpy(turned).to(clouds.device, torch.float32)
     found = best_of_seeds(network, clouds, rotations)
-    return [suppress_similar(f.grasps[f.on_object.numpy()]).top(BEST) for f in found]
+    return [f.grasps[f.on_object.numpy()] for f in found]

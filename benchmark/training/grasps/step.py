@@ -56,8 +56,10 @@ def answers_and_truth(
     """What the network says of a batch, and what it should have said.
 
     The view of each seed is the one that the network holds for the best, and its grasps are those
-    of the nearest view of the object; the gripper is turned as that view has it, so that turns are
-    counted from the same one.
+    of the nearest view of the object, whose approach the gripper takes. Turns are counted from
+    that of them which is nearest to where the camera's view would have them begin: so begins what
+    the network is asked for when it plans, and an object's pose makes no difference. (The authors
+    count them from where the object's view begins.)
     """
     config = network.config
     cloud = batch["cloud"]
@@ -72,11 +74,14 @@ def answers_and_truth(
     if len(known.table):
         owner = batch["row_object"][at]
         own = known.alike[owner, view]  # of the object's
-        turned = torch.where(
-            there[..., None, None], batch["turned"][owner] @ rotations[own], turned
+        begun, order = begin_of_turns(
+            batch["turned"][owner] @ rotations[own], rotations[view], config.angles
         )
+        turned = torch.where(there[..., None, None], begun, turned)
+        order = order[..., None].expand(*order.shape, len(config.depths))
         scores, widths, tolerances = (
-            part[at, own] for part in (known.table, batch["widths"], batch["tolerances"])
+            part[at, own].gather(2, order)
+            for part in (known.table, batch["widths"], batch["tolerances"])
         )
         mask = there[..., None, None]
         scores = torch.where(mask, scores, 0.0)
@@ -89,6 +94,28 @@ def answers_and_truth(
     objectness = torch.where(batch["object"] < 0, 0, torch.where(there, 1, -1))
     target = GraspTarget(objectness, there, known.views, scores, widths, tolerances)
     return seeds.approaches, operations, target
+
+
+def begin_of_turns(own: Tensor, camera: Tensor, angles: int) -> tuple[Tensor, Tensor]:
+    """Grippers turned by whole steps about their approach, to be nearest to others.
+
+    Args:
+        own: (..., 3, 3) rotations.
+        camera: (..., 3, 3) those to be near to, of about the same approach.
+        angles: steps in half a turn, after which fingers are swapped and the grasp is the same.
+
+    Returns:
+        (..., 3, 3) the turned ones, and (..., angles) int64 which of the turns that were counted
+        from `own` is now the first, the second and so on.
+    """
+    between = own.transpose(-1, -2) @ camera
+    step = torch.pi / angles
+    first = (torch.atan2(between[..., 2, 1], between[..., 1, 1]) / step).round()
+    c, s = (first * step).cos()[..., None], (first * step).sin()[..., None]
+    x, y, z = own.unbind(-1)
+    turned = torch.stack([x, c * y + s * z, c * z - s * y], dim=-1)
+    order = first.long()[..., None] + torch.arange(angles, device=own.device)
+    return turned, order % angles
 
 
 def known_of(batch: Batch, views: int) -> Known:

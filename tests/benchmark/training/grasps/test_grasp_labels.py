@@ -11,7 +11,7 @@ from benchmark.grasping.force_closure import GraspedMesh
 from benchmark.grasping.grasp import Grasps
 from benchmark.grasping.gripper import PANDA
 from benchmark.training.grasps.hits import any_inside
-from benchmark.training.grasps.judge import precision, true_friction
+from benchmark.training.grasps.judge import true_friction
 from benchmark.training.grasps.object_labels import CLEARANCE, UNIT, object_labels
 from benchmark.training.grasps.scene_labels import scene_labels
 from benchmark.training.grasps.tabletop import TableObject, even_points
@@ -157,15 +157,3 @@ def test_grasps_in_free_air_and_through_the_table_do_not_hold():
     grasps = Grasps.make(np.stack([down] * 3), places, widths=0.06, depths=0.03)
     assert true_friction([box], grasps, PANDA).tolist() == [pytest.approx(0.2), -1, -1]
     assert true_friction([box], Grasps.empty(), PANDA).shape == (0,)
-
-
-def test_precision_counts_missing_grasps_as_wrong():
-    assert precision(np.full(50, 0.2)).tolist() == [1.0] * 6
-    assert precision(np.full(80, 0.5)).tolist() == [0, 0, 1, 1, 1, 1]
-    assert precision(np.zeros(0)).tolist() == [0.0] * 6
-    one = precision(np.array([0.2]))
-    assert one[0] == pytest.approx(np.mean(1 / np.arange(1, 51)))
-    # A wrong one first costs more than last.
-    first, last = np.full(50, 0.2), np.full(50, 0.2)
-    first[0] = last[-1] = -1
-    assert precision(first)[0] < precision(last)[0] < 1
