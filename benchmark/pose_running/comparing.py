@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.metrics.pose.draws import figures_of_draws, scene_weights, side_by_side
-from benchmark.pose_running.scoring import LEVEL, SAMPLES, Scored, scene_draws
+from benchmark.pose_running.scoring import SAMPLES, Scored, interval_of, scene_draws
 from std_toolkit.errors import ToolkitError
 
 Floats = NDArray[np.float64]
@@ -90,7 +90,7 @@ def compare_runs(
     if scenes > 1:
         draws = scene_draws(scenes, samples, seed=seed)
         drawn = differences(draws, np.zeros_like(draws))
-        low, high = np.nanquantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0)
+        low, high = interval_of(drawn)
     swaps = _swaps(scenes, seed)
     swapped = differences(1.0 - swaps, swaps)
     # The same figures summed in another order differ in their last bits.

@@ -91,9 +91,7 @@ def score_run(
     if samples and len(np.unique(frames.scenes)) > 1:
         draws = scene_draws(len(np.unique(frames.scenes)), samples)
         drawn = figures_of_draws(matches, scene_weights(frames.scenes, draws))
-        # A draw may lack all objects of a class; its mean is then that of the others.
-        ends = [(1 - LEVEL) / 2, (1 + LEVEL) / 2]
-        low, high = np.nanquantile(drawn, ends, axis=0)
+        low, high = interval_of(drawn)
     return Scored(
         result, subset, score_matches(matches), matches, frames.scenes, frames.names, low, high
     )
@@ -109,6 +107,16 @@ def score_runs(
     """Every run for every subset that has objects, see `score_run`."""
     scored = [score_run(r, protocol, s, samples=samples) for s in subsets for r in results]
     return [each for each in scored if each.objects]
+
+
+def interval_of(drawn: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Ends (K,) of the intervals of drawn figures (D, K), each over the draws that have it."""
+    low, high = np.full((2, drawn.shape[1]), np.nan)
+    for column, values in enumerate(drawn.T):
+        there = values[~np.isnan(values)]
+        if len(there):
+            low[column], high[column] = np.quantile(there, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    return low, high
 
 
 def scene_draws(scenes: int, samples: int, *, seed: int = 0) -> NDArray[np.float64]:

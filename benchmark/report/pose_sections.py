@@ -106,7 +106,9 @@ def pose_gallery(board: PoseBoard) -> str:
                     f"<figcaption>{escape(caption)}</figcaption></figure>"
                 )
         rows = "".join(
-            f'<h4>{escape(name)}</h4><div class="sidebyside">{"".join(figures)}</div>'
+            f"<h4>{escape(name)}</h4>"
+            f'<div class="sidebyside" style="--n:{min(len(figures), _ABREAST)}">'
+            f"{''.join(figures)}</div>"
             for name, figures in frames.items()
         )
         title = escape(f"{method}, fit {fit}, on {split}")
