@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sensors.assets import AssetSource, SourceOptions, draw_diagonal, open_source
+from sensors.assets import Asset, AssetSource, SourceOptions, draw_diagonal, open_source
 from sensors.materials import DrawnMaterial, draw_material, draw_material_class
 from sensors.physics import PhysicalObject, SettleOptions, convex_parts, settle
 from std_toolkit.errors import ToolkitError
@@ -18,9 +18,11 @@ from std_toolkit.geometry.se3 import SE3
 VESSELS = ("bottle", "bowl", "mug")
 OTHERS = ("can", "car", "aeroplane")
 OBJECTS = (4, 5)
-# The jaw opens by 80 mm: no object is thicker than this in its thinnest direction. Bowls and mugs
-# are held by the rim as well.
-THICKEST_M = 0.058
+# The jaw opens by 80 mm. Vessels are held by the rim, aeroplanes by the fuselage or a wing, however
+# they lie: it is enough that their thinnest extent fits. The others are held across whichever of
+# their two smaller extents lies level.
+THICKEST_M, WIDEST_M = 0.058, 0.062
+HELD_ACROSS = ("bottle", "can", "car")
 # Side of the square that objects fall on, and of the table.
 DROP_HALF_M, TABLE_HALF_M = 0.19, 0.45
 _ROOMY_HALF_M = 0.24
@@ -89,13 +91,19 @@ def arrange(
     objects = []
     for number, category in enumerate([*VESSELS, *others][:count]):
         asset = assets.sample(shapes, category)
-        thinnest = float(np.ptp(asset.vertices, axis=0).min())
-        diagonal = min(draw_diagonal(shapes, asset), THICKEST_M / thinnest)
+        diagonal = min(draw_diagonal(shapes, asset), largest_diagonal(asset))
         material_class = draw_material_class(looks, category, allowed=("specular", "transparent"))
         material = draw_material(looks, material_class, textured=asset.texture is not None)
         body = PhysicalObject(asset, diagonal, convex_parts(asset, parts_cache))
         objects.append(TableObject(number, body, material, float(shapes.uniform(*MASS_KG))))
     return Arrangement(seed, tuple(objects), _settled(objects, seed))
+
+
+def largest_diagonal(asset: Asset) -> float:
+    """Bounding-box diagonal, metres, up to which the jaw can hold an object of this shape."""
+    thinnest, middle, _ = np.sort(np.ptp(asset.vertices, axis=0))
+    limit = THICKEST_M / thinnest
+    return float(min(limit, WIDEST_M / middle) if asset.category in HELD_ACROSS else limit)
 
 
 def _settled(objects: Sequence[TableObject], seed: int) -> tuple[SE3, ...]:

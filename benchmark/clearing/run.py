@@ -242,6 +242,7 @@ def _usable(run: GraspRun) -> _Equipment:
 
 def _setup(run: GraspRun, equipment: _Equipment) -> GraspSetup:
     planner, depth = run.planner_options, run.depth_options
+    network = depth if run.is_restored else planner  # both are made with the same of these options
     model = Path(__file__).with_name("depth_model.json")
     return GraspSetup(
         seed=run.seed,
@@ -255,9 +256,9 @@ def _setup(run: GraspRun, equipment: _Equipment) -> GraspSetup:
         depth=run.depth,
         depth_settings=dict(depth.settings),
         depth_weights_sha256=_weights(equipment.restorer, depth),
-        preset=planner.preset,
-        precision=planner.precision,
-        compile=planner.compile,
+        preset=network.preset,
+        precision=network.precision,
+        compile=network.compile,
         device=run.devices[0].partition(":")[0],
     )
 
