@@ -139,8 +139,11 @@ def load_weights(network: nn.Module, path: Path, ignored: Sequence[str] = ()) ->
 def save_weights(network: nn.Module, path: Path) -> None:
     """Write a network's weights as safetensors, atomically."""
     state = {name: t.detach().cpu().contiguous() for name, t in network.state_dict().items()}
-    with atomic_path(path) as temporary:
-        save_file(state, temporary)
+    try:
+        with atomic_path(path) as temporary:
+            save_file(state, temporary)
+    except SafetensorError as error:  # how it tells of a full disk
+        raise ToolkitError(f"cannot write the weights: {error}", path=path) from error
 
 
 def check_keys(wanted: Mapping[str, Tensor], found: Mapping[str, Tensor], path: Path) -> None:

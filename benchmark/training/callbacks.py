@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +17,7 @@ from benchmark.methods.weights import save_weights
 from benchmark.training.judging import Judging
 from benchmark.training.module import RestorerTraining
 from benchmark.training.progress import Rows, Speed
+from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import write_document
 from std_toolkit.log import logger
 
@@ -50,6 +54,7 @@ class Watch(pl.Callback):
         self.validations = Rows(self.folder / "validation.csv", step)
         self.board = None
         if trainer.is_global_zero:
+            threading.excepthook = _told_by_the_next_write
             self.board = SummaryWriter(str(self.folder / "tensorboard"), purge_step=step + 1)
         if step:
             logger.info("going on from step %d", step)
@@ -103,7 +108,8 @@ class Watch(pl.Callback):
     def on_exception(
         self, trainer: pl.Trainer, pl_module: pl.LightningModule, exception: BaseException
     ) -> None:
-        self._close()
+        with suppress(ToolkitError):  # it must not hide what went wrong first
+            self._close()
 
     def _validate(self, trainer: pl.Trainer, module: RestorerTraining) -> None:
         network, device, step = module.network, module.device, trainer.global_step
@@ -147,10 +153,33 @@ class Watch(pl.Callback):
 
     def _show(self, group: str, row: dict[str, Any]) -> None:
         if self.board is not None:
-            for name, value in row.items():
-                if name != "step" and not math.isnan(value):
-                    self.board.add_scalar(f"{group}/{name}", value, row["step"])
+            with self._writing_board():
+                for name, value in row.items():
+                    if name != "step" and not math.isnan(value):
+                        self.board.add_scalar(f"{group}/{name}", value, row["step"])
 
     def _close(self) -> None:
         if getattr(self, "board", None) is not None:
-            self.board.close()  # type: ignore[union-attr]
+            try:
+                with self._writing_board():
+                    self.board.close()  # type: ignore[union-attr]
+            finally:
+                self.board = None
+                threading.excepthook = threading.__excepthook__
+
+    @contextmanager
+    def _writing_board(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:  # without the name of the file
+            raise ToolkitError(
+                f"cannot write the log: {error.strerror or error}",
+                path=self.folder / "tensorboard",
+                hint="the last checkpoint is kept; the same command goes on from it",
+            ) from error
+
+
+def _told_by_the_next_write(failure: Any) -> None:
+    """What fails in TensorBoard's thread is raised at the next write, and needs no traceback."""
+    if type(failure.thread).__name__ != "_AsyncWriterThread":
+        threading.__excepthook__(failure)

@@ -17,6 +17,7 @@ from training_set import HERE, TINY, packed, same, trained, wishes, write_scenes
 from benchmark.training.callbacks import CHECKPOINT, Watch
 from benchmark.training.checkpoint_file import AtomicCheckpoints
 from benchmark.training.module import RestorerTraining
+from std_toolkit.cli.outcome import exit_status
 from std_toolkit.errors import ToolkitError
 
 
@@ -219,6 +220,68 @@ def _losses(run: Path) -> list[tuple[str, str]]:
 
     with (run / "steps.csv").open(newline="") as file:
         return [(row["step"], row["loss"]) for row in csv.DictReader(file)]
+
+
+FULL = {
+    "validation.csv": "benchmark.training.progress:Rows.save",
+    "best.safetensors": "benchmark.training.callbacks:save_weights",
+    "best.json": "benchmark.training.callbacks:write_document",
+    "step-0000004.jpg": "benchmark.training.judging:Judge.gallery",
+    "last.safetensors": "benchmark.training.fit:save_weights",
+    "tensorboard": "benchmark.training.callbacks:Watch._show",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", FULL)
+def test_a_full_disk_is_one_line_whatever_is_written(what, pack, tmp_path):
+    """From when this is to be written behind step 4, nothing can be any more."""
+    run, asked = tmp_path / "run", wishes("dfnet", pack)
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            os.dup2(writing, 2)
+            sys.stderr = os.fdopen(2, "w", buffering=1)
+            _fill_the_disk(FULL[what], {"validation.csv": 1, "tensorboard": 2}.get(what, 0))
+            os._exit(exit_status(lambda: bool(trained(asked, run)), program="std-train"))
+        finally:
+            os._exit(9)
+    os.close(writing)
+    with os.fdopen(reading) as stream:
+        said = stream.read()
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 1, said
+    errors = [line for line in said.splitlines() if line.startswith("error")]
+    assert len(errors) == 1 and "Traceback" not in said
+    assert str(run) in errors[0] and what in errors[0] and "cannot write" in errors[0]
+    step = torch.load(run / CHECKPOINT, weights_only=True)["global_step"]
+    assert step == (6 if what == "last.safetensors" else 2)
+    assert not [p for p in run.rglob("*") if ".tmp" in p.name]
+    assert same(trained(asked, run), trained(asked, tmp_path / "whole"))
+
+
+def _fill_the_disk(where: str, after: int) -> None:
+    """A limit on the size of files, set when a function is called for another time."""
+    import importlib
+    import resource
+
+    module, _, name = where.partition(":")
+    owner, _, attribute = name.rpartition(".")
+    holder = importlib.import_module(module)
+    holder = getattr(holder, owner) if owner else holder
+    plain, calls = getattr(holder, attribute), []
+
+    def fills(*args, **options):
+        calls.append(1)
+        if len(calls) > after:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (20, resource.RLIM_INFINITY))
+            try:
+                return plain(*args, **options)
+            finally:
+                time.sleep(0.3)  # TensorBoard writes in a thread
+        return plain(*args, **options)
+
+    setattr(holder, attribute, fills)
 
 
 def test_a_full_disk_leaves_the_last_checkpoint(pack, tmp_path):
