@@ -227,7 +227,10 @@ def _train(args: argparse.Namespace) -> int:
         return 0
     settings = " ".join(f"{name}={value}" for name, value in config.settings.items())
     told = f" --set {settings}" if settings else ""
-    print(f"{best}: std-bench --method {args.method} --preset {args.preset} --weights {best}{told}")
+    from benchmark.training.asking import bench_command
+
+    command = bench_command(args.method)
+    print(f"{best}: {command} --preset {args.preset} --weights {best}{told}")
     return 0
 
 

@@ -12,6 +12,7 @@ import torch
 from safetensors.torch import save_file
 
 from benchmark.methods.weights import read_weights, sha256_of
+from benchmark.training.asking import bench_command
 from benchmark.training.callbacks import BEST
 from benchmark.training.config import CONFIG
 from benchmark.training.run_note import RUN_NOTE, PartNote, RunNote
@@ -65,7 +66,7 @@ def export_weights(run: Path, out: Path, *, scores: str = "") -> Path:
     lines = [
         f"# {config['method']}, preset {config['preset']}",
         "",
-        f"Weights that `std-bench --method {config['method']} --preset {config['preset']}` uses. "
+        f"Weights that `{bench_command(config['method'])} --preset {config['preset']}` uses. "
         f"{parameters / 1e6:.2f} million numbers in half precision, {size:.1f} MiB, "
         f"SHA-256 `{digest}`. Made by std-toolkit {__version__}; licence: Apache-2.0, as the "
         "toolkit's.",

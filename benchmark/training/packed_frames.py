@@ -180,3 +180,20 @@ def fitting_frames(folders: Sequence[Path], config: Any) -> PackedFrames:
             f"or train with --set input_size={frames.size[0]},{frames.size[1]}",
         )
     return frames
+
+
+def fitting_frames_with_nocs(folders: Sequence[Path], config: Any) -> PackedFrames:
+    """The same for a network that learns poses.
+
+    Raises:
+        ToolkitError: as `fitting_frames`, and packs that hold no NOCS.
+    """
+    frames = fitting_frames(folders, config)
+    for folder, setup in zip(frames.folders, frames.setups, strict=True):
+        if not setup.nocs:
+            raise ToolkitError(
+                "the packed frames hold no NOCS",
+                path=folder,
+                hint="pack them with `std-train pack --nocs`",
+            )
+    return frames

@@ -16,6 +16,7 @@ from benchmark.training.judging_poses import PoseJudge, look_of_nocs, look_of_sw
 from benchmark.training.losses.nocs import NOCSLoss
 from benchmark.training.losses.swindrnet_nocs import SwinNOCSLoss
 from benchmark.training.optimization import Optimization
+from benchmark.training.packed_frames import fitting_frames_with_nocs
 from benchmark.training.poses import nocs_step, swin_nocs_step
 
 
@@ -32,6 +33,7 @@ SWINDRNET_NOCS_TRAINING = Trainable(
     # The preset is the network of the authors' weights; trained is the paper's.
     settings={"published": {"fusion": "paper"}},
     network=SwinNOCSNetwork,
+    frames=fitting_frames_with_nocs,
     loss=SwinNOCSLoss(),
     step=swin_nocs_step,
     judge=partial(PoseJudge, look=look_of_swin),
@@ -44,6 +46,7 @@ SWINDRNET_NOCS_TRAINING = Trainable(
 NOCS_TRAINING = Trainable(
     presets=NOCS,
     network=NOCSNetwork,
+    frames=fitting_frames_with_nocs,
     loss=NOCSLoss(),
     step=nocs_step,
     judge=partial(PoseJudge, look=look_of_nocs),

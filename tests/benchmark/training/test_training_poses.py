@@ -127,6 +127,7 @@ def test_from_packing_to_an_estimator(method, data, tmp_path, capsys):
     assert main([*command, "--accelerator", "cpu", "--debug"]) == 0
     told = capsys.readouterr()
     assert f"--weights {run / 'best.safetensors'}" in told.out
+    assert f"std-bench --task pose --method {method} --preset compact" in told.out
     best = json.loads((run / "best.json").read_text())
     assert best["ranked_by"] == "nocs_error"
     rows = list(csv.DictReader((run / "validation.csv").open()))
@@ -149,8 +150,9 @@ def test_packs_without_nocs_are_refused(method, data, tmp_path, capsys):
     command += ["--out", str(tmp_path / "run"), "--hold-out", "0.3", "--readers", "0"]
     assert main([*command, "--steps", "2", "--accelerator", "cpu"]) == 1
     error = capsys.readouterr().err.strip().splitlines()[-1]
-    assert "hold no NOCS" in error
+    assert f"{pack}: the packed frames hold no NOCS" in error
     assert "--nocs" in error
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize("method", TINY)
