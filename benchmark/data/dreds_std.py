@@ -29,7 +29,7 @@ from benchmark.data.assemble import (
     check_same_size,
     first_file,
 )
-from benchmark.data.cad_boxes import model_sides
+from benchmark.data.cad_boxes import model_handle, model_sides
 from benchmark.data.frame import DepthFrame, Instance, Material
 from benchmark.data.layout_camera import SceneCamera, read_scene_camera
 from benchmark.data.listing import FrameIndex, scene_files
@@ -47,6 +47,7 @@ META = ("_meta.txt",)
 NOCS = ("_coord.png",)
 MASKS = ("_mask.exr", "_mask.png")
 LAYOUTS = {layout.name: layout for layout in (DREDS_LAYOUT, STD_LAYOUT)}
+MUG = CATEGORY_CLASS_IDS["mug"]
 _CATEGORIES = {number: name for name, number in CATEGORY_CLASS_IDS.items()}
 
 
@@ -119,9 +120,11 @@ class LayoutScenes:
         found = {}
         for line in read_meta(first_file(folder, (stem + META[0],), "meta file"), any_class=True):
             if line.class_folder is not None and line.instance_folder is not None:
-                sides = model_sides(folder, line.class_folder, line.instance_folder)
+                names = line.class_folder, line.instance_folder
+                sides = model_sides(folder, *names)
                 if sides is not None:
-                    found[line.mask_id] = KnownBox(sides)
+                    handle = model_handle(folder, *names) if line.class_id == MUG else None
+                    found[line.mask_id] = KnownBox(sides, handle=handle)
         return found
 
     def files(self) -> Iterator[SceneFiles]:

@@ -17,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.assemble import NO_COLOR, NO_DEPTH, about, check_proportions, check_same_size
+from benchmark.data.cad_boxes import mesh_handle
 from benchmark.data.cleargrasp_real import TRANSPARENT
+from benchmark.data.dreds_std import MUG
 from benchmark.data.frame import BACKGROUND, DepthFrame, Instance, Material
 from benchmark.data.listing import FrameIndex, SceneFolder
 from benchmark.data.maps import read_coord_picture, read_depth_map, read_id_mask
@@ -123,12 +125,14 @@ class ToolkitScenes:
             poses = {row.object: row.pose.matrix() for row in rows}
         found = {}
         for thing in scene.objects.objects:
-            centre, diagonal = nocs_frame(scene.mesh(thing.model))
-            sides = np.array(scene.objects.model(thing.model).size_m) / diagonal
+            model, mesh = scene.objects.model(thing.model), scene.mesh(thing.model)
+            centre, diagonal = nocs_frame(mesh)
+            sides = np.array(model.size_m) / diagonal
+            handle = mesh_handle(mesh) if model.class_id == MUG else None
             RT = None
             if thing.id in poses:
                 RT = poses[thing.id] @ Similarity(diagonal, np.eye(3), centre).matrix()
-            found[thing.id] = KnownBox(sides, RT)
+            found[thing.id] = KnownBox(sides, RT, handle)
         return found
 
     def files(self) -> Iterator[SceneFiles]:

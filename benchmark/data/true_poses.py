@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.frame import DepthFrame, Instance
+from benchmark.data.mug_handle import MugHandle
 from benchmark.data.selection import OTHER
 from benchmark.data.source import DepthSource
 from std_toolkit.errors import ToolkitError
@@ -36,10 +37,12 @@ class KnownBox:
     Attributes:
         sides: (3,) of its bounding box in normalised coordinates, of length 1 together.
         RT: (4, 4) its exact pose, the diagonal in metres inside; None where nobody tells.
+        handle: of a mug whose mesh is there.
     """
 
     sides: Floats
     RT: Floats | None = None
+    handle: MugHandle | None = None
 
 
 @runtime_checkable
@@ -64,7 +67,8 @@ class TruePose:
         RT: (4, 4) object to camera; the scale inside is the diagonal of its box in metres.
         size: (3,) of its box before RT, of length 1.
         pixels: with true depth.
-        handle_visible: whether the handle of a mug can be seen; true of everything else.
+        handle_visible: whether the handle of a mug can be seen; true of everything else, and of
+            mugs whose mesh is not there.
         box_known: whether `size` is that of the CAD model.
     """
 
@@ -126,7 +130,9 @@ def true_poses(frame: DepthFrame, boxes: Mapping[int, KnownBox]) -> list[TruePos
                 continue
             RT[:3, :3] *= diagonal
         if np.linalg.det(RT[:3, :3]) > 0:
+            handle = None if known is None else known.handle
+            shown = handle is None or handle.is_visible(coordinates)
             found.append(
-                TruePose(instance, RT, sides / diagonal, pixels, box_known=known is not None)
+                TruePose(instance, RT, sides / diagonal, pixels, shown, box_known=known is not None)
             )
     return found

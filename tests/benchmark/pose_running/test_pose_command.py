@@ -1,0 +1,170 @@
+"""`std-bench --task pose` and `--task bop` from the command line, and their report."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from benchmark.cli.bench import main
+from benchmark.cli.report import PAGE
+from benchmark.cli.report import main as report
+from benchmark.metrics.bop import BopEstimate, open_bop, write_bop_results
+from benchmark.pose_running.comparing import compare_runs
+from benchmark.pose_running.protocols import wanted_protocols
+from benchmark.pose_running.results import read_pose_results
+from benchmark.pose_running.scoring import score_run
+from benchmark.published.poses import published_poses
+from benchmark.report.pose_answer import findings
+from benchmark.report.pose_board import make_pose_board
+from benchmark.report.pose_part import CSV, LATEX, MARKDOWN
+from std_toolkit.errors import ToolkitError
+from tests.benchmark.metrics.bop.bop_set import write_bop
+from tests.benchmark.pose_running.pose_set import SPLIT, write_pose_split
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_pose_split(tmp_path_factory.mktemp("data"), scenes=7, frames=1)
+
+
+@pytest.fixture(scope="module")
+def results(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("out")
+    # Nothing was saved there: every frame fails, and counts as missed.
+    assert bench(root, out, "--method", "gt-nocs", "--depth", "raw", "gt", f"mine={root}") == 1
+    return out
+
+
+def bench(root: Path, out: Path, *more: str) -> int:
+    words = ["--task", "pose", "--data", str(root), "--split", SPLIT, "--out", str(out)]
+    return main([*words, "--engine", "serial", *more])
+
+
+def test_tables_in_the_terminal(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("--method", "gt-nocs", "--depth", "raw", "gt", "--limit", "2", "--no-gallery")
+    assert bench(root, tmp_path, *words, "--protocol", "strict", "paper", "--score", "ap") == 0
+    text = capsys.readouterr().out
+    assert f"{SPLIT}, protocol strict, poses right in %" in text
+    assert f"{SPLIT}, protocol paper, score ap" in text
+    assert re.search(r"gt-nocs +gt +ransac +all +6( +100\.0){8}", text)
+    assert re.search(r"gt-nocs +raw +ransac +specular\+transparent +4 ", text)
+
+
+def test_pages_and_tables(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert report([str(results)]) == 0
+    page = (results / PAGE).read_text()
+    for wanted in ("Does restoring depth help", "SwinDRNet+NOCSHead", "true box", "What ran"):
+        assert wanted in page
+    assert page.count("data:image/jpeg") == 3 * 6, "six frames of each of three runs"
+    assert "no such file" not in page
+    table = pd.read_csv(results / CSV)
+    mine = table[(table["kind"] == "measured") & (table["protocol"] == "strict")]
+    right = mine[(mine["depth"] == "gt") & (mine["subset"] == "all")]
+    assert right["5deg2cm"].tolist() == [1.0]
+    printed = table[table["kind"] == "published"]
+    row = printed[printed["method"] == "SGPA, raw depth"].iloc[0]
+    assert row["iou75"] == pytest.approx(0.30)
+    assert r"\begin{tabular}" in (results / LATEX).read_text()
+    assert "*SGPA, raw depth*" in (results / MARKDOWN).read_text()
+    assert "gt-nocs" in capsys.readouterr().out
+    before = page
+    assert report([str(results)]) == 0
+    assert (results / PAGE).read_text() == before, "the same results give the same bytes"
+
+
+def test_true_depth_helps_and_the_test_says_so(results: Path) -> None:
+    runs = {r.name[1]: r for r in read_pose_results([results]) if r.name[1] in ("raw", "gt")}
+    strict = wanted_protocols(["strict"])[0]
+    scored = {name: score_run(r, strict, samples=50) for name, r in runs.items()}
+    gain, low, high, p = compare_runs(scored["gt"], scored["raw"], samples=200).of("5deg5cm")
+    expected = scored["gt"].scores.mean["5deg5cm"] - scored["raw"].scores.mean["5deg5cm"]
+    assert gain == pytest.approx(expected)
+    assert 0.2 < low <= gain <= high
+    assert p == pytest.approx(2 / 2**7), "all seven scenes gain"
+    same = compare_runs(scored["gt"], scored["gt"], samples=50)
+    assert (same.difference == 0).all() and (same.p == 1).all()
+    board = make_pose_board(read_pose_results([results]), samples=20)
+    (mine,) = findings(board, "all")
+    assert (mine.depth, mine.verdict, mine.after) == ("mine", "hurts", 0.0)
+
+
+def test_what_the_paper_prints_of_poses() -> None:
+    rows = published_poses()
+    ours = rows[(rows["method"] == "SwinDRNet+NOCSHead, restored depth")]
+    assert ours["split"].tolist() == [SPLIT, "std-catknown"]
+    assert ours["10deg5cm"].tolist() == [0.728, 0.797]
+    assert np.isfinite(rows["iou25"]).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--method", "nocz"], "nocz"),
+        (["--method", "gt-nocs", "--protocol", "strikt"], "strikt"),
+        (["--method", "gt-nocs", "--depth", "swinnet"], "swinnet"),
+        (["--method", "gt-nocs", "--depth", "raw=/x"], "name of its own"),
+        (["--method", "gt-nocs", "--depth", "raw", "raw"], "twice"),
+        (["--method", "gt-nocs", "--save-depth"], "--save-depth: is no option of --task pose"),
+        (["--method", "gt-nocs", "--depth", "swindrnet", "--weights", "/x"], "which method"),
+        ([], "--method: is needed"),
+    ],
+)
+def test_one_line_for_what_is_wrong(
+    root: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    told: str,
+) -> None:
+    assert bench(root, tmp_path, *arguments) == 1
+    errors = capsys.readouterr().err.strip().splitlines()
+    assert len(errors) == 1, errors
+    assert re.search(told, errors[0])
+
+
+def test_options_of_poses_are_refused_for_depth(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--method", "raw", "--fit", "paper", "--data", str(tmp_path)]) == 1
+    assert "--fit: is no option of --task depth" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_what_pose_methods_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--task", "pose", "--list-methods"]) == 0
+    text = capsys.readouterr().out
+    assert re.search(r"^gt-nocs +True masks", text, re.M)
+
+
+def test_result_files_of_bop(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = write_bop(tmp_path / "set")
+    dataset = open_bop(root)
+    estimates = [
+        BopEstimate(t.scene_id, t.im_id, t.obj_id, 1.0, pose)
+        for t in dataset.targets
+        for pose in dataset.truths(t)[0]
+    ]
+    write_bop_results(tmp_path / "mine_set-test.csv", estimates)
+    words = ["--task", "bop", "--data", str(root), "--out", str(tmp_path / "out")]
+    words += ["--results", str(tmp_path / "mine_set-test.csv")]
+    assert main(words) == 0
+    assert re.search(r"mine_set-test +set, test +\d+( +100\.0){4}", capsys.readouterr().out)
+    assert report([str(tmp_path / "out")]) == 0
+    assert "Average recalls" in (tmp_path / "out" / PAGE).read_text()
+    assert main(words[:4]) == 1
+    assert "--results: is needed" in capsys.readouterr().err
+
+
+def test_protocols_say_what_was_changed() -> None:
+    (one,) = wanted_protocols(["paper"], iou="oriented", score="ap", gates="all")
+    assert one.name == "paper, iou oriented, score ap, gates all"
+    assert one.pose_needs_iou is None
+    assert wanted_protocols(["strict"], iou="oriented", gates="all")[0].name == "strict"
+    with pytest.raises(ToolkitError):
+        wanted_protocols(["papers"])
