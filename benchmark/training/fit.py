@@ -46,6 +46,7 @@ class Machine:
         readers: processes that read data, for each device.
         log_every: steps between rows of the log.
         progress: whether to show a bar.
+        in_ray: this is a process that Ray Train started; it knows how many there are.
     """
 
     accelerator: Literal["auto", "cpu", "gpu"] = "auto"
@@ -54,6 +55,7 @@ class Machine:
     readers: int = 2
     log_every: int = 50
     progress: bool = True
+    in_ray: bool = False
 
 
 @dataclass(frozen=True)
@@ -209,19 +211,25 @@ def _trainer(
     trainable: Trainable, config: TrainConfig, machine: Machine, watch: Watch, folder: Path
 ) -> pl.Trainer:
     strategy: Any = "auto"
-    if machine.devices * machine.nodes > 1:
-        idle = trainable.idle(trainable.config(config.preset, config.settings))
+    plugins: list[Any] = [AtomicCheckpoints()]
+    idle = trainable.idle(trainable.config(config.preset, config.settings))
+    if machine.in_ray:
+        from ray.train.lightning import RayDDPStrategy, RayLightningEnvironment
+
+        strategy = RayDDPStrategy(find_unused_parameters=idle)
+        plugins.append(RayLightningEnvironment())
+    elif machine.devices * machine.nodes > 1:
         strategy = DDPStrategy(find_unused_parameters=idle)
     return pl.Trainer(
         accelerator=machine.accelerator,
-        devices=machine.devices,
+        devices="auto" if machine.in_ray else machine.devices,
         num_nodes=machine.nodes,
         strategy=strategy,
         precision=_PRECISIONS[config.precision],
         max_epochs=-(-config.steps // config.checkpoint_every),
         accumulate_grad_batches=config.accumulate,
         callbacks=[watch],
-        plugins=[AtomicCheckpoints()],
+        plugins=plugins,
         default_root_dir=folder,
         logger=False,
         enable_checkpointing=False,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import os
 import socket
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from std_toolkit.errors import ToolkitError
@@ -22,17 +23,45 @@ def run_on_ray(
     Raises:
         ToolkitError: Ray is not installed, or there is no cluster at the address.
     """
+    with ray_cluster(options):
+        yield from _run(call, items, options)
+
+
+@contextmanager
+def ray_cluster(options: JobOptions, *, tell: bool = False) -> Iterator[None]:
+    """A connection to a cluster, which is started on this machine if no address is given.
+
+    A process that is connected already stays so.
+
+    Args:
+        options: address and width.
+        tell: show what the cluster's processes write to stdout and stderr.
+
+    Raises:
+        ToolkitError: Ray is not installed, or there is no cluster at the address.
+    """
     try:
         import ray
-        from ray.exceptions import RayError, RayTaskError, WorkerCrashedError
     except ImportError as error:
         raise ToolkitError(
             "Ray is not installed", hint="pip install 'std-toolkit[cluster]'"
         ) from error
+    if ray.is_initialized():
+        yield
+        return
+    _connect(options, tell)
+    try:
+        yield
+    finally:
+        ray.shutdown()
 
-    started_here = not ray.is_initialized()
-    if started_here:
-        _connect(options)
+
+def _run(
+    call: Callable[[Any], Outcome[Any]], items: Sequence[Any], options: JobOptions
+) -> Generator[tuple[int, Outcome[Any]]]:
+    import ray
+    from ray.exceptions import RayError, RayTaskError, WorkerCrashedError
+
     # Ray retries tasks whose worker died; exceptions of the function itself come as outcomes.
     remote = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(_call)
     if options.gpus:
@@ -63,11 +92,9 @@ def run_on_ray(
     finally:
         for reference in running:  # interrupted
             ray.cancel(reference, force=True)
-        if started_here:
-            ray.shutdown()
 
 
-def _connect(options: JobOptions) -> None:
+def _connect(options: JobOptions, tell: bool) -> None:
     import ray
 
     # A cluster that we start on the user's behalf reports to nobody.
@@ -81,7 +108,7 @@ def _connect(options: JobOptions) -> None:
             # No local cluster is started when an address is given, here or in RAY_ADDRESS.
             num_cpus=None if address or os.environ.get("RAY_ADDRESS") else options.worker_count,
             include_dashboard=None if address else False,
-            log_to_driver=False,
+            log_to_driver=tell,
             logging_level=logging.ERROR,
         )
     except (ConnectionError, RuntimeError, ValueError) as error:

@@ -1,0 +1,138 @@
+"""A training over the processes of a Ray cluster (extra `cluster`), by Ray Train."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from benchmark.training.callbacks import BEST
+from benchmark.training.fit import Machine, fit
+from benchmark.training.plan import TrainWishes, plan_training
+from std_toolkit.errors import ToolkitError
+from std_toolkit.jobs import JobOptions
+from std_toolkit.jobs.ray_engine import ray_cluster
+from std_toolkit.log import log_to_stderr, logger
+
+
+def fit_on_ray(
+    folder: Path, wishes: TrainWishes, machine: Machine, address: str | None = None
+) -> Path:
+    """As `fit`, in `machine.devices * machine.nodes` processes of a cluster.
+
+    Every process plans the training by itself: the toolkit is installed, and data and `folder` are
+    there under the same paths, on every node.
+
+    Args:
+        folder: of the training.
+        wishes: the training.
+        machine: how many processes, on CPUs or GPUs.
+        address: of a running cluster; None starts one on this machine.
+
+    Raises:
+        ToolkitError: what `plan_training` and `fit` raise, no cluster, or one that is too small.
+    """
+    folder, wishes, count = folder.resolve(), _with_whole_paths(wishes), _count(machine)
+    own = folder / ".std" / "ray"  # what Ray keeps of a training; all that matters is in `folder`
+    options = JobOptions(engine="ray", workers=count, ray_address=address)
+    with ray_cluster(options, tell=True):
+        import ray
+        from ray.train import FailureConfig, RunConfig, ScalingConfig
+        from ray.train.torch import TorchTrainer
+
+        gpu = _uses_gpu(machine, ray.cluster_resources(), count)
+        inside = replace(
+            machine, accelerator="gpu" if gpu else "cpu", devices=1, nodes=1, in_ray=True,
+            progress=False,
+        )  # fmt: skip
+        logging.getLogger("ray.train").setLevel(logging.WARNING)
+        trainer = TorchTrainer(
+            _train,
+            train_loop_config={"folder": folder, "wishes": wishes, "machine": inside},
+            scaling_config=ScalingConfig(num_workers=count, use_gpu=gpu),
+            run_config=RunConfig(
+                name="training",
+                storage_path=str(own),
+                # Whether to try again is for the user to say: the same command goes on.
+                failure_config=FailureConfig(max_failures=0),
+            ),
+        )
+        try:
+            trainer.fit()
+        except Exception as error:
+            raise _told(error) from error
+        finally:
+            shutil.rmtree(own, ignore_errors=True)
+    return folder / BEST
+
+
+def _train(told: dict[str, Any]) -> None:
+    """What every process does."""
+    import ray.train
+
+    rank = ray.train.get_context().get_world_rank()
+    log_to_stderr(logging.INFO if rank == 0 else logging.WARNING)
+    logger.propagate = False  # Ray has a handler of its own
+    config, data, beginning = plan_training(told["wishes"])
+    fit(told["folder"], config, data, told["machine"], beginning)
+
+
+def _with_whole_paths(wishes: TrainWishes) -> TrainWishes:
+    """Processes of the cluster run in other folders."""
+
+    def whole(paths: Sequence[Path]) -> list[Path]:
+        return [path.resolve() for path in paths]
+
+    return replace(
+        wishes,
+        data=whole(wishes.data),
+        validation=whole(wishes.validation),
+        weights=wishes.weights and wishes.weights.resolve(),
+        imagenet=wishes.imagenet and wishes.imagenet.resolve(),
+    )
+
+
+def _count(machine: Machine) -> int:
+    return machine.devices * machine.nodes
+
+
+def _uses_gpu(machine: Machine, there: dict[str, float], count: int) -> bool:
+    gpu = machine.accelerator == "gpu" or (
+        machine.accelerator == "auto" and there.get("GPU", 0) >= count
+    )
+    kind = "GPU" if gpu else "CPU"
+    if there.get(kind, 0) < count:
+        # Ray would wait for more without end.
+        raise ToolkitError(
+            f"the cluster has {there.get(kind, 0):.0f} {kind}s, which is less than the "
+            f"{count} processes of this training need",
+            field="--devices",
+            value=machine.devices,
+        )
+    return gpu
+
+
+def _told(error: Exception) -> ToolkitError:
+    """What went wrong in a process; Ray wraps it in errors of its own."""
+    found = list(_chain(error))
+    for one in found:
+        if isinstance(one, ToolkitError):
+            return one
+    last = str(found[-1]).strip().splitlines() or [type(found[-1]).__name__]
+    return ToolkitError(
+        f"a process of the training failed: {last[-1]}",
+        hint="the same command goes on from the last checkpoint",
+    )
+
+
+def _chain(error: BaseException) -> Iterator[BaseException]:
+    """An error, and those that it was made of."""
+    yield error
+    inner = [*getattr(error, "worker_failures", {}).values()]
+    inner += [getattr(error, name, None) for name in ("_base_exc", "cause", "__cause__")]
+    for one in inner:
+        if isinstance(one, BaseException) and one is not error:
+            yield from _chain(one)
