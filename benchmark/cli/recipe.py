@@ -95,21 +95,21 @@ def run(args: argparse.Namespace) -> int:
     if args.plan:
         print(plan_text(plan))
         return 0
-    from benchmark.recipes.page import terminal, write_pages
+    from benchmark.recipes.page import write_pages
     from benchmark.recipes.run import run_recipe
-    from benchmark.recipes.table import findings, recipe_rows
     from benchmark.training.fit import Machine
-
-    def show(outcome: Outcome) -> None:
-        write_pages(plan, outcome)
 
     machine = Machine(
         accelerator=args.accelerator, readers=args.readers, progress=sys.stderr.isatty()
     )
+    table = ""
+
+    def show(outcome: Outcome) -> None:
+        nonlocal table
+        table = write_pages(plan, outcome)
+
     outcome = run_recipe(plan, machine, job_options(args), precision=args.precision, after=show)
-    page = write_pages(plan, outcome)
-    print(terminal(plan, recipe_rows(plan, outcome), findings(plan, outcome)))
-    print(page)
+    print(table)
     for what, why in outcome.problems.items():
         print(f"error: {what}: {why}", file=sys.stderr)
     return 1 if outcome.problems else 0

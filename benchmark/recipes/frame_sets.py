@@ -64,7 +64,14 @@ class FrameSet:
         """Where its frames come from, for people."""
         if self.options is None:
             return f"given: {self.root}"
-        return f"simulated by std-sim: {len(self.seeds)} scenes of {self.options.views} views"
+        return f"simulated by std-sim: {self.size}"
+
+    @property
+    def size(self) -> str:
+        """Scenes and views of a simulated set, for people."""
+        assert self.options is not None
+        scenes, views = len(self.seeds), self.options.views
+        return f"{scenes} scene{'s' * (scenes != 1)} of {views} view{'s' * (views != 1)}"
 
     def missing(self) -> list[int]:
         """Scenes that are still to be simulated."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
-from pathlib import Path
 
 import pandas as pd
 
@@ -41,8 +40,8 @@ _NOTE = (
 )
 
 
-def write_pages(plan: RecipePlan, outcome: Outcome) -> Path:
-    """Write the table in all formats; returns the page.
+def write_pages(plan: RecipePlan, outcome: Outcome) -> str:
+    """Write the table in all formats; returns it for a terminal.
 
     Raises:
         ToolkitError: a file cannot be written.
@@ -57,7 +56,7 @@ def write_pages(plan: RecipePlan, outcome: Outcome) -> Path:
     }
     for name, text in texts.items():
         write_bytes_atomic(plan.folder / name, text.encode())
-    return plan.folder / PAGE
+    return f"{terminal(plan, rows, told)}\n{plan.folder / PAGE}"
 
 
 def scale_line(plan: RecipePlan) -> str:

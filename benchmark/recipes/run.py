@@ -67,12 +67,20 @@ def run_recipe(
         machine: where networks are trained.
         jobs: where all else runs.
         precision: of the training's arithmetic.
-        after: is told what there is so far, after every variant.
+        after: is told what there is so far, after every variant; at least once.
 
     Raises:
-        ToolkitError: a set or a pack cannot be made, or is another than it was.
+        ToolkitError: no test is at hand, or a set or a pack cannot be made, or is another than it
+            was.
     """
     jobs = jobs or JobOptions()
+    if all(plan.place(target) is None for target in plan.targets):
+        first = plan.targets[0]
+        raise ToolkitError(
+            "no test of this recipe is at hand: nothing could be scored",
+            value=[target.name for target in plan.targets],
+            hint=f"{first.absent} (`--plan` tells about all tests)",
+        )
     outcome = Outcome(problems={e.title: e.problem for e in plan.entries if e.problem})
     for frames in plan.sets.values():
         if frames.options is None:
@@ -84,6 +92,7 @@ def run_recipe(
         outcome.problems |= {f"pack {pack.folder.name}, {k}": e for k, e in failed.items()}
     for entry in plan.entries:
         if entry.problem:
+            logger.error("%s: %s", entry.title, entry.problem)
             continue
         try:
             if entry.wishes is not None:
@@ -92,6 +101,9 @@ def run_recipe(
         except ToolkitError as error:
             logger.error("%s: %s", entry.title, error)
             outcome.problems[entry.title] = str(error)
+        if entry.wishes is not None:
+            after(outcome)
+    if not outcome.trained:
         after(outcome)
     return outcome
 
@@ -120,9 +132,21 @@ def make_pack(pack: Pack, jobs: JobOptions) -> dict[str, str]:
         ToolkitError: the folder holds another pack, or no frame could be packed.
     """
     from benchmark.training.pack import PackOptions, pack_split
+    from benchmark.training.shards import PackSetup
 
     options = PackOptions(size=pack.size, raw=pack.raw)
-    packed = pack_split(pack.folder, pack.frames.split, pack.frames.root, options, jobs)
+    try:
+        packed = pack_split(pack.folder, pack.frames.split, pack.frames.root, options, jobs)
+    except ToolkitError as error:
+        if error.field not in PackSetup.__struct_fields__:
+            raise
+        raise ToolkitError(
+            error.problem,
+            path=error.path,
+            field=error.field,
+            value=error.value,
+            hint="the frames are others than it was made of: choose another --out",
+        ) from error
     logger.info("pack %s: %d frames", pack.folder.name, packed.frames)
     return packed.failed
 

@@ -71,15 +71,11 @@ def _sets(plan: RecipePlan) -> list[str]:
         o = frames.options
         cost = ""
         if left:
-            count = left * o.views
             cost = (
-                f"; to do: {left} scenes, about {as_time(simulation_s(o, left))} of one core and "
-                f"{as_size(simulation_bytes(o, count))}"
+                f"; {left} to do: about {as_time(simulation_s(o, left))} of one core and "
+                f"{as_size(simulation_bytes(o, left * o.views))}"
             )
-        lines.append(
-            f"  {frames.name}: {len(frames.seeds)} scenes of {o.views} views, "
-            f"{o.width}x{o.height}{cost or '; done'}"
-        )
+        lines.append(f"  {frames.name}: {frames.size}, {o.width}x{o.height}{cost or '; done'}")
     return lines
 
 

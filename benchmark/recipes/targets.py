@@ -95,7 +95,7 @@ def _target(name: str, test: Test, split: str, root: Path | None) -> Target:
     dataset = test.dataset or ("" if name != split else _DATASET_OF.get(split, ""))
     return Target(
         name=name,
-        title=test.title or name,
+        title=test.title or dataset or name,
         dataset=dataset,
         split=split,
         root=root,
