@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +16,7 @@ from std_toolkit.geometry.se3 import SE3
 
 Floats = NDArray[np.float64]
 
-# Pairs of a grasp and a point that are looked at in one go: about 100 MB.
+# Pairs of a box and a point that are looked at in one go: about 100 MB.
 _PAIRS_AT_ONCE = 2_000_000
 
 
@@ -54,34 +55,36 @@ class Cloud:
         Returns:
             (N, B) counts.
         """
-        low, high = boxes.low - margin, boxes.high + margin
-        counts = np.zeros(low.shape[:2], dtype=np.int64)
+        shape = boxes.low.shape[:2]
         if not len(self.points) or not len(grasps):
-            return counts
-        all_low, all_high = low.min(axis=1), high.max(axis=1)
-        middle = np.einsum("nij,nj->ni", grasps.rotations, (all_low + all_high) / 2)
-        reach = np.linalg.norm(all_high - all_low, axis=1) / 2
+            return np.zeros(shape, dtype=np.int64)
+        # Each box looks at the points in the ball around it.
+        low, high = (boxes.low - margin).reshape(-1, 3), (boxes.high + margin).reshape(-1, 3)
+        rotations = np.repeat(grasps.rotations, shape[1], axis=0)
+        origins = np.repeat(grasps.translations, shape[1], axis=0)
+        centers = origins + np.einsum("nij,nj->ni", rotations, (low + high) / 2)
+        reach = np.linalg.norm(high - low, axis=1) / 2
         tree = self._tree  # type: ignore[attr-defined]
-        centers = grasps.translations + middle
         expected = tree.query_ball_point(centers, reach, return_length=True)
         ends = np.cumsum(expected)
+        counts = np.zeros(len(low), dtype=np.int64)
         first = 0
-        while first < len(grasps):
+        while first < len(low):
             done = ends[first - 1] if first else 0
             last = max(int(np.searchsorted(ends, done + _PAIRS_AT_ONCE)), first + 1)
             part = slice(first, last)
             near = tree.query_ball_point(centers[part], reach[part])
-            grasp = np.repeat(np.arange(first, first + len(near)), expected[part])
-            point = np.concatenate([np.asarray(n, dtype=np.int64) for n in near])
-            # p_grasp = R^T (p - t)
-            away = self.points[point] - grasps.translations[grasp]
-            local = np.einsum("pji,pj->pi", grasps.rotations[grasp], away)
-            for box in range(low.shape[1]):
-                inside = (local > low[grasp, box]) & (local < high[grasp, box])
-                found = grasp[inside.all(axis=1)]
-                counts[:, box] += np.bincount(found, minlength=len(grasps))
+            box = np.repeat(np.arange(first, last), expected[part])
+            point = np.fromiter(chain.from_iterable(near), dtype=np.int64, count=len(box))
+            # p_grasp = R^T (p - t), axis by axis: what is out along one is not looked at again.
+            away = self.points[point] - origins[box]
+            for axis in range(3):
+                value = np.einsum("pj,pj->p", away, rotations[box, :, axis])
+                inside = (value > low[box, axis]) & (value < high[box, axis])
+                box, away = box[inside], away[inside]
+            counts += np.bincount(box, minlength=len(low))
             first = last
-        return counts
+        return counts.reshape(shape)
 
     def hit_by(self, grasps: Grasps, gripper: Gripper, *, margin: float = 0.0) -> NDArray[np.bool_]:
         """(N,) grasps whose open gripper has a point inside it; `margin` as of `count_inside`."""
