@@ -16,6 +16,7 @@ from training_set import HERE, SIDE, packed, same, trained, wishes, write_scenes
 from benchmark.cli.train import main
 from benchmark.methods.registry import MethodOptions
 from benchmark.pose_methods.registry import make_pose_method
+from benchmark.training.asking import bench_command
 from benchmark.training.catalogue import get_trainable
 from benchmark.training.fit import make_network
 from benchmark.training.plan import TrainWishes, plan_training
@@ -79,6 +80,13 @@ def test_every_parameter_of_a_pose_network_receives_a_gradient(method, tmp_path)
             assert parameter.grad is not None, name
             moved[name] += parameter.grad.abs()
     assert [name for name, total in moved.items() if not total.any()] == []
+
+
+def test_std_bench_is_asked_for_the_task_of_a_method():
+    assert bench_command("swindrnet") == "std-bench --method swindrnet"
+    assert bench_command("swindrnet-nocs") == "std-bench --task pose --method swindrnet-nocs"
+    assert bench_command("graspnet") == "std-bench --task grasp --planner graspnet"
+    assert bench_command("mine:TRAINABLE") == "std-bench --method mine:TRAINABLE"
 
 
 def test_the_released_fusion_is_known_to_leave_parameters_idle():
