@@ -18,10 +18,10 @@ from std_toolkit.geometry.se3 import SE3
 
 Array = NDArray[np.float64]
 
-# Points per object; apart by about 3 mm on a mug.
-_POINTS = 4000
+# Points per object; apart by about 4 mm on a mug.
+_POINTS = 2500
 _TURNS, _TILTS = 12, (0.0, 0.35)
-_TRIED = 120
+_TRIED = 50
 # Room between what is grasped and the open fingers, each side.
 _ROOM_M = 0.008
 _TABLE_ROOM_M = 0.004
