@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +17,7 @@ Floats = NDArray[np.float32]
 
 FORMAT = "std-priors-1"
 BUILTIN = "builtin"
+_ABOUT = "priors"
 _BUILTIN_FILE = Path(__file__).resolve().parent / "builtin.safetensors"
 # A mean of shapes with a diagonal of 1 stays within the cube that they are in.
 _FARTHEST = 1.0
@@ -76,7 +78,9 @@ def save_priors(path: Path, priors: Priors) -> None:
         raise ToolkitError("priors are kept as *.safetensors", path=path)
     points = {name: np.ascontiguousarray(p, np.float32) for name, p in priors.points.items()}
     with atomic_path(path) as temporary:
-        save_file(points, temporary, metadata={**priors.about, "format": FORMAT})
+        # One entry: several would be in another order every time, and the file another.
+        about = json.dumps({**priors.about, "format": FORMAT}, sort_keys=True)
+        save_file(points, temporary, metadata={_ABOUT: about})
 
 
 def load_priors(path: Path | str) -> Priors:
@@ -95,11 +99,11 @@ def load_priors(path: Path | str) -> Priors:
         _check_digest(path)
     try:
         with safe_open(path, framework="np") as file:
-            about = dict(file.metadata() or {})
+            about = json.loads((file.metadata() or {}).get(_ABOUT, "{}"))
             points = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError, TypeError) as error:
+    except (SafetensorError, OSError, TypeError, ValueError) as error:
         raise ToolkitError(f"not a file of safetensors: {error}", path=path) from error
-    if about.pop("format", None) != FORMAT:
+    if not isinstance(about, dict) or about.pop("format", None) != FORMAT:
         raise ToolkitError("not a file of priors", path=path, hint="`std-bench priors` makes one")
     try:
         return Priors(points, about)
