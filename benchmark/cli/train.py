@@ -8,6 +8,11 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from benchmark.cli.pack_grasps import (
+    PACK_GRASPS,
+    build_grasp_pack_parser,
+    pack_grasps_command,
+)
 from benchmark.cli.recipe import build_recipe_parser
 from benchmark.cli.recipe import run as run_recipe
 from std_toolkit import __version__
@@ -74,7 +79,9 @@ def build_parser() -> argparse.ArgumentParser:
     add = where.add_argument
     add("--accelerator", choices=("auto", "cpu", "gpu"), default="auto")
     add("--devices", type=int, default=1, metavar="N", help="of a machine")
-    add("--nodes", type=int, default=1, metavar="N", help="machines, started by torchrun")
+    add("--nodes", type=int, default=1, metavar="N", help="machines, started by torchrun or Ray")
+    add("--engine", choices=("local", "ray"), default="local", help="ray: Ray Train")
+    add("--ray-address", metavar="HOST:PORT", help="of a running Ray cluster")
     add("--readers", type=int, default=2, metavar="N", help="processes that read, per device")
     add("--log-every", type=int, default=50, metavar="STEPS")
     return parser
@@ -222,7 +229,12 @@ def _train(args: argparse.Namespace) -> int:
         log_every=args.log_every,
         progress=sys.stderr.isatty(),
     )
-    best = fit(args.out, config, data, machine, beginning)
+    if args.engine == "ray":
+        from benchmark.training.ray_launch import fit_on_ray
+
+        best = fit_on_ray(args.out, wishes, machine, args.ray_address)
+    else:
+        best = fit(args.out, config, data, machine, beginning)
     if process_rank() > 0:
         return 0
     settings = " ".join(f"{name}={value}" for name, value in config.settings.items())
@@ -266,6 +278,7 @@ def _pairs(texts: Sequence[str], option: str) -> dict[str, str]:
 
 _COMMANDS = {
     PACK: (build_pack_parser, _pack),
+    PACK_GRASPS: (build_grasp_pack_parser, pack_grasps_command),
     EXPORT: (build_export_parser, _export),
     RECIPE: (build_recipe_parser, _recipe),
 }
