@@ -148,7 +148,8 @@ def test_a_training_can_begin_with_a_resnet_18(pack, priors, tmp_path):
         for name, tensor in plain.color.state_dict().items()
         if name.startswith(names)
     }
-    save_file({**state, "fc.weight": state["bn1.weight"][:, None].clone()}, tmp_path / "r.safetensors")
+    classifier = {**state, "fc.weight": state["bn1.weight"][:, None].clone()}
+    save_file(classifier, tmp_path / "r.safetensors")
     begun = make_network(trainable, config, Beginning(imagenet=tmp_path / "r.safetensors"))
     for name, tensor in begun.color.state_dict().items():
         if name in state and tensor.is_floating_point():
