@@ -42,6 +42,8 @@ ARCHITECTURES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("a Swin of transformers", ("swin.embeddings.patch_embeddings.",)),
     ("a Swin of transformers", ("embeddings.patch_embeddings.", "encoder.layers.")),
     ("NOCS", ("pyramid.backbone.", "detector.", "coordinate_heads.")),
+    ("SGPA", ("structure.weigh.", "heads.assign.")),
+    ("SPD", ("prior_geometry.", "heads.assign.")),
     ("a ResNet classifier (ImageNet)", ("conv1.weight", "layer4.", "fc.")),
     ("a ResNet", ("layer1.", "layer4.")),
     ("DeepLabv3+, such as one of ClearGrasp's three", ("backbone.", "aspp", "decoder.")),
