@@ -2,9 +2,9 @@
 
 Where a data set tells exact poses (scenes of this toolkit), these; else, as the paper's evaluation
 has it, the least-squares fit of the true coordinates to the true depth of all pixels of an object.
-On a simulated set whose true poses are known, that fit is right to 0.2 degrees and 0.2 mm in spite
-of coordinates in 8 bits. Box sides are those of the CAD model where it is there, else what can be
-seen of the object tells them.
+Of 803 objects in simulated frames whose poses are known, that fit is off by 0.8 degrees and 0.8 mm
+at worst, by 0.02 as a rule, in spite of coordinates in 8 bits. Box sides are those of the CAD model
+where it is there, else what can be seen of the object tells them.
 """
 
 from __future__ import annotations

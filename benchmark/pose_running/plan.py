@@ -118,7 +118,8 @@ def plan_pose_runs(wishes: PoseWishes) -> list[PoseRun]:
             label=checked_label(wishes.label or method.replace(":", ".")),
             out=wishes.out,
             fit=fit,
-            as_input=wishes.as_input,
+            # Of raw depth nothing would change but the name.
+            as_input=wishes.as_input and depth.name != RAW,
             devices=wishes.devices,
             batch_size=wishes.batch_size,
             limit=wishes.limit,

@@ -14,6 +14,7 @@ from benchmark.cli.report import PAGE
 from benchmark.cli.report import main as report
 from benchmark.metrics.bop import BopEstimate, open_bop, write_bop_results
 from benchmark.pose_running.comparing import compare_runs
+from benchmark.pose_running.plan import PoseWishes, plan_pose_runs
 from benchmark.pose_running.protocols import wanted_protocols
 from benchmark.pose_running.results import read_pose_results
 from benchmark.pose_running.scoring import score_run
@@ -159,6 +160,32 @@ def test_result_files_of_bop(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert "Average recalls" in (tmp_path / "out" / PAGE).read_text()
     assert main(words[:4]) == 1
     assert "--results: is needed" in capsys.readouterr().err
+
+
+def test_raw_depth_is_raw_depth_also_as_input(tmp_path: Path) -> None:
+    wishes = PoseWishes(
+        methods=("nocs",),
+        splits=(SPLIT,),
+        depths=("raw", "swindrnet", "mine=/saved"),
+        fits=("ransac", "paper"),
+        as_input=True,
+        data=(f"{SPLIT}=/data",),
+        out=tmp_path,
+        weights=("nocs=/n", "swindrnet=/s"),
+        settings=("swindrnet.fusion=released", "nocs.most=5"),
+    )
+    runs = plan_pose_runs(wishes)
+    assert [r.folder.relative_to(tmp_path / "pose" / SPLIT).as_posix() for r in runs] == [
+        f"nocs/{depth}/{fit}"
+        for depth in ("raw", "swindrnet-as-input", "mine-as-input")
+        for fit in ("ransac", "paper")
+    ]
+    restored = runs[2]
+    assert restored.options.weights == Path("/n")
+    assert restored.settings == {"most": "5", "fit": "ransac"}
+    assert restored.depth.options.weights == Path("/s")
+    assert restored.depth.options.settings == {"fusion": "released"}
+    assert runs[4].depth.folder == Path("/saved")
 
 
 def test_protocols_say_what_was_changed() -> None:

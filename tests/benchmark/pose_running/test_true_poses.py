@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 from benchmark.data.splits import open_split
-from benchmark.data.true_poses import known_boxes, true_poses
+from benchmark.data.true_poses import KnownBox, known_boxes, true_poses
 from std_toolkit.errors import ToolkitError
-from tests.benchmark.pose_running.pose_set import SPLIT, write_pose_split
+from std_toolkit.rendering.step import RenderOptions, render_ground_truth
+from tests.benchmark.pose_running.pose_set import SERIAL, SPLIT, write_pose_split
 from tests.dreds_on_disk import BALLS, pose, write_dreds_scene
+from tests.scene_on_disk import write_scene
 
 
 def test_poses_are_those_that_were_drawn(tmp_path: Path) -> None:
@@ -54,3 +57,27 @@ def test_a_damaged_box_is_named(tmp_path: Path) -> None:
     path.write_text("1 2\n")
     with pytest.raises(ToolkitError, match=r"bbox\.txt.*two rows of three"):
         known_boxes(source, 0)
+
+
+def test_scenes_of_the_toolkit_tell_exact_poses(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path / "tiny")
+    table = scene.objects
+    camera = msgspec.structs.replace(table.models[0], class_id=3, category="camera")
+    scene.save_objects(msgspec.structs.replace(table, models=[camera]))
+    options = RenderOptions(renderer="raycast", policy="models")
+    render_ground_truth(scene, options, jobs=SERIAL)
+    source = open_split("scenes", tmp_path)
+    boxes = known_boxes(source, 0)
+    frame = source.load(0, nocs=True)
+    (exact,) = true_poses(frame, boxes)
+    (fitted,) = true_poses(frame, {i: KnownBox(box.sides) for i, box in boxes.items()})
+    T_cam_obj = scene.T_cam_obj(scene.frames[0].id, 1)
+    assert T_cam_obj is not None
+    centre = scene.mesh(camera.id).bounds.mean(axis=0)
+    np.testing.assert_allclose(exact.RT[:3, 3], T_cam_obj @ centre, atol=1e-9)
+    np.testing.assert_allclose(
+        exact.RT[:3, :3], T_cam_obj.R * np.linalg.norm(camera.size_m), atol=1e-9
+    )
+    np.testing.assert_allclose(exact.size * np.linalg.norm(camera.size_m), camera.size_m)
+    assert np.linalg.norm(exact.RT[:3, 3] - fitted.RT[:3, 3]) < 1e-3
+    np.testing.assert_allclose(exact.RT[:3, :3], fitted.RT[:3, :3], atol=2e-3)
