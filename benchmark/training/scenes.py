@@ -61,7 +61,7 @@ def check_no_leak(
     Raises:
         ToolkitError: which they are (the first few), and how many.
     """
-    for what, of in (("scenes", PackedFrames.scene), ("frames", _digest)):
+    for what, of in (("scenes", _scene), ("frames", _digest)):
         known = {of(training, i): i for i in of_training}
         both = [i for i in of_validation if of(validation, i) in known]
         if both:
@@ -90,6 +90,10 @@ def _drawn(frames: PackedFrames, chosen: Sequence[int], salt: str) -> list[str]:
         return hashlib.sha256(f"{salt} {name}".encode()).hexdigest()
 
     return sorted(sorted({frames.scene(i) for i in chosen}), key=draw)
+
+
+def _scene(frames: PackedFrames, index: int) -> str:
+    return frames.scene(index)  # of whatever kind the packs are
 
 
 def _digest(frames: PackedFrames, index: int) -> str:

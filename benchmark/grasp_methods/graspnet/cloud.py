@@ -28,28 +28,31 @@ def scene_cloud(view: GraspView) -> Floats:
 def workspace(view: GraspView, cloud: Floats, config: GraspNetConfig) -> NDArray[np.bool_]:
     """(n,) which points of a cloud the network is shown.
 
-    Those in the box around the objects that the mask tells of, with a margin, as published; those
-    in a layer above the table where there is no mask; all where nothing is known.
+    Those in the box around the objects, with a margin, as published. Objects are what the mask
+    tells of, or else what stands out of the table; where nothing is known, all points are shown.
 
     Args:
         view: what is seen.
         cloud: all of `scene_cloud(view)`.
-        config: how large the margin is and how high the layer.
+        config: how large the margin is, and which heights above the table count.
     """
-    T = np.eye(4) if view.T_cam_table is None else np.linalg.inv(view.T_cam_table)
+    if view.mask is None and view.T_cam_table is None:
+        return np.ones(len(cloud), bool)
     # The box stands upright on the table where that is known.
+    T = np.eye(4) if view.T_cam_table is None else np.linalg.inv(view.T_cam_table)
     points = cloud @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32)
     kept = np.ones(len(cloud), bool)
+    inside = kept if view.mask is None else view.mask[seen(view)]
     if view.T_cam_table is not None:
         kept = (points[:, 2] > config.lowest) & (points[:, 2] < config.highest)
-    if view.mask is None:
-        return kept
-    inside = kept & view.mask[seen(view)]
+        inside = kept & (inside if view.mask is not None else points[:, 2] > config.standing)
     if not inside.any():
         return np.zeros(len(cloud), bool)
-    # Single wrong depths at outlines must not stretch the box over half the room.
+    # Single wrong depths, as at outlines, must not stretch the box over half the room.
     low, high = np.percentile(points[inside], (0.5, 99.5), axis=0)
-    return kept & ((points > low - config.margin) & (points < high + config.margin)).all(axis=1)
+    around = (points > low - config.margin) & (points < high + config.margin)
+    # How far up and down is said by the table, where that is known.
+    return kept & (around if view.T_cam_table is None else around[:, :2]).all(axis=1)
 
 
 def thinned(points: NDArray[np.floating], voxel: float) -> NDArray[np.intp]:

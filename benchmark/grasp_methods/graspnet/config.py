@@ -31,8 +31,9 @@ class GraspNetConfig:
         width_margin: how much wider than predicted the fingers open.
         voxel: metres; the cloud that the network sees has at most one point per such cube, 0 for
             all points.
-        margin: metres around the objects that are looked at too, where a mask tells of them.
-        lowest, highest: metres above the table that are looked at where no mask tells of objects.
+        margin: metres around the objects that are looked at too.
+        lowest, highest: metres above the table that are looked at, where it is known.
+        standing: metres above the table from which on something is an object, where no mask tells.
         gripper: the one that is to grasp: its opening and size, not the network's.
         collision: whether grasps are left out that would touch the cloud.
         collision_voxel: metres, side of the cubes that the cloud is thinned to for that.
@@ -63,6 +64,7 @@ class GraspNetConfig:
     margin: float = 0.1
     lowest: float = -0.02
     highest: float = 0.4
+    standing: float = 0.01
     gripper: Literal["panda", "graspnet"] = "panda"
     collision: bool = True
     collision_voxel: float = 0.01

@@ -20,6 +20,8 @@ from benchmark.training.step import Batch, Moment, Seen
 _FRICTIONS = (0.2, 0.4, 0.6, 0.8, 1.0, 1.2)
 # Momentum of batch normalisation: at first, by what it falls how often, and at last.
 _MOMENTUM, _FALL, _FALLS, _LAST = 0.5, 0.5, 9, 0.001
+# In short trainings it stays so large that a share of the last steps decides, not all of them.
+_LOOKS_BACK = 0.05
 
 
 class Known(NamedTuple):
@@ -136,7 +138,8 @@ def known_of(batch: Batch, views: int) -> Known:
 def soften_normalisation(network: nn.Module, moment: Moment) -> None:
     """Batch normalisation's momentum falls by halves, as published every second of 18 epochs."""
     falls = int(_FALLS * moment.step / moment.steps)
-    momentum = max(_MOMENTUM * _FALL**falls, _LAST)
+    least = max(_LAST, min(_MOMENTUM, 1 / (_LOOKS_BACK * moment.steps)))
+    momentum = max(_MOMENTUM * _FALL**falls, least)
     for module in network.modules():
         if isinstance(module, nn.BatchNorm1d | nn.BatchNorm2d):
             module.momentum = momentum

@@ -200,9 +200,11 @@ def test_momentum_of_normalisation_falls_by_halves():
     network = a_network()
     seen = []
     for step in (0, 99, 100, 899):
-        soften_normalisation(network, Moment("", step, 900))
+        soften_normalisation(network, Moment("", 100 * step, 90_000))
         seen.append({m.momentum for m in network.modules() if hasattr(m, "momentum")})
-    assert seen == [{0.5}, {0.5}, {0.25}, {0.5**9}]
+    assert seen == [{0.5}, {0.5}, {0.25}, {0.5**8}]
+    soften_normalisation(network, Moment("", 199, 200))
+    assert {m.momentum for m in network.modules() if hasattr(m, "momentum")} == {0.1}
 
 
 def test_a_pack_goes_on_only_with_the_same(grasp_pack, tmp_path):

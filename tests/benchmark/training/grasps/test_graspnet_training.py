@@ -1,0 +1,168 @@
+"""GraspNet through std-train: from scenes to weights to grasps that hold."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmark.grasp_methods.graspnet.config import GraspNetConfig
+from benchmark.grasp_methods.protocol import GraspView
+from benchmark.grasp_methods.registry import make_planner
+from benchmark.grasping.ap import average_precision, precision_at
+from benchmark.methods.registry import MethodOptions
+from benchmark.training.catalogue import get_trainable
+from benchmark.training.config import TrainConfig
+from benchmark.training.fit import Data, Machine, fit
+from benchmark.training.grasps.judge import GraspJudge
+from benchmark.training.grasps.pack import GraspPackOptions
+from benchmark.training.grasps.packed import PackedGrasps
+from benchmark.training.plan import TrainWishes, plan_training
+from std_toolkit.errors import ToolkitError
+from tests.benchmark.training.grasps.grasp_scene import OPTIONS, pack_scene
+
+HERE = Machine(accelerator="cpu", readers=0, log_every=1, progress=False)
+SETTINGS = {
+    "points": "512",
+    "level_points": "192,96,32,16",
+    "level_neighbours": "8,8,8,8",
+    "width": "16",
+    "views": "60",
+    "angles": "6",
+    "depths": "0.01,0.03",
+    "cylinder_points": "16",
+    "margin": "0.03",
+}
+
+
+@pytest.fixture(scope="module")
+def two_scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return pack_scene(tmp_path_factory.mktemp("grasps") / "two", OPTIONS, scenes=2)
+
+
+def wishes(pack: Path, **changes: object) -> TrainWishes:
+    made = TrainWishes(
+        method="graspnet", settings=SETTINGS, data=[pack], hold_out=0.5, steps=4, checkpoint_every=2
+    )
+    return replace(made, **changes)  # type: ignore[arg-type]
+
+
+def test_a_training_runs_is_judged_and_goes_on_with_the_same_weights(two_scenes, tmp_path):
+    config, data, beginning = plan_training(wishes(two_scenes))
+    assert len(data.of_training) == len(data.of_validation) == 2
+    assert config.optimization.batch_size == 2
+    whole = fit(tmp_path / "whole", config, data, HERE, beginning)
+    told = json.loads((whole.parent / "best.json").read_text())
+    assert told["ranked_by"] == "1 - AP"
+    assert set(told["scores"]) == {"loss", "ap", "ap08", "ap04"}
+    assert list((whole.parent / "gallery").glob("*.jpg"))
+    rows = (whole.parent / "steps.csv").read_text().splitlines()
+    assert len(rows) == 5
+    assert {"objectness", "views", "turn", "width"} <= set(rows[0].split(","))
+    # Stopped after half of the steps: what was begun for as many goes on to the same end.
+    import benchmark.training.grasps.step as steps
+
+    class Stop(Exception):
+        pass
+
+    def until(network, loss, seen, moment):
+        if moment.step == 2:
+            raise Stop
+        return steps.grasp_step(network, loss, seen, moment)
+
+    trainable = get_trainable("graspnet")
+    step = trainable.step
+    object.__setattr__(trainable, "step", until)
+    try:
+        with pytest.raises(Stop):
+            fit(tmp_path / "again", config, data, HERE, beginning)
+    finally:
+        object.__setattr__(trainable, "step", step)
+    again = fit(tmp_path / "again", config, data, HERE, beginning)
+    last = [path.parent / "last.safetensors" for path in (whole, again)]
+    assert last[0].read_bytes() == last[1].read_bytes()
+
+
+def test_what_does_not_fit_is_refused(two_scenes, grasp_pack, tmp_path):
+    with pytest.raises(ToolkitError) as told:
+        plan_training(wishes(two_scenes, settings={}))
+    assert told.value.field == "views"
+    with pytest.raises(ToolkitError, match="frames of validation are of scenes"):
+        plan_training(wishes(two_scenes, validation=[grasp_pack]))
+    with pytest.raises(ToolkitError, match="no folder of packed grasps"):
+        plan_training(wishes(tmp_path))
+
+
+@pytest.mark.slow
+def test_one_scene_is_learned_by_heart_and_its_grasps_hold(tmp_path):
+    """Not a falling loss: the planner's grasps, judged by the meshes."""
+    network = GraspNetConfig(
+        points=2048,
+        level_points=(512, 192, 64, 32),
+        level_neighbours=(16, 16, 16, 16),
+        width=32,
+        views=120,
+        angles=6,
+        cylinder_points=32,
+        margin=0.04,
+    )
+    options = GraspPackOptions(
+        frames=2, size=(320, 180), points=6000, spacing=0.012, network=network
+    )
+    frames = PackedGrasps([pack_scene(tmp_path / "pack", options)], network)
+    settings = {
+        "points": "2048",
+        "level_points": "512,192,64,32",
+        "level_neighbours": "16,16,16,16",
+        "width": "32",
+        "views": "120",
+        "angles": "6",
+        "cylinder_points": "32",
+        "margin": "0.04",
+    }
+    trainable = get_trainable("graspnet")
+    config = TrainConfig(
+        method="graspnet",
+        preset="published",
+        settings=settings,
+        optimization=trainable.optimization,
+        steps=240,
+        colors=False,
+        validate_every=240,
+        checkpoint_every=240,
+        training="",
+        validation="",
+    )
+    everything = Data(frames, [0, 1], frames, [0, 1])
+    untrained = replace(config, steps=1, validate_every=1, checkpoint_every=1)
+    before = fit(tmp_path / "before", untrained, everything, HERE)
+    after = fit(tmp_path / "after", config, everything, HERE)
+    judge = GraspJudge(frames, [0, 1], 2, trainable.loss)
+    found = {}
+    for name, weights in (("before", before), ("after", after)):
+        planner = make_planner(
+            "graspnet",
+            MethodOptions(weights=weights, settings={**settings, "nms_distance": "0.02"}),
+        )
+        tables, held = [], []
+        for index in (0, 1):
+            look = frames.look(index)
+            view = GraspView(
+                np.zeros((*look.depth.shape, 3), np.uint8),
+                look.depth,
+                frames.packs[0].camera,
+                look.index >= 0,
+                frames.T_world_cam(index).inverse().matrix(),
+            )
+            judged = judge.judged(index, planner.plan(view))
+            tables.append(precision_at(judged.friction))
+            held += (judged.friction > 0).tolist()
+        found[name] = average_precision(tables).ap, float(np.mean(held)) if held else 0.0, len(held)
+    print(found)
+    assert found["after"][2] >= 20
+    assert found["after"][1] > 0.6  # share of the planned grasps that hold and hit nothing
+    assert found["after"][0] > 30
+    assert found["after"][0] > 3 * found["before"][0]
