@@ -79,6 +79,19 @@ def test_pages_and_tables(results: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert (results / PAGE).read_text() == before, "the same results give the same bytes"
 
 
+def test_depth_and_poses_on_one_page(root: Path, tmp_path: Path) -> None:
+    words = ["--data", str(root), "--split", SPLIT, "--out", str(tmp_path), "--engine", "serial"]
+    words += ["--limit", "2", "--no-gallery"]
+    assert main([*words, "--method", "raw", "--no-speed"]) == 0
+    assert main([*words, "--task", "pose", "--method", "gt-nocs"]) == 0
+    assert report([str(tmp_path), "--no-published"]) == 0
+    page = (tmp_path / PAGE).read_text()
+    assert "<h1>Depth restoration, category-level pose</h1>" in page
+    assert "Lowest RMSE" in page and "Most poses right" in page
+    assert "SwinDRNet" not in page
+    assert (tmp_path / CSV).exists() and (tmp_path / "leaderboard.csv").exists()
+
+
 def test_true_depth_helps_and_the_test_says_so(results: Path) -> None:
     runs = {r.name[1]: r for r in read_pose_results([results]) if r.name[1] in ("raw", "gt")}
     strict = wanted_protocols(["strict"])[0]
