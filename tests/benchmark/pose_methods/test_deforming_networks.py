@@ -198,6 +198,18 @@ def test_every_parameter_gets_a_gradient(network):
 
 
 @both
+def test_half_precision_changes_little(network):
+    inputs = _inputs(network.config)
+    with torch.no_grad():
+        plain = network.eval()(*inputs)
+        with torch.autocast("cpu", dtype=torch.bfloat16):
+            narrow = network(*inputs)
+    assert narrow.coordinates.dtype == torch.float32
+    torch.testing.assert_close(narrow.assignment.sum(dim=2), torch.ones(3, 80))
+    assert (narrow.coordinates - plain.coordinates).abs().max() < 0.02
+
+
+@both
 def test_colour_and_geometry_both_count(network):
     color, points, pixels, category = _inputs(network.config)
     with torch.no_grad():
