@@ -152,5 +152,6 @@ def _tower(channels: int, convs: int) -> nn.Sequential:
 
 
 def groups_of(channels: int) -> int:
-    """How many groups channels are normalised in: 32, or as many as divide them."""
-    return math.gcd(32, channels)
+    """How many groups channels are normalised in: 32 at most, each of four channels at least: of a
+    single number, as the coarsest level of a small image has it, there is nothing to normalise."""
+    return math.gcd(32, max(1, channels // 4))

@@ -60,8 +60,10 @@ def cut_out(
             chosen = ((of_level == number) & (image == b)).nonzero()[:, 0]
             if not len(chosen):
                 continue
-            grid = grids[chosen].flatten(0, 1)[None].to(level.dtype)
-            fine = grid_sample(level[b : b + 1], grid, padding_mode="border", align_corners=False)
+            # In full precision: half floats place a sample no better than to some pixels.
+            grid = grids[chosen].flatten(0, 1)[None].float()
+            whole = level[b : b + 1].float()
+            fine = grid_sample(whole, grid, padding_mode="border", align_corners=False)
             cells = fine[0].reshape(-1, len(chosen), side, _SAMPLES, side, _SAMPLES).mean((3, 5))
             found = found.index_copy(0, chosen, cells.transpose(0, 1).to(found.dtype))
     return found

@@ -118,6 +118,17 @@ def test_regions_of_a_ramp_are_its_values_at_the_cells(stride):
     assert torch.allclose(found[1], down[0][:, None].expand(side, side), atol=1e-3)
 
 
+def test_half_floats_do_not_move_regions():
+    """A bright column one pixel wide: it must stay in its cell."""
+    level = torch.zeros(1, 1, 192, 192, dtype=torch.bfloat16)
+    level[..., 101] = 1
+    levels = [level, *(torch.zeros(1, 1, 768 // s, 768 // s) for s in STRIDES[1:])]
+    boxes = torch.tensor([[380.0, 380, 436, 436]]) - 0.5  # 14 pixels of this level, from 95
+    found = cut_out(levels, boxes, torch.tensor([0]), STRIDES, 14)[0, 0]
+    assert found[7].argmax() == 6
+    assert float(found[7, 6]) == pytest.approx(0.75)  # two samples, each a quarter of a pixel off
+
+
 def test_regions_are_of_their_images_and_levels():
     boxes = torch.tensor(
         [[0.0, 0, 50, 50], [0, 0, 60, 60], [0, 0, 120, 120], [0, 0, 230, 230], [0, 0, 900, 900]]

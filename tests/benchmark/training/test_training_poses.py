@@ -125,6 +125,15 @@ def test_an_interrupted_training_of_poses_ends_with_the_same_weights(method, pac
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", TINY)
+def test_poses_are_learnt_in_bf16_with_parts_of_steps(method, pack, tmp_path):
+    """Also with accumulated parts, some of which hold no object that is large enough."""
+    weights = trained(asked(method, pack, precision="bf16", accumulate=2), tmp_path)
+    assert {t.dtype for t in weights.values() if t.is_floating_point()} == {torch.float32}
+    assert all(torch.isfinite(t).all() for t in weights.values())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", TINY)
 def test_from_packing_to_an_estimator(method, data, tmp_path, capsys):
     run, pack = tmp_path / "run", tmp_path / "pack"
     command = ["pack", str(pack), "--split", "dreds-catknown-train", "--data", str(data), "--nocs"]
