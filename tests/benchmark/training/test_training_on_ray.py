@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from training_set import TINY, packed, write_scenes
+from training_set import TINY, packed, trained, wishes, write_scenes
 
 from benchmark.cli.train import main
 
@@ -35,7 +35,6 @@ def command(pack: Path, run: Path, *more: str) -> list[str]:
 
 
 def test_two_processes_of_a_cluster(pack, tmp_path, monkeypatch, capfd):
-    """They share a training, a second command finds it done, and an error comes back as one."""
     monkeypatch.chdir(tmp_path)  # paths are taken from here, wherever the processes run
     run = tmp_path / "run"
     assert main(command(Path(os.path.relpath(pack)), Path("run"))) == 0
@@ -49,12 +48,17 @@ def test_two_processes_of_a_cluster(pack, tmp_path, monkeypatch, capfd):
     assert not (run / ".std" / "ray").exists()
     assert not ray.is_initialized()
 
+
+def test_an_error_of_a_process_comes_back_as_one_line(pack, tmp_path, capfd):
+    run = tmp_path / "run"
+    trained(wishes("dfnet", pack, steps=1), run)
     kept = (run / "last.ckpt").read_bytes()
-    assert main(command(pack, run, "--learning-rate", "0.5")) == 1
+    assert main(command(pack, run)) == 1
     error = [line for line in capfd.readouterr().err.splitlines() if line.startswith("error")]
     assert len(error) == 1
-    assert "optimization.learning_rate: 0.001 then, 0.5 now" in error[0]
+    assert "steps: 1 then, 4 now" in error[0] and str(run) in error[0]
     assert (run / "last.ckpt").read_bytes() == kept
+    assert not ray.is_initialized()
 
 
 @pytest.mark.parametrize(
