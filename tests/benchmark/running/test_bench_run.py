@@ -169,7 +169,7 @@ def test_parts_of_equal_name_do_not_lose_frames(
 ) -> None:
     """A run that was killed left a part whose first and last frame failed, the others good."""
     # Both failed batches come in one piece of work, hence in one part.
-    monkeypatch.setattr("benchmark.running.run._ITEMS_PER_WORKER", 1)
+    monkeypatch.setattr("benchmark.running.pieces._PIECES_PER_WORKER", 1)
     run = a_run(root, tmp_path)
     whole = run_method(run, SERIAL)
     (run.folder / TABLE).unlink()
