@@ -67,6 +67,13 @@ class FrameSet:
         return f"simulated by std-sim: {self.size}"
 
     @property
+    def is_simulated(self) -> bool:
+        """Whether `std-sim` makes it or has made it."""
+        from sensors.simulation.dataset import SET_FILE
+
+        return self.options is not None or (self.root / SET_FILE).is_file()
+
+    @property
     def size(self) -> str:
         """Scenes and views of a simulated set, for people."""
         assert self.options is not None

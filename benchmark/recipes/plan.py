@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -165,7 +165,7 @@ def plan_recipe(wishes: RecipeWishes) -> RecipePlan:
     name, recipe = load_recipe(wishes.recipe)
     scale = get_scale(wishes.scale)
     if recipe.table:
-        published_table(recipe.table)
+        published_table(recipe.table)  # a wrong name is told before anything is made
     if strange := [v for v in wishes.only if v not in recipe.variants]:
         raise ToolkitError(
             "the recipe has no such variant",
@@ -189,19 +189,19 @@ def plan_recipe(wishes: RecipeWishes) -> RecipePlan:
     sets = {one: plan_set(one, recipe, scale, given, out) for one in dict.fromkeys(needed)}
     if unused := [one for one in given if one not in sets and one not in _likes(recipe, sets)]:
         raise ToolkitError("the recipe has no use for this set", value=unused[0])
-    entries = [
+    for method in recipe.baselines:
+        make_restorer(method)  # a wrong name is told before anything is made
+    baselines = [
         Entry(name=method, title=method, label=method.replace(":", "."), method=method)
         for method in recipe.baselines
     ]
-    entries = [_checked(entry) for entry in entries]
-    entries += [
-        _entry(key, variant, wishes, scale, sets[variant.set], validation, out)
+    trained = {
+        key: _entry(key, variant, wishes, scale, sets[variant.set], validation, out)
         for key, variant in variants.items()
-    ]
-    packs = {pack.folder: pack for entry in entries if not entry.problem for pack in entry.packs}
-    trained = {v.set for e, v in zip(entries[-len(variants) :], variants.values(), strict=True)
-               if not e.problem}  # fmt: skip
-    tested = {t.set for t in targets if t.set}
+    }
+    usable = {key: entry for key, entry in trained.items() if not entry.problem}
+    packs = {pack.folder: pack for entry in usable.values() for pack in entry.packs}
+    used = {variants[key].set for key in usable} | {t.set for t in targets if t.set}
     extra = "" if not wishes.seed else f".seed-{wishes.seed}"
     extra += "" if wishes.steps is None else f".steps-{wishes.steps}"
     return RecipePlan(
@@ -210,23 +210,25 @@ def plan_recipe(wishes: RecipeWishes) -> RecipePlan:
         scale_name=wishes.scale,
         scale=scale,
         folder=out / f"{name}{extra}",
-        sets={k: s for k, s in sets.items() if k in trained | tested},
+        sets={key: frames for key, frames in sets.items() if key in used},
         packs=list(packs.values()),
-        entries=entries,
-        targets=targets,
+        entries=[*baselines, *trained.values()],
+        targets=[_told(target, recipe, sets) for target in targets],
         out=out,
         devices=wishes.devices,
     )
 
 
+def _told(target: Target, recipe: Recipe, sets: Mapping[str, FrameSet]) -> Target:
+    """The test, with a title that no one takes for the published data set's."""
+    if not target.set or recipe.tests[target.name].title or not sets[target.set].is_simulated:
+        return target
+    return replace(target, title=f"{target.title}, simulated anew")
+
+
 def _likes(recipe: Recipe, sets: Mapping[str, FrameSet]) -> set[str]:
     """Sets whose scenes others take."""
     return {recipe.sets[name].like for name in sets if name in recipe.sets}
-
-
-def _checked(entry: Entry) -> Entry:
-    make_restorer(entry.method)  # a wrong name is told before anything is made
-    return entry
 
 
 def _entry(
@@ -255,7 +257,7 @@ def _entry(
         settings = trainable.settings_of(scale.preset, {**how.settings, **variant.settings})
         size = tuple(trainable.config(scale.preset, settings).input_size)
     except ToolkitError as error:
-        return _replaced(told, problem=f"cannot be trained here: {error}")
+        return replace(told, problem=f"cannot be trained here: {error}")
     packs = [
         Pack(
             folder=out / "packs" / _pack_name(one, size, variant.raw),
@@ -278,19 +280,13 @@ def _entry(
         batch_size=how.batch_size,
         seed=wishes.seed,
     )
-    return _replaced(
+    return replace(
         told,
         settings=settings,
         packs=tuple(packs),
         wishes=train,
         folder=out / "training" / told.label,
     )
-
-
-def _replaced(entry: Entry, **changes: object) -> Entry:
-    from dataclasses import replace
-
-    return replace(entry, **changes)  # type: ignore[arg-type]
 
 
 def _pack_name(frames: FrameSet, size: tuple[int, int], raw: str) -> str:

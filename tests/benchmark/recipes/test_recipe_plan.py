@@ -81,6 +81,8 @@ def test_own_data_are_taken_and_derived_sets_follow_them(tmp_path, own):
     assert all(s.options is None for s in plan.sets.values())
     assert {s.root for s in plan.sets.values()} == {own["train"], own["test"]}
     assert "to do" not in plan_text(plan).split("packs")[0]
+    titles = {t.name: t.title for t in plan.targets}
+    assert titles["dreds-catknown-test"] == "DREDS-CatKnown"  # of a set without std-sim's record
     std = next(t for t in plan.targets if t.name == "std-catknown")
     assert plan.place(std)[:2] == ("std-catknown", own["std"])
     with pytest.raises(ToolkitError, match=r"scenes of train, which was not made by std-sim"):
@@ -101,6 +103,7 @@ def test_a_test_not_at_hand_is_told_with_where_to_get_it(tmp_path, own):
     assert "--scenes-from graspnet" in text
     assert "--data std-catnovel=ROOT" in text
     assert "STD-CatKnown: not at hand" not in text
+    assert "DREDS-CatKnown, simulated anew: simulated by std-sim" in text
     assert [t.name for t in plan.targets if plan.place(t) is None] == [
         "dreds-catnovel",
         "std-catnovel",
