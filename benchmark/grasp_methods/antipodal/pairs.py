@@ -21,8 +21,10 @@ _LEAST_RADIUS_M = 0.004
 # Walls whose other side is hidden: how thick they may be, how squarely they face the eye, how
 # steep they are (z of the normal), and what is thought of such a pair.
 _WALL_M = 0.005
-_FACING, _STEEP = 0.35, 0.75
-_RIM_QUALITY = 0.95
+_FACING, _STEEP = 0.35, 0.7
+_RIM_QUALITY = 0.5
+# In hidden faces behind edges, compared with faces that are seen.
+_EDGE_TRUST = 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +35,8 @@ class Pairs:
         middles: (K, 3) metres.
         closings: (K, 3) unit vectors between the contacts.
         widths: (K,) between them, metres.
-        quality: (K,) cosine of the larger angle between a normal and the line.
+        quality: (K,) from 0 to 1: how squarely the fingers meet the surface, and how much of it
+            was seen.
     """
 
     middles: Floats
@@ -63,13 +66,16 @@ class Pairs:
 _NO_PAIRS = Pairs(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
 
 
-def antipodal_pairs(points: Floats, normals: Floats, *, widest: float, cone: float) -> Pairs:
+def antipodal_pairs(
+    points: Floats, normals: Floats, *, widest: float, cone: float, trust: Floats | None = None
+) -> Pairs:
     """All pairs whose normals look away from each other, along the line between them.
 
     Args:
         points, normals: (C, 3), normals out of the object.
         widest: metres.
         cone: least cosine of the angle between a normal and the line.
+        trust: (C,) in the points, from 0 to 1; all of it by default.
     """
     from scipy.spatial import cKDTree
 
@@ -88,7 +94,11 @@ def antipodal_pairs(points: Floats, normals: Floats, *, widest: float, cone: flo
         -np.einsum("ni,ni->n", normals[i], closing), np.einsum("ni,ni->n", normals[j], closing)
     )
     held = quality >= cone
-    return Pairs((points[i] + points[j])[held] / 2, closing[held], width[held], quality[held])
+    middle = (points[i] + points[j])[held] / 2
+    square = (quality[held] - cone) / (1 - cone)
+    if trust is not None:
+        square *= np.minimum(trust[i], trust[j])[held]
+    return Pairs(middle, closing[held], width[held], square)
 
 
 def round_pairs(points: Floats, normals: Floats, *, widest: float) -> Pairs:
@@ -136,9 +146,32 @@ def round_pairs(points: Floats, normals: Floats, *, widest: float) -> Pairs:
     chord = points[j] - points[i]
     closing = np.where((lying > _LYING)[:, None], level, chord)
     closing /= np.linalg.norm(closing, axis=1, keepdims=True)
-    # The more of the circle was seen, the better.
-    quality = np.sqrt((1 - cosine) / 2)
+    quality = np.arccos(cosine) / np.pi
     return Pairs(middle, closing, 2 * radius, quality)
+
+
+def with_edges(
+    points: Floats, normals: Floats, outwards: Floats, at_edge: NDArray[np.bool_]
+) -> tuple[Floats, Floats, Floats]:
+    """Places on faces, and on the hidden faces behind their edges: the sides of a box of which
+    the lid alone is seen.
+
+    The hidden faces are taken to go back from the edges squarely.
+
+    Args:
+        points, normals: (C, 3), normals out of the object.
+        outwards: (C, 3) out over the edge, along the face; 0 where there is none.
+        at_edge: (C,) what lies beside the point lies far behind it.
+
+    Returns:
+        (D, 3) points, (D, 3) normals and (D,) trust in them.
+    """
+    edge = at_edge & outwards.any(axis=1)
+    return (
+        np.concatenate([points, points[edge]]),
+        np.concatenate([normals, outwards[edge]]),
+        np.concatenate([np.ones(len(points)), np.full(int(edge.sum()), _EDGE_TRUST)]),
+    )
 
 
 def rim_pairs(points: Floats, normals: Floats, at_edge: NDArray[np.bool_], eye: Floats) -> Pairs:

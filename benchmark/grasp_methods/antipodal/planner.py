@@ -13,6 +13,7 @@ from benchmark.grasp_methods.antipodal.pairs import (
     best_spread,
     rim_pairs,
     round_pairs,
+    with_edges,
 )
 from benchmark.grasp_methods.antipodal.settings import AntipodalSettings
 from benchmark.grasp_methods.antipodal.surface import surface_of
@@ -62,10 +63,11 @@ class Antipodal:
             view, T_cam_table, least_height=s.least_height, count=s.points, rng=rng
         )
         points, normals = surface.points, surface.normals
+        places, faces, trust = with_edges(points, normals, surface.outwards, surface.at_edge)
         widest = self.gripper.max_width
         pairs = Pairs.concatenated(
             [
-                antipodal_pairs(points, normals, widest=widest, cone=s.cone),
+                antipodal_pairs(places, faces, widest=widest, cone=s.cone, trust=trust),
                 round_pairs(points, normals, widest=widest),
                 rim_pairs(points, normals, surface.at_edge, surface.eye),
             ]
@@ -73,13 +75,13 @@ class Antipodal:
         if not len(pairs):
             return Grasps.empty()
         obstacles = obstacles_of(surface.obstacles)
-        worth = _worth(pairs, obstacles, s.cone)
+        worth = _worth(pairs, obstacles)
         pairs = best_spread(pairs, s.pairs, worth)
         grasps, of_pair = hands_at(
             pairs, obstacles, self.gripper, surface.eye, room=s.room, table_room=s.table_room
         )
         score = (
-            _worth(pairs[of_pair], obstacles, s.cone)
+            _worth(pairs[of_pair], obstacles)
             - 0.5 * (1 + grasps.approaches[:, 2])
             + 2 * filled_pads(grasps, obstacles, self.gripper)
         )
@@ -87,13 +89,12 @@ class Antipodal:
         return kept.top(s.grasps)
 
 
-def _worth(pairs: Pairs, obstacles: Obstacles, cone: float) -> Floats:
+def _worth(pairs: Pairs, obstacles: Obstacles) -> Floats:
     """(K,) how good pairs are before hands are fitted: square to the surface, level, central."""
     if not len(pairs):
         return np.zeros(0)
-    square = (pairs.quality - cone) / (1 - cone)
-    level = 1 - np.abs(pairs.closings[:, 2])
-    return square + level - 6 * off_middle(pairs.middles, obstacles)
+    slope = np.abs(pairs.closings[:, 2])
+    return pairs.quality - 2 * slope - 6 * off_middle(pairs.middles, obstacles)
 
 
 def off_middle(points: Floats, obstacles: Obstacles) -> Floats:

@@ -24,6 +24,8 @@ _LARGEST_WINDOW = 5
 _LONE_NEIGHBOURS = 3
 # What lies behind by more is something else, or the other side of a vessel.
 _STEP_M = 0.02
+# The neighbours of a place at an edge have their middle this far to one side at least.
+_ONE_SIDED_M = 0.0015
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +35,8 @@ class Surface:
     Attributes:
         points, normals: (C, 3) places where fingers might touch, normals out of the object.
         at_edge: (C,) bool what lies beside the place in the image lies far behind it.
+        outwards: (C, 3) unit vectors along the surface, away from where it goes on: out over the
+            edge, for places at one; 0 where the surface goes on all around.
         obstacles: (P, 3) all points above the table.
         eye: (3,) the camera.
     """
@@ -40,6 +44,7 @@ class Surface:
     points: Floats
     normals: Floats
     at_edge: NDArray[np.bool_]
+    outwards: Floats
     obstacles: Floats
     eye: Floats
 
@@ -67,13 +72,16 @@ def surface_of(
     usual = float(np.median(depth[graspable])) if graspable.any() else 1.0
     window = int(np.clip(round(_NORMAL_RADIUS_M / 1.5 * focal / usual), 1, _LARGEST_WINDOW))
     chosen = _thinned(places, graspable, count, rng)
-    points, normals, neighbours = _normals(places, known, chosen, window)
+    points, normals, ahead, neighbours = _normals(places, known, chosen, window)
     at_edge = _beside_step(depth, known, chosen, window)
     facing = np.einsum("ni,ni->n", normals, T.t - points)
     normals = np.where(facing[:, None] < 0, -normals, normals)
     good = neighbours >= _LEAST_NEIGHBOURS
     solid = above & (_near_count(places, known) >= _LONE_NEIGHBOURS)
-    return Surface(points[good], normals[good], at_edge[good], places[solid], T.t)
+    return Surface(
+        points[good], normals[good], at_edge[good], _outwards(normals, ahead)[good],
+        places[solid], T.t,
+    )  # fmt: skip
 
 
 def _thinned(
@@ -92,8 +100,8 @@ def _thinned(
 
 def _normals(
     places: Floats, known: NDArray[np.bool_], chosen: NDArray[np.int64], window: int
-) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    """Points (K, 3), normals (K, 3) and number of neighbours (K,) of pixels.
+) -> tuple[Floats, Floats, Floats, NDArray[np.int64]]:
+    """Points, normals and way to the middle of the neighbours (K, 3), and their number (K,).
 
     The plane through the neighbours in the image that are near in space too: the two sides of a
     thin wall are near in space alone.
@@ -117,7 +125,16 @@ def _normals(
     mean = first / share[:, None]
     spread = second / share[:, None, None] - mean[:, :, None] * mean[:, None, :]
     normals = np.linalg.eigh(spread)[1][:, :, 0]
-    return points, normals, total.astype(np.int64)
+    return points, normals, mean, total.astype(np.int64)
+
+
+def _outwards(normals: Floats, ahead: Floats) -> Floats:
+    """(K, 3) unit vectors along the surface away from its other points, 0 where they are all
+    around."""
+    along = ahead - np.einsum("ni,ni->n", ahead, normals)[:, None] * normals
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    one_sided = length > _ONE_SIDED_M
+    return np.where(one_sided, -along / np.maximum(length, 1e-12), 0)
 
 
 def _beside_step(
