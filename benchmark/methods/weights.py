@@ -37,6 +37,7 @@ ARCHITECTURES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("DFNet", ("stem.", "skips.", "downs.", "ups.")),
     ("LIDF", ("color_net.", "termination.", "refinement.")),
     ("ClearGrasp", ("masks.backbone.", "normals.backbone.", "boundaries.backbone.")),
+    ("GraspNet", ("levels.", "back.", "approach.", "operation.")),
     ("a Swin classifier (ImageNet)", ("patch_embed.", "layers.", "head.")),
     ("a Swin backbone", ("patch_embed.", "layers.")),
     ("a Swin of transformers", ("swin.embeddings.patch_embeddings.",)),

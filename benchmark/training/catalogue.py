@@ -48,6 +48,7 @@ class Trainable:
         network: makes the network of a configuration.
         loss: the loss, a frozen dataclass, whose fields are what `--loss` sets.
         frames: `frames(folders, configuration)`: the packs, which must fit the network.
+        images: whether its batches hold images, that can be augmented.
         step: sends a batch through the network to that loss.
         judge: `judge(frames, chosen, batch, loss)`: validation.
         optimization: as published.
@@ -63,6 +64,7 @@ class Trainable:
     network: Callable[[Any], nn.Module]
     loss: Any
     frames: Callable[[Sequence[Path], Any], Any] = fitting_frames
+    images: bool = True
     step: StepFunction = depth_step
     judge: Callable[..., Judging] = Judge
     optimization: Optimization

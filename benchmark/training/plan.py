@@ -124,6 +124,12 @@ def plan_training(wishes: TrainWishes) -> tuple[TrainConfig, Data, Beginning]:
         validation=frames_digest(data.validation, data.of_validation),
         beginning=_digest(wishes),
     )
+    if not trainable.images and (config.colors or config.jitter or config.holes):
+        raise ToolkitError(
+            "the method is trained on clouds: there are no images to augment",
+            field="--colors, --holes",
+            value=wishes.method,
+        )
     return config, data, Beginning(wishes.weights, wishes.imagenet)
 
 

@@ -16,6 +16,7 @@ GRASPNET_TRAINING = Trainable(
     network=GraspNetwork,
     loss=GraspNetLoss(),
     frames=PackedGrasps,
+    images=False,
     step=grasp_step,
     judge=GraspJudge,
     optimization=Optimization(

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmark.cli.train import main as train_main
 from benchmark.grasp_methods.graspnet.config import GraspNetConfig
 from benchmark.grasp_methods.protocol import GraspView
 from benchmark.grasp_methods.registry import make_planner
@@ -22,8 +23,9 @@ from benchmark.training.grasps.pack import GraspPackOptions
 from benchmark.training.grasps.packed import PackedGrasps
 from benchmark.training.plan import TrainWishes, plan_training
 from std_toolkit.errors import ToolkitError
-from tests.benchmark.training.grasps.grasp_scene import OPTIONS, pack_scene
+from tests.benchmark.training.grasps.grasp_scene import OPTIONS, TINY, pack_scene
 
+GRID = GraspNetConfig().depths
 HERE = Machine(accelerator="cpu", readers=0, log_every=1, progress=False)
 SETTINGS = {
     "points": "512",
@@ -94,6 +96,26 @@ def test_what_does_not_fit_is_refused(two_scenes, grasp_pack, tmp_path):
         plan_training(wishes(two_scenes, validation=[grasp_pack]))
     with pytest.raises(ToolkitError, match="no folder of packed grasps"):
         plan_training(wishes(tmp_path))
+    for augmented in ({"colors": "on"}, {"holes": 0.5}):
+        with pytest.raises(ToolkitError, match="no images to augment"):
+            plan_training(wishes(two_scenes, **augmented))
+
+
+@pytest.mark.slow
+def test_scenes_are_made_by_the_command_and_more_are_added(tmp_path, capsys):
+    command = ["pack-grasps", str(tmp_path), "--frames", "1", "--objects", "1", "2"]
+    command += ["--sizes", "0.3", "0.4", "--spacing", "0.03", "--size", "160", "90"]
+    command += ["--points", "3000", "--engine", "serial"]
+    assert train_main([*command, "--scenes", "1"]) == 0
+    assert "1 scenes, 1 frames" in capsys.readouterr().out
+    first = (tmp_path / "scene-00000.json").read_bytes()
+    assert train_main([*command, "--scenes", "2"]) == 0
+    assert "2 scenes, 2 frames" in capsys.readouterr().out
+    assert (tmp_path / "scene-00000.json").read_bytes() == first
+    frames = PackedGrasps([tmp_path], replace(TINY, views=300, angles=12, depths=GRID))
+    assert len({frames.scene(i) for i in range(2)}) == 2
+    assert train_main([*command, "--scenes", "2", "--seed", "9"]) != 0
+    assert "this pack was begun with 0" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -128,7 +150,8 @@ def test_one_scene_is_learned_by_heart_and_its_grasps_hold(tmp_path):
         method="graspnet",
         preset="published",
         settings=settings,
-        optimization=trainable.optimization,
+        # So few steps need the whole rate for longer.
+        optimization=replace(trainable.optimization, milestones=(0.8,)),
         steps=240,
         colors=False,
         validate_every=240,
@@ -161,7 +184,6 @@ def test_one_scene_is_learned_by_heart_and_its_grasps_hold(tmp_path):
             tables.append(precision_at(judged.friction))
             held += (judged.friction > 0).tolist()
         found[name] = average_precision(tables).ap, float(np.mean(held)) if held else 0.0, len(held)
-    print(found)
     assert found["after"][2] >= 20
     assert found["after"][1] > 0.6  # share of the planned grasps that hold and hit nothing
     assert found["after"][0] > 30
