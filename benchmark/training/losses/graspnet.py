@@ -13,6 +13,8 @@ from benchmark.training.losses.terms import Loss, mean_where
 
 # What widths and tolerances are measured by, metres, so that all parts are of one size.
 _WIDTH, _TOLERANCE = 0.1, 0.05
+# Too little to put a turn before one that is better by a step.
+_NUDGE = 1e-3
 
 
 class GraspTarget(NamedTuple):
@@ -59,7 +61,11 @@ class GraspNetLoss:
         error = (approaches.views - target.views).square().mean(dim=2)
         parts["views"] = mean_where(error, target.known)
 
-        best, turn = target.scores.max(dim=2)  # (b, s, d)
+        best = target.scores.amax(dim=2)  # (b, s, d)
+        # Scores come in six steps. Of turns that are equally good the one amid others is meant,
+        # which can be told from what lies between the fingers; the first of them cannot.
+        beside = target.scores.roll(1, dims=2) + target.scores.roll(-1, dims=2)
+        turn = (target.scores + _NUDGE * beside).argmax(dim=2)
         counts = (best > self.least) & target.known[..., None]
         at = turn[:, :, None]
 

@@ -127,3 +127,34 @@ def test_the_truth_costs_nothing_but_what_a_softmax_does():
         wrong = list(answer)
         wrong[part] = wrong[part] + 0.01
         assert told(wrong, target).item() > 1e-7
+
+
+def test_of_equally_good_turns_the_one_amid_others_is_meant():
+    target, answer = a_target(), an_answer()
+    turns = 12
+    scores = torch.zeros(1, 1, turns, 1, dtype=torch.float64)
+    scores[0, 0, [11, 0, 1, 5]] = 1.1  # half a turn is the same grasp: 11 is beside 0
+    one = GraspTarget(
+        torch.ones(1, 1, dtype=torch.long),
+        torch.ones(1, 1, dtype=torch.bool),
+        target.views[:1, :1],
+        scores,
+        scores * 0,
+        scores * 0,
+    )
+    found = {}
+    for turn in range(turns):
+        logits = torch.zeros_like(scores)
+        logits[0, 0, turn] = 5
+        zeros = torch.zeros_like(scores)
+        said = Operations(scores, logits, zeros, zeros)
+        approaches = Approaches(answer[0][:1, :, :1], answer[1][:1, :1])
+        found[turn] = GraspNetLoss()(approaches, said, one).parts["turn"].item()
+    assert min(found, key=found.__getitem__) == 0
+    scores[0, 0, 5] = 1.79  # better by a step, and alone
+    logits = torch.zeros_like(scores)
+    logits[0, 0, 5] = 5
+    zeros = torch.zeros_like(scores)
+    approaches = Approaches(answer[0][:1, :, :1], answer[1][:1, :1])
+    said = Operations(scores, logits, zeros, zeros)
+    assert GraspNetLoss()(approaches, said, one).parts["turn"] < 0.1
