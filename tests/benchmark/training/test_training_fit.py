@@ -84,9 +84,9 @@ def test_from_packing_to_the_leaderboard(method, data, tmp_path, capsys):
         replace(wishes(method, pack), hold_out=0.3, settings=TINY[method])
     )
     answers = [
-        restorer.restore(
-            [view_of(source.load(i), (SIDE, SIDE), with_mask=restorer.needs_mask)]
-        )[0].depth
+        restorer.restore([view_of(source.load(i), (SIDE, SIDE), with_mask=restorer.needs_mask)])[
+            0
+        ].depth
         for i in found.of_validation
     ]
     from benchmark.metrics.accumulate import DepthMetrics
