@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from benchmark.methods.making import make_of
 from benchmark.methods.protocol import Restorer
-from std_toolkit.errors import ToolkitError
 from std_toolkit.plugins import Registry
 
 
@@ -61,32 +60,11 @@ def make_restorer(name: str, options: MethodOptions | None = None) -> Restorer:
     Raises:
         ToolkitError: no such method, or what the method says of its options and weights.
     """
-    factory = restorers.get(name)
-    if not callable(factory):
-        raise ToolkitError(
-            "is not a class that takes MethodOptions", value=name, hint="docs/methods.md shows one"
-        )
-    try:
-        restorer = factory(options or MethodOptions())
-    except (ToolkitError, MemoryError):
-        raise
-    except Exception as error:
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        raise ToolkitError(
-            f"the method cannot be made: {type(error).__name__}: {' '.join(str(error).split())}",
-            value=name,
-            hint=f"raised in {place.filename}, line {place.lineno}",
-        ) from error
-    absent = [part for part in ("input_size", "needs_mask", "restore") if not _has(restorer, part)]
-    if absent:
-        raise ToolkitError(
-            "the method has no such attribute",
-            field=", ".join(absent),
-            value=name,
-            hint="docs/methods.md tells what a method must have",
-        )
-    return restorer
-
-
-def _has(restorer: object, part: str) -> bool:
-    return callable(getattr(restorer, part, None)) if part == "restore" else hasattr(restorer, part)
+    return make_of(
+        restorers,
+        name,
+        options or MethodOptions(),
+        called="restore",
+        has=("input_size", "needs_mask"),
+        guide="docs/methods.md",
+    )

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Callable
 
+from benchmark.methods.making import make_of
 from benchmark.methods.registry import MethodOptions
 from benchmark.pose_methods.protocol import PoseEstimator
-from std_toolkit.errors import ToolkitError
 from std_toolkit.plugins import Registry
 
 PoseMethodFactory = Callable[[MethodOptions], PoseEstimator]
@@ -30,30 +29,11 @@ def make_pose_method(name: str, options: MethodOptions | None = None) -> PoseEst
     Raises:
         ToolkitError: no such method, or what the method says of its options and weights.
     """
-    factory = pose_methods.get(name)
-    if not callable(factory):
-        raise ToolkitError(
-            "is not a class that takes MethodOptions", value=name, hint="docs/pose.md shows one"
-        )
-    try:
-        method = factory(options or MethodOptions())
-    except (ToolkitError, MemoryError):
-        raise
-    except Exception as error:
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        raise ToolkitError(
-            f"the method cannot be made: {type(error).__name__}: {' '.join(str(error).split())}",
-            value=name,
-            hint=f"raised in {place.filename}, line {place.lineno}",
-        ) from error
-    absent = [part for part in ("input_size", "needs_truth") if not hasattr(method, part)]
-    if not callable(getattr(method, "estimate", None)):
-        absent.append("estimate")
-    if absent:
-        raise ToolkitError(
-            "the method has no such attribute",
-            field=", ".join(absent),
-            value=name,
-            hint="docs/pose.md tells what a method must have",
-        )
-    return method
+    return make_of(
+        pose_methods,
+        name,
+        options or MethodOptions(),
+        called="estimate",
+        has=("input_size", "needs_truth"),
+        guide="docs/pose.md",
+    )

@@ -219,5 +219,5 @@ def test_planners_are_known_by_name() -> None:
     ):
         with pytest.raises(ToolkitError, match=told):
             make_planner("antipodal", MethodOptions(settings=settings))
-    with pytest.raises(ToolkitError, match="plan"):
+    with pytest.raises(ToolkitError, match="cannot be made"):
         make_planner("builtins:dict", None)
