@@ -5,7 +5,6 @@ Written from the published description, not from the authors' program: its weigh
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 from torch import Tensor, nn
@@ -61,18 +60,12 @@ class GraspNetwork(nn.Module):
         self.approach = ApproachHead(config)
         self.operation = OperationHead(config)
 
-    def seeds(self, cloud: Tensor, kept: Sequence[Tensor] = ()) -> Seeds:
-        """Of clouds (b, n, 3), camera frame, metres, in an order that does not follow place.
-
-        Args:
-            cloud: the points.
-            kept: which points the first levels keep (b, m), where that is known already.
-        """
+    def seeds(self, cloud: Tensor) -> Seeds:
+        """Of clouds (b, n, 3), camera frame, metres, in an order that does not follow place."""
         points, features, within = cloud, None, []
         chosen = None
         for level, abstraction in enumerate(self.levels):
-            index = kept[level] if level < len(kept) else None
-            points, features, index = abstraction(points, features, index)
+            points, features, index = abstraction(points, features)
             within.append((points, features))
             if level < 2:
                 chosen = index if chosen is None else chosen.gather(1, index)

@@ -173,5 +173,5 @@ def _best(network: nn.Module, clouds: torch.Tensor) -> list[Grasps]:
     assert isinstance(network, GraspNetwork)
     turned = gripper_rotations(network.config.views, network.config.angles)
     rotations = torch.from_numpy(turned).to(clouds.device, torch.float32)
-    found = best_of_seeds(network, clouds, rotations)
+    found = best_of_seeds(network, clouds[:, : network.config.points], rotations)
     return [f.grasps[f.on_object.numpy()] for f in found]

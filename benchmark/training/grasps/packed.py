@@ -14,7 +14,6 @@ from torch.utils.data import Dataset
 
 from benchmark.grasp_methods.graspnet.cloud import sampled
 from benchmark.grasp_methods.graspnet.config import GraspNetConfig
-from benchmark.pointnet import farthest_points
 from benchmark.training.grasps.pack_files import (
     GraspPackSetup,
     PackedView,
@@ -30,6 +29,8 @@ from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.documents import read_document
 
 _ROWS = ("friction", "widths", "tolerances")
+# Points of a frame that are read, for each that the network is shown: every step draws others.
+_SHARE = 4
 _EVERY = ("points", "object", "row", "row_object", *_ROWS)
 
 
@@ -54,24 +55,16 @@ class PackKind:
     color: str = "none"
 
 
-class _Chosen(NamedTuple):
-    """What of a frame the network is shown: its points, and those that its first levels keep."""
-
-    points: np.ndarray
-    first: Tensor
-    second: Tensor
-
-
 class PackedGrasps(Dataset[dict[str, Tensor]]):
     """The frames of packs; a batch is asked for by the list of its frames.
 
-    A batch of b frames of n points, s of which are seeds, and R rows of known grasps of v views, a
-    turns and d depths holds
+    A batch of b frames of n points, and R rows of known grasps of v views, a turns and d depths
+    holds
 
-    - cloud (b, n, 3) float32 metres, camera frame,
-    - first (b, m) and second (b, s) int64: which points the network's first levels keep,
-    - object (b, s) int64: number of the seed's object, -1 table,
-    - row (b, s) int64: the seed's row, -1 where its grasps are not known,
+    - cloud (b, n, 3) float32 metres, camera frame, in random order: more points than the network
+      is shown at once,
+    - object (b, n) int64: number of the point's object, -1 table,
+    - row (b, n) int64: the point's row, -1 where its grasps are not known,
     - row_object (R,) int64: the row's object, numbered through all frames of the batch,
     - turned (O, 3, 3) float32: these objects' rotations to the camera,
     - friction, widths, tolerances (R, v, a, d) uint8, as in `SceneLabels`,
@@ -81,7 +74,7 @@ class PackedGrasps(Dataset[dict[str, Tensor]]):
 
     Args:
         folders: packs.
-        config: of the network, whose points are drawn here, always the same of a frame.
+        config: of the network.
 
     Raises:
         ToolkitError: no pack, an empty one, or one of other views, turns or depths.
@@ -109,7 +102,6 @@ class PackedGrasps(Dataset[dict[str, Tensor]]):
             for f, p in zip(folders, self.packs, strict=True)
         ]
         self._arrays: dict[tuple[int, int], dict[str, np.ndarray]] = {}
-        self._chosen: dict[int, _Chosen] = {}
 
     def _list(self, pack: int, folder: Path, setup: GraspPackSetup) -> None:
         numbers = sorted(int(path.stem.partition("-")[2]) for path in folder.glob("scene-*.json"))
@@ -139,18 +131,14 @@ class PackedGrasps(Dataset[dict[str, Tensor]]):
         return f"{self.frames[index].scene}/{self.frames[index].name}"
 
     def __getitem__(self, chosen: list[int]) -> dict[str, Tensor]:
-        parts: dict[str, list[Any]] = {name: [] for name in ("cloud", "first", "second", "object")}
+        parts: dict[str, list[Any]] = {name: [] for name in ("cloud", "object")}
         rows: dict[str, list[Any]] = {name: [] for name in ("row", "row_object", "turned", *_ROWS)}
         begun, objects = 0, 0
         for index in chosen:
-            shown, arrays, view = self._shown(index), self._open(index), self._view(index)
-            at = view.begin + shown.points
-            seeds = at[shown.first[shown.second].numpy()]
+            arrays, at = self._open(index), self._points(index)
             parts["cloud"].append(torch.from_numpy(np.asarray(arrays["points"][at])))
-            parts["first"].append(shown.first)
-            parts["second"].append(shown.second)
-            parts["object"].append(torch.from_numpy(arrays["object"][seeds].astype(np.int64)))
-            row = np.asarray(arrays["row"][seeds])
+            parts["object"].append(torch.from_numpy(arrays["object"][at].astype(np.int64)))
+            row = np.asarray(arrays["row"][at])
             used = np.unique(row[row >= 0])
             own = np.where(row < 0, -1, begun + np.searchsorted(used, row))
             rows["row"].append(torch.from_numpy(own.astype(np.int64)))
@@ -217,17 +205,12 @@ class PackedGrasps(Dataset[dict[str, Tensor]]):
             self._arrays[place] = {n: open_array(folder, frame.number, n) for n in _EVERY}
         return self._arrays[place]
 
-    def _shown(self, index: int) -> _Chosen:
-        if index not in self._chosen:
-            view, config = self._view(index), self.config
-            rng = np.random.default_rng(int(self.frames[index].digest, 16))
-            points = sampled(view.end - view.begin, config.points, rng)
-            cloud = torch.from_numpy(self._open(index)["points"][view.begin + points])[None]
-            # The same that the network would choose; finding them takes it longest of all.
-            first = farthest_points(cloud, config.level_points[0])
-            second = farthest_points(cloud[:, first[0]], config.level_points[1])
-            self._chosen[index] = _Chosen(points, first[0], second[0])
-        return self._chosen[index]
+    def _points(self, index: int) -> np.ndarray:
+        """(n,) places of a frame's points in its scene's arrays, in an order of its own."""
+        view = self._view(index)
+        kept = min(self.packs[self.frames[index].pack].points, _SHARE * self.config.points)
+        rng = np.random.default_rng(int(self.frames[index].digest, 16))
+        return view.begin + sampled(view.end - view.begin, max(kept, self.config.points), rng)
 
     def __getstate__(self) -> dict[str, Any]:
         # Reading processes open the files themselves.

@@ -64,10 +64,12 @@ def answers_and_truth(
     count them from where the object's view begins.)
     """
     config = network.config
-    cloud = batch["cloud"]
-    seeds = network.seeds(cloud, (batch["first"], batch["second"]))
-    known = known_of(batch, config.views)
-    row = batch["row"]
+    order = drawn_points(network, batch)
+    cloud = batch["cloud"].gather(1, order[..., None].expand(-1, -1, 3))
+    seeds = network.seeds(cloud)
+    chosen = order.gather(1, seeds.chosen)
+    row, thing = batch["row"].gather(1, chosen), batch["object"].gather(1, chosen)
+    known = known_of(batch, row, config.views)
     there = row >= 0
     at = row.clamp(min=0)
     view = seeds.approaches.views.detach().argmax(dim=2)  # of the camera's
@@ -76,13 +78,13 @@ def answers_and_truth(
     if len(known.table):
         owner = batch["row_object"][at]
         own = known.alike[owner, view]  # of the object's
-        begun, order = begin_of_turns(
+        begun, turns = begin_of_turns(
             batch["turned"][owner] @ rotations[own], rotations[view], config.angles
         )
         turned = torch.where(there[..., None, None], begun, turned)
-        order = order[..., None].expand(*order.shape, len(config.depths))
+        turns = turns[..., None].expand(*turns.shape, len(config.depths))
         scores, widths, tolerances = (
-            part[at, own].gather(2, order)
+            part[at, own].gather(2, turns)
             for part in (known.table, batch["widths"], batch["tolerances"])
         )
         mask = there[..., None, None]
@@ -93,7 +95,7 @@ def answers_and_truth(
         scores = widths = tolerances = cloud.new_zeros(shape)
     operations = network.operations(cloud, seeds.points, turned)
     # A seed on an object whose grasps are not known was measured where the object is not.
-    objectness = torch.where(batch["object"] < 0, 0, torch.where(there, 1, -1))
+    objectness = torch.where(thing < 0, 0, torch.where(there, 1, -1))
     target = GraspTarget(objectness, there, known.views, scores, widths, tolerances)
     return seeds.approaches, operations, target
 
@@ -120,15 +122,26 @@ def begin_of_turns(own: Tensor, camera: Tensor, angles: int) -> tuple[Tensor, Te
     return turned, order % angles
 
 
-def known_of(batch: Batch, views: int) -> Known:
-    """What is known of a batch's rows and seeds."""
+def drawn_points(network: GraspNetwork, batch: Batch) -> Tensor:
+    """(b, n) which points of a batch's clouds the network is shown: in training others every time.
+
+    A network that sees the same points again and again learns where they lie, not the surface.
+    """
+    b, count = batch["cloud"].shape[:2]
+    device, wanted = batch["cloud"].device, network.config.points
+    if network.training:
+        return torch.rand(b, count, device=device).argsort(dim=1)[:, :wanted]
+    return torch.arange(wanted, device=device).expand(b, -1)
+
+
+def known_of(batch: Batch, row: Tensor, views: int) -> Known:
+    """What is known of a batch's rows, and of seeds of these rows (b, s)."""
     device = batch["cloud"].device
     table = _scores(str(device))[batch["friction"].long()]
     directions = _views(views, str(device))
     # (O, v, v): of each object its own views, turned to the camera, against the camera's.
     closeness = (directions @ batch["turned"].transpose(1, 2)) @ directions.T
     alike = closeness.argmax(dim=1)
-    row = batch["row"]
     if not len(table):
         return Known(table.new_zeros(*row.shape, views), alike, table)
     best = table.amax(dim=(2, 3)).gather(1, alike[batch["row_object"]])

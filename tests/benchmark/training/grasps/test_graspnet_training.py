@@ -152,10 +152,10 @@ def test_one_scene_is_learned_by_heart_and_its_grasps_hold(tmp_path):
         settings=settings,
         # So few steps need the whole rate for longer.
         optimization=replace(trainable.optimization, milestones=(0.8,)),
-        steps=240,
+        steps=300,
         colors=False,
-        validate_every=240,
-        checkpoint_every=240,
+        validate_every=300,
+        checkpoint_every=300,
         training="",
         validation="",
     )
