@@ -160,8 +160,13 @@ def scene_weights(scenes: Sequence[str] | NDArray[np.generic], draws: Floats) ->
         scenes: (frames,) the scene of each.
         draws: (D, S) of the scenes in sorted order.
 
+    Raises:
+        ToolkitError: draws of another number of scenes.
+
     >>> scene_weights(["b", "a", "b"], np.array([[1.0, 0.0]])).tolist()
     [[0.0, 1.0, 0.0]]
     """
-    _, place = np.unique(np.asarray(scenes), return_inverse=True)
+    names, place = np.unique(np.asarray(scenes), return_inverse=True)
+    if draws.ndim != 2 or draws.shape[1] != len(names):
+        raise ToolkitError(f"needs (D, {len(names)})", field="draws", value=draws.shape)
     return draws[:, place]

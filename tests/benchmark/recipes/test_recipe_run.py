@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+import torch
 from recipe_data import write_set, write_std
 
 from benchmark.cli.train import main
@@ -38,7 +39,8 @@ def command(out: Path, own: list[str], *more: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory, own: list[str]) -> Path:
-    """The recipe, run once."""
+    """The recipe, run once, on one thread: sums depend on the number of threads."""
+    torch.set_num_threads(1)
     out = tmp_path_factory.mktemp("recipe_run") / "out"
     assert main(command(out, own)) == 0
     return out
@@ -157,11 +159,17 @@ def test_another_recipe_takes_what_is_there(done, own, capsys):
 
 def test_killed_and_run_again_ends_with_the_same_table(done, own, tmp_path):
     """kill -9 in the middle of the first training, then of the scoring."""
+    torch.set_num_threads(1)
     out = tmp_path / "out"
     line = [sys.executable, "-m", "benchmark.cli.train", *command(out, own)]
     training = out / "tiny" / "training"
     for pattern in ("*/last.ckpt", "*/last.safetensors"):
-        process = subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        process = subprocess.Popen(
+            line,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "OMP_NUM_THREADS": "1"},
+        )
         while process.poll() is None and not list(training.glob(pattern)):
             time.sleep(0.02)
         if process.poll() is None:
