@@ -68,8 +68,22 @@ def side_by_side(first: PoseMatches, second: PoseMatches) -> PoseMatches:
     """The matches of two methods on the same frames as those of one on twice as many: weights
     (frames of the first, frames of the second) then choose whose answer counts where.
 
+    Args:
+        first, second: of all frames.
+
+    Returns:
+        Matches of twice as many frames: those of the first, then those of the second.
+
     Raises:
         ToolkitError: other frames, or another protocol.
+
+    >>> from benchmark.metrics.pose import PosePrediction, PoseTruth, match_poses
+    >>> truth = PoseTruth([1], [np.eye(4)], [[1, 1, 1]])
+    >>> right = PosePrediction([1], [np.eye(4)], [[1, 1, 1]], [1.0])
+    >>> wrong = PosePrediction([1], [np.diag([9, 9, 9, 1])], [[1, 1, 1]], [1.0])
+    >>> both = side_by_side(match_poses([truth], [right]), match_poses([truth], [wrong]))
+    >>> figures_of_draws(both, [[1, 0], [0, 1]])[:, 2].tolist()
+    [1.0, 0.0]
     """
     if first.frames != second.frames or first.protocol.columns != second.protocol.columns:
         raise ToolkitError("needs two methods on the same frames", value=second.frames)
@@ -159,6 +173,9 @@ def scene_weights(scenes: Sequence[str] | NDArray[np.generic], draws: Floats) ->
     Args:
         scenes: (frames,) the scene of each.
         draws: (D, S) of the scenes in sorted order.
+
+    Returns:
+        (D, frames) how often each frame counts in each draw.
 
     Raises:
         ToolkitError: draws of another number of scenes.
