@@ -11,7 +11,12 @@ from benchmark.clearing.run import ORACLE, RAW, TRUE, GraspRun
 from benchmark.clearing.sensing import CAMERAS
 from benchmark.grasp_methods.registry import grasp_planners
 from benchmark.methods.registry import MethodOptions
-from benchmark.running.plan import checked_label, settings_by_method, weights_by_method
+from benchmark.running.plan import (
+    check_lists,
+    checked_label,
+    settings_by_method,
+    weights_by_method,
+)
 from std_toolkit.errors import ToolkitError
 
 
@@ -44,12 +49,7 @@ class GraspWishes:
     strips: bool = True
 
     def __post_init__(self) -> None:
-        for name in ("depths", "planners", "devices"):
-            values = getattr(self, name)
-            if not values:
-                raise ToolkitError("needs at least one value", field=name)
-            if twice := [v for v in values if values.count(v) > 1]:
-                raise ToolkitError("is given twice", field=name, value=twice[0])
+        check_lists(self, "depths", "planners", "devices")
         for name, low in (("rounds", 1), ("attempts", 1), ("seed", 0)):
             if getattr(self, name) < low:
                 raise ToolkitError(f"must be at least {low}", field=name, value=getattr(self, name))

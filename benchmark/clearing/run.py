@@ -21,10 +21,10 @@ from benchmark.grasping.gripper import PANDA
 from benchmark.methods.protocol import Restorer
 from benchmark.methods.registry import MethodOptions, make_restorer
 from benchmark.running.batch import restore_views
-from benchmark.running.device import check_device, claim_device
+from benchmark.running.device import claim_device
 from benchmark.running.manifest import begin
 from benchmark.running.parts import good_frames, join_parts, write_part
-from benchmark.running.run import UnusableMethod
+from benchmark.running.usable import making_methods, weights_digest
 from benchmark.running.views import view_of
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import sweep_temporaries
@@ -230,14 +230,8 @@ def _one_thread() -> None:
 
 
 def _usable(run: GraspRun) -> _Equipment:
-    try:
-        for device in run.devices:
-            check_device(device)
+    with making_methods(run.devices):
         return _Equipment(run, run.devices[0])
-    except ToolkitError as error:
-        raise UnusableMethod(
-            error.problem, path=error.path, field=error.field, value=error.value, hint=error.hint
-        ) from error
 
 
 def _setup(run: GraspRun, equipment: _Equipment) -> GraspSetup:
@@ -252,17 +246,12 @@ def _setup(run: GraspRun, equipment: _Equipment) -> GraspSetup:
         gripper=PANDA.name,
         planner=run.planner,
         planner_settings=dict(planner.settings),
-        planner_weights_sha256=_weights(equipment.planner, planner),
+        planner_weights_sha256=weights_digest(equipment.planner, planner),
         depth=run.depth,
         depth_settings=dict(depth.settings),
-        depth_weights_sha256=_weights(equipment.restorer, depth),
+        depth_weights_sha256=weights_digest(equipment.restorer, depth),
         preset=network.preset,
         precision=network.precision,
         compile=network.compile,
         device=run.devices[0].partition(":")[0],
     )
-
-
-def _weights(method: object, options: MethodOptions) -> str:
-    path = getattr(method, "weights", None) or options.weights
-    return "" if path is None else digest_file(path)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import hashlib
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple, Protocol
 
 from benchmark.data.frame import DepthFrame
@@ -71,6 +72,11 @@ class DepthSource(Protocol):
     def files(self) -> Iterator[SceneFiles]:
         """What is there of every scene, for `check_split`."""
         ...
+
+
+def names_digest(keys: Iterable[FrameKey]) -> str:
+    """SHA-256 over the frames' names, in their order."""
+    return hashlib.sha256("\n".join(map(str, keys)).encode()).hexdigest()
 
 
 def iterate(

@@ -8,11 +8,10 @@ from dataclasses import dataclass, field
 from benchmark.data.splits import open_split
 from benchmark.pose_running.pictures import PICTURES_FILE, POSE_GALLERY, make_pose_pictures
 from benchmark.pose_running.run import PoseRun, run_poses
-from benchmark.running.parts import ERROR, FAILURES, INDEX
-from benchmark.running.run import UnusableMethod
+from benchmark.running.parts import told_failures
+from benchmark.running.usable import UnusableMethod
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions
-from std_toolkit.log import logger
 
 
 @dataclass
@@ -52,13 +51,7 @@ def run_all_poses(
             continue
         try:
             table = run_poses(run, jobs)
-            if bad := int(table.loc[table[ERROR] != "", INDEX].nunique()):
-                report.failed_frames += bad
-                first = table.loc[table[ERROR] != "", ERROR].iloc[0]
-                logger.warning(
-                    "%s: %d frames failed, the first with: %s; all in %s",
-                    run.title, bad, first, run.folder / FAILURES,
-                )  # fmt: skip
+            report.failed_frames += told_failures(table, run.title, run.folder)
             if gallery and not (run.folder / POSE_GALLERY / PICTURES_FILE).exists():
                 make_pose_pictures(run)
         except UnusableMethod as error:

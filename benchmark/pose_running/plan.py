@@ -11,6 +11,8 @@ from benchmark.pose_methods.fitting import FitMethod
 from benchmark.pose_running.depths import RAW, TRUE, DepthChoice
 from benchmark.pose_running.run import PoseRun
 from benchmark.running.plan import (
+    check_counts,
+    check_lists,
     checked_label,
     data_of,
     roots_of,
@@ -59,16 +61,8 @@ class PoseWishes:
     roots: dict[str | None, Path] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name in ("methods", "splits", "depths", "fits", "data", "devices"):
-            values = getattr(self, name)
-            if not values:
-                raise ToolkitError("needs at least one value", field=name)
-            if twice := [v for v in values if values.count(v) > 1]:
-                raise ToolkitError("is given twice", field=name, value=twice[0])
-        for name in ("batch_size", "limit"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise ToolkitError("must be at least 1", field=name, value=value)
+        check_lists(self, "methods", "splits", "depths", "fits", "data", "devices")
+        check_counts(self, "batch_size", "limit")
         if strange := [fit for fit in self.fits if fit not in FITS]:
             raise ToolkitError("no such fit", field="fit", value=strange[0], hint=", ".join(FITS))
         if self.label is not None and len(self.methods) > 1:

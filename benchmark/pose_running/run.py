@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,30 +10,32 @@ from typing import Any
 
 import pandas as pd
 
-from benchmark.data.source import DepthSource
+from benchmark.data.source import DepthSource, names_digest
 from benchmark.data.splits import open_split
 from benchmark.methods.registry import MethodOptions
 from benchmark.pose_methods.protocol import PoseEstimator
 from benchmark.pose_methods.registry import make_pose_method
-from benchmark.pose_running.batch import estimate_batch, load_pose_frame, load_pose_frames
+from benchmark.pose_running.batch import (
+    PoseFrame,
+    estimate_batch,
+    load_pose_frame,
+    load_pose_frames,
+)
 from benchmark.pose_running.depths import DepthChoice, DepthGiver
 from benchmark.pose_running.manifest import POSE_MANIFEST, PoseSetup, pose_manifest
 from benchmark.pose_running.table import POSES
-from benchmark.running.device import check_device, claim_device
+from benchmark.running.device import claim_device
 from benchmark.running.manifest import begin
-from benchmark.running.parts import good_frames, join_parts, write_part
-from benchmark.running.pieces import Batch, batches_of, chosen_frames, pieces_of, read_ahead
-from benchmark.running.run import UnusableMethod
+from benchmark.running.parts import good_frames, join_parts
+from benchmark.running.pieces import Batch, batches_of, chosen_frames, pieces_of, write_rows
+from benchmark.running.usable import making_methods, weights_digest
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import sweep_temporaries
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.scene.lock import hold_lock
-from std_toolkit.scene.provenance import digest_file
 
 POSE_FOLDER = "pose"
 AS_INPUT = "as-input"
-# A killed worker loses what it has not written; a method slower than this writes every batch.
-_FLUSH_S = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,14 +155,8 @@ def _check_truth(source: DepthSource, chosen: Sequence[int]) -> None:
 
 
 def _usable(run: PoseRun) -> tuple[PoseEstimator, DepthGiver]:
-    try:
-        for device in run.devices:
-            check_device(device)
+    with making_methods(run.devices):
         return _make(run, run.devices[0])
-    except ToolkitError as error:
-        raise UnusableMethod(
-            error.problem, path=error.path, field=error.field, value=error.value, hint=error.hint
-        ) from error
 
 
 def _make(run: PoseRun, device: str) -> tuple[PoseEstimator, DepthGiver]:
@@ -186,23 +180,12 @@ class _Worker:
     def __call__(self, batches: Sequence[Batch]) -> int:
         source, method, depths = _equipment(self.run)
         keys = source.keys()
-        rows: list[dict[str, Any]] = []
-        pending: list[Batch] = []
-        since = time.monotonic()
-        for batch, loaded in read_ahead(batches, partial(load_pose_frames, source)):
-            named = [keys[i] for i in batch]
-            as_input = self.run.as_input
-            rows += estimate_batch(batch, named, loaded, method, depths, as_input=as_input)
-            pending.append(batch)
-            if time.monotonic() - since > _FLUSH_S:
-                self._flush(pending, rows)
-                rows, pending, since = [], [], time.monotonic()
-        if pending:
-            self._flush(pending, rows)
-        return sum(len(batch) for batch in batches)
 
-    def _flush(self, batches: Sequence[Batch], rows: Sequence[dict[str, Any]]) -> None:
-        write_part(self.run.folder, batches[0][0], batches[-1][-1], rows)
+        def rows_of(batch: Batch, loaded: list[PoseFrame | str]) -> list[dict[str, Any]]:
+            named, as_input = [keys[i] for i in batch], self.run.as_input
+            return estimate_batch(batch, named, loaded, method, depths, as_input=as_input)
+
+        return write_rows(self.run.folder, batches, partial(load_pose_frames, source), rows_of)
 
 
 _kept: dict[str, tuple[DepthSource, PoseEstimator, DepthGiver]] = {}
@@ -226,29 +209,22 @@ def _setup(
     chosen: Sequence[int],
 ) -> PoseSetup:
     keys = source.keys()
-    names = "\n".join(str(keys[i]) for i in chosen)
     folder = run.depth.folder
     return PoseSetup(
         split=run.split,
         frames=len(chosen),
-        frames_sha256=hashlib.sha256(names.encode()).hexdigest(),
+        frames_sha256=names_digest(keys[i] for i in chosen),
         method=run.method,
         preset=run.options.preset,
         settings=run.settings,
-        weights_sha256=_digest(method, run.options),
+        weights_sha256=weights_digest(method, run.options),
         precision=run.options.precision,
         compile=run.options.compile,
         device=run.devices[0].partition(":")[0],
         batch_size=run.batch_size,
         depth=run.depth.name,
         depth_settings=dict(run.depth.options.settings),
-        depth_weights_sha256=_digest(depths.restorer, run.depth.options),
+        depth_weights_sha256=weights_digest(depths.restorer, run.depth.options),
         depth_folder="" if folder is None else str(folder.resolve()),
         as_input=run.as_input,
     )
-
-
-def _digest(made: object, options: MethodOptions) -> str:
-    # A method of somebody's own may use the file without telling.
-    weights = getattr(made, "weights", None) or options.weights
-    return digest_file(weights) if isinstance(weights, Path) else ""

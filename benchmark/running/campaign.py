@@ -13,13 +13,13 @@ from benchmark.protocols.registry import get_protocol
 from benchmark.running.batch import frame_view
 from benchmark.running.gallery import FOLDER, INDEX_FILE, make_gallery
 from benchmark.running.manifest import hardware
-from benchmark.running.parts import ERROR, FAILURES, INDEX
-from benchmark.running.run import Run, UnusableMethod, chosen_frames, run_method, source_of
+from benchmark.running.parts import told_failures
+from benchmark.running.run import Run, chosen_frames, run_method, source_of
 from benchmark.running.speed import SPEED, Speed, measure_speed
+from benchmark.running.usable import UnusableMethod
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import write_document
 from std_toolkit.jobs import JobOptions
-from std_toolkit.log import logger
 
 
 @dataclass
@@ -66,13 +66,7 @@ def run_all(
             continue
         try:
             table = run_method(run, jobs)
-            if bad := int(table.loc[table[ERROR] != "", INDEX].nunique()):
-                report.failed_frames += bad
-                first = table.loc[table[ERROR] != "", ERROR].iloc[0]
-                logger.warning(
-                    "%s: %d frames failed, the first with: %s; all in %s",
-                    run.title, bad, first, run.folder / FAILURES,
-                )  # fmt: skip
+            report.failed_frames += told_failures(table, run.title, run.folder)
             if speed and not (run.folder / SPEED).exists():
                 write_document(run.folder / SPEED, speed_of(run))
             if gallery and not (run.folder / FOLDER / INDEX_FILE).exists():

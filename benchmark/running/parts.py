@@ -16,6 +16,7 @@ import pandas as pd
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import atomic_path
+from std_toolkit.log import logger
 
 TABLE = "images.parquet"
 FAILURES = "failures.csv"
@@ -98,3 +99,16 @@ def _newest(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
     kept = joined[worth == worth.groupby(joined[INDEX]).transform("max")]
     # Stable: the rows of one frame keep the order in which the protocol gave them.
     return kept.sort_values(INDEX, kind="stable", ignore_index=True)
+
+
+def told_failures(table: pd.DataFrame, title: str, folder: Path) -> int:
+    """Number of frames of a run that failed; if there are any, the log says where they stand."""
+    failed = table[table[ERROR] != ""]
+    if failed.empty:
+        return 0
+    count = int(failed[INDEX].nunique())
+    logger.warning(
+        "%s: %d frames failed, the first with: %s; all in %s",
+        title, count, failed[ERROR].iloc[0], folder / FAILURES,
+    )  # fmt: skip
+    return count

@@ -1,10 +1,14 @@
-"""Cutting a run into pieces of work, and reading ahead within one."""
+"""Cutting a run into pieces of work, and working through one: reading ahead, writing as it goes."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from pathlib import Path
+from typing import Any, TypeVar
+
+from benchmark.running.parts import write_part
 
 T = TypeVar("T")
 
@@ -14,6 +18,8 @@ Batch = tuple[int, ...]
 # Pieces per worker: enough that no worker waits long for the slowest at the end.
 _PIECES_PER_WORKER = 16
 _LONGEST_PIECE = 64
+# A killed worker loses what it has not written; a method slower than this writes every batch.
+_FLUSH_S = 2.0
 
 
 def chosen_frames(total: int, limit: int | None) -> list[int]:
@@ -51,3 +57,40 @@ def read_ahead(batches: Sequence[Batch], read: Callable[[Batch], T]) -> Iterator
             if place + 1 < len(batches):
                 coming = reader.submit(read, batches[place + 1])
             yield batch, loaded
+
+
+def write_rows(
+    folder: Path,
+    batches: Sequence[Batch],
+    read: Callable[[Batch], T],
+    rows_of: Callable[[Batch, T], list[dict[str, Any]]],
+) -> int:
+    """Write the rows of a piece of work as parts of a table, as they come.
+
+    Args:
+        folder: of the run.
+        batches: the piece.
+        read: what of a batch can be read ahead.
+        rows_of: the rows of a batch, with what was read.
+
+    Returns:
+        How many frames there were.
+    """
+    rows: list[dict[str, Any]] = []
+    pending: list[Batch] = []
+
+    def flush() -> None:
+        write_part(folder, pending[0][0], pending[-1][-1], rows)
+        rows.clear()
+        pending.clear()
+
+    since = time.monotonic()
+    for batch, loaded in read_ahead(batches, read):
+        rows += rows_of(batch, loaded)
+        pending.append(batch)
+        if time.monotonic() - since > _FLUSH_S:
+            flush()
+            since = time.monotonic()
+    if pending:
+        flush()
+    return sum(len(batch) for batch in batches)

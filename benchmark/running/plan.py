@@ -50,16 +50,8 @@ class Wishes:
     roots: dict[str | None, Path] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name in ("methods", "splits", "protocols", "data", "devices"):
-            values = getattr(self, name)
-            if not values:
-                raise ToolkitError("needs at least one value", field=name)
-            if twice := [v for v in values if values.count(v) > 1]:
-                raise ToolkitError("is given twice", field=name, value=twice[0])
-        for name in ("batch_size", "limit"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise ToolkitError("must be at least 1", field=name, value=value)
+        check_lists(self, "methods", "splits", "protocols", "data", "devices")
+        check_counts(self, "batch_size", "limit")
         if self.label is not None and len(self.methods) > 1:
             raise ToolkitError("names one method, not several", field="label", value=self.label)
         object.__setattr__(self, "roots", roots_of(self.data))
@@ -97,6 +89,32 @@ def plan_runs(wishes: Wishes) -> list[Run]:
         )
         for method, split, protocol in product(wishes.methods, wishes.splits, wishes.protocols)
     ]
+
+
+def check_lists(wishes: object, *names: str) -> None:
+    """Refuse lists that are empty, or tell something twice.
+
+    Raises:
+        ToolkitError: the field, and what is told twice.
+    """
+    for name in names:
+        values = getattr(wishes, name)
+        if not values:
+            raise ToolkitError("needs at least one value", field=name)
+        if twice := [v for v in values if values.count(v) > 1]:
+            raise ToolkitError("is given twice", field=name, value=twice[0])
+
+
+def check_counts(wishes: object, *names: str) -> None:
+    """Refuse numbers below 1; None is none.
+
+    Raises:
+        ToolkitError: the field and its value.
+    """
+    for name in names:
+        value = getattr(wishes, name)
+        if value is not None and value < 1:
+            raise ToolkitError("must be at least 1", field=name, value=value)
 
 
 def roots_of(texts: Sequence[str]) -> dict[str | None, Path]:

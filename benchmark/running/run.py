@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,27 +11,24 @@ from typing import Any
 import pandas as pd
 
 from benchmark.data.saved import WithSavedDepth
-from benchmark.data.source import DepthSource
+from benchmark.data.source import DepthSource, names_digest
 from benchmark.data.splits import open_split
 from benchmark.methods.filling.filler import Filler
 from benchmark.methods.filling.raw import Raw
 from benchmark.methods.protocol import Restorer
 from benchmark.methods.registry import MethodOptions, make_restorer
 from benchmark.protocols.registry import get_protocol
-from benchmark.running.batch import load_frames, score_batch
-from benchmark.running.device import check_device, claim_device
+from benchmark.running.batch import Loaded, load_frames, score_batch
+from benchmark.running.device import claim_device
 from benchmark.running.manifest import Setup, begin, manifest_of
-from benchmark.running.parts import good_frames, join_parts, write_part
-from benchmark.running.pieces import Batch, batches_of, chosen_frames, pieces_of, read_ahead
+from benchmark.running.parts import good_frames, join_parts
+from benchmark.running.pieces import Batch, batches_of, chosen_frames, pieces_of, write_rows
 from benchmark.running.saving import save_depth
+from benchmark.running.usable import making_methods, weights_digest
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import sweep_temporaries
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.scene.lock import hold_lock
-from std_toolkit.scene.provenance import digest_file
-
-# A killed worker loses what it has not written; a method slower than this writes every batch.
-_FLUSH_S = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,10 +70,6 @@ class Run:
     def title(self) -> str:
         """For people."""
         return f"{self.label} on {self.split}, {self.protocol}"
-
-
-class UnusableMethod(ToolkitError):
-    """A method that cannot be made with these options, whatever the data."""
 
 
 def run_method(run: Run, jobs: JobOptions | None = None) -> pd.DataFrame:
@@ -141,19 +132,13 @@ def run_method(run: Run, jobs: JobOptions | None = None) -> pd.DataFrame:
 
 
 def _usable(run: Run) -> Restorer:
-    try:
-        for device in run.devices:
-            check_device(device)
+    with making_methods(run.devices):
         restorer = make_restorer(run.method, replace(run.options, device=run.devices[0]))
         if run.options.weights is not None and isinstance(restorer, Filler | Raw):
             raise ToolkitError(
                 "the method has no weights", field="--weights", value=str(run.options.weights)
             )
         return restorer
-    except ToolkitError as error:
-        raise UnusableMethod(
-            error.problem, path=error.path, field=error.field, value=error.value, hint=error.hint
-        ) from error
 
 
 def source_of(run: Run) -> DepthSource:
@@ -177,21 +162,12 @@ class _Worker:
         protocol = get_protocol(self.run.protocol)
         keys = source.keys()
         keep = partial(save_depth, self.run.folder, source.name) if self.run.save_depth else None
-        rows: list[dict[str, Any]] = []
-        pending: list[Batch] = []
-        since = time.monotonic()
-        for batch, loaded in read_ahead(batches, partial(load_frames, source)):
-            rows += score_batch(batch, [keys[i] for i in batch], loaded, restorer, protocol, keep)
-            pending.append(batch)
-            if time.monotonic() - since > _FLUSH_S:
-                self._flush(pending, rows)
-                rows, pending, since = [], [], time.monotonic()
-        if pending:
-            self._flush(pending, rows)
-        return sum(len(batch) for batch in batches)
 
-    def _flush(self, batches: Sequence[Batch], rows: Sequence[dict[str, Any]]) -> None:
-        write_part(self.run.folder, batches[0][0], batches[-1][-1], rows)
+        def rows_of(batch: Batch, loaded: list[Loaded]) -> list[dict[str, Any]]:
+            named = [keys[i] for i in batch]
+            return score_batch(batch, named, loaded, restorer, protocol, keep)
+
+        return write_rows(self.run.folder, batches, partial(load_frames, source), rows_of)
 
 
 _kept: dict[str, tuple[DepthSource, Restorer]] = {}
@@ -210,17 +186,14 @@ def _equipment(run: Run) -> tuple[DepthSource, Restorer]:
 
 def _setup(run: Run, source: DepthSource, restorer: Restorer, chosen: Sequence[int]) -> Setup:
     keys = source.keys()
-    names = "\n".join(str(keys[i]) for i in chosen)
-    # A method of somebody's own may use the file without telling.
-    weights = getattr(restorer, "weights", None) or run.options.weights
     return Setup(
         split=run.split,
         frames=len(chosen),
-        frames_sha256=hashlib.sha256(names.encode()).hexdigest(),
+        frames_sha256=names_digest(keys[i] for i in chosen),
         method=run.method,
         preset=run.options.preset,
         settings=dict(run.options.settings),
-        weights_sha256="" if weights is None else digest_file(weights),
+        weights_sha256=weights_digest(restorer, run.options),
         precision=run.options.precision,
         compile=run.options.compile,
         device=run.devices[0].partition(":")[0],

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from benchmark.data.frame import BACKGROUND, DepthFrame, Material
+from benchmark.data.source import names_digest
 from benchmark.data.splits import open_split
 from benchmark.metrics.resize import resize_nearest
 from benchmark.training.shards import (
@@ -92,12 +93,11 @@ def pack_split(
     """
     options = options or PackOptions()
     source = open_split(split, root)
-    names = "\n".join(map(str, source.keys()))
     setup = PackSetup(
         split=split,
         root=str(root.resolve()),
         frames=len(source),
-        frames_sha256=hashlib.sha256(names.encode()).hexdigest(),
+        frames_sha256=names_digest(source.keys()),
         size=options.size,
         depth=options.depth,
         color=options.color,

@@ -19,8 +19,8 @@ from benchmark.pose_running.run import run_poses
 from benchmark.pose_running.scoring import HARD, score_run
 from benchmark.pose_running.table import FOUND, KIND, POSES, TRUE, frames_of
 from benchmark.running.parts import ERROR, INDEX
-from benchmark.running.run import UnusableMethod
 from benchmark.running.saving import save_depth
+from benchmark.running.usable import UnusableMethod
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions
 from tests.benchmark.pose_running.pose_set import SERIAL, SPLIT, a_pose_run, write_pose_split
