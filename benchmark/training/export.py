@@ -137,6 +137,18 @@ def _how(
         ("machine", ", ".join(f"{k}: {v}" for k, v in note.hardware.items())),
         ("torch", note.packages.get("torch", "")),
     ]
+    if config["geometry"]:
+        rows.append(("augmented", "frames turned, mirrored and enlarged, beside colour"))
+    for stage in note.earlier:
+        sizes = ", ".join(sorted({f"{w}x{h}" for w, h in stage.sizes}))
+        moved = ", turned, mirrored and enlarged" if stage.geometry else ""
+        rows.append(
+            (
+                "before that",
+                f"{stage.steps} steps of {stage.batch_size} frames of {stage.frames} at {sizes}"
+                f"{moved}, rate {stage.learning_rate:g}",
+            )
+        )
     if config["settings"]:
         rows.append(("settings", ", ".join(f"{k}={v}" for k, v in config["settings"].items())))
     if config["loss"]:

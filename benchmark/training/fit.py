@@ -151,7 +151,13 @@ def fit(
             begin(folder, config)
             sweep_temporaries(folder)
             if not (folder / RUN_NOTE).exists():
-                note = note_of(data.training, data.of_training, data.validation, data.of_validation)
+                note = note_of(
+                    data.training,
+                    data.of_training,
+                    data.validation,
+                    data.of_validation,
+                    None if beginning is None else beginning.weights,
+                )
                 write_document(folder / RUN_NOTE, note)
         _quiet()
         loss = configured(trainable.loss, config.loss)

@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 
 from benchmark.running.manifest import hardware, package_versions
+from benchmark.training.config import CONFIG
 from benchmark.training.packed_frames import PackedFrames
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import read_document
@@ -36,18 +37,38 @@ class PartNote(msgspec.Struct, frozen=True, kw_only=True):
     simulation: dict[str, str | int | float | bool | None]
 
 
+class StageNote(msgspec.Struct, frozen=True, kw_only=True):
+    """An earlier training, whose weights another began with.
+
+    Attributes:
+        sizes: (width, height) of its frames, of each pack.
+        frames: how many it trained on.
+        steps, batch_size, learning_rate: of its configuration.
+        geometry: whether frames were turned, mirrored and enlarged.
+    """
+
+    sizes: list[tuple[int, int]]
+    frames: int
+    steps: int
+    batch_size: int
+    learning_rate: float
+    geometry: bool
+
+
 class RunNote(msgspec.Struct, frozen=True, kw_only=True):
     """Circumstances of a training; nothing of it decides what the training ends with.
 
     Attributes:
         training, validation: frames to train on and to judge by.
         hardware, packages: of the machine where it began.
+        earlier: the trainings before it, the first one first, as far as they are known.
     """
 
     training: list[PartNote]
     validation: list[PartNote]
     hardware: dict[str, str]
     packages: dict[str, str]
+    earlier: list[StageNote] = []
 
 
 def note_of(
@@ -55,14 +76,43 @@ def note_of(
     of_training: Sequence[int],
     validation: PackedFrames,
     of_validation: Sequence[int],
+    weights: Path | None,
 ) -> RunNote:
-    """A note with this machine's circumstances."""
+    """A note with this machine's circumstances.
+
+    Args:
+        training, of_training: packs, and which of their frames are trained on.
+        validation, of_validation: likewise, judged by.
+        weights: what the training begins with; of a training of its own if that lies beside it.
+    """
     return RunNote(
         training=_parts(training, of_training),
         validation=_parts(validation, of_validation),
         hardware=hardware(),
         packages=package_versions(),
+        earlier=_stages(weights),
     )
+
+
+def _stages(weights: Path | None) -> list[StageNote]:
+    """The trainings that weights come from; none of weights that lie alone."""
+    if weights is None or not (weights.parent / RUN_NOTE).is_file():
+        return []
+    try:
+        note = read_document(weights.parent / RUN_NOTE, RunNote)
+        config = read_document(weights.parent / CONFIG, dict)
+        optimization = config["optimization"]
+        stage = StageNote(
+            sizes=[part.size for part in note.training],
+            frames=sum(part.frames for part in note.training),
+            steps=config["steps"],
+            batch_size=optimization["batch_size"],
+            learning_rate=optimization["learning_rate"],
+            geometry=config["geometry"],
+        )
+    except (ToolkitError, KeyError):  # a courtesy, as below
+        return []
+    return [*note.earlier, stage]
 
 
 def _parts(frames: PackedFrames, chosen: Sequence[int]) -> list[PartNote]:

@@ -15,6 +15,9 @@ class DFNetConfig:
         near, far: metres; what the sensor measured outside counts as not measured.
         outlier: what lies farther than so many standard deviations from the mean of the image's
             depths counts as not measured.
+        relative: whether the network is told depth, and tells it, relative to the mean of what
+            the sensor measured (`benchmark.methods.relative`). The published network works in
+            metres.
         input_size: (width, height) of the images.
     """
 
@@ -24,7 +27,8 @@ class DFNetConfig:
     near: float = 0.3
     far: float = 1.5
     outlier: float = 10.0
+    relative: bool = False
     input_size: tuple[int, int] = (320, 240)
 
 
-PRESETS = {"published": DFNetConfig(), "compact": DFNetConfig(channels=32, layers=4)}
+PRESETS = {"published": DFNetConfig(), "compact": DFNetConfig(channels=32, layers=4, relative=True)}

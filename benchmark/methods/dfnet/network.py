@@ -11,7 +11,8 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
 from benchmark.methods.dfnet.config import DFNetConfig
-from benchmark.methods.network import Prediction
+from benchmark.methods.network import Prediction, precisely
+from benchmark.methods.relative import in_metres, mean_depth, relative_to
 from benchmark.methods.sizes import padded_to
 
 _LEVELS = 4
@@ -46,10 +47,13 @@ class DFNetwork(nn.Module):
         h, w = depth.shape[-2:]
         color, depth = padded_to(color, 1 << _LEVELS), padded_to(depth, 1 << _LEVELS)
         depth = believable(depth, self.config)
+        mean = mean_depth(depth) if self.config.relative else None
+        if mean is not None:
+            depth = relative_to(mean, depth)
         depths = [depth]
         for _ in range(_LEVELS):
             depths.append(interpolate(depths[-1], scale_factor=0.5, mode="nearest"))
-        features = self.stem(torch.cat([color, depth], dim=1))
+        features = precisely(self.stem, torch.cat([color, depth], dim=1))
         kept = []
         for level in range(_LEVELS):
             kept.append(self.skips[level](features, depths[level]))
@@ -58,7 +62,8 @@ class DFNetwork(nn.Module):
         for level in reversed(range(_LEVELS)):
             features = torch.cat([self.ups[level](features), kept[level]], dim=1)
             features = self.decoders[level](features, depths[level])
-        return Prediction(self.last(features)[..., :h, :w])
+        restored = precisely(self.last, features)[..., :h, :w]
+        return Prediction(restored if mean is None else in_metres(mean, restored))
 
 
 class Block(nn.Module):

@@ -15,6 +15,9 @@ class NLSPNConfig:
         steps: of the propagation.
         preserve_input: keep the sensor's depth where there is some, at every step. It is for depth
             that is sparse and right; the depth of transparent objects is there and wrong.
+        relative: whether the network is told depth, and tells it, relative to the mean of what
+            the sensor measured (`benchmark.methods.relative`). The published network works in
+            metres.
         input_size: (width, height) of the images. What the network was given on DREDS is not
             published; these are the images of that data set's own network.
     """
@@ -23,7 +26,8 @@ class NLSPNConfig:
     blocks: tuple[int, int, int, int] = (3, 4, 6, 3)
     steps: int = 18
     preserve_input: bool = False
+    relative: bool = False
     input_size: tuple[int, int] = (224, 224)
 
 
-PRESETS = {"published": NLSPNConfig(), "compact": NLSPNConfig(channels=32)}
+PRESETS = {"published": NLSPNConfig(), "compact": NLSPNConfig(channels=32, relative=True)}

@@ -8,9 +8,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from benchmark.methods.network import Prediction
+from benchmark.methods.network import Prediction, precisely
 from benchmark.methods.nlspn.config import NLSPNConfig
 from benchmark.methods.nlspn.propagation import NEIGHBOURS, Propagation
+from benchmark.methods.relative import in_metres, mean_depth, relative_to
 from benchmark.methods.resnet import residual_layer
 from benchmark.methods.sizes import padded_to
 
@@ -47,7 +48,9 @@ class NLSPNetwork(nn.Module):
         self.dec3 = _enlarging(2 * c + 4 * c, c)
         self.dec2 = _enlarging(c + 2 * c, c)
         self.id_dec1 = _conv(2 * c, c)
-        self.id_dec0 = _conv(2 * c, 1, normalised=False)
+        last = _conv(2 * c, 1, normalised=False)
+        # Relative depth is negative as often as not: no activation then.
+        self.id_dec0 = nn.Sequential(last[0]) if config.relative else last
         self.gd_dec1 = _conv(2 * c, c)
         self.gd_dec0 = nn.Sequential(nn.Conv2d(2 * c, NEIGHBOURS, 3, padding=1))
         self.cf_dec1 = _conv(2 * c, c // 2)
@@ -63,14 +66,18 @@ class NLSPNetwork(nn.Module):
         """
         h, w = depth.shape[-2:]
         color, depth = padded_to(color, _COARSEST), padded_to(depth, _COARSEST)
-        initial, guidance, confidence = self._heads(color, depth)
+        mean = mean_depth(depth) if self.config.relative else None
+        told = depth if mean is None else relative_to(mean, depth)
+        initial, guidance, confidence = self._heads(color, told)
+        if mean is not None:
+            initial = in_metres(mean, initial)
         restored = self.prop_layer(initial, guidance, confidence, depth)
         return Prediction(restored[..., :h, :w].clamp(min=0), initial[..., :h, :w])
 
     def _heads(self, color: Tensor, depth: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Initial depth, guidance and confidence."""
         of_color = self.conv1_rgb((color - self.color_mean) / self.color_spread)
-        full = torch.cat([of_color, self.conv1_dep(depth)], dim=1)
+        full = torch.cat([of_color, precisely(self.conv1_dep, depth)], dim=1)
         level2 = self.conv2(full)
         level3 = self.conv3(level2)
         level4 = self.conv4(level3)
@@ -80,7 +87,7 @@ class NLSPNetwork(nn.Module):
         up3 = self.dec3(torch.cat([up4, level4], dim=1))
         up2 = self.dec2(torch.cat([up3, level3], dim=1))
         both = torch.cat([up2, level2], dim=1)
-        initial = self.id_dec0(torch.cat([self.id_dec1(both), full], dim=1))
+        initial = precisely(self.id_dec0, torch.cat([self.id_dec1(both), full], dim=1))
         guidance = self.gd_dec0(torch.cat([self.gd_dec1(both), full], dim=1))
         confidence = self.cf_dec0(torch.cat([self.cf_dec1(both), full], dim=1))
         return initial, guidance, confidence

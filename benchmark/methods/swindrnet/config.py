@@ -24,6 +24,9 @@ class SwinDRNetConfig:
         fusion_heads: attention heads of the `paper` fusion.
         fusion_window: side of the windows that the `paper` fusion attends within. None is the
             paper's formula: every token attends to the whole image.
+        relative: whether the network is told depth, and tells it, relative to the mean of what
+            the sensor measured (`benchmark.methods.relative`). The published network works in
+            metres.
         drop_path, dropout: chances in training to leave a block, and a channel, out.
         input_size: (width, height) of the images.
     """
@@ -38,6 +41,7 @@ class SwinDRNetConfig:
     pool_scales: tuple[int, ...] = (1, 2, 3, 6)
     fusion_heads: int = 1
     fusion_window: int | None = None
+    relative: bool = False
     drop_path: float = 0.2
     dropout: float = 0.1
     input_size: tuple[int, int] = (224, 224)
@@ -57,6 +61,11 @@ class SwinDRNetConfig:
 PRESETS = {
     "published": SwinDRNetConfig(),
     "compact": SwinDRNetConfig(
-        fusion="paper", channels=32, heads=(1, 2, 4, 8), head_channels=96, drop_path=0.1
+        fusion="paper",
+        channels=32,
+        heads=(1, 2, 4, 8),
+        head_channels=96,
+        relative=True,
+        drop_path=0.1,
     ),
 }

@@ -17,7 +17,7 @@ from torch.nn.functional import conv2d, interpolate, linear, relu
 
 from benchmark.methods.network import Prediction
 from benchmark.methods.swindrnet.head import ConvUnit, UPerHead, enlarged
-from benchmark.methods.swindrnet.network import SwinDRNetwork, blended
+from benchmark.methods.swindrnet.network import SwinDRNetwork
 
 _TAPS = 3  # side of the convolutions
 _FEW = 20_481  # numbers of an image below which torch does not give a convolution to oneDNN
@@ -40,10 +40,8 @@ class FastSwinDRNetwork(nn.Module):
 
     def forward(self, color: Tensor, depth: Tensor) -> Prediction:
         levels = self.streams.levels(color, depth)
-        initial = enlarged(self.depth_head(levels), depth)
-        if self.confidence_head is None:
-            return Prediction(initial, initial)
-        return blended(depth, initial, enlarged(self.confidence_head(levels), depth))
+        confidence = None if self.confidence_head is None else self.confidence_head(levels)
+        return self.streams.answer(depth, self.depth_head(levels), confidence)
 
 
 class FastHead(nn.Module):

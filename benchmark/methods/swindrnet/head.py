@@ -11,6 +11,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
+from benchmark.methods.network import precisely
+
 
 class ConvUnit(nn.Module):
     """Convolution of the same size, batch normalisation, ReLU."""
@@ -70,7 +72,8 @@ class UPerHead(nn.Module):
         for index, conv in enumerate(self.fpn_convs):
             features[index] = conv(features[index])
         features = [features[0], *(enlarged(feature, features[0]) for feature in features[1:])]
-        return self.conv_seg(self.dropout(self.fpn_bottleneck(torch.cat(features, dim=1))))
+        fused = self.dropout(self.fpn_bottleneck(torch.cat(features, dim=1)))
+        return precisely(self.conv_seg, fused)
 
 
 def enlarged(features: Tensor, like: Tensor) -> Tensor:

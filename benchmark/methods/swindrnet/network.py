@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from benchmark.methods.network import Prediction
+from benchmark.methods.relative import in_metres, mean_depth, relative_to
 from benchmark.methods.swindrnet.config import SwinDRNetConfig
 from benchmark.methods.swindrnet.fusion import PaperFusion, ReleasedFusion
 from benchmark.methods.swindrnet.head import UPerHead, enlarged
@@ -49,14 +50,22 @@ class SwinDRNetwork(nn.Module):
             depth: (b, 1, h, w) metres, 0 where the sensor measured nothing.
         """
         levels = self.levels(color, depth)
-        initial = enlarged(self.decode_head_depth_restoration(levels), depth)
-        if not self.config.confidence:
+        confidence = self.decode_head_confidence(levels) if self.config.confidence else None
+        return self.answer(depth, self.decode_head_depth_restoration(levels), confidence)
+
+    def answer(self, depth: Tensor, initial: Tensor, confidence: Tensor | None) -> Prediction:
+        """What the decoders' maps say; that of confidence is None without such a decoder."""
+        initial = enlarged(initial, depth)
+        if self.config.relative:
+            initial = in_metres(mean_depth(depth), initial)
+        if confidence is None:
             return Prediction(initial, initial)
-        logits = enlarged(self.decode_head_confidence(levels), depth)
-        return blended(depth, initial, logits)
+        return blended(depth, initial, enlarged(confidence, depth))
 
     def levels(self, color: Tensor, depth: Tensor) -> list[Tensor]:
         """The four levels of features (b, c, h, w) that the decoders get."""
+        if self.config.relative:
+            depth = relative_to(mean_depth(depth), depth)
         if self.config.fusion == "none":
             levels = self.backbone(torch.cat([color, depth], dim=1))
         else:

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad, scaled_dot_product_attention
 
+from benchmark.methods.network import precisely
 from benchmark.methods.swindrnet.windows import (
     from_windows,
     padded,
@@ -81,7 +82,7 @@ class PatchEmbedding(nn.Module):
         h, w = image.shape[-2:]
         if h % PATCH or w % PATCH:
             image = pad(image, (0, -w % PATCH, 0, -h % PATCH))
-        return self.norm(self.proj(image).permute(0, 2, 3, 1))
+        return self.norm(precisely(self.proj, image).permute(0, 2, 3, 1))
 
 
 class Stage(nn.Module):

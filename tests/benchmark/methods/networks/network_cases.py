@@ -67,6 +67,7 @@ CASES = {
     "swindrnet-released": _swin_case(),
     "swindrnet-paper": _swin_case(fusion="paper"),
     "swindrnet-windowed": _swin_case(fusion="paper", fusion_window=7, fusion_heads=2),
+    "swindrnet-relative": _swin_case(fusion="paper", relative=True),
     "swindrnet-no-confidence": _swin_case(confidence=False),
     "swindrnet-no-fusion": _swin_case(fusion="none", confidence=False),
     "nlspn": Case(
@@ -75,11 +76,31 @@ CASES = {
         NLSPNConfig(channels=16, blocks=(1, 1, 1, 1), steps=6, input_size=(SIDE, SIDE)),
         {"channels": "16", "blocks": "1,1,1,1", "steps": "6", "input_size": f"{SIDE},{SIDE}"},
     ),
+    "nlspn-relative": Case(
+        "nlspn",
+        NLSPNetwork,
+        NLSPNConfig(
+            channels=16, blocks=(1, 1, 1, 1), steps=6, relative=True, input_size=(SIDE, SIDE)
+        ),
+        {
+            "channels": "16",
+            "blocks": "1,1,1,1",
+            "steps": "6",
+            "relative": "true",
+            "input_size": f"{SIDE},{SIDE}",
+        },
+    ),
     "dfnet": Case(
         "dfnet",
         DFNetwork,
         DFNetConfig(channels=16, layers=2, input_size=(SIDE, SIDE)),
         {"channels": "16", "layers": "2", "input_size": f"{SIDE},{SIDE}"},
+    ),
+    "dfnet-relative": Case(
+        "dfnet",
+        DFNetwork,
+        DFNetConfig(channels=16, layers=2, relative=True, input_size=(SIDE, SIDE)),
+        {"channels": "16", "layers": "2", "relative": "true", "input_size": f"{SIDE},{SIDE}"},
     ),
 }
 
