@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from benchmark.clearing.precision import PRECISION
 from benchmark.clearing.table import ATTEMPT, GRASPED, KIND, LOST, OBJECT
 from benchmark.metrics.bootstrap import mean_interval
 from benchmark.running.parts import INDEX
@@ -53,6 +54,8 @@ class Rates:
         completion_of: completion per object by material class.
         grasped, lost: objects held, and objects that left over the table's edge.
         outcomes: how often attempts ended in each way, views without a grasp among them.
+        precision: means over the tables' first views of what `benchmark.clearing.precision` says.
+        planned: mean number of grasps of a first view.
     """
 
     rounds: int
@@ -67,6 +70,8 @@ class Rates:
     grasped: int
     lost: int
     outcomes: dict[str, int]
+    precision: dict[str, Rate]
+    planned: float
 
 
 def rates_of(table: pd.DataFrame) -> Rates:
@@ -76,6 +81,7 @@ def rates_of(table: pd.DataFrame) -> Rates:
     tried = views[views["executed"]]
     removed = objects["fate"].isin([GRASPED, LOST])
     won = tried["held"] > 0
+    first = views[views[PRECISION[0]].notna()]
     rounds = np.sort(objects[INDEX].unique())
     by_round = removed.groupby(objects[INDEX]).mean().reindex(rounds)
     won_by_round = won.groupby(tried[INDEX]).mean().reindex(rounds).fillna(0.0)
@@ -95,6 +101,8 @@ def rates_of(table: pd.DataFrame) -> Rates:
         grasped=int((objects["fate"] == GRASPED).sum()),
         lost=int((objects["fate"] == LOST).sum()),
         outcomes={str(k): int(n) for k, n in views["outcome"].value_counts().sort_index().items()},
+        precision={name: _rate(first[name], first[INDEX]) for name in PRECISION},
+        planned=float(first["found"].mean()) if len(first) else float("nan"),
     )
 
 

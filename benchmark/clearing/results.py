@@ -9,6 +9,7 @@ from pathlib import Path
 import pandas as pd
 
 from benchmark.clearing.manifest import GRASP_MANIFEST, GraspManifest
+from benchmark.clearing.precision import PRECISION
 from benchmark.clearing.rates import Rates, rates_of
 from benchmark.clearing.table import ATTEMPTS, KIND
 from benchmark.running.parts import INDEX, read_table
@@ -55,7 +56,8 @@ def read_grasp_run(folder: Path, *, rounds: int | None = None) -> GraspResult:
     manifest = read_document(folder / GRASP_MANIFEST, GraspManifest)
     path = folder / ATTEMPTS
     table = read_table(path)
-    if absent := [c for c in (INDEX, KIND, "fate", "outcome", "held") if c not in table]:
+    needed = (INDEX, KIND, "fate", "outcome", "held", "found", *PRECISION)
+    if absent := [c for c in needed if c not in table]:
         raise ToolkitError("the table lacks columns", path=path, field=", ".join(absent))
     if rounds is not None:
         table = table[table[INDEX] < rounds]

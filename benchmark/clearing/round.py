@@ -64,7 +64,7 @@ class Attempt:
         number: 0, 1, ... within the round.
         before: the table.
         looked, given: what was seen, and what the planner was given.
-        found: how many grasps the planner gave.
+        planned: the planner's grasps, in the camera's frame.
         grasp: the one tried, in the world's frame; None where there was none to try.
         executed: what became of it.
         removed: numbers of the objects that were taken away, held.
@@ -75,11 +75,16 @@ class Attempt:
     before: State
     looked: Looked
     given: GivenDepth
-    found: int
+    planned: Grasps
     grasp: Grasps | None = None
     executed: Executed | None = None
     removed: tuple[int, ...] = ()
     lost: tuple[int, ...] = ()
+
+    @property
+    def found(self) -> int:
+        """How many grasps the planner gave."""
+        return len(self.planned)
 
     @property
     def outcome(self) -> str:
@@ -131,11 +136,11 @@ def clear_table(
         view = GraspView(
             given.color, given.depth, given.camera, T_cam_table=T_world_cam.inverse().matrix()
         )
-        grasps = plan(view, state).transformed(T_world_cam)
-        chosen = choose(grasps, memory, gripper)
+        planned = plan(view, state)
+        chosen = choose(planned.transformed(T_world_cam), memory, gripper)
         if chosen is None:
             blind += 1
-            yield Attempt(number, state, looked, given, len(grasps))
+            yield Attempt(number, state, looked, given, planned)
             continue
         blind = 0
         executed = execute(
@@ -146,7 +151,7 @@ def clear_table(
             memory.failed.append((chosen.tips[0], chosen.rotations[0]))
         following, lost = _after(state, executed)
         yield Attempt(
-            number, state, looked, given, len(grasps), chosen, executed,
+            number, state, looked, given, planned, chosen, executed,
             tuple(state.objects[k].number for k in executed.held), lost,
         )  # fmt: skip
         state = following

@@ -206,7 +206,8 @@ class _Worker:
             for attempt in attempts:
                 name = f"{scene_name(index)}-attempt-{attempt.number:02d}.png"
                 write_color(self.run.folder / STRIPS / name, attempt_strip(attempt))
-        write_part(self.run.folder, index, index, rows_of_round(index, arrangement, attempts))
+        rows = rows_of_round(index, arrangement, attempts, camera.T_world_cam)
+        write_part(self.run.folder, index, index, rows)
         return len(attempts)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from benchmark.clearing.precision import PRECISION
 from benchmark.clearing.rates import Rate
 from benchmark.clearing.results import GraspResult
 
@@ -15,22 +16,33 @@ HEADINGS = (
 )  # fmt: skip
 
 
+PLAN_HEADINGS = (
+    "planner", "depth", "views", "grasps of a view", "AP %", "AP0.8 %", "AP0.4 %",
+)  # fmt: skip
+
+
 def grasp_table(results: Sequence[GraspResult]) -> str:
-    """One line per run; intervals of 95 % in brackets."""
+    """One line per run, of what was cleared and of what was planned; intervals of 95 % in
+    brackets."""
     blocks = []
     for camera, seed in dict.fromkeys(r.name[:2] for r in results):
         mine = [r for r in results if r.name[:2] == (camera, seed)]
-        lines = [list(HEADINGS), *(cells(r) for r in mine)]
-        widths = [max(len(line[i]) for line in lines) for i in range(len(HEADINGS))]
-        shown = "\n".join(
-            "  ".join(
-                cell.ljust(w) if i < 2 else cell.rjust(w)
-                for i, (cell, w) in enumerate(zip(line, widths, strict=True))
-            ).rstrip()
-            for line in lines
-        )
-        blocks.append(f"table clearing, {camera} camera, seed {seed}\n{shown}")
+        cleared = _aligned([list(HEADINGS), *(cells(r) for r in mine)])
+        planned = _aligned([list(PLAN_HEADINGS), *(plan_cells(r) for r in mine)])
+        blocks.append(f"table clearing, {camera} camera, seed {seed}\n{cleared}")
+        blocks.append(f"grasps planned on the first view of each table\n{planned}")
     return "\n\n".join(blocks)
+
+
+def _aligned(lines: Sequence[Sequence[str]]) -> str:
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(w) if i < 2 else cell.rjust(w)
+            for i, (cell, w) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in lines
+    )
 
 
 def cells(result: GraspResult) -> list[str]:
@@ -51,6 +63,18 @@ def cells(result: GraspResult) -> list[str]:
         share(r.cleared),
         share(r.completion_of.get("transparent")),
         share(r.completion_of.get("specular")),
+    ]
+
+
+def plan_cells(result: GraspResult) -> list[str]:
+    """The texts of a run's line, in the order of `PLAN_HEADINGS`."""
+    r = result.rates
+    return [
+        result.manifest.planner_label,
+        result.manifest.depth_label,
+        str(r.precision["ap"].total),
+        f"{r.planned:.1f}",
+        *(share(r.precision[name]) for name in PRECISION),
     ]
 
 

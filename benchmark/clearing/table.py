@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 
 from benchmark.clearing.arrange import Arrangement
+from benchmark.clearing.precision import PRECISION, precision_of
 from benchmark.clearing.round import Attempt, target_of
 from benchmark.running.parts import ERROR, FRAME, INDEX, SCENE
+from std_toolkit.geometry.se3 import SE3
 
 ATTEMPTS = "attempts.parquet"
 KIND, OBJECT, ATTEMPT = "kind", "object", "attempt"
@@ -28,7 +30,7 @@ _NOTHING = {
     "attempt": -1, "present": -1, "found": -1, "executed": False, "outcome": "", "held": 0,
     "lost": 0, "target": -1, "score": np.nan, "width": np.nan, "depth": np.nan,
     **{f"{what}_{a}": np.nan for what in ("tip", "approach", "closing") for a in _AXES},
-    "opening": np.nan, "pushed_m": np.nan,
+    "opening": np.nan, "pushed_m": np.nan, **dict.fromkeys(PRECISION, np.nan),
 }  # fmt: skip
 
 
@@ -38,9 +40,15 @@ def scene_name(index: int) -> str:
 
 
 def rows_of_round(
-    index: int, arrangement: Arrangement, attempts: Sequence[Attempt]
+    index: int, arrangement: Arrangement, attempts: Sequence[Attempt], T_world_cam: SE3
 ) -> list[dict[str, Any]]:
-    """The rows of a round: its objects, then its attempts."""
+    """The rows of a round: its objects, then its attempts.
+
+    Args:
+        index: of the round.
+        arrangement, attempts: what stood there, and what was tried upon it.
+        T_world_cam: where the camera stands.
+    """
     base = {INDEX: index, SCENE: scene_name(index), FRAME: "", ERROR: ""}
     fates = {o.number: (LEFT, -1) for o in arrangement.objects}
     for attempt in attempts:
@@ -60,7 +68,10 @@ def rows_of_round(
             "fate_attempt": when,
         }
         rows.append(base | {KIND: OBJECT} | _NOTHING | told)
-    return rows + [base | {KIND: ATTEMPT} | _NOTHING | _attempt(a) for a in attempts]
+    views = [base | {KIND: ATTEMPT} | _NOTHING | _attempt(a) for a in attempts]
+    for view in views[:1]:
+        view |= precision_of(attempts[0], T_world_cam)
+    return rows + views
 
 
 def _attempt(attempt: Attempt) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from benchmark.grasping.force_closure import FRICTIONS, NO_CLOSURE, GraspedMesh
 from benchmark.grasping.grasp import Grasps
 from benchmark.grasping.gripper import GRASPNET
 from benchmark.grasping.nms import suppress_similar
+from benchmark.grasping.surface import even_points
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 
@@ -22,6 +23,7 @@ Floats = NDArray[np.float64]
 TOP = 50
 PER_OBJECT = 10
 VOXEL_M = 0.008
+_SPACING_M = 0.004
 # Points of the scene farther from an object's bounding box than this are not looked at.
 _AROUND_M = 0.05
 LEAST_BETWEEN = 10
@@ -40,6 +42,11 @@ class JudgedObject:
     vertices: Floats
     faces: NDArray[np.int64]
     points: Floats
+
+    @classmethod
+    def of_mesh(cls, vertices: Floats, faces: NDArray[np.int64]) -> JudgedObject:
+        """An object of any mesh, with points 4 mm apart."""
+        return cls(vertices, faces, even_points(vertices, faces, _SPACING_M))
 
     @cached_property
     def thinned(self) -> Floats:

@@ -14,7 +14,14 @@ import pandas as pd
 from benchmark.clearing.rates import Rate, completion_gain
 from benchmark.clearing.results import GraspResult, read_grasp_results
 from benchmark.clearing.run import ORACLE, RAW, STRIPS, TRUE
-from benchmark.clearing.show import HEADINGS, cells, grasp_table, share
+from benchmark.clearing.show import (
+    HEADINGS,
+    PLAN_HEADINGS,
+    cells,
+    grasp_table,
+    plan_cells,
+    share,
+)
 from benchmark.clearing.table import ATTEMPT, KIND, scene_name
 from benchmark.published.load import published_rows
 from benchmark.report.part import PageSection, ReportPart
@@ -32,6 +39,13 @@ _DEFINITIONS = (
     "after lifting, or over the table's edge) of those that stood there, over all objects, and as "
     "the mean over tables. In brackets: 95 %, by drawing whole rounds. The published completion of "
     "40 % does not follow from the 19 objects of about 25 printed beside it (76 %)."
+)
+
+_PLANNED = (
+    "GraspNet's average precision of all grasps planned on the first view of each table, which is "
+    "the same for every planner and depth, judged by the true meshes: of the best 50 (10 for an "
+    "object at most), those fail that hit something, have nothing between the fingers, or do not "
+    "hold; AP is the mean over frictions of 0.2 to 1.2."
 )
 
 
@@ -52,6 +66,7 @@ def grasp_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
         f"planners: {escape(', '.join(planners))}; depth: {escape(', '.join(depths))}",
         sections=[
             PageSection("clearing", "Table clearing", _board(results, rows)),
+            PageSection("clearing-plans", "What was planned", _plans(results)),
             PageSection("clearing-causes", "How attempts ended", _causes(results)),
             PageSection("clearing-strips", "Attempts in pictures", _strips(results)),
         ],
@@ -115,6 +130,7 @@ def board_of(results: Sequence[GraspResult]) -> pd.DataFrame:
             "completion_tables": rates.completion_tables,
             "cleared": rates.cleared,
             **{f"completion_{m}": r for m, r in sorted(rates.completion_of.items())},
+            **rates.precision,
         }
         for name, rate in shares.items():
             row |= {name: rate.value, f"{name}_low": rate.low, f"{name}_high": rate.high}
@@ -133,6 +149,18 @@ def _board(results: Sequence[GraspResult], printed: Sequence[Sequence[str]]) -> 
     if printed:
         parts.append(paragraph("Published rows were measured with a real robot and other objects."))
     return "".join(parts)
+
+
+def _plans(results: Sequence[GraspResult]) -> str:
+    rows = [
+        [
+            text(plan_cells(r)[0]),
+            text(plan_cells(r)[1], small=f"{r.name[0]} camera, seed {r.name[1]}"),
+            *map(_figure, plan_cells(r)[2:]),
+        ]
+        for r in results
+    ]
+    return paragraph(_PLANNED) + table([(title, "") for title in PLAN_HEADINGS], rows)
 
 
 def _figure(cell: str) -> Cell:

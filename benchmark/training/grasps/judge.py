@@ -22,9 +22,10 @@ from benchmark.grasping.collision import Cloud, hits_plane
 from benchmark.grasping.force_closure import FRICTIONS, GraspedMesh
 from benchmark.grasping.grasp import Grasps
 from benchmark.grasping.gripper import Gripper
+from benchmark.grasping.surface import even_points
 from benchmark.training.grasps.packed import PackedGrasps
 from benchmark.training.grasps.step import grasp_step
-from benchmark.training.grasps.tabletop import TableObject, even_points
+from benchmark.training.grasps.tabletop import TableObject
 from benchmark.training.judging import batches, evaluating, shown_of
 from benchmark.training.step import Moment, seen_of
 from std_toolkit.geometry.camera import Camera
@@ -83,8 +84,7 @@ class GraspJudge:
         place = frame.pack, frame.number
         if place not in self._objects:
             self._objects[place] = [
-                JudgedObject(o.vertices, o.faces, even_points(o.vertices, o.faces, _SPACING))
-                for o in self.frames.objects(index)
+                JudgedObject.of_mesh(o.vertices, o.faces) for o in self.frames.objects(index)
             ]
         table = self.frames.T_world_cam(index).inverse()
         return judge_grasps(grasps, self._objects[place], self.frames.poses(index), table)

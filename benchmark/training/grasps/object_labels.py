@@ -15,8 +15,9 @@ from benchmark.grasp_methods.graspnet.views import gripper_rotations
 from benchmark.grasping.force_closure import FRICTIONS, GraspedMesh, friction_scores
 from benchmark.grasping.grasp import Grasps
 from benchmark.grasping.gripper import Gripper, get_gripper
+from benchmark.grasping.surface import even_points
 from benchmark.training.grasps.pack_files import GraspPackSetup
-from benchmark.training.grasps.tabletop import TableObject, even_points
+from benchmark.training.grasps.tabletop import TableObject
 from benchmark.training.grasps.tolerance import tolerances
 from std_toolkit.io.atomic import write_bytes_atomic
 

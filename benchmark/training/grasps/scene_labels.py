@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from benchmark.grasping.collision import hits_plane
 from benchmark.grasping.gripper import Gripper
+from benchmark.grasping.surface import even_points
 from benchmark.training.grasps.object_labels import ObjectLabels
-from benchmark.training.grasps.tabletop import TableObject, even_points
+from benchmark.training.grasps.tabletop import TableObject
 from std_toolkit.geometry.se3 import SE3
 
 # Grasps that are tested at once.

@@ -3,6 +3,7 @@
 import pandas as pd
 import pytest
 
+from benchmark.clearing.precision import PRECISION
 from benchmark.clearing.rates import completion_gain, rates_of
 from benchmark.clearing.table import ATTEMPT, GRASPED, KIND, LEFT, LOST, OBJECT
 from benchmark.running.parts import INDEX
@@ -14,12 +15,14 @@ def run_table(rounds: list[tuple[list[tuple[str, str]], list[tuple[str, int]]]])
     for index, (objects, views) in enumerate(rounds):
         for material, fate in objects:
             rows.append({INDEX: index, KIND: OBJECT, "material": material, "fate": fate})
-        for outcome, held in views:
+        for number, (outcome, held) in enumerate(views):
+            first = {"found": 10 * (index + 1), "ap": 0.2 * index, "ap08": 0.1, "ap04": 0.0}
             rows.append(
                 {INDEX: index, KIND: ATTEMPT, "outcome": outcome, "held": held}
                 | {"executed": outcome != "no-grasp"}
+                | ({"found": 3} if number else first)
             )
-    columns = [INDEX, KIND, "material", "fate", "outcome", "held", "executed"]
+    columns = [INDEX, KIND, "material", "fate", "outcome", "held", "executed", "found", *PRECISION]
     table = pd.DataFrame(rows, columns=columns)
     return table.assign(executed=table["executed"].eq(True), held=table["held"].fillna(0))
 
@@ -51,6 +54,9 @@ def test_a_hand_worked_run():
     assert rates.cleared.value == pytest.approx(1 / 3)
     assert rates.completion_of["transparent"].value == pytest.approx(1 / 3)
     assert rates.completion_of["specular"].value == pytest.approx(1.0)
+    assert rates.precision["ap"].value == pytest.approx((0.0 + 0.2 + 0.4) / 3)
+    assert rates.precision["ap08"].value == pytest.approx(0.1)
+    assert rates.planned == pytest.approx((10 + 20 + 30) / 3)
     assert rates.outcomes == {"blocked-by-table": 1, "held": 2, "no-grasp": 6, "slipped": 1}
 
 

@@ -5,10 +5,11 @@ import pytest
 
 from benchmark.clearing.arrange import Arrangement
 from benchmark.clearing.oracle import plan_from_surfaces, surfaces_of
+from benchmark.clearing.precision import PRECISION
 from benchmark.clearing.round import GivenDepth, clear_table, reachable
 from benchmark.clearing.sensing import camera_pose
 from benchmark.clearing.strip import HEIGHT, PANELS, WIDTH, attempt_strip
-from benchmark.clearing.table import GRASPED, KIND, LEFT, OBJECT, rows_of_round
+from benchmark.clearing.table import ATTEMPT, GRASPED, KIND, LEFT, OBJECT, rows_of_round
 from benchmark.grasping import PANDA, Grasps
 from tests.benchmark.clearing.clearing_cases import (
     TrueCamera,
@@ -53,7 +54,7 @@ def test_who_knows_the_objects_clears_the_table():
     left = attempts[1].before.poses[0].t
     start = ARRANGEMENT.poses[attempts[1].before.objects[0].number].t
     assert np.allclose(left, start, atol=0.003)
-    rows = rows_of_round(3, ARRANGEMENT, attempts)
+    rows = rows_of_round(3, ARRANGEMENT, attempts, camera_pose())
     fates = [(r["fate"], r["material"]) for r in rows if r[KIND] == OBJECT]
     assert fates == [(GRASPED, "specular")] * 2
     strip = attempt_strip(attempts[0])
@@ -66,8 +67,21 @@ def test_who_knows_the_objects_clears_the_table():
 def test_a_blind_planner_ends_the_round_after_three_views():
     attempts = _round(always(Grasps.empty()))
     assert [a.outcome for a in attempts] == ["no-grasp"] * 3
-    rows = rows_of_round(0, ARRANGEMENT, attempts)
+    rows = rows_of_round(0, ARRANGEMENT, attempts, camera_pose())
     assert [r["fate"] for r in rows if r[KIND] == OBJECT] == [LEFT, LEFT]
+
+
+def test_what_was_planned_on_the_first_view_is_judged_by_the_meshes():
+    air, right = from_above((0.0, 0.15, 0.03)), from_above((-0.08, 0.0, 0.06), width=0.07)
+    for planned, friction in ((right, 0.2), (air, None), (Grasps.empty(), None)):
+        attempts = _round(always(planned.transformed(camera_pose().inverse())), attempts=2)
+        rows = rows_of_round(0, ARRANGEMENT, attempts, camera_pose())
+        first, *others = [r for r in rows if r[KIND] == ATTEMPT]
+        # One grasp of the fifty that count, first of all: 1 / 50 of 1, 1/2, 1/3, ... at every
+        # friction, since a box's parallel sides need none.
+        expected = np.mean(1 / np.arange(1, 51)) if friction else 0.0
+        assert [first[n] for n in PRECISION] == pytest.approx([expected] * 3)
+        assert all(np.isnan(r["ap"]) for r in others)
 
 
 def test_a_grasp_that_failed_is_tried_after_all_others():
