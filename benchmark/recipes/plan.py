@@ -278,6 +278,8 @@ def _entry(
         share=variant.share,
         steps=how.steps if wishes.steps is None else wishes.steps,
         batch_size=how.batch_size,
+        learning_rate=how.learning_rate,
+        geometry=how.geometry or "published",
         seed=wishes.seed,
     )
     return replace(

@@ -33,12 +33,14 @@ class Training(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """How a network is trained; what is not said is as published for it.
 
     Attributes:
-        steps, batch_size: as in `TrainWishes`.
+        steps, batch_size, learning_rate, geometry: as in `TrainWishes`.
         settings: of the network, on top of its preset.
     """
 
     steps: int | None = None
     batch_size: int | None = None
+    learning_rate: float | None = None
+    geometry: Literal["published", "on", "off"] | None = None
     settings: dict[str, str] = {}
 
 
@@ -70,11 +72,9 @@ class Scale(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     def of(self, method: str) -> Training:
         """How a method is trained."""
         own = self.methods.get(method, Training())
-        return Training(
-            steps=self.training.steps if own.steps is None else own.steps,
-            batch_size=self.training.batch_size if own.batch_size is None else own.batch_size,
-            settings={**self.training.settings, **own.settings},
-        )
+        said = {k: v for k, v in msgspec.structs.asdict(own).items() if v is not None}
+        settings = {**self.training.settings, **own.settings}
+        return msgspec.structs.replace(self.training, **said | {"settings": settings})
 
 
 def scales() -> dict[str, Scale]:

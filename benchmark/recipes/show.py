@@ -117,5 +117,8 @@ def train_command(entry: Entry, folder: Path) -> str:
     words += ["--share", f"{wishes.share:g}"] if wishes.share != 1 else []
     words += ["--steps", str(wishes.steps)] if wishes.steps is not None else []
     words += ["--batch-size", str(wishes.batch_size)] if wishes.batch_size is not None else []
+    if wishes.learning_rate is not None:
+        words += ["--learning-rate", f"{wishes.learning_rate:g}"]
+    words += ["--geometry", wishes.geometry] if wishes.geometry != "published" else []
     words += ["--seed", str(wishes.seed)] if wishes.seed else []
     return shlex.join([*words, "--out", str(folder)])

@@ -168,8 +168,8 @@ def test_what_cannot_be_trained_is_a_problem_of_its_own(tmp_path):
 
 
 def test_the_command_of_a_training_means_that_training(tmp_path):
-    for name in ("module-ablation", "data-scale"):
-        for entry in planned(tmp_path, name, seed=2).entries:
+    for name, scale in (("module-ablation", "tiny"), ("data-scale", "small")):
+        for entry in planned(tmp_path, name, seed=2, scale=scale).entries:
             if entry.wishes is None:
                 continue
             words = shlex.split(train_command(entry, entry.folder))
@@ -178,6 +178,7 @@ def test_the_command_of_a_training_means_that_training(tmp_path):
             assert dict(text.split("=") for text in args.settings) == wishes.settings
             assert (args.share, args.hold_out, args.seed) == (wishes.share, wishes.hold_out, 2)
             assert (args.steps, args.batch_size) == (wishes.steps, wishes.batch_size)
+            assert (args.learning_rate, args.geometry) == (wishes.learning_rate, wishes.geometry)
             assert (args.data, args.out) == (wishes.data, entry.folder)
 
 
