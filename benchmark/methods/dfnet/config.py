@@ -31,4 +31,7 @@ class DFNetConfig:
     input_size: tuple[int, int] = (320, 240)
 
 
-PRESETS = {"published": DFNetConfig(), "compact": DFNetConfig(channels=32, layers=4, relative=True)}
+PRESETS = {
+    "published": DFNetConfig(),
+    "compact": DFNetConfig(channels=32, layers=4, relative=True, input_size=(224, 168)),
+}

@@ -18,23 +18,16 @@ from benchmark.grasp_methods.graspnet.decode import best_of_seeds
 from benchmark.grasp_methods.graspnet.network import GraspNetwork
 from benchmark.grasp_methods.graspnet.views import gripper_rotations
 from benchmark.grasping.ap import Judged, JudgedObject, judge_grasps, precision_at
-from benchmark.grasping.collision import Cloud, hits_plane
-from benchmark.grasping.force_closure import FRICTIONS, GraspedMesh
+from benchmark.grasping.force_closure import FRICTIONS
 from benchmark.grasping.grasp import Grasps
-from benchmark.grasping.gripper import Gripper
-from benchmark.grasping.surface import even_points
 from benchmark.training.grasps.packed import PackedGrasps
 from benchmark.training.grasps.step import grasp_step
-from benchmark.training.grasps.tabletop import TableObject
 from benchmark.training.judging import batches, evaluating, shown_of
 from benchmark.training.step import Moment, seen_of
 from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.images import write_color
 
-# Metres between the points that stand for objects, and grasps that are drawn.
-_SPACING = 0.004
-_DRAWN = 12
+_DRAWN = 12  # grasps of a frame in the gallery
 
 
 class GraspJudge:
@@ -120,31 +113,6 @@ class GraspJudge:
             depth = self.frames.look(index).depth
             pictures.append(picture(depth, camera, best, good))
         write_color(path, np.vstack(pictures), quality=88)
-
-
-def true_friction(
-    objects: Sequence[TableObject], grasps: Grasps, gripper: Gripper
-) -> NDArray[np.float64]:
-    """(N,) least friction at which grasps of a scene truly hold, -1 for none or a collision.
-
-    Args:
-        objects: of the scene; the table is z = 0.
-        grasps: in the world.
-        gripper: that must hit nothing.
-    """
-    held = np.full(len(grasps), -1.0)
-    if not len(grasps):
-        return held
-    placed = [(o, o.T_world_obj @ o.vertices) for o in objects]
-    for thing, vertices in placed:
-        own = GraspedMesh(vertices, thing.faces).friction_scores(grasps)
-        # Of two objects between the fingers that hold, whichever needs less.
-        better = (own > 0) & ((held < 0) | (own < held))
-        held[better] = own[better]
-    surface = np.concatenate([even_points(v, o.faces, _SPACING) for o, v in placed])
-    hit = Cloud(surface).hit_by(grasps, gripper) | hits_plane(grasps, gripper, SE3.identity())
-    held[hit] = -1
-    return held
 
 
 def picture(

@@ -12,12 +12,12 @@ from benchmark.grasping.grasp import Grasps
 from benchmark.grasping.gripper import PANDA
 from benchmark.grasping.surface import even_points
 from benchmark.training.grasps.hits import any_inside
-from benchmark.training.grasps.judge import true_friction
 from benchmark.training.grasps.object_labels import CLEARANCE, UNIT, object_labels
 from benchmark.training.grasps.scene_labels import scene_labels
 from benchmark.training.grasps.tabletop import TableObject
 from benchmark.training.grasps.tolerance import tolerances
 from std_toolkit.geometry.se3 import SE3, so3_exp
+from tests.benchmark.training.grasps.true_friction import true_friction
 
 GRID = {"views": 60, "angles": 6, "depths": (0.01, 0.03)}
 BOX = trimesh.creation.box((0.04, 0.05, 0.12))
