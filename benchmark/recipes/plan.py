@@ -15,6 +15,7 @@ from benchmark.recipes.recipe import Printed, Recipe, Variant, load_recipe
 from benchmark.recipes.scale import Scale, get_scale
 from benchmark.recipes.targets import Target, find_targets
 from benchmark.running.run import Run
+from benchmark.training.run_files import BEST
 from std_toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
@@ -126,7 +127,7 @@ class RecipePlan:
 
     def runs(self, entry: Entry) -> list[tuple[Target, Run]]:
         """Scores of an entry on all tests that are at hand."""
-        weights = None if entry.folder is None else entry.folder / "best.safetensors"
+        weights = None if entry.folder is None else entry.folder / BEST
         options = MethodOptions(preset=entry.preset, weights=weights, settings=entry.settings)
         found = []
         for target in self.targets:

@@ -159,10 +159,10 @@ def train(entry: Entry, machine: Machine, precision: str) -> Trained:
     """
     from dataclasses import replace
 
-    from benchmark.training.callbacks import BEST
     from benchmark.training.config import CONFIG, begin
     from benchmark.training.fit import fit
     from benchmark.training.plan import plan_training
+    from benchmark.training.run_files import BEST, LAST, SCORES
     from std_toolkit.io.documents import read_document
 
     assert entry.wishes is not None
@@ -172,14 +172,14 @@ def train(entry: Entry, machine: Machine, precision: str) -> Trained:
     folder = entry.folder
     if (folder / CONFIG).is_file():
         begin(folder, config)
-    if all((folder / name).is_file() for name in (BEST, _LAST)):
+    if all((folder / name).is_file() for name in (BEST, LAST)):
         logger.info("%s: is trained", entry.label)
     else:
         logger.info(
             "%s: %d steps of %d frames", entry.label, config.steps, config.optimization.batch_size
         )
         fit(folder, config, data, machine, beginning)
-    told = folder / _SCORES
+    told = folder / SCORES
     best = read_document(told, dict) if told.is_file() else {}
     return Trained(
         frames=len(data.of_training),
@@ -188,10 +188,6 @@ def train(entry: Entry, machine: Machine, precision: str) -> Trained:
         batch_size=config.optimization.batch_size,
         best_step=best.get("step"),
     )
-
-
-# Written when a training ends; the scores of the best weights.
-_LAST, _SCORES = "last.safetensors", "best.json"
 
 
 def _score(plan: RecipePlan, entry: Entry, jobs: JobOptions, outcome: Outcome) -> None:

@@ -16,6 +16,7 @@ from benchmark.recipes.page import scale_line
 from benchmark.recipes.plan import Entry, RecipePlan
 from benchmark.recipes.recipe import load_recipe, recipe_names
 from benchmark.recipes.scale import scales
+from benchmark.training.run_files import LAST
 from benchmark.training.shards import PACK
 
 
@@ -96,7 +97,7 @@ def _training(entry: Entry) -> list[str]:
     wishes = entry.wishes
     long = "as published" if wishes.steps is None else f"{wishes.steps} steps"
     of = "" if wishes.batch_size is None else f" of {wishes.batch_size}"
-    done = (entry.folder / "last.safetensors").is_file()
+    done = (entry.folder / LAST).is_file()
     return [
         f"  {entry.title}: {long}{of}; {'done' if done else 'to do'}",
         f"    {train_command(entry, entry.folder)}",

@@ -17,12 +17,10 @@ from benchmark.methods.weights import save_weights
 from benchmark.training.judging import Judging
 from benchmark.training.module import RestorerTraining
 from benchmark.training.progress import Rows, Speed
+from benchmark.training.run_files import BEST, CHECKPOINT, SCORES
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import write_document
 from std_toolkit.log import logger
-
-CHECKPOINT = "last.ckpt"
-BEST = "best.safetensors"
 
 
 class Watch(pl.Callback):
@@ -138,9 +136,7 @@ class Watch(pl.Callback):
         if better:
             save_weights(network, self.folder / BEST)
             known = {key: value for key, value in scores.items() if not math.isnan(value)}
-            write_document(
-                self.folder / "best.json", {"step": step, "ranked_by": name, "scores": known}
-            )
+            write_document(self.folder / SCORES, {"step": step, "ranked_by": name, "scores": known})
         logger.info(
             "step %d: %s %.4f%s; %.1f samples/s, %.0f %% of the time waiting for data",
             step,

@@ -13,8 +13,8 @@ from safetensors.torch import save_file
 
 from benchmark.methods.weights import read_weights, sha256_of
 from benchmark.training.asking import bench_command
-from benchmark.training.callbacks import BEST
 from benchmark.training.config import CONFIG
+from benchmark.training.run_files import BEST, SCORES
 from benchmark.training.run_note import RUN_NOTE, PartNote, RunNote
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
@@ -51,7 +51,7 @@ def export_weights(run: Path, out: Path, *, scores: str = "") -> Path:
             hint="run the same std-train command again to go on",
         )
     note = read_document(run / RUN_NOTE, RunNote)
-    best = read_document(run / "best.json", dict)
+    best = read_document(run / SCORES, dict)
     state = {
         name: half(tensor, name, run / BEST) for name, tensor in read_weights(run / BEST).items()
     }
@@ -145,7 +145,8 @@ def _how(
         rows.append(
             (
                 "before that",
-                f"{stage.steps} steps of {stage.batch_size} frames of {stage.frames} at {sizes}"
+                f"{stage.taken} of {stage.steps} steps of {stage.batch_size} frames of "
+                f"{stage.frames} at {sizes}"
                 f"{moved}, rate {stage.learning_rate:g}",
             )
         )

@@ -19,13 +19,14 @@ from torch.utils.data import DataLoader
 
 from benchmark.methods.settings import configured
 from benchmark.methods.weights import load_weights, save_weights
-from benchmark.training.callbacks import BEST, CHECKPOINT, Watch
+from benchmark.training.callbacks import Watch
 from benchmark.training.catalogue import Trainable, get_trainable
 from benchmark.training.checkpoint_file import AtomicCheckpoints
 from benchmark.training.config import TrainConfig, begin
 from benchmark.training.module import RestorerTraining, seed_of
 from benchmark.training.order import BatchOrder, Steps
 from benchmark.training.packed_frames import PackedFrames
+from benchmark.training.run_files import BEST, CHECKPOINT, LAST
 from benchmark.training.run_note import RUN_NOTE, note_of
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import sweep_temporaries
@@ -178,7 +179,7 @@ def fit(
             ckpt_path=checkpoint if checkpoint.exists() else None,
         )
         if trainer.is_global_zero:
-            save_weights(module.network, folder / "last.safetensors")
+            save_weights(module.network, folder / LAST)
             told = watch.speed.told()
             if watch.speed.samples:
                 logger.info(

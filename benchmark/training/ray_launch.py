@@ -9,9 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from benchmark.training.callbacks import BEST
 from benchmark.training.fit import Machine, fit
 from benchmark.training.plan import TrainWishes, plan_training
+from benchmark.training.run_files import BEST
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions
 from std_toolkit.jobs.ray_engine import ray_cluster

@@ -10,6 +10,7 @@ import msgspec
 from benchmark.running.manifest import hardware, package_versions
 from benchmark.training.config import CONFIG
 from benchmark.training.packed_frames import PackedFrames
+from benchmark.training.run_files import BEST, SCORES
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import read_document
 
@@ -44,12 +45,14 @@ class StageNote(msgspec.Struct, frozen=True, kw_only=True):
         sizes: (width, height) of its frames, of each pack.
         frames: how many it trained on.
         steps, batch_size, learning_rate: of its configuration.
+        taken: the step after which the weights were taken.
         geometry: whether frames were turned, mirrored and enlarged.
     """
 
     sizes: list[tuple[int, int]]
     frames: int
     steps: int
+    taken: int
     batch_size: int
     learning_rate: float
     geometry: bool
@@ -102,10 +105,14 @@ def _stages(weights: Path | None) -> list[StageNote]:
         note = read_document(weights.parent / RUN_NOTE, RunNote)
         config = read_document(weights.parent / CONFIG, dict)
         optimization = config["optimization"]
+        taken = config["steps"]
+        if weights.name == BEST:
+            taken = read_document(weights.parent / SCORES, dict)["step"]
         stage = StageNote(
             sizes=[part.size for part in note.training],
             frames=sum(part.frames for part in note.training),
             steps=config["steps"],
+            taken=taken,
             batch_size=optimization["batch_size"],
             learning_rate=optimization["learning_rate"],
             geometry=config["geometry"],

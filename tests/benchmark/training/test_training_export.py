@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -59,15 +60,17 @@ def test_the_card_tells_data_steps_machine_and_scores(run: Path, tmp_path: Path)
 
 def test_the_card_tells_of_the_training_before(run: Path, tmp_path: Path) -> None:
     pack = run.parent / "pack"
+    taken = []
     for name, weights in (("second", run), ("third", tmp_path / "second")):
+        taken.append(json.loads((weights / "best.json").read_text())["step"])
         asked = wishes("dfnet", pack, weights=weights / "best.safetensors", geometry="on")
         trained(asked, tmp_path / name)
     card = export_weights(tmp_path / "third", tmp_path / "out").with_suffix(".md").read_text()
     rows = [line for line in card.splitlines() if line.startswith("| before that |")]
     assert rows == [
-        "| before that | 6 steps of 4 frames of 9 at 32x32, rate 0.001 |",
-        "| before that | 6 steps of 4 frames of 9 at 32x32, turned, mirrored and enlarged, "
-        "rate 0.001 |",
+        f"| before that | {taken[0]} of 6 steps of 4 frames of 9 at 32x32, rate 0.001 |",
+        f"| before that | {taken[1]} of 6 steps of 4 frames of 9 at 32x32, "
+        "turned, mirrored and enlarged, rate 0.001 |",
     ]
     assert "| augmented | frames turned, mirrored and enlarged" in card
 
