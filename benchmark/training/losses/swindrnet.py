@@ -15,18 +15,23 @@ from benchmark.training.losses.terms import Loss, Target, mean_where
 # Focal length of the released program at the width that it has it for, and that width and height.
 _RELEASED_FOCAL, _RELEASED_SIZE = 446.31, (640, 360)
 
+_USUAL = 0.05  # metres: an error whose square weighs as much as itself
+
 
 @dataclass(frozen=True, kw_only=True)
 class SwinDRNetLoss:
     """Depth, normals and slopes of the final and of the initial depth, by pixel.
 
-    A pixel's part is |p - g| + `normals` * mean |n(p) - n(g)| + `slopes` * (|Sx(p - g)| +
+    A pixel's part is |p - g| + `squared` * (p - g)^2 / 5 cm + `normals` * mean |n(p) - n(g)| + `slopes` * (|Sx(p - g)| +
     |Sy(p - g)|), for the final depth and `initial` times for the initial one; the loss is
     `foreground` times its mean over the pixels of objects + `background` times that over the
     others, each over the whole batch.
 
     Attributes:
         normals, slopes, initial, foreground, background: weights; the published ones.
+        squared: weight of the squared error, which the published loss has not. Where it is not
+            certain what is there, |p - g| is least for the likelier depth, and the square for
+            the mean, whose RMSE is less.
         form: `paper` leaves out pixels without ground truth, and normals and slopes next to them,
             and computes normals with each frame's camera. `released` does as the authors'
             program: a missing truth is a depth of 0, and one camera is everyone's. On DREDS, where
@@ -36,6 +41,7 @@ class SwinDRNetLoss:
 
     normals: float = 0.1
     slopes: float = 0.6
+    squared: float = 0.0
     initial: float = 0.4
     foreground: float = 1.0
     background: float = 0.4
@@ -70,7 +76,8 @@ class SwinDRNetLoss:
             "normals": mean_where(turned, known).detach(),
             "slopes": mean_where(steeper, known).detach(),
         }
-        return distance + self.normals * turned + self.slopes * steeper, parts
+        square = self.squared * distance.square() / _USUAL
+        return distance + square + self.normals * turned + self.slopes * steeper, parts
 
 
 def released_camera(depth: Tensor) -> Tensor:
