@@ -22,10 +22,10 @@ _USUAL = 0.05  # metres: an error whose square weighs as much as itself
 class SwinDRNetLoss:
     """Depth, normals and slopes of the final and of the initial depth, by pixel.
 
-    A pixel's part is |p - g| + `squared` * (p - g)^2 / 5 cm + `normals` * mean |n(p) - n(g)| + `slopes` * (|Sx(p - g)| +
-    |Sy(p - g)|), for the final depth and `initial` times for the initial one; the loss is
-    `foreground` times its mean over the pixels of objects + `background` times that over the
-    others, each over the whole batch.
+    A pixel's part is |p - g| + `squared` * (p - g)^2 / 5 cm + `normals` * mean |n(p) - n(g)| +
+    `slopes` * (|Sx(p - g)| + |Sy(p - g)|), for the final depth and `initial` times for the initial
+    one; the loss is `foreground` times its mean over the pixels of objects + `background` times
+    that over the others, each over the whole batch.
 
     Attributes:
         normals, slopes, initial, foreground, background: weights; the published ones.

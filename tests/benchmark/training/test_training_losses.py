@@ -83,7 +83,8 @@ def test_what_is_predicted_where_nothing_is_known_does_not_matter(name):
     assert mine.total.item() == pytest.approx(yours.total.item(), rel=1e-12)
 
 
-def test_swindrnet_is_the_sum_that_is_written_down():
+@pytest.mark.parametrize("squared", [0.0, 2.0])
+def test_swindrnet_is_the_sum_that_is_written_down(squared: float):
     """By loops over pixels, without any of the functions that the loss is made of."""
     target = a_target(holes=False)
     final, initial = a_prediction(target), a_prediction(target, 2)
@@ -113,7 +114,8 @@ def test_swindrnet_is_the_sum_that_is_written_down():
     def of_pixel(d: np.ndarray, i: int, v: int, u: int) -> float:
         turned = abs(normal(d, i, v, u) - normal(true, i, v, u)).mean()
         steeper = abs(slopes(d, i, v, u) - slopes(true, i, v, u)).sum()
-        return abs(d[i, 0, v, u] - true[i, 0, v, u]) + 0.1 * turned + 0.6 * steeper
+        away = abs(d[i, 0, v, u] - true[i, 0, v, u])
+        return away + squared * away**2 / 0.05 + 0.1 * turned + 0.6 * steeper
 
     inside, outside = [], []
     for i in range(b):
@@ -122,7 +124,8 @@ def test_swindrnet_is_the_sum_that_is_written_down():
                 cost = of_pixel(final.numpy(), i, v, u) + 0.4 * of_pixel(initial.numpy(), i, v, u)
                 (inside if target.foreground[i, 0, v, u] else outside).append(cost)
     expected = np.mean(inside) + 0.4 * np.mean(outside)
-    found = SwinDRNetLoss(form="released")(Prediction(final, initial), target).total
+    loss = SwinDRNetLoss(form="released", squared=squared)
+    found = loss(Prediction(final, initial), target).total
     # The smallest length of a cross product is in the product's and not in numpy's.
     assert found.item() == pytest.approx(expected, rel=1e-6)
 
