@@ -264,7 +264,12 @@ def _quiet() -> None:
     """Advice of Lightning that does not concern users of std-train."""
     logging.getLogger("pytorch_lightning").setLevel(logging.WARNING)
     logging.getLogger("lightning_fabric").setLevel(logging.WARNING)
-    for text in (".*does not have many workers.*", ".*`LeafSpec`.*", ".*isinstance.*LeafSpec.*"):
+    for text in (
+        ".*does not have many workers.*",
+        ".*`LeafSpec`.*",
+        ".*isinstance.*LeafSpec.*",
+        "Grad strides do not match",
+    ):
         warnings.filterwarnings("ignore", text)
 
 
