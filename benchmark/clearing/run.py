@@ -22,15 +22,13 @@ from benchmark.methods.protocol import Restorer
 from benchmark.methods.registry import MethodOptions, make_restorer
 from benchmark.running.batch import restore_views
 from benchmark.running.device import claim_device
-from benchmark.running.manifest import begin
-from benchmark.running.parts import good_frames, join_parts, write_part
+from benchmark.running.growing import complete
+from benchmark.running.parts import write_part
 from benchmark.running.usable import making_methods, weights_digest
 from benchmark.running.views import view_of
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import sweep_temporaries
 from std_toolkit.io.images import write_color
-from std_toolkit.jobs import JobOptions, run_jobs
-from std_toolkit.scene.lock import hold_lock
+from std_toolkit.jobs import JobOptions
 from std_toolkit.scene.provenance import digest_file
 
 GRASP_FOLDER, STRIPS = "grasp", "strips"
@@ -106,37 +104,21 @@ def run_clearing(run: GraspRun, jobs: JobOptions | None = None) -> pd.DataFrame:
     """
     jobs = jobs or JobOptions()
     equipment = _usable(run)
-    run.folder.mkdir(parents=True, exist_ok=True)
-    with hold_lock(run.folder, "lock", doing="writing to"):
-        manifest = grasp_manifest(
-            _setup(run, equipment),
-            depth_label=run.depth_label,
-            planner_label=run.planner_label,
-            planner_weights=run.planner_options.weights,
-            depth_weights=run.depth_options.weights,
-        )
-        begin(run.folder, manifest, GRASP_MANIFEST)
-        sweep_temporaries(run.folder)
-        done = good_frames(join_parts(run.folder, ATTEMPTS))
-        if jobs.workers is None and equipment.has_network and run.devices[0] != "cpu":
-            # A second process would only double the memory on the device.
-            jobs = replace(jobs, workers=len(run.devices))
-        report = run_jobs(
-            _Worker(run),
-            [index for index in range(run.rounds) if index not in done],
-            name=run.title,
-            key=scene_name,
-            options=jobs,
-        )
-        table = join_parts(run.folder, ATTEMPTS)
-    if report.failed:
-        where, why = next(iter(report.failed.items()))
-        raise ToolkitError(
-            f"{len(report.failed)} of {run.rounds} rounds failed; {where}: {why}",
-            path=run.folder,
-            hint="finished rounds are kept; the same command goes on",
-        )
-    return table
+    manifest = grasp_manifest(
+        _setup(run, equipment),
+        depth_label=run.depth_label,
+        planner_label=run.planner_label,
+        planner_weights=run.planner_options.weights,
+        depth_weights=run.depth_options.weights,
+    )
+    if jobs.workers is None and equipment.has_network and run.devices[0] != "cpu":
+        # A second process would only double the memory on the device.
+        jobs = replace(jobs, workers=len(run.devices))
+    return complete(
+        run.folder, manifest, lambda done: [i for i in range(run.rounds) if i not in done],
+        _Worker(run), title=run.title, key=scene_name, jobs=jobs, unit="rounds",
+        table=ATTEMPTS, manifest_name=GRASP_MANIFEST,
+    )  # fmt: skip
 
 
 class _Equipment:

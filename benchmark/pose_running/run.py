@@ -25,14 +25,10 @@ from benchmark.pose_running.depths import DepthChoice, DepthGiver
 from benchmark.pose_running.manifest import POSE_MANIFEST, PoseSetup, pose_manifest
 from benchmark.pose_running.table import POSES
 from benchmark.running.device import claim_device
-from benchmark.running.manifest import begin
-from benchmark.running.parts import good_frames, join_parts
+from benchmark.running.growing import complete, told_frames
 from benchmark.running.pieces import Batch, batches_of, chosen_frames, pieces_of, write_rows
 from benchmark.running.usable import making_methods, weights_digest
-from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import sweep_temporaries
-from std_toolkit.jobs import JobOptions, run_jobs
-from std_toolkit.scene.lock import hold_lock
+from std_toolkit.jobs import JobOptions
 
 POSE_FOLDER = "pose"
 AS_INPUT = "as-input"
@@ -108,44 +104,29 @@ def run_poses(run: PoseRun, jobs: JobOptions | None = None) -> pd.DataFrame:
     _check_truth(source, chosen)
     # Once and at once, and not first in every worker: a wrong option is told in one line.
     method, depths = _usable(run)
-    run.folder.mkdir(parents=True, exist_ok=True)
-    with hold_lock(run.folder, "lock", doing="writing to"):
-        setup = _setup(run, source, method, depths, chosen)
-        manifest = pose_manifest(
-            setup,
-            label=run.label,
-            depth_label=run.depth_label,
-            fit=run.fit,
-            root=run.root,
-            weights=run.options.weights,
-            depth_weights=run.depth.options.weights,
-        )
-        begin(run.folder, manifest, POSE_MANIFEST)
-        sweep_temporaries(run.folder)
-        # Joined before anything is added: the parts of this run may have the names of earlier ones.
-        done = good_frames(join_parts(run.folder, POSES))
+    manifest = pose_manifest(
+        _setup(run, source, method, depths, chosen),
+        label=run.label,
+        depth_label=run.depth_label,
+        fit=run.fit,
+        root=run.root,
+        weights=run.options.weights,
+        depth_weights=run.depth.options.weights,
+    )
+    if jobs.workers is None and _has_network(method, depths):
+        # A network uses all of a device; a second process would only double its memory.
+        jobs = replace(jobs, workers=len(run.devices))
+    del method, depths
+
+    def lacking(done: set[int]) -> list[tuple[Batch, ...]]:
         batches = [b for b in batches_of(chosen, run.batch_size) if not done.issuperset(b)]
-        if jobs.workers is None and _has_network(method, depths):
-            # A network uses all of a device; a second process would only double its memory.
-            jobs = replace(jobs, workers=len(run.devices))
-        del method, depths
-        pieces = pieces_of(batches, jobs.worker_count)
-        report = run_jobs(
-            _Worker(run),
-            pieces,
-            name=run.title,
-            key=lambda piece: f"frames {piece[0][0]} to {piece[-1][-1]}",
-            options=jobs,
-        )
-        table = join_parts(run.folder, POSES)
-    if report.failed:
-        where, why = next(iter(report.failed.items()))
-        raise ToolkitError(
-            f"{len(report.failed)} of {len(pieces)} pieces of work failed; {where}: {why}",
-            path=run.folder,
-            hint="what was found is kept; the same command goes on",
-        )
-    return table
+        return pieces_of(batches, jobs.worker_count)
+
+    return complete(
+        run.folder, manifest, lacking, _Worker(run),
+        title=run.title, key=told_frames, jobs=jobs, unit="pieces of work",
+        table=POSES, manifest_name=POSE_MANIFEST,
+    )  # fmt: skip
 
 
 def _check_truth(source: DepthSource, chosen: Sequence[int]) -> None:

@@ -20,15 +20,13 @@ from benchmark.methods.registry import MethodOptions, make_restorer
 from benchmark.protocols.registry import get_protocol
 from benchmark.running.batch import Loaded, load_frames, score_batch
 from benchmark.running.device import claim_device
-from benchmark.running.manifest import Setup, begin, manifest_of
-from benchmark.running.parts import good_frames, join_parts
+from benchmark.running.growing import complete, told_frames
+from benchmark.running.manifest import Setup, manifest_of
 from benchmark.running.pieces import Batch, batches_of, chosen_frames, pieces_of, write_rows
 from benchmark.running.saving import save_depth
 from benchmark.running.usable import making_methods, weights_digest
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import sweep_temporaries
-from std_toolkit.jobs import JobOptions, run_jobs
-from std_toolkit.scene.lock import hold_lock
+from std_toolkit.jobs import JobOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,43 +90,25 @@ def run_method(run: Run, jobs: JobOptions | None = None) -> pd.DataFrame:
     get_protocol(run.protocol)
     # Once and at once, and not first in every worker: a wrong option is told in one line.
     restorer = _usable(run)
-    run.folder.mkdir(parents=True, exist_ok=True)
-    with hold_lock(run.folder, "lock", doing="writing to"):
-        begin(
-            run.folder,
-            manifest_of(
-                _setup(run, source, restorer, chosen),
-                label=run.label,
-                root=run.root,
-                weights=run.options.weights,
-            ),
-        )
-        sweep_temporaries(run.folder)
-        # Joined before anything is added: the parts of this run may have the names of earlier ones.
-        done = good_frames(join_parts(run.folder))
+    manifest = manifest_of(
+        _setup(run, source, restorer, chosen),
+        label=run.label,
+        root=run.root,
+        weights=run.options.weights,
+    )
+    if jobs.workers is None and hasattr(restorer, "network"):
+        # A network uses all of a device; a second process would only double its memory.
+        jobs = replace(jobs, workers=len(run.devices))
+    del restorer
+
+    def lacking(done: set[int]) -> list[tuple[Batch, ...]]:
         batches = [b for b in batches_of(chosen, run.batch_size) if not done.issuperset(b)]
-        if jobs.workers is None and hasattr(restorer, "network"):
-            # A network uses all of a device; a second process would only double its memory.
-            jobs = replace(jobs, workers=len(run.devices))
-        del restorer
-        items = pieces_of(batches, jobs.worker_count)
-        report = run_jobs(
-            _Worker(run),
-            items,
-            name=run.title,
-            key=lambda item: f"frames {item[0][0]} to {item[-1][-1]}",
-            options=jobs,
-        )
-        table = join_parts(run.folder)
-    if report.failed:
-        # The log has a line for each; here the first one, since they tend to be of one kind.
-        where, why = next(iter(report.failed.items()))
-        raise ToolkitError(
-            f"{len(report.failed)} of {len(items)} pieces of work failed; {where}: {why}",
-            path=run.folder,
-            hint="what was scored is kept; the same command goes on",
-        )
-    return table
+        return pieces_of(batches, jobs.worker_count)
+
+    return complete(
+        run.folder, manifest, lacking, _Worker(run),
+        title=run.title, key=told_frames, jobs=jobs, unit="pieces of work",
+    )  # fmt: skip
 
 
 def _usable(run: Run) -> Restorer:
