@@ -1,13 +1,15 @@
-"""Depth told to a network relative to what the sensor measured in the same image.
+"""Depth told to a network, and told by it, relative to what the sensor measured in the same image.
 
-A scene that is twice as large and twice as far looks the same. Relative depth is the same for
-both, and it is near 0, so that a network need not learn to tell 0.70 m from 0.71 m by what
-normalisation leaves of large numbers.
+A scene that is twice as large and twice as far looks the same: relative depth is the same for both.
+What a network is told is relative to the image's mean. What it tells is relative to the sensor's
+depth, coarse and with its holes filled from around them: where the sensor is right the answer is 0,
+so that nothing need be learned to repeat it.
 """
 
 from __future__ import annotations
 
 from torch import Tensor
+from torch.nn.functional import avg_pool2d, interpolate
 
 _SPAN = 0.2  # what counts as 1: a tabletop's depths differ by about this share of their mean
 
@@ -19,11 +21,34 @@ def mean_depth(depth: Tensor) -> Tensor:
     return mean.masked_fill(measured == 0, 1.0)
 
 
-def relative_to(mean: Tensor, depth: Tensor) -> Tensor:
-    """Metres (b, 1, h, w) as (depth / mean - 1) / 0.2; what was not measured is -5."""
-    return (depth / mean - 1) / _SPAN
+def coarse_depth(depth: Tensor) -> Tensor:
+    """(b, 1, h, w) metres everywhere: means over 4x4 pixels of what was measured, enlarged.
+
+    A pixel of that map without any measurement takes the mean of a region around it that has one,
+    the smallest of 8x8, 16x16 and so on; 1 m in an image without any.
+    """
+    size = depth.shape[-2:]
+    known = (depth > 0).to(depth.dtype)
+    sums, counts = [_halved(_halved(depth))], [_halved(_halved(known))]
+    while max(sums[-1].shape[-2:]) > 1:
+        sums.append(_halved(sums[-1]))
+        counts.append(_halved(counts[-1]))
+    filled = mean_depth(depth)
+    for total, count in zip(reversed(sums), reversed(counts), strict=True):
+        around = interpolate(filled, size=total.shape[-2:], mode="bilinear", align_corners=False)
+        filled = (total / count.clamp(min=1e-9)).where(count > 0, around)
+    return interpolate(filled, size=size, mode="bilinear", align_corners=False)
 
 
-def in_metres(mean: Tensor, relative: Tensor) -> Tensor:
+def relative_to(reference: Tensor, depth: Tensor) -> Tensor:
+    """Metres (b, 1, h, w) as (depth / reference - 1) / 0.2; what was not measured is -5."""
+    return (depth / reference - 1) / _SPAN
+
+
+def in_metres(reference: Tensor, relative: Tensor) -> Tensor:
     """The inverse of `relative_to`."""
-    return mean * (1 + _SPAN * relative)
+    return reference * (1 + _SPAN * relative)
+
+
+def _halved(image: Tensor) -> Tensor:
+    return avg_pool2d(image, 2, ceil_mode=True, count_include_pad=False)

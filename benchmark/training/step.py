@@ -56,7 +56,7 @@ def depth_step(network: nn.Module, loss: Any, seen: Seen, moment: Moment) -> Los
     """The step of a network from colour and depth to `Prediction`."""
     prediction = in_full_precision(network(seen.color, seen.depth))
     with torch.autocast(seen.color.device.type, enabled=False):
-        return loss(prediction, target_of(seen.batch))
+        return loss(prediction, target_of(seen.batch)._replace(sensor=seen.depth))
 
 
 def network_depth(network: nn.Module, batch: Batch) -> Tensor:

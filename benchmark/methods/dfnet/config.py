@@ -15,9 +15,8 @@ class DFNetConfig:
         near, far: metres; what the sensor measured outside counts as not measured.
         outlier: what lies farther than so many standard deviations from the mean of the image's
             depths counts as not measured.
-        relative: whether the network is told depth, and tells it, relative to the mean of what
-            the sensor measured (`benchmark.methods.relative`). The published network works in
-            metres.
+        relative: whether the network is told depth, and tells it, relative to what the sensor
+            measured (`benchmark.methods.relative`). The published network works in metres.
         input_size: (width, height) of the images.
     """
 

@@ -12,7 +12,7 @@ from torch.nn.functional import interpolate
 
 from benchmark.methods.dfnet.config import DFNetConfig
 from benchmark.methods.network import Prediction, precisely
-from benchmark.methods.relative import in_metres, mean_depth, relative_to
+from benchmark.methods.relative import coarse_depth, in_metres, mean_depth, relative_to
 from benchmark.methods.sizes import padded_to
 
 _LEVELS = 4
@@ -47,9 +47,9 @@ class DFNetwork(nn.Module):
         h, w = depth.shape[-2:]
         color, depth = padded_to(color, 1 << _LEVELS), padded_to(depth, 1 << _LEVELS)
         depth = believable(depth, self.config)
-        mean = mean_depth(depth) if self.config.relative else None
-        if mean is not None:
-            depth = relative_to(mean, depth)
+        measured = depth
+        if self.config.relative:
+            depth = relative_to(mean_depth(depth), depth)
         depths = [depth]
         for _ in range(_LEVELS):
             depths.append(interpolate(depths[-1], scale_factor=0.5, mode="nearest"))
@@ -62,8 +62,10 @@ class DFNetwork(nn.Module):
         for level in reversed(range(_LEVELS)):
             features = torch.cat([self.ups[level](features), kept[level]], dim=1)
             features = self.decoders[level](features, depths[level])
-        restored = precisely(self.last, features)[..., :h, :w]
-        return Prediction(restored if mean is None else in_metres(mean, restored))
+        restored = precisely(self.last, features)
+        if self.config.relative:
+            restored = in_metres(coarse_depth(measured), restored)
+        return Prediction(restored[..., :h, :w])
 
 
 class Block(nn.Module):

@@ -15,9 +15,8 @@ class NLSPNConfig:
         steps: of the propagation.
         preserve_input: keep the sensor's depth where there is some, at every step. It is for depth
             that is sparse and right; the depth of transparent objects is there and wrong.
-        relative: whether the network is told depth, and tells it, relative to the mean of what
-            the sensor measured (`benchmark.methods.relative`). The published network works in
-            metres.
+        relative: whether the network is told depth, and tells it, relative to what the sensor
+            measured (`benchmark.methods.relative`). The published network works in metres.
         input_size: (width, height) of the images. What the network was given on DREDS is not
             published; these are the images of that data set's own network.
     """

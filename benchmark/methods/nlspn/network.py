@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from benchmark.methods.network import Prediction, precisely
 from benchmark.methods.nlspn.config import NLSPNConfig
 from benchmark.methods.nlspn.propagation import NEIGHBOURS, Propagation
-from benchmark.methods.relative import in_metres, mean_depth, relative_to
+from benchmark.methods.relative import coarse_depth, in_metres, mean_depth, relative_to
 from benchmark.methods.resnet import residual_layer
 from benchmark.methods.sizes import padded_to
 
@@ -66,11 +66,10 @@ class NLSPNetwork(nn.Module):
         """
         h, w = depth.shape[-2:]
         color, depth = padded_to(color, _COARSEST), padded_to(depth, _COARSEST)
-        mean = mean_depth(depth) if self.config.relative else None
-        told = depth if mean is None else relative_to(mean, depth)
+        told = relative_to(mean_depth(depth), depth) if self.config.relative else depth
         initial, guidance, confidence = self._heads(color, told)
-        if mean is not None:
-            initial = in_metres(mean, initial)
+        if self.config.relative:
+            initial = in_metres(coarse_depth(depth), initial)
         restored = self.prop_layer(initial, guidance, confidence, depth)
         return Prediction(restored[..., :h, :w].clamp(min=0), initial[..., :h, :w])
 

@@ -24,9 +24,8 @@ class SwinDRNetConfig:
         fusion_heads: attention heads of the `paper` fusion.
         fusion_window: side of the windows that the `paper` fusion attends within. None is the
             paper's formula: every token attends to the whole image.
-        relative: whether the network is told depth, and tells it, relative to the mean of what
-            the sensor measured (`benchmark.methods.relative`). The published network works in
-            metres.
+        relative: whether the network is told depth, and tells it, relative to what the sensor
+            measured (`benchmark.methods.relative`). The published network works in metres.
         drop_path, dropout: chances in training to leave a block, and a channel, out.
         input_size: (width, height) of the images.
     """

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from benchmark.methods.network import Prediction
-from benchmark.methods.relative import in_metres, mean_depth, relative_to
+from benchmark.methods.relative import coarse_depth, in_metres, mean_depth, relative_to
 from benchmark.methods.swindrnet.config import SwinDRNetConfig
 from benchmark.methods.swindrnet.fusion import PaperFusion, ReleasedFusion
 from benchmark.methods.swindrnet.head import UPerHead, enlarged
@@ -57,7 +57,7 @@ class SwinDRNetwork(nn.Module):
         """What the decoders' maps say; that of confidence is None without such a decoder."""
         initial = enlarged(initial, depth)
         if self.config.relative:
-            initial = in_metres(mean_depth(depth), initial)
+            initial = in_metres(coarse_depth(depth), initial)
         if confidence is None:
             return Prediction(initial, initial)
         return blended(depth, initial, enlarged(confidence, depth))

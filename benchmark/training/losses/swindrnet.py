@@ -7,6 +7,7 @@ from typing import Literal
 
 import torch
 from torch import Tensor
+from torch.nn.functional import binary_cross_entropy
 
 from benchmark.methods.network import Prediction
 from benchmark.training.losses.surfaces import normals, sobel, whole_around
@@ -16,6 +17,8 @@ from benchmark.training.losses.terms import Loss, Target, mean_where
 _RELEASED_FOCAL, _RELEASED_SIZE = 446.31, (640, 360)
 
 _USUAL = 0.05  # metres: an error whose square weighs as much as itself
+_RIGHT = 0.01  # metres: a sensor nearer to the truth is to be trusted
+_SURE = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +35,9 @@ class SwinDRNetLoss:
         squared: weight of the squared error, which the published loss has not. Where it is not
             certain what is there, |p - g| is least for the likelier depth, and the square for
             the mean, whose RMSE is less.
+        confidence: weight of the cross entropy between the confidence and whether the sensor is
+            within 1 cm of the truth, weighed by foreground and background as all parts. The
+            published network learns its confidence from the final depth alone.
         form: `paper` leaves out pixels without ground truth, and normals and slopes next to them,
             and computes normals with each frame's camera. `released` does as the authors'
             program: a missing truth is a depth of 0, and one camera is everyone's. On DREDS, where
@@ -42,6 +48,7 @@ class SwinDRNetLoss:
     normals: float = 0.1
     slopes: float = 0.6
     squared: float = 0.0
+    confidence: float = 0.0
     initial: float = 0.4
     foreground: float = 1.0
     background: float = 0.4
@@ -57,10 +64,21 @@ class SwinDRNetLoss:
                 final
                 + self.initial * self._of_pixels(prediction.initial, target.depth, K, known)[0]
             )
+        if self.confidence and prediction.confidence is not None:
+            trusted = self._of_trust(prediction.confidence, target)
+            parts["trust"] = mean_where(trusted, known).detach()
+            by_pixel = by_pixel + self.confidence * trusted
         inside = mean_where(by_pixel, known & target.foreground)
         outside = mean_where(by_pixel, known & ~target.foreground)
         total = self.foreground * inside + self.background * outside
         return Loss(total, {"foreground": inside.detach(), "background": outside.detach(), **parts})
+
+    def _of_trust(self, confidence: Tensor, target: Target) -> Tensor:
+        assert target.sensor is not None  # as the step gives it
+        right = (target.sensor > 0) & ((target.sensor - target.depth).abs() < _RIGHT)
+        # A logarithm of 0 has no gradient.
+        inner = confidence.clamp(_SURE, 1 - _SURE)
+        return binary_cross_entropy(inner, right.to(inner.dtype), reduction="none")
 
     def _of_pixels(
         self, depth: Tensor, true: Tensor, K: Tensor, known: Tensor

@@ -16,11 +16,14 @@ class Target(NamedTuple):
         depth: (b, 1, h, w) true metres, 0 where there is no ground truth.
         foreground: (b, 1, h, w) bool pixels of objects.
         K: (b, 3, 3) intrinsics at this size.
+        sensor: (b, 1, h, w) metres that the network was given, 0 = none; for losses that look at
+            it.
     """
 
     depth: Tensor
     foreground: Tensor
     K: Tensor
+    sensor: Tensor | None = None
 
 
 class Loss(NamedTuple):
