@@ -130,6 +130,34 @@ def test_swindrnet_is_the_sum_that_is_written_down(squared: float):
     assert found.item() == pytest.approx(expected, rel=1e-6)
 
 
+def test_confidence_is_compared_with_where_the_sensor_is_right():
+    depth = torch.full((1, 1, 2, 4), 0.7, dtype=torch.float64)
+    # Right, 2 cm off, a hole, and right where there is no truth.
+    sensor = torch.tensor([0.705, 0.72, 0.0, 0.7], dtype=torch.float64).expand(1, 1, 2, 4)
+    depth[..., 3] = 0
+    foreground = torch.tensor([True, True, False, False]).expand(1, 1, 2, 4)
+    target = Target(depth, foreground, torch.eye(3, dtype=torch.float64)[None], sensor)
+    confidence = torch.tensor([0.8, 0.3, 0.1, 0.5], dtype=torch.float64).expand(1, 1, 2, 4)
+    prediction = Prediction(depth, depth.clone(), confidence)
+    found = SwinDRNetLoss(confidence=0.5)(prediction, target)
+    inside = -(math.log(0.8) + math.log(1 - 0.3)) / 2
+    outside = -math.log(1 - 0.1)
+    assert found.total.item() == pytest.approx(0.5 * (inside + 0.4 * outside))
+    assert found.parts["trust"].item() == pytest.approx((2 * inside + outside) / 3)
+
+
+def test_gradients_of_confidence_are_those_of_differences():
+    target = a_target()._replace(sensor=a_target(3).depth)
+    draw = torch.Generator().manual_seed(4)
+    confidence = torch.rand(target.depth.shape, generator=draw, dtype=torch.float64) * 0.9 + 0.05
+
+    def total(confidence: Tensor) -> Tensor:
+        prediction = Prediction(a_prediction(target), a_prediction(target, 2), confidence)
+        return SwinDRNetLoss(confidence=0.3)(prediction, target).total
+
+    assert torch.autograd.gradcheck(total, (confidence.requires_grad_(),), eps=1e-7, atol=1e-5)
+
+
 def test_both_forms_of_swindrnet_agree_on_whole_truth_with_the_released_camera():
     target = a_target(holes=False)
     target = target._replace(K=released_camera(target.depth))

@@ -1,4 +1,4 @@
-"""Depth relative to the mean of what was measured: its inverse, its scale, its digits."""
+"""Depth relative to what was measured: its inverse, its scale, its holes, its digits."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 import torch
 from network_cases import CASES, frames
 
-from benchmark.methods.relative import in_metres, mean_depth, relative_to
+from benchmark.methods.relative import coarse_depth, in_metres, mean_depth, relative_to
 
 
 def test_relative_depth_by_hand():
@@ -17,6 +17,29 @@ def test_relative_depth_by_hand():
     torch.testing.assert_close(told[0, 0], torch.tensor([[-5.0, -1.25], [0.0, 1.25]]))
     torch.testing.assert_close(told[1], torch.full((1, 2, 2), -5.0))
     torch.testing.assert_close(in_metres(mean, told), depth)
+
+
+def test_coarse_depth_of_a_plane_is_the_plane_and_holes_are_filled_from_around():
+    v, u = torch.meshgrid(torch.arange(64.0), torch.arange(96.0), indexing="ij")
+    plane = (0.6 + 0.002 * u + 0.001 * v)[None, None]
+    inner = (..., slice(2, -2), slice(2, -2))
+    torch.testing.assert_close(coarse_depth(plane)[inner], plane[inner])
+    holed = plane.clone()
+    holed[..., 30:36, 40:48] = 0
+    # At most half of the hole's size away from the plane, where it is steepest.
+    assert (coarse_depth(holed) - plane)[inner].abs().max() < 0.002 * 6 + 0.001 * 4
+
+
+def test_coarse_depth_is_a_mean_of_what_was_measured():
+    depth = torch.zeros(2, 1, 13, 10)
+    depth[0, 0, 3, 2], depth[0, 0, 12, 9] = 0.5, 0.9
+    found = coarse_depth(depth)
+    assert found.shape == depth.shape
+    torch.testing.assert_close(found[0, 0, 0, 0], torch.tensor(0.5))
+    torch.testing.assert_close(found[0, 0, 12, 9], torch.tensor(0.9))
+    assert found[0].min() >= 0.5 - 1e-6 and found[0].max() <= 0.9 + 1e-6
+    torch.testing.assert_close(found[1], torch.ones(1, 13, 10))
+    torch.testing.assert_close(coarse_depth(3 * depth)[0], 3 * found[0])
 
 
 @pytest.mark.parametrize("name", ["swindrnet-relative", "nlspn-relative", "dfnet-relative"])
