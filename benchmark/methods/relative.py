@@ -8,10 +8,14 @@ so that nothing need be learned to repeat it.
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
 _SPAN = 0.2  # what counts as 1: a tabletop's depths differ by about this share of their mean
+# Of the mean: farther measurements are most often wrong matches. Far walls are among them, too; an
+# answer about these has farther to go.
+_FARTHEST = 2.5
 
 
 def mean_depth(depth: Tensor) -> Tensor:
@@ -24,20 +28,28 @@ def mean_depth(depth: Tensor) -> Tensor:
 def coarse_depth(depth: Tensor) -> Tensor:
     """(b, 1, h, w) metres everywhere: means over 4x4 pixels of what was measured, enlarged.
 
-    A pixel of that map without any measurement takes the mean of a region around it that has one,
-    the smallest of 8x8, 16x16 and so on; 1 m in an image without any.
+    What was measured beyond 2.5 times the image's mean is left out: one wrong match would fill a
+    whole hole. A pixel of that map without any measurement takes the mean of a region around it
+    that has one, the smallest of 8x8, 16x16 and so on; 1 m in an image without any.
     """
     size = depth.shape[-2:]
-    known = (depth > 0).to(depth.dtype)
-    sums, counts = [_halved(_halved(depth))], [_halved(_halved(known))]
+    filled = mean_depth(depth)
+    known = ((depth > 0) & (depth < _FARTHEST * filled)).to(depth.dtype)
+    sums, counts = [_halved(_halved(depth * known))], [_halved(_halved(known))]
     while max(sums[-1].shape[-2:]) > 1:
         sums.append(_halved(sums[-1]))
         counts.append(_halved(counts[-1]))
-    filled = mean_depth(depth)
     for total, count in zip(reversed(sums), reversed(counts), strict=True):
         around = interpolate(filled, size=total.shape[-2:], mode="bilinear", align_corners=False)
         filled = (total / count.clamp(min=1e-9)).where(count > 0, around)
     return interpolate(filled, size=size, mode="bilinear", align_corners=False)
+
+
+def told_depth(depth: Tensor) -> Tensor:
+    """(b, 1, h, w) what a network is told of metres: relative to their mean, of which they are
+    2.5 times at most."""
+    mean = mean_depth(depth)
+    return relative_to(mean, torch.minimum(depth, _FARTHEST * mean))
 
 
 def relative_to(reference: Tensor, depth: Tensor) -> Tensor:

@@ -12,7 +12,7 @@ from torch.nn.functional import interpolate
 
 from benchmark.methods.dfnet.config import DFNetConfig
 from benchmark.methods.network import Prediction, precisely
-from benchmark.methods.relative import coarse_depth, in_metres, mean_depth, relative_to
+from benchmark.methods.relative import coarse_depth, in_metres, told_depth
 from benchmark.methods.sizes import padded_to
 
 _LEVELS = 4
@@ -49,7 +49,7 @@ class DFNetwork(nn.Module):
         depth = believable(depth, self.config)
         measured = depth
         if self.config.relative:
-            depth = relative_to(mean_depth(depth), depth)
+            depth = told_depth(depth)
         depths = [depth]
         for _ in range(_LEVELS):
             depths.append(interpolate(depths[-1], scale_factor=0.5, mode="nearest"))

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from benchmark.methods.network import Prediction, precisely
 from benchmark.methods.nlspn.config import NLSPNConfig
 from benchmark.methods.nlspn.propagation import NEIGHBOURS, Propagation
-from benchmark.methods.relative import coarse_depth, in_metres, mean_depth, relative_to
+from benchmark.methods.relative import coarse_depth, in_metres, told_depth
 from benchmark.methods.resnet import residual_layer
 from benchmark.methods.sizes import padded_to
 
@@ -66,7 +66,7 @@ class NLSPNetwork(nn.Module):
         """
         h, w = depth.shape[-2:]
         color, depth = padded_to(color, _COARSEST), padded_to(depth, _COARSEST)
-        told = relative_to(mean_depth(depth), depth) if self.config.relative else depth
+        told = told_depth(depth) if self.config.relative else depth
         initial, guidance, confidence = self._heads(color, told)
         if self.config.relative:
             initial = in_metres(coarse_depth(depth), initial)

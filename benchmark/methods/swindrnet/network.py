@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from benchmark.methods.network import Prediction
-from benchmark.methods.relative import coarse_depth, in_metres, mean_depth, relative_to
+from benchmark.methods.relative import coarse_depth, in_metres, told_depth
 from benchmark.methods.swindrnet.config import SwinDRNetConfig
 from benchmark.methods.swindrnet.fusion import PaperFusion, ReleasedFusion
 from benchmark.methods.swindrnet.head import UPerHead, enlarged
@@ -65,7 +65,7 @@ class SwinDRNetwork(nn.Module):
     def levels(self, color: Tensor, depth: Tensor) -> list[Tensor]:
         """The four levels of features (b, c, h, w) that the decoders get."""
         if self.config.relative:
-            depth = relative_to(mean_depth(depth), depth)
+            depth = told_depth(depth)
         if self.config.fusion == "none":
             levels = self.backbone(torch.cat([color, depth], dim=1))
         else:

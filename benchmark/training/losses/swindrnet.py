@@ -17,6 +17,7 @@ from benchmark.training.losses.terms import Loss, Target, mean_where
 _RELEASED_FOCAL, _RELEASED_SIZE = 446.31, (640, 360)
 
 _USUAL = 0.05  # metres: an error whose square weighs as much as itself
+_FAR = 0.2  # metres: farther off, squares grow no faster than at that
 _RIGHT = 0.01  # metres: a sensor nearer to the truth is to be trusted
 _SURE = 1e-4
 
@@ -32,7 +33,8 @@ class SwinDRNetLoss:
 
     Attributes:
         normals, slopes, initial, foreground, background: weights; the published ones.
-        squared: weight of the squared error, which the published loss has not. Where it is not
+        squared: weight of the squared error (from 20 cm on its tangent), which the published loss
+            has not. Where it is not
             certain what is there, |p - g| is least for the likelier depth, and the square for
             the mean, whose RMSE is less.
         confidence: weight of the cross entropy between the confidence and whether the sensor is
@@ -94,7 +96,8 @@ class SwinDRNetLoss:
             "normals": mean_where(turned, known).detach(),
             "slopes": mean_where(steeper, known).detach(),
         }
-        square = self.squared * distance.square() / _USUAL
+        near = distance.clamp(max=_FAR)
+        square = self.squared * near * (2 * distance - near) / _USUAL
         return distance + square + self.normals * turned + self.slopes * steeper, parts
 
 

@@ -115,7 +115,8 @@ def test_swindrnet_is_the_sum_that_is_written_down(squared: float):
         turned = abs(normal(d, i, v, u) - normal(true, i, v, u)).mean()
         steeper = abs(slopes(d, i, v, u) - slopes(true, i, v, u)).sum()
         away = abs(d[i, 0, v, u] - true[i, 0, v, u])
-        return away + squared * away**2 / 0.05 + 0.1 * turned + 0.6 * steeper
+        square = away**2 if away < 0.2 else 0.4 * away - 0.04
+        return away + squared * square / 0.05 + 0.1 * turned + 0.6 * steeper
 
     inside, outside = [], []
     for i in range(b):
