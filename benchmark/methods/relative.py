@@ -16,6 +16,7 @@ _SPAN = 0.2  # what counts as 1: a tabletop's depths differ by about this share 
 # Of the mean: farther measurements are most often wrong matches. Far walls are among them, too; an
 # answer about these has farther to go.
 _FARTHEST = 2.5
+_CONTRAST = 0.25
 
 
 def mean_depth(depth: Tensor) -> Tensor:
@@ -50,6 +51,14 @@ def told_depth(depth: Tensor) -> Tensor:
     2.5 times at most."""
     mean = mean_depth(depth)
     return relative_to(mean, torch.minimum(depth, _FARTHEST * mean))
+
+
+def told_color(color: Tensor) -> Tensor:
+    """(b, 3, h, w) colour in [0, 1] less the image's mean colour, in quarters.
+
+    Most of an image is the table: what stands on it, glass too, is then what differs from 0.
+    """
+    return (color - color.mean(dim=(2, 3), keepdim=True)) / _CONTRAST
 
 
 def relative_to(reference: Tensor, depth: Tensor) -> Tensor:

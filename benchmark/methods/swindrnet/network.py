@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import pixel_shuffle
 
 from benchmark.methods.network import Prediction
-from benchmark.methods.relative import coarse_depth, in_metres, told_depth
+from benchmark.methods.relative import coarse_depth, in_metres, told_color, told_depth
 from benchmark.methods.swindrnet.config import SwinDRNetConfig
 from benchmark.methods.swindrnet.fusion import PaperFusion, ReleasedFusion
 from benchmark.methods.swindrnet.head import UPerHead, enlarged
-from benchmark.methods.swindrnet.swin import Swin
+from benchmark.methods.swindrnet.swin import PATCH, Swin
 
 _DEPTH_COPIES = 3  # depth goes into a network of three channels, which ImageNet weights fit
 
@@ -55,17 +56,17 @@ class SwinDRNetwork(nn.Module):
 
     def answer(self, depth: Tensor, initial: Tensor, confidence: Tensor | None) -> Prediction:
         """What the decoders' maps say; that of confidence is None without such a decoder."""
-        initial = enlarged(initial, depth)
+        initial = self._whole(initial, depth)
         if self.config.relative:
             initial = in_metres(coarse_depth(depth), initial)
         if confidence is None:
             return Prediction(initial, initial)
-        return blended(depth, initial, enlarged(confidence, depth))
+        return blended(depth, initial, self._whole(confidence, depth))
 
     def levels(self, color: Tensor, depth: Tensor) -> list[Tensor]:
         """The four levels of features (b, c, h, w) that the decoders get."""
         if self.config.relative:
-            depth = told_depth(depth)
+            color, depth = told_color(color), told_depth(depth)
         if self.config.fusion == "none":
             levels = self.backbone(torch.cat([color, depth], dim=1))
         else:
@@ -76,6 +77,13 @@ class SwinDRNetwork(nn.Module):
                 for level, pair in enumerate(zip(of_color, of_depth, strict=True))
             ]
         return [level.permute(0, 3, 1, 2) for level in levels]
+
+    def _whole(self, answer: Tensor, like: Tensor) -> Tensor:
+        """A decoder's map at the resolution of the image."""
+        if not self.config.sharp:
+            return enlarged(answer, like)
+        h, w = like.shape[-2:]
+        return pixel_shuffle(answer, PATCH)[..., :h, :w]
 
     def _stream(self, in_channels: int = 3) -> Swin:
         config = self.config
@@ -93,7 +101,7 @@ class SwinDRNetwork(nn.Module):
         return UPerHead(
             config.fused_channels,
             config.head_channels,
-            outputs,
+            outputs * (PATCH**2 if config.sharp else 1),
             config.pool_scales,
             config.dropout,
         )

@@ -6,7 +6,14 @@ import pytest
 import torch
 from network_cases import CASES, frames
 
-from benchmark.methods.relative import coarse_depth, in_metres, mean_depth, relative_to
+from benchmark.methods.relative import (
+    coarse_depth,
+    in_metres,
+    mean_depth,
+    relative_to,
+    told_color,
+    told_depth,
+)
 
 
 def test_relative_depth_by_hand():
@@ -40,6 +47,25 @@ def test_coarse_depth_is_a_mean_of_what_was_measured():
     assert found[0].min() >= 0.5 - 1e-6 and found[0].max() <= 0.9 + 1e-6
     torch.testing.assert_close(found[1], torch.ones(1, 13, 10))
     torch.testing.assert_close(coarse_depth(3 * depth)[0], 3 * found[0])
+
+
+def test_one_wrong_match_does_not_fill_a_hole():
+    depth = torch.full((1, 1, 32, 32), 0.7)
+    depth[..., 8:24, 8:24] = 0
+    depth[..., 16, 16] = 9.0
+    torch.testing.assert_close(coarse_depth(depth), torch.full_like(depth, 0.7))
+    told = told_depth(depth)
+    assert told[..., 16, 16] == told.max() and told.max() < 7.5 + 1e-4
+    assert told[..., 12, 12] == -5
+
+
+def test_colour_is_told_by_what_differs_from_the_mean():
+    color = torch.full((1, 3, 8, 8), 0.4)
+    color[:, 1, 2, 3] += 0.5
+    told = told_color(color)
+    torch.testing.assert_close(told.mean(dim=(2, 3)), torch.zeros(1, 3), atol=1e-6, rtol=0)
+    torch.testing.assert_close(told[0, 1, 2, 3], torch.tensor(0.5 * 63 / 64 / 0.25))
+    torch.testing.assert_close(told_color(color + 0.1), told)
 
 
 @pytest.mark.parametrize("name", ["swindrnet-relative", "nlspn-relative", "dfnet-relative"])
