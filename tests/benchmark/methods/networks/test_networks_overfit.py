@@ -13,7 +13,8 @@ from network_cases import CASES, frames
 PLANS = {
     "swindrnet-released": (150, 3e-3, 0.1),
     "swindrnet-paper": (150, 3e-3, 0.05),
-    "swindrnet-relative": (150, 3e-3, 0.08),
+    # Relative depth begins near the answer.
+    "swindrnet-sharp": (150, 3e-3, 0.2),
     "swindrnet-no-fusion": (150, 3e-3, 0.05),
     "nlspn": (120, 2e-3, 0.05),
     "nlspn-relative": (120, 2e-3, 0.1),
