@@ -10,12 +10,12 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor, nn
 
 from benchmark.methods.registry import MethodOptions
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import atomic_path
+from std_toolkit.io.atomic import write_bytes_atomic
 
 SHIPPED = Path(__file__).resolve().parent.parent / "weights"
 
@@ -140,13 +140,14 @@ def load_weights(network: nn.Module, path: Path, ignored: Sequence[str] = ()) ->
 
 
 def save_weights(network: nn.Module, path: Path) -> None:
-    """Write a network's weights as safetensors, atomically."""
+    """Write a network's weights as safetensors, atomically.
+
+    Raises:
+        ToolkitError: the file cannot be written.
+    """
     state = {name: t.detach().cpu().contiguous() for name, t in network.state_dict().items()}
-    try:
-        with atomic_path(path) as temporary:
-            save_file(state, temporary)
-    except SafetensorError as error:  # how it tells of a full disk
-        raise ToolkitError(f"cannot write the weights: {error}", path=path) from error
+    # As bytes: what the library writes itself, nobody else may read.
+    write_bytes_atomic(path, save(state))
 
 
 def check_keys(wanted: Mapping[str, Tensor], found: Mapping[str, Tensor], path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import save
 
 from benchmark.methods.weights import read_weights, sha256_of
 from benchmark.training.asking import bench_command
@@ -18,7 +18,7 @@ from benchmark.training.run_files import BEST, SCORES
 from benchmark.training.run_note import RUN_NOTE, PartNote, RunNote
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import atomic_path, write_bytes_atomic
+from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import read_document
 
 _SHOWN_OPTIONS = ("sensor", "views", "width", "height", "quality", "matcher", "materials", "depth")
@@ -57,8 +57,7 @@ def export_weights(run: Path, out: Path, *, scores: str = "") -> Path:
     }
     path = out / f"{config['method']}-{config['preset']}.safetensors"
     out.mkdir(parents=True, exist_ok=True)
-    with atomic_path(path) as temporary:
-        save_file(state, temporary)
+    write_bytes_atomic(path, save(state))
     digest = sha256_of(path)
     write_bytes_atomic(path.with_name(path.name + ".sha256"), f"{digest}  {path.name}\n".encode())
     size = path.stat().st_size / _MIB

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import atomic_path
+from std_toolkit.io.atomic import write_bytes_atomic
 
 Floats = NDArray[np.float32]
 
@@ -72,15 +72,14 @@ def save_priors(path: Path, priors: Priors) -> None:
     Raises:
         ToolkitError: the file cannot be written, or is not called *.safetensors.
     """
-    from safetensors.numpy import save_file
+    from safetensors.numpy import save
 
     if path.suffix != ".safetensors":
         raise ToolkitError("priors are kept as *.safetensors", path=path)
     points = {name: np.ascontiguousarray(p, np.float32) for name, p in priors.points.items()}
-    with atomic_path(path) as temporary:
-        # One entry: several would be in another order every time, and the file another.
-        about = json.dumps({**priors.about, "format": FORMAT}, sort_keys=True)
-        save_file(points, temporary, metadata={_ABOUT: about})
+    # One entry: several would be in another order every time, and the file another.
+    about = json.dumps({**priors.about, "format": FORMAT}, sort_keys=True)
+    write_bytes_atomic(path, save(points, metadata={_ABOUT: about}))
 
 
 def load_priors(path: Path | str) -> Priors:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,15 @@ def test_the_digest_is_that_of_the_file(run: Path, tmp_path: Path) -> None:
         sha256_of(path),
         path.name,
     ]
+
+
+def test_others_may_read_the_weights(run: Path, tmp_path: Path) -> None:
+    umask = os.umask(0o022)
+    try:
+        path = export_weights(run, tmp_path)
+    finally:
+        os.umask(umask)
+    assert path.stat().st_mode & 0o777 == 0o644
 
 
 def test_the_card_tells_data_steps_machine_and_scores(run: Path, tmp_path: Path) -> None:
