@@ -7,8 +7,7 @@ The first view is the same for all, and what was planned there tells more than o
 from __future__ import annotations
 
 from benchmark.clearing.round import Attempt
-from benchmark.grasping.ap import JudgedObject, judge_grasps, precision_at
-from benchmark.grasping.force_closure import FRICTIONS
+from benchmark.grasping.ap import JudgedObject, average_precision, judge_grasps, precision_at
 from std_toolkit.geometry.se3 import SE3
 
 PRECISION = ("ap", "ap08", "ap04")
@@ -23,6 +22,5 @@ def precision_of(attempt: Attempt, T_world_cam: SE3) -> dict[str, float]:
     T_cam_world = T_world_cam.inverse()  # z = 0 of the world is the table
     poses = [T_cam_world @ T for T in attempt.before.poses]
     judged = judge_grasps(attempt.planned, objects, poses, T_cam_world)
-    by_friction = precision_at(judged.friction).mean(axis=0)
-    at = dict(zip(FRICTIONS, by_friction.tolist(), strict=True))
-    return {"ap": float(by_friction.mean()), "ap08": at[0.8], "ap04": at[0.4]}
+    found = average_precision([precision_at(judged.friction)])
+    return {name: getattr(found, name) / 100 for name in PRECISION}

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from benchmark.clearing.precision import PRECISION
 from benchmark.clearing.rates import Rate
 from benchmark.clearing.results import GraspResult
+from benchmark.running.aligned import aligned
 
 HEADINGS = (
     "planner", "depth", "rounds", "grasped / attempts", "success % per attempt", "per table",
@@ -27,22 +28,11 @@ def grasp_table(results: Sequence[GraspResult]) -> str:
     blocks = []
     for camera, seed in dict.fromkeys(r.name[:2] for r in results):
         mine = [r for r in results if r.name[:2] == (camera, seed)]
-        cleared = _aligned([list(HEADINGS), *(cells(r) for r in mine)])
-        planned = _aligned([list(PLAN_HEADINGS), *(plan_cells(r) for r in mine)])
+        cleared = aligned([list(HEADINGS), *(cells(r) for r in mine)])
+        planned = aligned([list(PLAN_HEADINGS), *(plan_cells(r) for r in mine)])
         blocks.append(f"table clearing, {camera} camera, seed {seed}\n{cleared}")
         blocks.append(f"grasps planned on the first view of each table\n{planned}")
     return "\n\n".join(blocks)
-
-
-def _aligned(lines: Sequence[Sequence[str]]) -> str:
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(w) if i < 2 else cell.rjust(w)
-            for i, (cell, w) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in lines
-    )
 
 
 def cells(result: GraspResult) -> list[str]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import msgspec
 
+from benchmark.running.aligned import aligned
 from std_toolkit.io.documents import read_document, write_document
 
 FOLDER, FILE = "bop", "bop.json"
@@ -66,11 +67,4 @@ def bop_table(results: Sequence[BopResult]) -> str:
         seconds = "" if r.seconds_per_image is None else f"{r.seconds_per_image:.2f}"
         data = f"{Path(r.data).name}, {r.split}"
         lines.append([r.results, data, str(r.targets), *shares, seconds])
-    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if i < 2 else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in lines
-    )
+    return aligned(lines)

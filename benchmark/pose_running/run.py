@@ -26,7 +26,7 @@ from benchmark.pose_running.manifest import POSE_MANIFEST, PoseSetup, pose_manif
 from benchmark.pose_running.table import POSES
 from benchmark.running.device import claim_device
 from benchmark.running.growing import complete, told_frames
-from benchmark.running.pieces import Batch, batches_of, chosen_frames, pieces_of, write_rows
+from benchmark.running.pieces import Batch, chosen_frames, pieces_left, write_rows
 from benchmark.running.usable import making_methods, weights_digest
 from std_toolkit.jobs import JobOptions
 
@@ -117,11 +117,7 @@ def run_poses(run: PoseRun, jobs: JobOptions | None = None) -> pd.DataFrame:
         # A network uses all of a device; a second process would only double its memory.
         jobs = replace(jobs, workers=len(run.devices))
     del method, depths
-
-    def lacking(done: set[int]) -> list[tuple[Batch, ...]]:
-        batches = [b for b in batches_of(chosen, run.batch_size) if not done.issuperset(b)]
-        return pieces_of(batches, jobs.worker_count)
-
+    lacking = partial(pieces_left, chosen, run.batch_size, jobs.worker_count)
     return complete(
         run.folder, manifest, lacking, _Worker(run),
         title=run.title, key=told_frames, jobs=jobs, unit="pieces of work",

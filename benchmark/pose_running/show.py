@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from benchmark.metrics.pose import PoseProtocol
 from benchmark.pose_running.results import PoseResult
 from benchmark.pose_running.scoring import ALL, HARD, Scored, score_runs
+from benchmark.running.aligned import aligned
 
 _TEXTS = ("method", "depth", "fit", "objects")
 
@@ -29,14 +30,7 @@ def _table(scored: Sequence[Scored], protocol: PoseProtocol) -> str:
         figures = each.scores.mean
         numbers = [f"{100 * figures[c]:.1f}" for c in protocol.columns]
         lines.append([*each.result.name, each.subset, str(each.objects), *numbers])
-    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if i < len(_TEXTS) else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in lines
-    )
+    return aligned(lines, texts=len(_TEXTS))
 
 
 def heading(column: str) -> str:

@@ -9,6 +9,7 @@ import pandas as pd
 from benchmark.report.board import MEASURED, PUBLISHED
 from benchmark.report.pose_board import FIGURES, PROTOCOLS, TABLES, PoseBoard
 from benchmark.report.text import escape_latex
+from benchmark.running.aligned import aligned
 
 _HEADS = ("method", "depth", "fit", "objects")
 
@@ -23,15 +24,7 @@ def pose_terminal(board: PoseBoard) -> str:
     blocks = []
     for title, rows in _tables(board):
         lines = [[*_HEADS, *(c.heading for c in FIGURES)], *_cells(rows)]
-        widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
-        shown = [
-            "  ".join(
-                cell.ljust(width) if i < len(_HEADS) else cell.rjust(width)
-                for i, (cell, width) in enumerate(zip(line, widths, strict=True))
-            ).rstrip()
-            for line in lines
-        ]
-        blocks.append("\n".join([f"{title}, poses right in %", *shown]))
+        blocks.append(f"{title}, poses right in %\n{aligned(lines, texts=len(_HEADS))}")
     if (board.rows["kind"] == PUBLISHED).any():
         blocks.append("* as printed by the paper, by its own evaluation (protocol paper).")
     return "\n\n".join(blocks)

@@ -9,6 +9,7 @@ import pandas as pd
 from benchmark.protocols.registry import get_protocol
 from benchmark.report.board import PUBLISHED, SIGNIFICANT, Board, one_of_each
 from benchmark.report.columns import BOARD, Column
+from benchmark.running.aligned import aligned
 
 # Of the subsets that were measured, those that the short tables show.
 MAIN_SUBSETS = ("all", "specular+transparent")
@@ -29,15 +30,7 @@ def terminal(board: Board) -> str:
     blocks = []
     for title, rows, columns in _tables(board):
         cells = [["method", "objects", *(c.title for c in columns)], *_cells(rows, columns, "* ")]
-        widths = [max(len(line[i]) for line in cells) for i in range(len(cells[0]))]
-        lines = [
-            "  ".join(
-                cell.ljust(w) if i < 2 else cell.rjust(w)
-                for i, (cell, w) in enumerate(zip(line, widths, strict=True))
-            ).rstrip()
-            for line in cells
-        ]
-        blocks.append("\n".join([title, *lines]))
+        blocks.append(f"{title}\n{aligned(cells)}")
     if (board.rows["kind"] == PUBLISHED).any():
         blocks.append(f"* as printed by the paper. {caution(board)}".rstrip())
     return "\n\n".join(blocks)

@@ -48,6 +48,14 @@ def pieces_of(batches: Sequence[Batch], workers: int) -> list[tuple[Batch, ...]]
     return [tuple(batches[i : i + each]) for i in range(0, len(batches), each)]
 
 
+def pieces_left(
+    frames: Sequence[int], size: int, workers: int, done: set[int]
+) -> list[tuple[Batch, ...]]:
+    """Pieces of work of the batches of frames that are not finished to the last frame."""
+    left = [batch for batch in batches_of(frames, size) if not done.issuperset(batch)]
+    return pieces_of(left, workers)
+
+
 def read_ahead(batches: Sequence[Batch], read: Callable[[Batch], T]) -> Iterator[tuple[Batch, T]]:
     """Batches with what `read` makes of them; the next is read while this one is worked on."""
     with ThreadPoolExecutor(1) as reader:

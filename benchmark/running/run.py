@@ -22,7 +22,7 @@ from benchmark.running.batch import Loaded, load_frames, score_batch
 from benchmark.running.device import claim_device
 from benchmark.running.growing import complete, told_frames
 from benchmark.running.manifest import Setup, manifest_of
-from benchmark.running.pieces import Batch, batches_of, chosen_frames, pieces_of, write_rows
+from benchmark.running.pieces import Batch, chosen_frames, pieces_left, write_rows
 from benchmark.running.saving import save_depth
 from benchmark.running.usable import making_methods, weights_digest
 from std_toolkit.errors import ToolkitError
@@ -100,11 +100,7 @@ def run_method(run: Run, jobs: JobOptions | None = None) -> pd.DataFrame:
         # A network uses all of a device; a second process would only double its memory.
         jobs = replace(jobs, workers=len(run.devices))
     del restorer
-
-    def lacking(done: set[int]) -> list[tuple[Batch, ...]]:
-        batches = [b for b in batches_of(chosen, run.batch_size) if not done.issuperset(b)]
-        return pieces_of(batches, jobs.worker_count)
-
+    lacking = partial(pieces_left, chosen, run.batch_size, jobs.worker_count)
     return complete(
         run.folder, manifest, lacking, _Worker(run),
         title=run.title, key=told_frames, jobs=jobs, unit="pieces of work",

@@ -8,6 +8,7 @@ import pandas as pd
 
 from benchmark.protocols.registry import get_protocol
 from benchmark.protocols.summary import summarise
+from benchmark.running.aligned import aligned
 from benchmark.running.results import RunResult
 
 # Column, heading, factor and format. Errors are told in millimetres, shares in percent.
@@ -44,13 +45,4 @@ def _table(means: pd.DataFrame) -> str:
     shown["frames"] = means["frames"].astype(str)
     for column, heading, factor, form in _COLUMNS:
         shown[heading] = [form.format(value * factor) for value in means[column]]
-    widths = {c: max(len(str(c)), *shown[c].map(len)) for c in shown}
-    texts = {"method", "objects"}
-    lines = [list(shown.columns), *shown.to_numpy().tolist()]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if name in texts else cell.rjust(width)
-            for cell, (name, width) in zip(line, widths.items(), strict=True)
-        ).rstrip()
-        for line in lines
-    )
+    return aligned([list(shown.columns), *shown.to_numpy().tolist()])

@@ -34,9 +34,8 @@ class SwinDRNetLoss:
     Attributes:
         normals, slopes, initial, foreground, background: weights; the published ones.
         squared: weight of the squared error (from 20 cm on its tangent), which the published loss
-            has not. Where it is not
-            certain what is there, |p - g| is least for the likelier depth, and the square for
-            the mean, whose RMSE is less.
+            has not. Where it is not certain what is there, |p - g| is least for the likelier
+            depth, and the square for the mean, whose RMSE is less.
         confidence: weight of the cross entropy between the confidence and whether the sensor is
             within 1 cm of the truth, weighed by foreground and background as all parts. The
             published network learns its confidence from the final depth alone.
