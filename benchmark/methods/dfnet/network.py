@@ -12,7 +12,7 @@ from torch.nn.functional import interpolate
 
 from benchmark.methods.dfnet.config import DFNetConfig
 from benchmark.methods.network import Prediction, precisely
-from benchmark.methods.relative import coarse_depth, in_metres, told_depth
+from benchmark.methods.relative import coarse_depth, in_metres, told_color, told_depth
 from benchmark.methods.sizes import padded_to
 
 _LEVELS = 4
@@ -35,7 +35,11 @@ class DFNetwork(nn.Module):
             nn.Sequential(_unit(c, 4 * c, 1), nn.PixelShuffle(2)) for _ in range(_LEVELS)
         )
         self.decoders = nn.ModuleList(Block(2 * c, config) for _ in range(_LEVELS))
-        self.last = nn.Sequential(_unit(c, c, 1), nn.Conv2d(c, 1, 1))
+        told = nn.Conv2d(c, 1, 1)
+        if config.relative:  # the answer begins at the sensor's depth
+            nn.init.normal_(told.weight, std=0.01)
+            told.bias = nn.Parameter(torch.zeros(1))
+        self.last = nn.Sequential(_unit(c, c, 1), told)
 
     def forward(self, color: Tensor, depth: Tensor) -> Prediction:
         """Restore depth.
@@ -49,7 +53,7 @@ class DFNetwork(nn.Module):
         depth = believable(depth, self.config)
         measured = depth
         if self.config.relative:
-            depth = told_depth(depth)
+            color, depth = told_color(color), told_depth(depth)
         depths = [depth]
         for _ in range(_LEVELS):
             depths.append(interpolate(depths[-1], scale_factor=0.5, mode="nearest"))

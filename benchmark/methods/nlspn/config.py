@@ -11,7 +11,7 @@ class NLSPNConfig:
 
     Attributes:
         channels: of the first level of the encoder; a multiple of 8.
-        blocks: of its four levels; those of ResNet-34.
+        blocks: of its four levels; the published ones are those of ResNet-34.
         steps: of the propagation.
         preserve_input: keep the sensor's depth where there is some, at every step. It is for depth
             that is sparse and right; the depth of transparent objects is there and wrong.
@@ -29,4 +29,7 @@ class NLSPNConfig:
     input_size: tuple[int, int] = (224, 224)
 
 
-PRESETS = {"published": NLSPNConfig(), "compact": NLSPNConfig(channels=32, relative=True)}
+PRESETS = {
+    "published": NLSPNConfig(),
+    "compact": NLSPNConfig(channels=24, blocks=(1, 2, 2, 2), relative=True),
+}

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from benchmark.methods.network import Prediction, precisely
 from benchmark.methods.nlspn.config import NLSPNConfig
 from benchmark.methods.nlspn.propagation import NEIGHBOURS, Propagation
-from benchmark.methods.relative import coarse_depth, in_metres, told_depth
+from benchmark.methods.relative import coarse_depth, in_metres, told_color, told_depth
 from benchmark.methods.resnet import residual_layer
 from benchmark.methods.sizes import padded_to
 
@@ -23,7 +23,8 @@ _SPREAD = (0.229, 0.224, 0.225)
 class NLSPNetwork(nn.Module):
     """`network(color, depth)` to `Prediction`: depth, and initial depth before propagation.
 
-    Colour is RGB in [0, 1] and is normalised as for ImageNet here; depth is in metres.
+    Colour is RGB in [0, 1] and is normalised here, as for ImageNet unless the network is told
+    relative depth; depth is in metres.
     """
 
     color_mean: Tensor
@@ -48,9 +49,12 @@ class NLSPNetwork(nn.Module):
         self.dec3 = _enlarging(2 * c + 4 * c, c)
         self.dec2 = _enlarging(c + 2 * c, c)
         self.id_dec1 = _conv(2 * c, c)
-        last = _conv(2 * c, 1, normalised=False)
-        # Relative depth is negative as often as not: no activation then.
-        self.id_dec0 = nn.Sequential(last[0]) if config.relative else last
+        self.id_dec0 = _conv(2 * c, 1, normalised=False)
+        if config.relative:
+            # Relative depth is negative as often as not: no activation then. It begins near 0.
+            told = nn.Conv2d(2 * c, 1, 3, padding=1)
+            nn.init.normal_(told.weight, std=0.001)
+            self.id_dec0 = nn.Sequential(told)
         self.gd_dec1 = _conv(2 * c, c)
         self.gd_dec0 = nn.Sequential(nn.Conv2d(2 * c, NEIGHBOURS, 3, padding=1))
         self.cf_dec1 = _conv(2 * c, c // 2)
@@ -66,16 +70,19 @@ class NLSPNetwork(nn.Module):
         """
         h, w = depth.shape[-2:]
         color, depth = padded_to(color, _COARSEST), padded_to(depth, _COARSEST)
-        told = told_depth(depth) if self.config.relative else depth
-        initial, guidance, confidence = self._heads(color, told)
+        if self.config.relative:
+            seen, told = told_color(color), told_depth(depth)
+        else:
+            seen, told = (color - self.color_mean) / self.color_spread, depth
+        initial, guidance, confidence = self._heads(seen, told)
         if self.config.relative:
             initial = in_metres(coarse_depth(depth), initial)
         restored = self.prop_layer(initial, guidance, confidence, depth)
         return Prediction(restored[..., :h, :w].clamp(min=0), initial[..., :h, :w])
 
     def _heads(self, color: Tensor, depth: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Initial depth, guidance and confidence."""
-        of_color = self.conv1_rgb((color - self.color_mean) / self.color_spread)
+        """Initial depth, guidance and confidence of what the network is told."""
+        of_color = self.conv1_rgb(color)
         full = torch.cat([of_color, precisely(self.conv1_dep, depth)], dim=1)
         level2 = self.conv2(full)
         level3 = self.conv3(level2)

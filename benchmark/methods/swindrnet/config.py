@@ -25,10 +25,13 @@ class SwinDRNetConfig:
         fusion_window: side of the windows that the `paper` fusion attends within. None is the
             paper's formula: every token attends to the whole image.
         relative: whether the network is told depth, and tells it, relative to what the sensor
-            measured (`benchmark.methods.relative`). The published network works in metres.
-        sharp: whether the decoders tell every pixel (16 numbers for a token of 4x4 pixels), and
-            not a map of a quarter of the resolution, enlarged, as published. True depth, shrunk
-            and enlarged so, has an error of 14 mm on objects at 224x224.
+            measured (`benchmark.methods.relative`), and trusts no pixel that the sensor did not
+            measure. The published network works in metres, and has to learn the latter.
+        details: whether convolutions lead from the pixels to tokens of 8x8 pixels, and from the
+            decoders' answers back to every pixel (`benchmark.methods.swindrnet.details`). As
+            published, tokens are linear maps of 4x4 pixels and a map of a quarter of the
+            resolution is enlarged: true depth, shrunk and enlarged so, has an error of 14 mm on
+            objects at 224x224.
         drop_path, dropout: chances in training to leave a block, and a channel, out.
         input_size: (width, height) of the images.
     """
@@ -44,7 +47,7 @@ class SwinDRNetConfig:
     fusion_heads: int = 1
     fusion_window: int | None = None
     relative: bool = False
-    sharp: bool = False
+    details: bool = False
     drop_path: float = 0.2
     dropout: float = 0.1
     input_size: tuple[int, int] = (224, 224)
@@ -69,7 +72,7 @@ PRESETS = {
         heads=(1, 2, 4, 8),
         head_channels=96,
         relative=True,
-        sharp=True,
+        details=True,
         drop_path=0.1,
     ),
 }

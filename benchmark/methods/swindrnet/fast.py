@@ -39,9 +39,9 @@ class FastSwinDRNetwork(nn.Module):
         self.streams = network
 
     def forward(self, color: Tensor, depth: Tensor) -> Prediction:
-        levels = self.streams.levels(color, depth)
-        confidence = None if self.confidence_head is None else self.confidence_head(levels)
-        return self.streams.answer(depth, self.depth_head(levels), confidence)
+        found = self.streams.features(color, depth)
+        confidence = None if self.confidence_head is None else self.confidence_head(found.levels)
+        return self.streams.answer(depth, found.details, self.depth_head(found.levels), confidence)
 
 
 class FastHead(nn.Module):

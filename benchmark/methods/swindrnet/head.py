@@ -15,11 +15,11 @@ from benchmark.methods.network import precisely
 
 
 class ConvUnit(nn.Module):
-    """Convolution of the same size, batch normalisation, ReLU."""
+    """Convolution, batch normalisation, ReLU; a stride of 1 keeps the size."""
 
-    def __init__(self, inputs: int, outputs: int, kernel: int) -> None:
+    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int = 1) -> None:
         super().__init__()
-        self.conv = nn.Conv2d(inputs, outputs, kernel, padding=kernel // 2, bias=False)
+        self.conv = nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, bias=False)
         self.bn = nn.BatchNorm2d(outputs)
 
     def forward(self, features: Tensor) -> Tensor:

@@ -2,18 +2,38 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import pixel_shuffle
 
 from benchmark.methods.network import Prediction
 from benchmark.methods.relative import coarse_depth, in_metres, told_color, told_depth
 from benchmark.methods.swindrnet.config import SwinDRNetConfig
+from benchmark.methods.swindrnet.details import (
+    BEFORE_TOKENS,
+    TOKEN_OF_DETAILS,
+    DetailDecoder,
+    DetailEncoder,
+)
 from benchmark.methods.swindrnet.fusion import PaperFusion, ReleasedFusion
 from benchmark.methods.swindrnet.head import UPerHead, enlarged
 from benchmark.methods.swindrnet.swin import PATCH, Swin
 
 _DEPTH_COPIES = 3  # depth goes into a network of three channels, which ImageNet weights fit
+
+
+class Features(NamedTuple):
+    """What the streams make of an image.
+
+    Attributes:
+        levels: four maps (b, c, h, w), each of half the resolution of the one before: what the
+            decoders get.
+        details: maps at the whole, half and quarter of the resolution; none without `details`.
+    """
+
+    levels: list[Tensor]
+    details: list[Tensor]
 
 
 class SwinDRNetwork(nn.Module):
@@ -23,17 +43,27 @@ class SwinDRNetwork(nn.Module):
     program. Nothing is clamped: a predicted depth may be negative.
     """
 
+    backbone: Swin
+    backbone_rgb_branch: Swin
+    backbone_xyz_branch: Swin
+
     def __init__(self, config: SwinDRNetConfig | None = None) -> None:
         super().__init__()
         self.config = config = config or SwinDRNetConfig()
-        if config.fusion == "none":
-            self.backbone = self._stream(in_channels=4)
-        else:
-            self.backbone_rgb_branch = self._stream()
-            self.backbone_xyz_branch = self._stream(in_channels=_DEPTH_COPIES)
+        for name, channels in _images_of(config).items():
+            inputs = channels
+            if config.details:
+                self.add_module(f"{name}_details", DetailEncoder(channels))
+                inputs = BEFORE_TOKENS
+            self.add_module(name, self._stream(inputs))
         self.decode_head_depth_restoration = self._head(1)
         if config.confidence:
             self.decode_head_confidence = self._head(2)
+        if config.details:
+            streams = len(_images_of(config))
+            self.details_of_depth = DetailDecoder(config.head_channels, streams, 1)
+            if config.confidence:
+                self.details_of_confidence = DetailDecoder(config.head_channels, streams, 2)
         if config.fusion != "none":
             for level, channels in enumerate(config.level_channels):
                 fusion: nn.Module = (
@@ -50,42 +80,65 @@ class SwinDRNetwork(nn.Module):
             color: (b, 3, h, w) RGB in [0, 1].
             depth: (b, 1, h, w) metres, 0 where the sensor measured nothing.
         """
-        levels = self.levels(color, depth)
-        confidence = self.decode_head_confidence(levels) if self.config.confidence else None
-        return self.answer(depth, self.decode_head_depth_restoration(levels), confidence)
+        found = self.features(color, depth)
+        confidence = self.decode_head_confidence(found.levels) if self.config.confidence else None
+        initial = self.decode_head_depth_restoration(found.levels)
+        return self.answer(depth, found.details, initial, confidence)
 
-    def answer(self, depth: Tensor, initial: Tensor, confidence: Tensor | None) -> Prediction:
+    def features(self, color: Tensor, depth: Tensor) -> Features:
+        """What the decoders get; of colour and depth as `forward` does."""
+        config = self.config
+        measured = (depth > 0).to(depth.dtype)
+        if config.relative:
+            color, depth = told_color(color), told_depth(depth)
+        if config.details:
+            depth = torch.cat([depth, measured], dim=1)
+        if config.fusion == "none":
+            images = [torch.cat([color, depth], dim=1)]
+        elif config.details:
+            images = [color, depth]
+        else:
+            images = [color, depth.expand(-1, _DEPTH_COPIES, -1, -1)]
+        pyramids, all_details = [], []
+        for name, image in zip(_images_of(config), images, strict=True):
+            if config.details:
+                all_details.append(self.get_submodule(f"{name}_details")(image))
+                image = all_details[-1][-1]
+            pyramids.append(self.get_submodule(name)(image))
+        levels = pyramids[0]
+        if config.fusion != "none":
+            levels = [
+                self.get_submodule(f"cross_attention_{level}")(*pair)
+                for level, pair in enumerate(zip(*pyramids, strict=True))
+            ]
+        return Features(
+            [level.permute(0, 3, 1, 2) for level in levels],
+            [torch.cat(of_streams, dim=1) for of_streams in zip(*all_details, strict=True)],
+        )
+
+    def answer(
+        self, depth: Tensor, details: list[Tensor], initial: Tensor, confidence: Tensor | None
+    ) -> Prediction:
         """What the decoders' maps say; that of confidence is None without such a decoder."""
-        initial = self._whole(initial, depth)
-        if self.config.relative:
+        config = self.config
+        if config.details:
+            initial = self.details_of_depth(initial, details)
+        else:
+            initial = enlarged(initial, depth)
+        if config.relative:
             initial = in_metres(coarse_depth(depth), initial)
         if confidence is None:
             return Prediction(initial, initial)
-        return blended(depth, initial, self._whole(confidence, depth))
-
-    def levels(self, color: Tensor, depth: Tensor) -> list[Tensor]:
-        """The four levels of features (b, c, h, w) that the decoders get."""
-        if self.config.relative:
-            color, depth = told_color(color), told_depth(depth)
-        if self.config.fusion == "none":
-            levels = self.backbone(torch.cat([color, depth], dim=1))
+        if config.details:
+            confidence = self.details_of_confidence(confidence, details)
         else:
-            of_color = self.backbone_rgb_branch(color)
-            of_depth = self.backbone_xyz_branch(depth.expand(-1, _DEPTH_COPIES, -1, -1))
-            levels = [
-                self.get_submodule(f"cross_attention_{level}")(*pair)
-                for level, pair in enumerate(zip(of_color, of_depth, strict=True))
-            ]
-        return [level.permute(0, 3, 1, 2) for level in levels]
+            confidence = enlarged(confidence, depth)
+        if config.relative:
+            nothing = torch.cat([depth == 0, torch.zeros_like(depth, dtype=torch.bool)], dim=1)
+            confidence = confidence.masked_fill(nothing, -torch.inf)
+        return blended(depth, initial, confidence)
 
-    def _whole(self, answer: Tensor, like: Tensor) -> Tensor:
-        """A decoder's map at the resolution of the image."""
-        if not self.config.sharp:
-            return enlarged(answer, like)
-        h, w = like.shape[-2:]
-        return pixel_shuffle(answer, PATCH)[..., :h, :w]
-
-    def _stream(self, in_channels: int = 3) -> Swin:
+    def _stream(self, in_channels: int) -> Swin:
         config = self.config
         return Swin(
             config.channels,
@@ -94,6 +147,7 @@ class SwinDRNetwork(nn.Module):
             config.window,
             in_channels,
             config.drop_path,
+            TOKEN_OF_DETAILS if config.details else PATCH,
         )
 
     def _head(self, outputs: int) -> UPerHead:
@@ -101,7 +155,7 @@ class SwinDRNetwork(nn.Module):
         return UPerHead(
             config.fused_channels,
             config.head_channels,
-            outputs * (PATCH**2 if config.sharp else 1),
+            config.head_channels if config.details else outputs,
             config.pool_scales,
             config.dropout,
         )
@@ -111,3 +165,14 @@ def blended(depth: Tensor, initial: Tensor, logits: Tensor) -> Prediction:
     """The sensor's depth and the predicted one, by a softmax over their two logits (b, 2, h, w)."""
     of_sensor, of_initial = logits.softmax(dim=1).split(1, dim=1)
     return Prediction(of_sensor * depth + of_initial * initial, initial, of_sensor)
+
+
+def _images_of(config: SwinDRNetConfig) -> dict[str, int]:
+    """The streams' names, and the channels of the images that they get.
+
+    Where details are kept, depth comes with whether it was measured.
+    """
+    if config.fusion == "none":
+        return {"backbone": 5 if config.details else 4}
+    of_depth = 2 if config.details else _DEPTH_COPIES
+    return {"backbone_rgb_branch": 3, "backbone_xyz_branch": of_depth}

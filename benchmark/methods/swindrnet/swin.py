@@ -31,6 +31,7 @@ class Swin(nn.Module):
         window: side of the windows in tokens.
         in_channels: of the image.
         drop_path: chance to leave the last block out in training; it rises from 0 in the first.
+        patch: side of the pixels of a token.
     """
 
     def __init__(
@@ -41,9 +42,10 @@ class Swin(nn.Module):
         window: int = 7,
         in_channels: int = 3,
         drop_path: float = 0.2,
+        patch: int = PATCH,
     ) -> None:
         super().__init__()
-        self.patch_embed = PatchEmbedding(in_channels, channels)
+        self.patch_embed = PatchEmbedding(in_channels, channels, patch)
         last = max(sum(depths) - 1, 1)
         chances = (drop_path * index / last for index in range(sum(depths)))
         self.layers = nn.ModuleList(
@@ -61,7 +63,7 @@ class Swin(nn.Module):
         self.apply(_initialise)
 
     def forward(self, image: Tensor) -> list[Tensor]:
-        """(b, c, h, w) image to the levels' features (b, h / 4, w / 4, channels), and so on."""
+        """(b, c, h, w) image to the levels' features (b, h / patch, w / patch, channels) ..."""
         tokens = self.patch_embed(image)
         levels = []
         for index, stage in enumerate(self.layers):
@@ -71,17 +73,18 @@ class Swin(nn.Module):
 
 
 class PatchEmbedding(nn.Module):
-    """A token for every 4x4 pixels."""
+    """A token for every square of pixels."""
 
-    def __init__(self, in_channels: int, channels: int) -> None:
+    def __init__(self, in_channels: int, channels: int, patch: int = PATCH) -> None:
         super().__init__()
-        self.proj = nn.Conv2d(in_channels, channels, PATCH, PATCH)
+        self.patch = patch
+        self.proj = nn.Conv2d(in_channels, channels, patch, patch)
         self.norm = nn.LayerNorm(channels)
 
     def forward(self, image: Tensor) -> Tensor:
         h, w = image.shape[-2:]
-        if h % PATCH or w % PATCH:
-            image = pad(image, (0, -w % PATCH, 0, -h % PATCH))
+        if h % self.patch or w % self.patch:
+            image = pad(image, (0, -w % self.patch, 0, -h % self.patch))
         return self.norm(precisely(self.proj, image).permute(0, 2, 3, 1))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from benchmark.methods.network import Prediction
-from benchmark.training.losses.terms import Loss, Target
+from benchmark.training.losses.terms import Loss, Target, weighed
 
 _KNOWN = 1e-4  # metres; less is no ground truth
 
@@ -19,6 +19,7 @@ class NLSPNLoss:
 
     Attributes:
         absolute, squared: weights; the published ones.
+        objects: how many times as much as others pixels of objects count, as published 1.
         farthest: metres; truth and prediction are limited to [0, farthest], as in the authors'
             program (10 m indoors). A prediction outside receives no gradient. None for no limit,
             which is what the paper's formula says; the truth of the data sets here is below 10 m
@@ -27,6 +28,7 @@ class NLSPNLoss:
 
     absolute: float = 1.0
     squared: float = 1.0
+    objects: float = 1.0
     farthest: float | None = 10.0
 
     def __call__(self, prediction: Prediction, target: Target) -> Loss:
@@ -35,13 +37,14 @@ class NLSPNLoss:
         if self.farthest is not None:
             depth, true = depth.clamp(0, self.farthest), true.clamp(0, self.farthest)
         error = (depth - true).masked_fill(~known, 0.0)
-        absolute, squared = _by_image(error.abs(), known), _by_image(error.square(), known)
+        weights = weighed(target, self.objects) * known
+        absolute, squared = _by_image(error.abs(), weights), _by_image(error.square(), weights)
         return Loss(
             self.absolute * absolute + self.squared * squared,
             {"absolute": absolute.detach(), "squared": squared.detach()},
         )
 
 
-def _by_image(values: Tensor, known: Tensor) -> Tensor:
-    counts = known.sum(dim=(1, 2, 3)).clamp(min=1)
-    return (values.sum(dim=(1, 2, 3)) / counts).mean()
+def _by_image(values: Tensor, weights: Tensor) -> Tensor:
+    whole = weights.sum(dim=(1, 2, 3)).clamp(min=1)
+    return ((values * weights).sum(dim=(1, 2, 3)) / whole).mean()

@@ -44,6 +44,11 @@ class LossFunction(Protocol):
     def __call__(self, prediction: Prediction, target: Target) -> Loss: ...
 
 
+def weighed(target: Target, objects: float) -> Tensor:
+    """(b, 1, h, w) what each pixel counts: pixels of objects `objects` times as much as others."""
+    return target.foreground.to(target.depth.dtype) * (objects - 1) + 1
+
+
 def mean_where(values: Tensor, where: Tensor) -> Tensor:
     """Mean over the pixels where `where` is true; 0, with a gradient of 0, where there is none."""
     # Products would make NaN of what is not finite and does not count.

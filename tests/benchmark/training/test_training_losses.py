@@ -23,6 +23,8 @@ LOSSES: dict[str, LossFunction] = {
     "nlspn-unlimited": NLSPNLoss(farthest=None),
     "dfnet": DFNetLoss(smoothness=0.1),
     "dfnet-foreground": DFNetLoss(smoothness=0.1, foreground_only=True),
+    "nlspn-objects": NLSPNLoss(objects=4.0),
+    "dfnet-objects": DFNetLoss(smoothness=0.1, objects=4.0),
 }
 
 
@@ -175,6 +177,18 @@ def test_nlspn_means_over_each_image_and_then_over_images():
     assert loss.parts["absolute"].item() == pytest.approx((0.5 / 2 + 1 / 4) / 2)
     assert loss.parts["squared"].item() == pytest.approx((0.25 / 2 + 1 / 4) / 2)
     assert loss.total.item() == pytest.approx(0.25 + 0.1875)
+
+
+@pytest.mark.parametrize("make", [NLSPNLoss, DFNetLoss])
+def test_pixels_of_objects_count_more_on_request(make):
+    true = torch.ones(1, 1, 2, 2)
+    depth = torch.tensor([[[[1.2, 1.0], [1.1, 1.0]]]])  # one pixel of an object, three others
+    foreground = torch.tensor([[[[True, False], [False, False]]]])
+    target = Target(true, foreground, torch.eye(3)[None])
+    for objects, share in ((1.0, 1 / 4), (3.0, 3 / 6)):
+        found = make(objects=objects)(Prediction(depth), target).parts["squared"].item()
+        rest = (1 - share) / 3
+        assert found == pytest.approx(share * 0.2**2 + rest * 0.1**2, rel=1e-5)
 
 
 def test_nlspn_gives_no_gradient_outside_its_range():

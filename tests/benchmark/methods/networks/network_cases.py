@@ -68,7 +68,7 @@ CASES = {
     "swindrnet-paper": _swin_case(fusion="paper"),
     "swindrnet-windowed": _swin_case(fusion="paper", fusion_window=7, fusion_heads=2),
     "swindrnet-relative": _swin_case(fusion="paper", relative=True),
-    "swindrnet-sharp": _swin_case(fusion="paper", relative=True, sharp=True),
+    "swindrnet-details": _swin_case(fusion="paper", relative=True, details=True),
     "swindrnet-no-confidence": _swin_case(confidence=False),
     "swindrnet-no-fusion": _swin_case(fusion="none", confidence=False),
     "nlspn": Case(

@@ -14,7 +14,7 @@ PLANS = {
     "swindrnet-released": (150, 3e-3, 0.1),
     "swindrnet-paper": (150, 3e-3, 0.05),
     # Relative depth begins near the answer.
-    "swindrnet-sharp": (150, 3e-3, 0.2),
+    "swindrnet-details": (150, 3e-3, 0.2),
     "swindrnet-no-fusion": (150, 3e-3, 0.05),
     "nlspn": (120, 2e-3, 0.05),
     "nlspn-relative": (120, 2e-3, 0.1),

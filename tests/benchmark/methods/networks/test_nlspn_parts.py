@@ -130,7 +130,7 @@ def test_confidence_learns_through_the_weights_and_moves_no_neighbour():
 
 def test_sizes():
     assert parameter_count(NLSPNetwork()) == 26_231_779
-    assert parameter_count(NLSPNetwork(PRESETS["compact"])) == 6_567_267
+    assert parameter_count(NLSPNetwork(PRESETS["compact"])) == 2_264_195
 
 
 def test_every_parameter_learns_once_propagation_has_an_effect():

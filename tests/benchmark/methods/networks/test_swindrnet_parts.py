@@ -9,6 +9,7 @@ import pytest
 import torch
 from network_cases import TINY_SWIN
 
+from benchmark.methods.swindrnet.details import DetailDecoder, DetailEncoder
 from benchmark.methods.swindrnet.fusion import PaperFusion
 from benchmark.methods.swindrnet.imagenet import load_imagenet
 from benchmark.methods.swindrnet.network import SwinDRNetwork, blended
@@ -189,6 +190,35 @@ def test_blending():
     found = blended(depth, initial, logits)
     torch.testing.assert_close(found.confidence, torch.full((1, 1, 2, 2), 0.25))
     torch.testing.assert_close(found.depth, torch.full((1, 1, 2, 2), 1.25))
+
+
+def test_a_relative_network_trusts_no_hole():
+    torch.manual_seed(0)
+    network = SwinDRNetwork(replace(TINY_SWIN, fusion="paper", relative=True)).train()
+    depth = 0.5 + torch.rand(2, 1, 64, 64)
+    hole = torch.zeros_like(depth, dtype=torch.bool)
+    hole[..., 20:40, 10:50] = True
+    found = network(torch.rand(2, 3, 64, 64), depth.masked_fill(hole, 0.0))
+    assert (found.confidence[hole] == 0).all() and (found.confidence[~hole] > 0).all()
+    assert torch.equal(found.depth[hole], found.initial[hole])
+    found.depth.mean().backward()
+    assert all(p.grad is None or p.grad.isfinite().all() for p in network.parameters())
+
+
+@pytest.mark.parametrize("size", [(64, 64), (90, 61), (33, 47)])
+def test_details_lead_back_to_every_pixel(size):
+    encoder, decoder = DetailEncoder(3).eval(), DetailDecoder(8, 1, 2).eval()
+    h, w = size
+    details = encoder(torch.rand(1, 3, h, w))
+    halves = [(h, w), (-(-h // 2), -(-w // 2)), (-(-h // 4), -(-w // 4))]
+    assert [tuple(d.shape[-2:]) for d in details] == halves
+    coarse = torch.rand(1, 8, -(-h // 8), -(-w // 8))
+    with torch.inference_mode():
+        before = decoder(coarse, details)
+        assert before.shape == (1, 2, h, w)
+        details[0][..., h // 2, w // 2] += 1
+        changed = (decoder(coarse, details) != before).any(dim=1).nonzero()[:, 1:]
+    assert abs(changed - torch.tensor([h // 2, w // 2])).max() == 1  # one pixel's edge stays sharp
 
 
 def test_drop_path_keeps_the_mean():
