@@ -23,6 +23,7 @@ from std_toolkit.io.documents import read_document
 
 _SHOWN_OPTIONS = ("sensor", "views", "width", "height", "quality", "matcher", "materials", "depth")
 _MIB = 2**20
+_DECAYS = {"linear": "falling to 0", "steps": "falling by steps"}
 
 
 def export_weights(run: Path, out: Path, *, scores: str = "") -> Path:
@@ -131,7 +132,11 @@ def _how(
             f"{config['steps']} of {batch} frames, {config['steps'] * batch / frames:.1f} times "
             f"through the data; best at {best['step']}",
         ),
-        ("optimizer", f"{config['optimization']['optimizer']}, {rate:g}, {config['precision']}"),
+        (
+            "optimizer",
+            f"{config['optimization']['optimizer']}, {rate:g}, "
+            f"{_DECAYS[config['optimization']['decay']]}, {config['precision']}",
+        ),
         ("seed", str(config["seed"])),
         ("machine", ", ".join(f"{k}: {v}" for k, v in note.hardware.items())),
         ("torch", note.packages.get("torch", "")),

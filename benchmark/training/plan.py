@@ -32,7 +32,7 @@ class TrainWishes:
         share: of the scenes that are left, those that are trained on.
         steps, epochs: how long; `epochs` is left aside where there are `steps`.
         phases: steps of each phase, instead; those that are not named are left out.
-        optimizer, batch_size, learning_rate, weight_decay: as in `Optimization`.
+        optimizer, decay, batch_size, learning_rate, weight_decay: as in `Optimization`.
         weights, imagenet: as in `Beginning`.
         colors: `published` for what was published for the method, `on` for SwinDRNet's,
             `jitter` for NLSPN's, `off`.
@@ -52,6 +52,7 @@ class TrainWishes:
     epochs: int | None = None
     phases: Mapping[str, int] = field(default_factory=dict)
     optimizer: Literal["adam", "adamw", "sgd"] | None = None
+    decay: Literal["linear", "steps"] | None = None
     batch_size: int | None = None
     learning_rate: float | None = None
     weight_decay: float | None = None
@@ -93,8 +94,9 @@ def plan_training(wishes: TrainWishes) -> tuple[TrainConfig, Data, Beginning]:
                 "must not be negative", field="weight_decay", value=wishes.weight_decay
             )
         changes["weight_decay"] = wishes.weight_decay
-    if wishes.optimizer is not None:
-        changes["optimizer"] = wishes.optimizer
+    for name in ("optimizer", "decay"):
+        if (value := getattr(wishes, name)) is not None:
+            changes[name] = value
     optimization = replace(trainable.optimization, **changes)
     order = BatchOrder(len(data.of_training), optimization.batch_size, seed=wishes.seed)
     phases = _phases(wishes, optimization, order.steps_per_epoch)

@@ -194,3 +194,13 @@ def test_optimizers_are_the_published_ones(method, kind, decay):
     assert type(made) is kind
     assert made.defaults["weight_decay"] == decay
     assert made.defaults["betas"] == (0.9, 0.999)
+
+
+def test_a_short_training_may_fall_in_a_straight_line(pack):
+    published, straight = (
+        plan_training(wishes("dfnet", pack, steps=80, decay=decay))[0] for decay in (None, "linear")
+    )
+    at = (0, 20, 40, 60)
+    rate = straight.optimization.learning_rate
+    assert [straight.rate(step) / rate for step in at] == pytest.approx([1, 0.75, 0.5, 0.25])
+    assert [published.rate(step) / rate for step in at] == pytest.approx([1, 0.2, 0.04, 0.008])
