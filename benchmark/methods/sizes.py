@@ -1,9 +1,13 @@
-"""Images of any size for networks that halve them several times."""
+"""Sizes of images that networks work at."""
 
 from __future__ import annotations
 
 from torch import Tensor
 from torch.nn.functional import pad
+
+# (width, height) that compact networks work at: that of the main tables, so that neither their
+# depth nor what they are given is resized in between, and shaped as the cameras' images.
+COMPACT_SIZE = (224, 126)
 
 
 def padded_to(images: Tensor, multiple: int) -> Tensor:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from benchmark.methods.sizes import COMPACT_SIZE
+
 
 @dataclass(frozen=True, kw_only=True)
 class DFNetConfig:
@@ -32,5 +34,5 @@ class DFNetConfig:
 
 PRESETS = {
     "published": DFNetConfig(),
-    "compact": DFNetConfig(channels=32, layers=4, relative=True, input_size=(224, 168)),
+    "compact": DFNetConfig(channels=32, layers=4, relative=True, input_size=COMPACT_SIZE),
 }

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from benchmark.methods.sizes import COMPACT_SIZE
+
 
 @dataclass(frozen=True, kw_only=True)
 class NLSPNConfig:
@@ -31,5 +33,7 @@ class NLSPNConfig:
 
 PRESETS = {
     "published": NLSPNConfig(),
-    "compact": NLSPNConfig(channels=24, blocks=(1, 2, 2, 2), relative=True),
+    "compact": NLSPNConfig(
+        channels=24, blocks=(1, 2, 2, 2), relative=True, input_size=COMPACT_SIZE
+    ),
 }

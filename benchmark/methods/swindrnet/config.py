@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from benchmark.methods.sizes import COMPACT_SIZE
+
 
 @dataclass(frozen=True, kw_only=True)
 class SwinDRNetConfig:
@@ -74,5 +76,6 @@ PRESETS = {
         relative=True,
         details=True,
         drop_path=0.1,
+        input_size=COMPACT_SIZE,
     ),
 }
