@@ -87,7 +87,7 @@ def test_what_a_method_does_not_say_is_that_of_the_scale() -> None:
     assert small.of("swindrnet").batch_size == small.training.batch_size
     assert small.of("lidf").batch_size != small.training.batch_size
     assert small.of("swindrnet").learning_rate == 1e-3 and small.training.learning_rate is None
-    assert small.of("nlspn").settings == {"input_size": "112,112"}
+    assert small.of("nlspn").settings == {"input_size": "112,63"}
     assert small.of("lidf").steps == small.training.steps
 
 
