@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from benchmark.methods.network import parameter_count
+from benchmark.protocols.strict import STRICT
 
 REPOSITORY = Path(__file__).resolve().parents[4]
 NETWORKS = {
@@ -42,6 +43,13 @@ def test_sizes_and_parameters(text: str, name: str) -> None:
         sizes = [parameter_count(network(presets(name)[p])) for p in ("published", "compact")]
     assert [f"{size / 1e6:.2f}" for size in sizes] == [row[2], row[3]]
     assert sizes[1] < 15_000_000
+
+
+@pytest.mark.parametrize("name", ["swindrnet", "nlspn", "dfnet"])
+def test_compact_networks_work_at_the_size_of_the_main_tables(text: str, name: str) -> None:
+    w, h = presets(name)["compact"].input_size
+    assert (w, h) == STRICT.grids[0].size
+    assert re.search(rf"^\| `{name}` \| [^|]*`compact`: {w}x{h}\)", text, re.M)
 
 
 def test_settings_are_fields_with_those_defaults(text: str) -> None:
