@@ -78,4 +78,6 @@ class UPerHead(nn.Module):
 
 def enlarged(features: Tensor, like: Tensor) -> Tensor:
     """Bilinear enlargement to the size of `like`, corners not aligned."""
+    if features.shape[-2:] == like.shape[-2:]:
+        return features
     return interpolate(features, size=like.shape[-2:], mode="bilinear", align_corners=False)

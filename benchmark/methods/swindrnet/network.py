@@ -88,19 +88,8 @@ class SwinDRNetwork(nn.Module):
     def features(self, color: Tensor, depth: Tensor) -> Features:
         """What the decoders get; of colour and depth as `forward` does."""
         config = self.config
-        measured = (depth > 0).to(depth.dtype)
-        if config.relative:
-            color, depth = told_color(color), told_depth(depth)
-        if config.details:
-            depth = torch.cat([depth, measured], dim=1)
-        if config.fusion == "none":
-            images = [torch.cat([color, depth], dim=1)]
-        elif config.details:
-            images = [color, depth]
-        else:
-            images = [color, depth.expand(-1, _DEPTH_COPIES, -1, -1)]
         pyramids, all_details = [], []
-        for name, image in zip(_images_of(config), images, strict=True):
+        for name, image in zip(_images_of(config), self._images(color, depth), strict=True):
             if config.details:
                 all_details.append(self.get_submodule(f"{name}_details")(image))
                 image = all_details[-1][-1]
@@ -116,6 +105,20 @@ class SwinDRNetwork(nn.Module):
             [torch.cat(of_streams, dim=1) for of_streams in zip(*all_details, strict=True)],
         )
 
+    def _images(self, color: Tensor, depth: Tensor) -> list[Tensor]:
+        """What each stream is shown."""
+        config = self.config
+        measured = (depth > 0).to(depth.dtype)
+        if config.relative:
+            color, depth = told_color(color), told_depth(depth)
+        if config.details:
+            depth = torch.cat([depth, measured], dim=1)
+        if config.fusion == "none":
+            return [torch.cat([color, depth], dim=1)]
+        if config.details:
+            return [color, depth]
+        return [color, depth.expand(-1, _DEPTH_COPIES, -1, -1)]
+
     def answer(
         self, depth: Tensor, details: list[Tensor], initial: Tensor, confidence: Tensor | None
     ) -> Prediction:
@@ -123,16 +126,14 @@ class SwinDRNetwork(nn.Module):
         config = self.config
         if config.details:
             initial = self.details_of_depth(initial, details)
-        else:
-            initial = enlarged(initial, depth)
+        initial = enlarged(initial, depth)
         if config.relative:
             initial = in_metres(coarse_depth(depth), initial)
         if confidence is None:
             return Prediction(initial, initial)
         if config.details:
             confidence = self.details_of_confidence(confidence, details)
-        else:
-            confidence = enlarged(confidence, depth)
+        confidence = enlarged(confidence, depth)
         if config.relative:
             nothing = torch.cat([depth == 0, torch.zeros_like(depth, dtype=torch.bool)], dim=1)
             confidence = confidence.masked_fill(nothing, -torch.inf)
