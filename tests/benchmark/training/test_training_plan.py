@@ -131,7 +131,7 @@ def test_scenes_on_both_sides_are_refused(pack, tmp_path):
 
 
 def test_frames_of_another_size_than_the_network_are_refused(pack):
-    with pytest.raises(ToolkitError, match=r"at 32x32, the network works at 224x168.*--size"):
+    with pytest.raises(ToolkitError, match=r"at 32x32, the network works at 224x126.*--size"):
         plan_training(wishes("dfnet", pack, settings={}))
 
 
