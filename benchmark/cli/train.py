@@ -64,7 +64,7 @@ def build_parser() -> argparse.ArgumentParser:
     add("--learning-rate", type=float, metavar="X")
     add("--weight-decay", type=float, metavar="X")
     add("--optimizer", choices=("adam", "adamw", "sgd"))
-    add("--decay", choices=("linear", "steps"), help="of the learning rate: to 0, or as published")
+    add("--decay", choices=("linear", "steps"), help="of the learning rate (as published)")
     add("--loss", nargs="+", default=[], metavar="NAME=VALUE", help="form=released, ...")
     colors = ("published", "on", "jitter", "off")
     add("--colors", choices=colors, default="published", help="augmentation of colour")

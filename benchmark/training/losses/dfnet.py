@@ -8,6 +8,8 @@ from benchmark.methods.network import Prediction
 from benchmark.training.losses.surfaces import normals, whole_around
 from benchmark.training.losses.terms import Loss, Target, mean_where, weighed
 
+_LEAST = 1e-6  # so that nothing to compare is no division by 0
+
 
 @dataclass(frozen=True, kw_only=True)
 class DFNetLoss:
@@ -34,7 +36,7 @@ class DFNetLoss:
         compared = known & target.foreground if self.foreground_only else known
         weights = weighed(target, self.objects)
         squared = mean_where(weights * (prediction.depth - true).square(), compared)
-        squared = squared / mean_where(weights, compared).clamp(min=1)
+        squared = squared / mean_where(weights, compared).clamp(min=_LEAST)
         both = normals(prediction.depth, target.K) * normals(true, target.K)
         bent = mean_where(1 - both.sum(dim=1, keepdim=True), compared & whole_around(known))
         return Loss(

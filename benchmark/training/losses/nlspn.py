@@ -10,6 +10,7 @@ from benchmark.methods.network import Prediction
 from benchmark.training.losses.terms import Loss, Target, weighed
 
 _KNOWN = 1e-4  # metres; less is no ground truth
+_LEAST = 1e-6  # so that nothing to compare is no division by 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,5 +47,5 @@ class NLSPNLoss:
 
 
 def _by_image(values: Tensor, weights: Tensor) -> Tensor:
-    whole = weights.sum(dim=(1, 2, 3)).clamp(min=1)
+    whole = weights.sum(dim=(1, 2, 3)).clamp(min=_LEAST)
     return ((values * weights).sum(dim=(1, 2, 3)) / whole).mean()

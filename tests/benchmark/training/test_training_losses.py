@@ -185,7 +185,7 @@ def test_pixels_of_objects_count_more_on_request(make):
     depth = torch.tensor([[[[1.2, 1.0], [1.1, 1.0]]]])  # one pixel of an object, three others
     foreground = torch.tensor([[[[True, False], [False, False]]]])
     target = Target(true, foreground, torch.eye(3)[None])
-    for objects, share in ((1.0, 1 / 4), (3.0, 3 / 6)):
+    for objects, share in ((1.0, 1 / 4), (3.0, 3 / 6), (0.5, 1 / 7)):
         found = make(objects=objects)(Prediction(depth), target).parts["squared"].item()
         rest = (1 - share) / 3
         assert found == pytest.approx(share * 0.2**2 + rest * 0.1**2, rel=1e-5)
