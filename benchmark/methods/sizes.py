@@ -5,8 +5,8 @@ from __future__ import annotations
 from torch import Tensor
 from torch.nn.functional import pad
 
-# (width, height) that compact networks work at: that of the main tables, so that neither their
-# depth nor what they are given is resized in between, and shaped as the cameras' images.
+# (width, height) that compact networks work at: that of the main tables, so that their answers are
+# scored pixel by pixel, and shaped as the cameras' images.
 COMPACT_SIZE = (224, 126)
 
 

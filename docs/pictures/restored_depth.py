@@ -11,7 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmark.running.panels import LARGEST_ERROR_M, PANEL_WIDTH, PANELS, TRUST_PANEL
+from benchmark.running.panels import LARGEST_ERROR_M, PANELS, TRUST_PANEL
+from std_toolkit.io.images import read_color, write_color
 
 OUT = Path(__file__).with_suffix(".jpg")
 HEADING, GAP = 28, 4
@@ -19,23 +20,18 @@ HEADING, GAP = 28, 4
 
 def main(gallery: Path) -> None:
     """The frames below one another, with a heading above each panel."""
-    rows = [read(sorted(gallery.glob(f"{rank}-*.jpg"))[0]) for rank in ("best", "median", "worst")]
+    ranks = ("best", "median", "worst")
+    rows = [read_color(next(gallery.glob(f"{rank}-*.jpg"))) for rank in ranks]
+    width = rows[0].shape[1]
     headings = [*PANELS, TRUST_PANEL]
-    picture = np.full((HEADING, rows[0].shape[1], 3), 255, np.uint8)
+    picture = np.full((HEADING, width, 3), 255, np.uint8)
     for index, heading in enumerate(headings):
         told = f"{heading} to {100 * LARGEST_ERROR_M:.0f} cm" if heading == "error" else heading
-        place = (index * (PANEL_WIDTH + GAP) + 4, HEADING - 9)
+        place = (index * width // len(headings) + 4, HEADING - 9)
         cv2.putText(picture, told, place, cv2.FONT_HERSHEY_SIMPLEX, 0.55, (0, 0, 0), 1, cv2.LINE_AA)
-    gap = np.full((GAP, picture.shape[1], 3), 255, np.uint8)
+    gap = np.full((GAP, width, 3), 255, np.uint8)
     parts = [picture, *(part for row in rows for part in (row, gap))]
-    cv2.imwrite(str(OUT), np.vstack(parts[:-1]), [cv2.IMWRITE_JPEG_QUALITY, 88])
-
-
-def read(path: Path) -> np.ndarray:
-    image = cv2.imread(str(path))
-    if image is None:
-        raise SystemExit(f"{path}: no image")
-    return image
+    write_color(OUT, np.vstack(parts[:-1]), quality=88)
 
 
 if __name__ == "__main__":

@@ -50,20 +50,18 @@ class SwinDRNetwork(nn.Module):
     def __init__(self, config: SwinDRNetConfig | None = None) -> None:
         super().__init__()
         self.config = config = config or SwinDRNetConfig()
-        for name, channels in _images_of(config).items():
-            inputs = channels
+        images = _images_of(config)
+        for name, channels in images.items():
             if config.details:
                 self.add_module(f"{name}_details", DetailEncoder(channels))
-                inputs = BEFORE_TOKENS
-            self.add_module(name, self._stream(inputs))
+            self.add_module(name, self._stream(BEFORE_TOKENS if config.details else channels))
         self.decode_head_depth_restoration = self._head(1)
         if config.confidence:
             self.decode_head_confidence = self._head(2)
         if config.details:
-            streams = len(_images_of(config))
-            self.details_of_depth = DetailDecoder(config.head_channels, streams, 1)
+            self.details_of_depth = DetailDecoder(config.head_channels, len(images), 1)
             if config.confidence:
-                self.details_of_confidence = DetailDecoder(config.head_channels, streams, 2)
+                self.details_of_confidence = DetailDecoder(config.head_channels, len(images), 2)
         if config.fusion != "none":
             for level, channels in enumerate(config.level_channels):
                 fusion: nn.Module = (

@@ -75,7 +75,7 @@ class Swin(nn.Module):
 class PatchEmbedding(nn.Module):
     """A token for every square of pixels."""
 
-    def __init__(self, in_channels: int, channels: int, patch: int = PATCH) -> None:
+    def __init__(self, in_channels: int, channels: int, patch: int) -> None:
         super().__init__()
         self.patch = patch
         self.proj = nn.Conv2d(in_channels, channels, patch, patch)

@@ -6,9 +6,7 @@ from dataclasses import dataclass
 
 from benchmark.methods.network import Prediction
 from benchmark.training.losses.surfaces import normals, whole_around
-from benchmark.training.losses.terms import Loss, Target, mean_where, weighed
-
-_LEAST = 1e-6  # so that nothing to compare is no division by 0
+from benchmark.training.losses.terms import Loss, Target, mean_where, weighed, weighed_mean
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,9 +32,8 @@ class DFNetLoss:
         true = target.depth
         known = (true >= self.near) & (true <= self.far)
         compared = known & target.foreground if self.foreground_only else known
-        weights = weighed(target, self.objects)
-        squared = mean_where(weights * (prediction.depth - true).square(), compared)
-        squared = squared / mean_where(weights, compared).clamp(min=_LEAST)
+        error = (prediction.depth - true).masked_fill(~compared, 0.0)
+        squared = weighed_mean(error.square(), weighed(target, self.objects) * compared)
         both = normals(prediction.depth, target.K) * normals(true, target.K)
         bent = mean_where(1 - both.sum(dim=1, keepdim=True), compared & whole_around(known))
         return Loss(

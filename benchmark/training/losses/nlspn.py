@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from benchmark.methods.network import Prediction
-from benchmark.training.losses.terms import Loss, Target, weighed
+from benchmark.training.losses.terms import Loss, Target, weighed, weighed_mean
 
 _KNOWN = 1e-4  # metres; less is no ground truth
-_LEAST = 1e-6  # so that nothing to compare is no division by 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,5 +46,4 @@ class NLSPNLoss:
 
 
 def _by_image(values: Tensor, weights: Tensor) -> Tensor:
-    whole = weights.sum(dim=(1, 2, 3)).clamp(min=_LEAST)
-    return ((values * weights).sum(dim=(1, 2, 3)) / whole).mean()
+    return weighed_mean(values, weights, dim=(1, 2, 3)).mean()

@@ -8,6 +8,8 @@ from torch import Tensor
 
 from benchmark.methods.network import Prediction
 
+_LEAST = 1e-6  # so that no weight at all is no division by 0
+
 
 class Target(NamedTuple):
     """What the network should have answered.
@@ -47,6 +49,11 @@ class LossFunction(Protocol):
 def weighed(target: Target, objects: float) -> Tensor:
     """(b, 1, h, w) what each pixel counts: pixels of objects `objects` times as much as others."""
     return target.foreground.to(target.depth.dtype) * (objects - 1) + 1
+
+
+def weighed_mean(values: Tensor, weights: Tensor, dim: tuple[int, ...] | None = None) -> Tensor:
+    """Mean over `dim`, or over all, of finite values by their weights; 0 where none has any."""
+    return (values * weights).sum(dim=dim) / weights.sum(dim=dim).clamp(min=_LEAST)
 
 
 def mean_where(values: Tensor, where: Tensor) -> Tensor:
