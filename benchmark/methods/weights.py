@@ -25,12 +25,14 @@ _WRAPPERS = ("state_dict", "model_state_dict", "model", "net", "network")
 _PREFIXES = ("module.", "_orig_mod.")
 _TOLD = 3  # keys named in an error
 
+SWINDRNET = "SwinDRNet"
+
 # Keys by which the weights of an architecture are known; the first whose prefixes all occur.
 ARCHITECTURES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("SwinDRNet's pose network", ("backbone_rgb_branch.", "decode_head_nocs.")),
     # Of the authors: it has decoders of depth too, and more blocks of fusion than SwinDRNet.
     ("SwinDRNet's pose network", ("cross_attention_0.cross_attn_layer.blocks.1.",)),
-    ("SwinDRNet", ("backbone_rgb_branch.", "decode_head_depth_restoration.")),
+    (SWINDRNET, ("backbone_rgb_branch.", "decode_head_depth_restoration.")),
     ("SwinDRNet of one stream", ("backbone.patch_embed.", "decode_head_depth_restoration.")),
     ("SwinDRNet's pose network", ("backbone_rgb_branch.",)),
     ("NLSPN", ("conv1_dep.", "prop_layer.")),

@@ -23,6 +23,7 @@ from benchmark.methods.settings import configured, preset_of
 from benchmark.methods.swindrnet.config import PRESETS as SWINDRNET
 from benchmark.methods.swindrnet.imagenet import load_imagenet as load_swin
 from benchmark.methods.swindrnet.network import SwinDRNetwork
+from benchmark.methods.weights import load_weights
 from benchmark.training.cleargrasp import ClearGraspJudge, cleargrasp_step
 from benchmark.training.judging import Judge, Judging
 from benchmark.training.lidf import lidf_depth, lidf_step
@@ -57,6 +58,7 @@ class Trainable:
         geometry: whether frames are turned, mirrored and enlarged; None where that is not
             possible, because the method wants more than depth, masks and materials.
         imagenet: begins the network with weights of a classifier, of those that have this.
+        begin: begins the network with the weights of a training.
         idle: whether a configuration leaves parameters without gradient.
     """
 
@@ -73,6 +75,7 @@ class Trainable:
     geometry: bool | None = None
     settings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     imagenet: Callable[[Any, Path], None] | None = None
+    begin: Callable[[Any, Path], None] = load_weights
     idle: Callable[[Any], bool] = lambda config: False  # noqa: ARG005
 
     def config(self, preset: str, settings: Mapping[str, str]) -> Any:

@@ -18,7 +18,7 @@ from pytorch_lightning.strategies import DDPStrategy
 from torch.utils.data import DataLoader
 
 from benchmark.methods.settings import configured
-from benchmark.methods.weights import load_weights, save_weights
+from benchmark.methods.weights import save_weights
 from benchmark.training.callbacks import Watch
 from benchmark.training.catalogue import Trainable, get_trainable
 from benchmark.training.checkpoint_file import AtomicCheckpoints
@@ -64,7 +64,7 @@ class Beginning:
     """Weights that a training begins with.
 
     Attributes:
-        weights: file of the same network's weights.
+        weights: file of weights of the same network, or of one that it may begin with.
         imagenet: file of weights of a classifier.
     """
 
@@ -210,7 +210,7 @@ def make_network(
             )
         trainable.imagenet(network, beginning.imagenet)
     if beginning.weights is not None:
-        load_weights(network, beginning.weights)
+        trainable.begin(network, beginning.weights)
     return network
 
 

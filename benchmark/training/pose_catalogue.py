@@ -11,6 +11,7 @@ from benchmark.pose_methods.nocs.config import PRESETS as NOCS
 from benchmark.pose_methods.nocs.network import NOCSNetwork
 from benchmark.pose_methods.swindrnet_nocs.config import PRESETS as SWINDRNET_NOCS
 from benchmark.pose_methods.swindrnet_nocs.network import SwinNOCSNetwork
+from benchmark.pose_methods.swindrnet_nocs.weights import begin_pose_network
 from benchmark.training.catalogue import Trainable
 from benchmark.training.judging_poses import PoseJudge, look_of_nocs, look_of_swin
 from benchmark.training.losses.nocs import NOCSLoss
@@ -41,6 +42,7 @@ SWINDRNET_NOCS_TRAINING = Trainable(
     optimization=Optimization(warmup_steps=500),
     colors=True,
     imagenet=_swin_imagenet,
+    begin=begin_pose_network,
     idle=lambda config: config.fusion == "released",
 )
 NOCS_TRAINING = Trainable(

@@ -2,41 +2,22 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from benchmark.methods.network import Prediction
 from benchmark.methods.relative import coarse_depth, in_metres, told_color, told_depth
 from benchmark.methods.swindrnet.config import SwinDRNetConfig
-from benchmark.methods.swindrnet.details import (
-    BEFORE_TOKENS,
-    TOKEN_OF_DETAILS,
-    DetailDecoder,
-    DetailEncoder,
-)
+from benchmark.methods.swindrnet.details import DetailDecoder
 from benchmark.methods.swindrnet.fusion import PaperFusion, ReleasedFusion
-from benchmark.methods.swindrnet.head import UPerHead, enlarged
-from benchmark.methods.swindrnet.swin import PATCH, Swin
+from benchmark.methods.swindrnet.head import enlarged
+from benchmark.methods.swindrnet.streams import Features, SwinStreams
+from benchmark.methods.swindrnet.swin import Swin
 
 _DEPTH_COPIES = 3  # depth goes into a network of three channels, which ImageNet weights fit
 
 
-class Features(NamedTuple):
-    """What the streams make of an image.
-
-    Attributes:
-        levels: four maps (b, c, h, w), each of half the resolution of the one before: what the
-            decoders get.
-        details: maps at the whole, half and quarter of the resolution; none without `details`.
-    """
-
-    levels: list[Tensor]
-    details: list[Tensor]
-
-
-class SwinDRNetwork(nn.Module):
+class SwinDRNetwork(SwinStreams):
     """`network(color, depth)` to `Prediction`: depth, initial depth, confidence of the sensor.
 
     Colour is RGB in [0, 1], not normalised further, and depth is in metres, as in the published
@@ -48,28 +29,23 @@ class SwinDRNetwork(nn.Module):
     backbone_xyz_branch: Swin
 
     def __init__(self, config: SwinDRNetConfig | None = None) -> None:
-        super().__init__()
-        self.config = config = config or SwinDRNetConfig()
+        config = config or SwinDRNetConfig()
         images = _images_of(config)
-        for name, channels in images.items():
-            if config.details:
-                self.add_module(f"{name}_details", DetailEncoder(channels))
-            self.add_module(name, self._stream(BEFORE_TOKENS if config.details else channels))
-        self.decode_head_depth_restoration = self._head(1)
+        super().__init__(config, images)
+        self.config = config
+        self.decode_head_depth_restoration = self.head(1)
         if config.confidence:
-            self.decode_head_confidence = self._head(2)
+            self.decode_head_confidence = self.head(2)
         if config.details:
             self.details_of_depth = DetailDecoder(config.head_channels, len(images), 1)
             if config.confidence:
                 self.details_of_confidence = DetailDecoder(config.head_channels, len(images), 2)
-        if config.fusion != "none":
-            for level, channels in enumerate(config.level_channels):
-                fusion: nn.Module = (
-                    ReleasedFusion(channels, config.window)
-                    if config.fusion == "released"
-                    else PaperFusion(channels, config.fusion_heads, config.fusion_window)
-                )
-                self.add_module(f"cross_attention_{level}", fusion)
+        if config.fusion == "released":
+            self.add_fusion(lambda _, channels: ReleasedFusion(channels, config.window))
+        elif config.fusion == "paper":
+            self.add_fusion(
+                lambda _, channels: PaperFusion(channels, config.fusion_heads, config.fusion_window)
+            )
 
     def forward(self, color: Tensor, depth: Tensor) -> Prediction:
         """Restore depth.
@@ -85,23 +61,7 @@ class SwinDRNetwork(nn.Module):
 
     def features(self, color: Tensor, depth: Tensor) -> Features:
         """What the decoders get; of colour and depth as `forward` does."""
-        config = self.config
-        pyramids, all_details = [], []
-        for name, image in zip(_images_of(config), self._images(color, depth), strict=True):
-            if config.details:
-                all_details.append(self.get_submodule(f"{name}_details")(image))
-                image = all_details[-1][-1]
-            pyramids.append(self.get_submodule(name)(image))
-        levels = pyramids[0]
-        if config.fusion != "none":
-            levels = [
-                self.get_submodule(f"cross_attention_{level}")(*pair)
-                for level, pair in enumerate(zip(*pyramids, strict=True))
-            ]
-        return Features(
-            [level.permute(0, 3, 1, 2) for level in levels],
-            [torch.cat(of_streams, dim=1) for of_streams in zip(*all_details, strict=True)],
-        )
+        return self.features_of(self._images(color, depth))
 
     def _images(self, color: Tensor, depth: Tensor) -> list[Tensor]:
         """What each stream is shown."""
@@ -136,28 +96,6 @@ class SwinDRNetwork(nn.Module):
             nothing = torch.cat([depth == 0, torch.zeros_like(depth, dtype=torch.bool)], dim=1)
             confidence = confidence.masked_fill(nothing, -torch.inf)
         return blended(depth, initial, confidence)
-
-    def _stream(self, in_channels: int) -> Swin:
-        config = self.config
-        return Swin(
-            config.channels,
-            config.depths,
-            config.heads,
-            config.window,
-            in_channels,
-            config.drop_path,
-            TOKEN_OF_DETAILS if config.details else PATCH,
-        )
-
-    def _head(self, outputs: int) -> UPerHead:
-        config = self.config
-        return UPerHead(
-            config.fused_channels,
-            config.head_channels,
-            config.head_channels if config.details else outputs,
-            config.pool_scales,
-            config.dropout,
-        )
 
 
 def blended(depth: Tensor, initial: Tensor, logits: Tensor) -> Prediction:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from benchmark.methods.sizes import COMPACT_SIZE
 from benchmark.pose_methods.fitting import FitSettings
 
 # Numbers of the segmentation: 0 other, 1 to 7 the classes of DREDS, 8 background.
@@ -27,6 +28,8 @@ class SwinNOCSConfig(FitSettings):
         head_channels: of the two decoders.
         pool_scales: sides of the decoders' pooled pyramids.
         fusion_heads, fusion_window: of the `paper` fusion, as in `SwinDRNetConfig`.
+        details: whether the streams are shown what compact SwinDRNet's are, depth in the place of
+            points, and details are kept: `relative` and `details` of `SwinDRNetConfig`.
         drop_path, dropout: chances in training to leave a block, and a channel, out.
         input_size: (width, height) of the images.
         instances: what counts as an object: all pixels of a `class`, as published, or each
@@ -44,6 +47,7 @@ class SwinNOCSConfig(FitSettings):
     pool_scales: tuple[int, ...] = (1, 2, 3, 6)
     fusion_heads: int = 1
     fusion_window: int | None = None
+    details: bool = False
     drop_path: float = 0.2
     dropout: float = 0.1
     input_size: tuple[int, int] = (224, 224)
@@ -65,6 +69,12 @@ class SwinNOCSConfig(FitSettings):
 PRESETS = {
     "published": SwinNOCSConfig(),
     "compact": SwinNOCSConfig(
-        fusion="paper", channels=32, heads=(1, 2, 4, 8), head_channels=96, drop_path=0.1
+        fusion="paper",
+        channels=32,
+        heads=(1, 2, 4, 8),
+        head_channels=96,
+        details=True,
+        drop_path=0.1,
+        input_size=COMPACT_SIZE,
     ),
 }

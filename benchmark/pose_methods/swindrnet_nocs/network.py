@@ -4,13 +4,22 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import torch
 from torch import Tensor, nn
 
+from benchmark.methods.relative import told_color, told_depth
+from benchmark.methods.swindrnet.details import DetailDecoder
 from benchmark.methods.swindrnet.fusion import PaperFusion
-from benchmark.methods.swindrnet.head import UPerHead, enlarged
+from benchmark.methods.swindrnet.head import enlarged
+from benchmark.methods.swindrnet.streams import SwinStreams
 from benchmark.methods.swindrnet.swin import Swin
 from benchmark.pose_methods.swindrnet_nocs.config import CLASSES, SwinNOCSConfig
 from benchmark.pose_methods.swindrnet_nocs.fusion import AttendingFusion
+
+# The streams' names and the channels of the images that they get: x y z, or depth and whether
+# there is any.
+_POINT_IMAGES = {"backbone_rgb_branch": 3, "backbone_xyz_branch": 3}
+_DEPTH_IMAGES = {"backbone_rgb_branch": 3, "backbone_xyz_branch": 2}
 
 
 class SwinNOCSPrediction(NamedTuple):
@@ -25,54 +34,46 @@ class SwinNOCSPrediction(NamedTuple):
     nocs: Tensor
 
 
-class SwinNOCSNetwork(nn.Module):
+class SwinNOCSNetwork(SwinStreams):
     """`network(color, points)` to `SwinNOCSPrediction`.
 
     Colour is RGB in [0, 1], not normalised further; points are those of the sensor's depth in the
     camera frame, metres, 0 where it measured nothing.
     """
 
+    backbone_rgb_branch: Swin
+    backbone_xyz_branch: Swin
+
     def __init__(self, config: SwinNOCSConfig | None = None) -> None:
-        super().__init__()
-        self.config = config = config or SwinNOCSConfig()
-        self.backbone_rgb_branch = self._stream()
-        self.backbone_xyz_branch = self._stream()
-        self.decode_head_classes = self._head(CLASSES)
-        self.decode_head_nocs = self._head(3)
-        for level, channels in enumerate(config.level_channels):
-            fusion: nn.Module
-            if config.fusion == "released":
-                fusion = AttendingFusion(
-                    channels, config.depths[level], config.heads[level], config.window
-                )
-            else:
-                fusion = PaperFusion(channels, config.fusion_heads, config.fusion_window)
-            self.add_module(f"cross_attention_{level}", fusion)
+        config = config or SwinNOCSConfig()
+        images = _DEPTH_IMAGES if config.details else _POINT_IMAGES
+        super().__init__(config, images)
+        self.config = config
+        self.decode_head_classes = self.head(CLASSES)
+        self.decode_head_nocs = self.head(3)
+        if config.details:
+            self.details_of_classes = DetailDecoder(config.head_channels, len(images), CLASSES)
+            self.details_of_nocs = DetailDecoder(config.head_channels, len(images), 3)
+        self.add_fusion(self._fusion)
 
     def forward(self, color: Tensor, points: Tensor) -> SwinNOCSPrediction:
         """(b, 3, h, w) and (b, 3, h, w)."""
-        pairs = zip(self.backbone_rgb_branch(color), self.backbone_xyz_branch(points), strict=True)
-        levels = [
-            self.get_submodule(f"cross_attention_{level}")(*pair).permute(0, 3, 1, 2)
-            for level, pair in enumerate(pairs)
-        ]
-        return SwinNOCSPrediction(
-            enlarged(self.decode_head_classes(levels), color),
-            enlarged(self.decode_head_nocs(levels), color),
-        )
+        levels, details = self.features_of(self._images(color, points))
+        classes, nocs = self.decode_head_classes(levels), self.decode_head_nocs(levels)
+        if self.config.details:
+            classes = self.details_of_classes(classes, details)
+            nocs = self.details_of_nocs(nocs, details)
+        return SwinNOCSPrediction(enlarged(classes, color), enlarged(nocs, color))
 
-    def _stream(self) -> Swin:
-        config = self.config
-        return Swin(
-            config.channels, config.depths, config.heads, config.window, 3, config.drop_path
-        )
+    def _images(self, color: Tensor, points: Tensor) -> list[Tensor]:
+        """What each stream is shown."""
+        if not self.config.details:
+            return [color, points]
+        depth = points[:, 2:]
+        return [told_color(color), torch.cat([told_depth(depth), depth > 0], dim=1)]
 
-    def _head(self, outputs: int) -> UPerHead:
+    def _fusion(self, level: int, channels: int) -> nn.Module:
         config = self.config
-        return UPerHead(
-            config.fused_channels,
-            config.head_channels,
-            outputs,
-            config.pool_scales,
-            config.dropout,
-        )
+        if config.fusion == "paper":
+            return PaperFusion(channels, config.fusion_heads, config.fusion_window)
+        return AttendingFusion(channels, config.depths[level], config.heads[level], config.window)

@@ -11,13 +11,16 @@ from pathlib import Path
 
 from torch import Tensor
 
-from benchmark.methods.weights import check_keys, read_weights
+from benchmark.methods.weights import SWINDRNET, architecture_of, check_keys, read_weights
 from benchmark.pose_methods.swindrnet_nocs.config import CLASSES
 from benchmark.pose_methods.swindrnet_nocs.network import SwinNOCSNetwork
 
 _LAST = ".conv_seg.weight"
 # Decoders are known by how many maps they make: their names in the authors' program are not.
 _OWN_NAMES = {CLASSES: "decode_head_classes", 3: "decode_head_nocs"}
+
+# Parts that SwinDRNet has, too.
+_SHARED = ("backbone_rgb_branch", "backbone_xyz_branch", "cross_attention_")
 
 
 def load_pose_weights(network: SwinNOCSNetwork, path: Path) -> bool:
@@ -38,6 +41,27 @@ def load_pose_weights(network: SwinNOCSNetwork, path: Path) -> bool:
     wanted = {name: tensor.dtype for name, tensor in network.state_dict().items()}
     network.load_state_dict({n: t.to(wanted[n]) for n, t in state.items()}, assign=True)
     return authors
+
+
+def begin_pose_network(network: SwinNOCSNetwork, path: Path) -> None:
+    """Give a network, before it is trained, the weights of a file.
+
+    Args:
+        network: all of it begins with weights of its own kind; with those of SwinDRNet its
+            streams and their fusion do, and its decoders keep what they have.
+        path: weights of either.
+
+    Raises:
+        ToolkitError: the file cannot be read, or holds weights of another network or other sizes.
+    """
+    state = read_weights(path)
+    if architecture_of(state) != SWINDRNET:
+        load_pose_weights(network, path)
+        return
+    shared = {k: v for k, v in state.items() if k.startswith(_SHARED)}
+    own = {k: v for k, v in network.state_dict().items() if k.startswith(_SHARED)}
+    check_keys(own, shared, path)
+    network.load_state_dict(shared, strict=False)
 
 
 def own_names(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
