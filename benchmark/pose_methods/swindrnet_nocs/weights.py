@@ -60,7 +60,8 @@ def begin_pose_network(network: SwinNOCSNetwork, path: Path) -> None:
         return
     shared = {k: v for k, v in state.items() if k.startswith(_SHARED)}
     own = {k: v for k, v in network.state_dict().items() if k.startswith(_SHARED)}
-    check_keys(own, shared, path)
+    rest = {k: v for k, v in state.items() if k not in shared}
+    check_keys(own | rest, state, path)
     network.load_state_dict(shared, strict=False)
 
 

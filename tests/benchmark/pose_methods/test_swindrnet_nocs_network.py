@@ -14,6 +14,7 @@ from safetensors.torch import save_file
 
 from benchmark.methods.network import parameter_count
 from benchmark.methods.registry import MethodOptions
+from benchmark.methods.swindrnet.config import SwinDRNetConfig
 from benchmark.methods.swindrnet.head import UPerHead
 from benchmark.methods.swindrnet.network import SwinDRNetwork
 from benchmark.methods.weights import save_weights
@@ -24,7 +25,7 @@ from benchmark.pose_methods.swindrnet_nocs.config import PRESETS, SwinNOCSConfig
 from benchmark.pose_methods.swindrnet_nocs.estimator import segments_of
 from benchmark.pose_methods.swindrnet_nocs.fusion import AttendingFusion
 from benchmark.pose_methods.swindrnet_nocs.network import SwinNOCSNetwork
-from benchmark.pose_methods.swindrnet_nocs.weights import load_pose_weights
+from benchmark.pose_methods.swindrnet_nocs.weights import begin_pose_network, load_pose_weights
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 
@@ -96,9 +97,9 @@ def test_only_shifted_blocks_attend_and_only_to_colour():
                 assert bool(moved.sum() > 1) == far
 
 
-@pytest.mark.parametrize("fusion", ["released", "paper"])
-def test_any_size_of_image_goes_through(fusion):
-    network = a_network(replace(TINY, fusion=fusion))
+@pytest.mark.parametrize(("fusion", "details"), [("released", 0), ("paper", 0), ("paper", 1)])
+def test_any_size_of_image_goes_through(fusion, details):
+    network = a_network(replace(TINY, fusion=fusion, details=bool(details)))
     with torch.no_grad():
         answer = network(torch.rand(1, 3, 50, 38), torch.rand(1, 3, 50, 38))
     assert answer.classes.shape == (1, 9, 50, 38)
@@ -142,8 +143,6 @@ def test_weights_of_the_authors_are_known_and_their_z_is_turned(tmp_path):
 
 
 def test_weights_of_other_networks_are_refused_by_name(tmp_path):
-    from benchmark.methods.swindrnet.config import SwinDRNetConfig
-
     small = {"channels": 8, "depths": (1, 1, 1, 1), "heads": (1, 1, 1, 1), "head_channels": 8}
     save_weights(SwinDRNetwork(SwinDRNetConfig(**small)), tmp_path / "depth.safetensors")
     with pytest.raises(ToolkitError, match="look like those of SwinDRNet"):
@@ -157,6 +156,39 @@ def test_weights_of_other_networks_are_refused_by_name(tmp_path):
     save_file(state, tmp_path / "authors.safetensors")
     with pytest.raises(ToolkitError, match="SwinDRNet's pose network"):
         load_weights(SwinDRNetwork(SwinDRNetConfig(**small)), tmp_path / "authors.safetensors")
+
+
+def test_it_begins_with_streams_and_fusion_of_swindrnet(tmp_path):
+    small = {
+        "channels": 8,
+        "depths": (2, 1, 1, 1),
+        "heads": (2, 1, 1, 1),
+        "head_channels": 8,
+        "fusion": "paper",
+        "details": True,
+    }
+    torch.manual_seed(1)
+    restorer = SwinDRNetwork(SwinDRNetConfig(relative=True, **small)).eval()
+    save_weights(restorer, tmp_path / "depth.safetensors")
+    network = a_network(SwinNOCSConfig(**small))
+    decoders = {k: v.clone() for k, v in network.state_dict().items() if k.startswith("decode")}
+    begin_pose_network(network, tmp_path / "depth.safetensors")
+    color, points = torch.rand(2, 1, 3, 48, 64)
+    points[:, :, 5:20, 5:20] = 0
+    with torch.no_grad():
+        theirs = restorer.features(color, points[:, 2:])
+        ours = network.features_of(network._images(color, points))
+    assert all(torch.equal(a, b) for a, b in zip(ours.levels, theirs.levels, strict=True))
+    assert all(torch.equal(a, b) for a, b in zip(ours.details, theirs.details, strict=True))
+    assert all(torch.equal(network.state_dict()[k], v) for k, v in decoders.items())
+
+    save_weights(network, tmp_path / "pose.safetensors")
+    other = a_network(SwinNOCSConfig(**small), seed=2)
+    begin_pose_network(other, tmp_path / "pose.safetensors")
+    for key, tensor in network.state_dict().items():
+        assert torch.equal(other.state_dict()[key], tensor), key
+    with pytest.raises(ToolkitError, match=r"SwinDRNet, but of another size"):
+        begin_pose_network(a_network(), tmp_path / "depth.safetensors")
 
 
 def test_points_are_those_of_the_camera():
