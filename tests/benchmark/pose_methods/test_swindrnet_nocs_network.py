@@ -187,8 +187,9 @@ def test_it_begins_with_streams_and_fusion_of_swindrnet(tmp_path):
     begin_pose_network(other, tmp_path / "pose.safetensors")
     for key, tensor in network.state_dict().items():
         assert torch.equal(other.state_dict()[key], tensor), key
+    wider = a_network(SwinNOCSConfig(**{**small, "channels": 16}))
     with pytest.raises(ToolkitError, match=r"SwinDRNet, but of another size"):
-        begin_pose_network(a_network(), tmp_path / "depth.safetensors")
+        begin_pose_network(wider, tmp_path / "depth.safetensors")
 
 
 def test_points_are_those_of_the_camera():
