@@ -11,6 +11,7 @@ from benchmark.clearing.run import ORACLE, RAW, TRUE, GraspRun
 from benchmark.clearing.sensing import CAMERAS
 from benchmark.grasp_methods.registry import grasp_planners
 from benchmark.methods.registry import MethodOptions
+from benchmark.methods.shipped import preset_for
 from benchmark.running.plan import (
     check_lists,
     checked_label,
@@ -28,7 +29,7 @@ class GraspWishes:
         depths: `raw`, `gt`, or restorers.
         planners: registered ones, or `oracle`.
         rounds, seed, camera, attempts, strips, devices, out: as in `GraspRun`.
-        preset, precision, compile: of networks.
+        preset, precision, compile: of networks; see `preset_for`.
         weights: `NAME=FILE`, of planners and restorers; `FILE` where there is one of them.
         settings: `NAME.SETTING=VALUE`, likewise.
     """
@@ -40,7 +41,7 @@ class GraspWishes:
     out: Path
     camera: str = "quick"
     attempts: int = MOST_ATTEMPTS
-    preset: str = "published"
+    preset: str | None = None
     precision: str = "fp32"
     compile: bool = False
     weights: tuple[str, ...] = ()
@@ -85,7 +86,7 @@ def plan_grasp_runs(wishes: GraspWishes) -> list[GraspRun]:
         if name in (RAW, TRUE, ORACLE):
             return MethodOptions()
         return MethodOptions(
-            preset=wishes.preset,
+            preset=preset_for(name, wishes.preset, weights.get(name)),
             weights=weights.get(name),
             precision=wishes.precision,  # type: ignore[arg-type]
             compile=wishes.compile,

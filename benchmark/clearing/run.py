@@ -18,6 +18,7 @@ from benchmark.grasp_methods.protocol import GraspView
 from benchmark.grasp_methods.registry import make_planner
 from benchmark.grasping.grasp import Grasps
 from benchmark.grasping.gripper import PANDA
+from benchmark.methods.full_size import at_full_size
 from benchmark.methods.protocol import Restorer
 from benchmark.methods.registry import MethodOptions, make_restorer
 from benchmark.running.batch import restore_views
@@ -143,7 +144,7 @@ class _Equipment:
         return self.restorer is not None or bool(getattr(self.planner, "needs_color", False))
 
     def given(self, looked: Looked) -> GivenDepth:
-        """The depth to plan on; a restorer's at the size that it works at, never stretched."""
+        """The depth to plan on, at the camera's size; a restorer's as `at_full_size` makes it."""
         frame = looked.frame
         if self.restorer is None:
             depth = frame.depth_true if self.true else frame.depth_raw
@@ -152,9 +153,7 @@ class _Equipment:
         answer = restore_views(self.restorer, {0: view})[0]
         if isinstance(answer, str):
             raise ToolkitError(f"the restorer failed: {answer}")
-        depth = answer.depth.copy()
-        depth[~((depth > 0) & (depth < float("inf")))] = 0  # NaN as well: no answer
-        return GivenDepth(view.color, depth, view.camera)
+        return GivenDepth(frame.color, at_full_size(frame.depth_raw, answer), frame.camera)
 
     def plan(self, view: GraspView, state: State) -> Grasps:
         if self.planner is not None:

@@ -59,7 +59,11 @@ def build_parser() -> argparse.ArgumentParser:
 
     how = parser.add_argument_group("how the methods work")
     add = how.add_argument
-    add("--preset", default="published", help="size of networks: published or compact")
+    add(
+        "--preset",
+        help="size of networks: published or compact (published, but where no --weights are given "
+        "and the toolkit brings compact ones, those)",
+    )
     add(
         "--weights",
         nargs="+",

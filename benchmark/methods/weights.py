@@ -14,10 +14,9 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from benchmark.methods.registry import MethodOptions
+from benchmark.methods.shipped import SHIPPED
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
-
-SHIPPED = Path(__file__).resolve().parent.parent / "weights"
 
 # Under these keys training programs keep the weights, beside the state of their optimizer.
 _WRAPPERS = ("state_dict", "model_state_dict", "model", "net", "network")

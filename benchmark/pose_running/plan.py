@@ -7,6 +7,7 @@ from itertools import product
 from pathlib import Path
 
 from benchmark.methods.registry import MethodOptions, restorers
+from benchmark.methods.shipped import preset_for
 from benchmark.pose_methods.fitting import FitMethod
 from benchmark.pose_running.depths import RAW, TRUE, DepthChoice
 from benchmark.pose_running.run import PoseRun
@@ -35,7 +36,7 @@ class PoseWishes:
         as_input: networks look at that depth, too.
         data: folders; `SPLIT=ROOT` is for one split, `ROOT` for all others.
         out: folder of results.
-        preset, precision, compile: of networks.
+        preset, precision, compile: of networks; see `preset_for`.
         weights: `METHOD=FILE`, of pose methods and restorers; `FILE` where there is one of them.
         settings: `METHOD.NAME=VALUE`, likewise.
         label: name in tables, where there is one method.
@@ -49,7 +50,7 @@ class PoseWishes:
     as_input: bool = False
     data: tuple[str, ...]
     out: Path
-    preset: str = "published"
+    preset: str | None = None
     precision: str = "fp32"
     compile: bool = False
     weights: tuple[str, ...] = ()
@@ -85,7 +86,7 @@ def plan_pose_runs(wishes: PoseWishes) -> list[PoseRun]:
 
     def options(name: str) -> MethodOptions:
         return MethodOptions(
-            preset=wishes.preset,
+            preset=preset_for(name, wishes.preset, weights.get(name)),
             weights=weights.get(name),
             precision=wishes.precision,  # type: ignore[arg-type]
             compile=wishes.compile,

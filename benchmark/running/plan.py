@@ -9,6 +9,7 @@ from itertools import product
 from pathlib import Path
 
 from benchmark.methods.registry import MethodOptions
+from benchmark.methods.shipped import preset_for
 from benchmark.running.run import Run
 from std_toolkit.errors import ToolkitError
 
@@ -24,7 +25,7 @@ class Wishes:
         methods, splits, protocols: names.
         data: folders; `SPLIT=ROOT` is for one split, `ROOT` for all others.
         out: folder of results.
-        preset, precision, compile: of networks.
+        preset, precision, compile: of networks; see `preset_for`.
         weights: `METHOD=FILE`, or `FILE` where there is one method.
         settings: `METHOD.NAME=VALUE`, or `NAME=VALUE` where there is one method.
         label: name in tables, where there is one method.
@@ -36,7 +37,7 @@ class Wishes:
     protocols: tuple[str, ...] = ("strict",)
     data: tuple[str, ...]
     out: Path
-    preset: str = "published"
+    preset: str | None = None
     precision: str = "fp32"
     compile: bool = False
     weights: tuple[str, ...] = ()
@@ -72,7 +73,7 @@ def plan_runs(wishes: Wishes) -> list[Run]:
             root=data_of(split, wishes.roots),
             method=method,
             options=MethodOptions(
-                preset=wishes.preset,
+                preset=preset_for(method, wishes.preset, weights.get(method)),
                 weights=weights.get(method),
                 precision=wishes.precision,  # type: ignore[arg-type]
                 compile=wishes.compile,

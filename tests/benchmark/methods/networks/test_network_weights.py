@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import nn
 
-from benchmark.methods import weights
+from benchmark.methods import shipped, weights
 from benchmark.methods.registry import MethodOptions
 from benchmark.methods.weights import (
     architecture_of,
@@ -168,3 +168,13 @@ def test_shipped_weights(tmp_path, monkeypatch):
 def test_a_users_weights_come_first(tmp_path):
     own = tmp_path / "own.pth"
     assert weights_for("m", MethodOptions(weights=own)) == own
+
+
+def test_weights_that_come_along_decide_the_preset_where_nobody_does(tmp_path, monkeypatch):
+    monkeypatch.setattr(shipped, "SHIPPED", tmp_path)
+    assert shipped.preset_for("swindrnet", None, None) == "published"
+    (tmp_path / "swindrnet-compact.safetensors").touch()
+    assert shipped.preset_for("swindrnet", None, None) == "compact"
+    assert shipped.preset_for("nlspn", None, None) == "published"
+    assert shipped.preset_for("swindrnet", None, tmp_path / "own.safetensors") == "published"
+    assert shipped.preset_for("swindrnet", "published", None) == "published"

@@ -12,7 +12,8 @@ from network_cases import frames
 from benchmark.cli.bench import main as bench
 from benchmark.methods.protocol import View
 from benchmark.methods.registry import MethodOptions, make_restorer
-from benchmark.methods.weights import SHIPPED, read_weights, sha256_of
+from benchmark.methods.shipped import SHIPPED
+from benchmark.methods.weights import read_weights, sha256_of
 from benchmark.report.board import make_board
 from benchmark.running.results import read_results
 from std_toolkit.geometry.camera import Camera

@@ -1,0 +1,66 @@
+"""Restored depth at the size of the sensor's map, for those who need all of its details."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.methods.protocol import Restored
+from benchmark.metrics.resize import nearest_indices
+
+# Metres: neighbours farther apart are not of one surface; and how far the sensor may be from
+# what was restored around it, to be believed.
+_EDGE, _NEAR = 0.015, 0.01
+_TRUSTED = 0.5
+
+Depth = NDArray[np.float32]
+
+
+def at_full_size(sensor: Depth, answer: Restored) -> Depth:
+    """A restored map at the size of the sensor's own.
+
+    Where the method trusts the sensor, and the sensor is near what was restored there, its own
+    pixels are kept, which have all details. Elsewhere restored depth is enlarged: linearly on a
+    surface, by the nearest pixel across an edge, so that nothing floats between surfaces.
+
+    Args:
+        sensor: (H, W) metres, 0 where nothing was measured.
+        answer: at the size that the method works at, whose pixels were taken out of the sensor's
+            map (`resize_nearest`). Without confidence, the sensor is believed where it is near.
+
+    Returns:
+        (H, W) metres, 0 where there is no answer.
+    """
+    depth = np.where(np.isfinite(answer.depth) & (answer.depth > 0), answer.depth, 0)
+    depth = depth.astype(np.float32)
+    square = np.ones((3, 3), np.uint8)
+    least, most = cv2.erode(depth, square), cv2.dilate(depth, square)
+    enlarge = _Enlarge(depth.shape, sensor.shape)
+    near, far = enlarge(least), enlarge(most)
+    found = enlarge(depth)
+    smooth = (far - near < _EDGE) & (near > 0)
+    found[smooth] = enlarge(depth, cv2.INTER_LINEAR)[smooth]
+    believed = (sensor > 0) & (sensor > near - _NEAR) & (sensor < far + _NEAR)
+    if answer.confidence is not None:
+        believed &= enlarge(answer.confidence, cv2.INTER_LINEAR) >= _TRUSTED
+    return np.where(believed, sensor, found)
+
+
+class _Enlarge:
+    """Enlarges maps whose pixels were taken out of a larger one."""
+
+    def __init__(self, size: tuple[int, ...], wanted: tuple[int, ...]) -> None:
+        rows, columns = (
+            np.interp(np.arange(large), nearest_indices(large, small), np.arange(small))
+            for small, large in zip(size, wanted, strict=True)
+        )
+        self._x, self._y = (each.astype(np.float32) for each in np.meshgrid(columns, rows))
+
+    def __call__(self, image: NDArray[Any], how: int = cv2.INTER_NEAREST) -> Depth:
+        found = cv2.remap(
+            np.asarray(image, np.float32), self._x, self._y, how, borderMode=cv2.BORDER_REPLICATE
+        )
+        return np.asarray(found, np.float32)

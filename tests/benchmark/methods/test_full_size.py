@@ -1,0 +1,71 @@
+"""Restored depth at the sensor's size: details where it is trusted, nothing between surfaces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmark.methods.full_size import at_full_size
+from benchmark.methods.protocol import Restored
+from benchmark.metrics.resize import resize_nearest
+
+FULL, OWN = (640, 360), (224, 126)
+NOTHING = np.zeros(FULL[::-1], np.float32)
+
+
+def plane() -> np.ndarray:
+    v, u = np.mgrid[: FULL[1], : FULL[0]].astype(np.float32)
+    return (0.5 + 2e-4 * u + 3e-4 * v).astype(np.float32)
+
+
+def step() -> np.ndarray:
+    depth = np.full(FULL[::-1], 0.6, np.float32)
+    depth[100:250, 201:403] = 0.5
+    return depth
+
+
+def restored(depth: np.ndarray, confidence: float | None = None) -> Restored:
+    own = resize_nearest(depth, OWN)
+    trust = None if confidence is None else np.full(own.shape, confidence, np.float32)
+    return Restored(own, trust)
+
+
+def test_a_tilted_plane_is_enlarged_to_itself():
+    """But for the last pixels, beyond the last one that was taken."""
+    found = at_full_size(NOTHING, restored(plane()))
+    assert np.abs(found - plane())[:-3, :-3].max() < 2e-5
+
+
+def test_nothing_floats_between_two_surfaces():
+    found = at_full_size(NOTHING, restored(step()))
+    assert set(np.unique(found)) == set(np.unique(step()))
+    assert (found != step()).mean() < 0.005
+
+
+@pytest.mark.parametrize("confidence", [0.9, None])
+def test_a_trusted_sensor_keeps_its_pixels_and_edges(confidence):
+    noise = np.random.default_rng(0).normal(0, 5e-4, step().shape).astype(np.float32)
+    sensor = step() + noise
+    assert np.array_equal(at_full_size(sensor, restored(step(), confidence)), sensor)
+
+
+def test_a_doubted_sensor_is_not_heard():
+    sensor = step() + np.float32(0.004)
+    found = at_full_size(sensor, restored(step(), 0.2))
+    assert set(np.unique(found)) == set(np.unique(step()))
+
+
+def test_a_pixel_far_from_all_that_was_restored_around_it_is_not_believed():
+    sensor = step()
+    sensor[30, 31] = 0.9
+    assert at_full_size(sensor, restored(step(), 1.0))[30, 31] == np.float32(0.6)
+
+
+def test_where_there_is_no_answer_there_is_no_depth():
+    answer = restored(step(), 0.0)
+    answer.depth[:50] = np.nan
+    answer.depth[50:70] = -1
+    answer.depth[70:80] = np.inf
+    found = at_full_size(step(), answer)
+    assert (found[: 80 * 360 // 126 - 2] == 0).all()
+    assert (found[80 * 360 // 126 + 3 :] > 0).all()
