@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -85,6 +86,21 @@ class Trainable:
             ToolkitError: no such preset or setting.
         """
         return configured(preset_of(self.presets, preset), settings)
+
+    def loss_with(self, changes: Mapping[str, str]) -> Any:
+        """The loss, with what a user sets of it.
+
+        Raises:
+            ToolkitError: no such field, or a number that no loss can have.
+        """
+        loss = configured(self.loss, changes)
+        for name in changes:
+            value = getattr(loss, name)
+            if isinstance(value, float) and not 0 <= value < math.inf:
+                raise ToolkitError(
+                    "must be 0 or more, and finite", field=f"--loss {name}", value=value
+                )
+        return loss
 
     def settings_of(self, preset: str, asked: Mapping[str, str]) -> dict[str, str]:
         """All settings that make the network from its preset."""

@@ -17,7 +17,6 @@ import torch
 from pytorch_lightning.strategies import DDPStrategy
 from torch.utils.data import DataLoader
 
-from benchmark.methods.settings import configured
 from benchmark.methods.weights import save_weights
 from benchmark.training.callbacks import Watch
 from benchmark.training.catalogue import Trainable, get_trainable
@@ -161,7 +160,7 @@ def fit(
                 )
                 write_document(folder / RUN_NOTE, note)
         _quiet()
-        loss = configured(trainable.loss, config.loss)
+        loss = trainable.loss_with(config.loss)
         module = RestorerTraining(
             config,
             make_network(trainable, config, beginning or Beginning()),

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from benchmark.methods.settings import configured
 from benchmark.training.catalogue import Trainable, get_trainable
 from benchmark.training.config import TrainConfig
 from benchmark.training.fit import Beginning, Data
@@ -78,7 +77,7 @@ def plan_training(wishes: TrainWishes) -> tuple[TrainConfig, Data, Beginning]:
     trainable = get_trainable(wishes.method)
     settings = trainable.settings_of(wishes.preset, wishes.settings)
     network = trainable.config(wishes.preset, settings)
-    configured(trainable.loss, wishes.loss)  # a wrong name is told before anything is read
+    trainable.loss_with(wishes.loss)  # a wrong name is told before anything is read
     data = _data(wishes, trainable, network)
     changes = {
         name: value
