@@ -21,9 +21,11 @@ class GraspSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         camera: `quick` or `simulated`.
         depth_model_sha256: of the fitted figures behind the quick camera; empty for the other.
         gripper: name of the hand.
-        planner, planner_settings, planner_weights_sha256: the planner and its options.
-        depth, depth_settings, depth_weights_sha256: `raw`, `gt` or a restorer and its options.
-        preset, precision, compile, device: of networks; device is its kind, `cpu` or `cuda`.
+        planner, planner_preset, planner_settings, planner_weights_sha256: the planner and its
+            options.
+        depth, depth_preset, depth_settings, depth_weights_sha256: `raw`, `gt`, which have no
+            preset, or a restorer and its options.
+        precision, compile, device: of networks; device is its kind, `cpu` or `cuda`.
     """
 
     seed: int
@@ -32,12 +34,13 @@ class GraspSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     depth_model_sha256: str
     gripper: str
     planner: str
+    planner_preset: str
     planner_settings: dict[str, str]
     planner_weights_sha256: str
     depth: str
+    depth_preset: str
     depth_settings: dict[str, str]
     depth_weights_sha256: str
-    preset: str
     precision: str
     compile: bool
     device: str

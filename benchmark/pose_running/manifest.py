@@ -24,7 +24,7 @@ class PoseSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         precision, compile, device: of networks; device is its kind, `cpu` or `cuda`.
         batch_size: frames that go through the method together.
         depth: what poses are fitted to: `raw`, `gt`, a restorer, or what a folder is called.
-        depth_settings, depth_weights_sha256: of the restorer.
+        depth_preset, depth_settings, depth_weights_sha256: of the restorer; empty for the others.
         depth_folder: that depth was read from; empty for the others.
         as_input: whether networks look at that depth, too, and not at raw depth.
     """
@@ -41,6 +41,7 @@ class PoseSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     device: str
     batch_size: int
     depth: str
+    depth_preset: str
     depth_settings: dict[str, str]
     depth_weights_sha256: str
     depth_folder: str

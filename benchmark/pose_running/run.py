@@ -200,6 +200,7 @@ def _setup(
         device=run.devices[0].partition(":")[0],
         batch_size=run.batch_size,
         depth=run.depth.name,
+        depth_preset=run.depth.options.preset if run.depth.is_restored else "",
         depth_settings=dict(run.depth.options.settings),
         depth_weights_sha256=weights_digest(depths.restorer, run.depth.options),
         depth_folder="" if folder is None else str(folder.resolve()),

@@ -24,6 +24,7 @@ from benchmark.clearing.show import (
 )
 from benchmark.clearing.table import ATTEMPT, KIND, scene_name
 from benchmark.published.load import published_rows
+from benchmark.report.grasp_runs import grasp_runs
 from benchmark.report.part import PageSection, ReportPart
 from benchmark.running.parts import INDEX
 from std_toolkit.checks.markup import Cell, paragraph, table, text
@@ -69,6 +70,7 @@ def grasp_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
             PageSection("clearing-plans", "What was planned", _plans(results)),
             PageSection("clearing-causes", "How attempts ended", _causes(results)),
             PageSection("clearing-strips", "Attempts in pictures", _strips(results)),
+            PageSection("clearing-runs", "What ran: clearing", grasp_runs(results)),
         ],
         answer=_answer(results),
         terminal=grasp_table(results),

@@ -139,6 +139,7 @@ def pose_runs(results: Sequence[PoseResult]) -> str:
             + [f"{s.depth}.{k}={v}" for k, v in sorted(s.depth_settings.items())]
         )
         done = s.frames - result.missing
+        depth = [f"depth {s.depth_preset}"] if s.depth_preset else []
         weights = [w[:12] for w in (s.weights_sha256, s.depth_weights_sha256) if w]
         rows.append(
             [
@@ -152,7 +153,7 @@ def pose_runs(results: Sequence[PoseResult]) -> str:
                     over=bool(result.missing),
                 ),
                 Cell(str(result.failed), numeric=True, over=bool(result.failed)),
-                Cell(escape(f"{s.preset}{', ' + settings if settings else ''}")),
+                Cell(escape(", ".join([s.preset, *depth, *([settings] if settings else [])]))),
                 Cell(words(" ".join(f"`{w}`" for w in weights))),
                 Cell(escape(m.hardware.get("gpus") or m.hardware.get("processor", ""))),
                 Cell(escape(m.version_of_tool)),

@@ -19,9 +19,9 @@ def _write(out: Path, depth: str, rounds: list) -> None:
     folder = out / "grasp" / "quick-seed0" / "antipodal" / depth
     setup = GraspSetup(
         seed=0, attempts=10, camera="quick", depth_model_sha256="", gripper="panda",
-        planner="antipodal", planner_settings={}, planner_weights_sha256="", depth=depth,
-        depth_settings={}, depth_weights_sha256="", preset="published", precision="fp32",
-        compile=False, device="cpu",
+        planner="antipodal", planner_preset="published", planner_settings={},
+        planner_weights_sha256="", depth=depth, depth_preset="", depth_settings={},
+        depth_weights_sha256="", precision="fp32", compile=False, device="cpu",
     )  # fmt: skip
     manifest = grasp_manifest(
         setup, depth_label=depth, planner_label="antipodal", planner_weights=None,
