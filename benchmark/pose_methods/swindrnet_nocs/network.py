@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
@@ -13,13 +14,17 @@ from benchmark.methods.swindrnet.fusion import PaperFusion
 from benchmark.methods.swindrnet.head import enlarged
 from benchmark.methods.swindrnet.streams import SwinStreams
 from benchmark.methods.swindrnet.swin import Swin
-from benchmark.pose_methods.swindrnet_nocs.config import CLASSES, SwinNOCSConfig
+from benchmark.pose_methods.swindrnet_nocs.config import BACKGROUND_CLASS, CLASSES, SwinNOCSConfig
 from benchmark.pose_methods.swindrnet_nocs.fusion import AttendingFusion
 
 # The streams' names and the channels of the images that they get: x y z, or depth and whether
 # there is any.
 _POINT_IMAGES = {"backbone_rgb_branch": 3, "backbone_xyz_branch": 3}
 _DEPTH_IMAGES = {"backbone_rgb_branch": 3, "backbone_xyz_branch": 2}
+# What the first answers are about: background, as most pixels are, and the cube's middle. Weights
+# as small as those of restored depth, which begins as the sensor's, would keep them there for long.
+_BACKGROUND_FIRST, _MIDDLE = 3.0, 0.5
+_SPREAD = 0.25
 
 
 class SwinNOCSPrediction(NamedTuple):
@@ -54,6 +59,8 @@ class SwinNOCSNetwork(SwinStreams):
         if config.details:
             self.details_of_classes = DetailDecoder(config.head_channels, len(images), CLASSES)
             self.details_of_nocs = DetailDecoder(config.head_channels, len(images), 3)
+            _begin(self.details_of_classes.last, {BACKGROUND_CLASS: _BACKGROUND_FIRST})
+            _begin(self.details_of_nocs.last, dict.fromkeys(range(3), _MIDDLE))
         self.add_fusion(self._fusion)
 
     def forward(self, color: Tensor, points: Tensor) -> SwinNOCSPrediction:
@@ -77,3 +84,12 @@ class SwinNOCSNetwork(SwinStreams):
         if config.fusion == "paper":
             return PaperFusion(channels, config.fusion_heads, config.fusion_window)
         return AttendingFusion(channels, config.depths[level], config.heads[level], config.window)
+
+
+def _begin(last: nn.Conv2d, answers: Mapping[int, float]) -> None:
+    """Begin a layer with answers of some of its channels."""
+    nn.init.normal_(last.weight, std=_SPREAD)
+    assert last.bias is not None
+    with torch.no_grad():
+        for channel, answer in answers.items():
+            last.bias[channel] = answer
