@@ -24,7 +24,8 @@ def at_full_size(sensor: Depth, answer: Restored) -> Depth:
 
     Where the method trusts the sensor, and the sensor is near what was restored there, its own
     pixels are kept, which have all details. Elsewhere restored depth is enlarged: linearly on a
-    surface, by the nearest pixel across an edge, so that nothing floats between surfaces.
+    surface, by the nearest pixel across an edge, so that nothing floats between surfaces. A map
+    that has the sensor's size already is the method's own, whatever the sensor says.
 
     Args:
         sensor: (H, W) metres, 0 where nothing was measured.
@@ -36,6 +37,8 @@ def at_full_size(sensor: Depth, answer: Restored) -> Depth:
     """
     depth = np.where(np.isfinite(answer.depth) & (answer.depth > 0), answer.depth, 0)
     depth = depth.astype(np.float32)
+    if depth.shape == sensor.shape:
+        return depth
     square = np.ones((3, 3), np.uint8)
     least, most = cv2.erode(depth, square), cv2.dilate(depth, square)
     enlarge = _Enlarge(depth.shape, sensor.shape)

@@ -69,3 +69,8 @@ def test_where_there_is_no_answer_there_is_no_depth():
     found = at_full_size(step(), answer)
     assert (found[: 80 * 360 // 126 - 2] == 0).all()
     assert (found[80 * 360 // 126 + 3 :] > 0).all()
+
+
+def test_what_is_restored_at_full_size_stays_as_it_is():
+    answer = Restored(plane(), np.ones(FULL[::-1], np.float32))
+    assert np.array_equal(at_full_size(plane() + np.float32(0.002), answer), plane())
