@@ -127,7 +127,8 @@ def html(plan: RecipePlan, outcome: Outcome, rows: pd.DataFrame, told: Sequence[
         '<header><div class="inner"><div class="kind">Recipe</div>'
         f"<h1>{escape(plan.recipe.title)}</h1>"
         f'<div class="verdict{" fail" if plan.scale_name == "tiny" else ""}">'
-        f"<b>{words(scale_line(plan))}</b></div>{paragraph(plan.recipe.about)}{summary}"
+        f"<b>Scale: {escape(plan.scale_name)}</b><span>{words(plan.scale.about)}</span></div>"
+        f"{paragraph(plan.recipe.about)}{summary}"
         f"{paragraph(_NOTE)}</div></header>"
         f'<nav><div class="inner">{links}</div></nav><main>{body}'
         f"<footer>std-toolkit {__version__}, std-train recipe {escape(plan.name)} --scale "
