@@ -40,16 +40,11 @@ PRESETS = {
         _PUBLISHED,
         side=96,
         points=512,
-        color_width=24,
-        color_blocks=(1, 1, 1, 1),
+        color_width=32,
         color_decoder=(64, 32, 32, 32),
         width=256,
         hidden=(256, 128),
         centred=True,
-        input_size=(424, 240),
-        # Whose weights come with the toolkit.
-        masks="swindrnet-nocs",
-        mask_preset="compact",
         # Of points that are a unit away from their middle on average.
         centres=(256, 128, 64, 32),
         radii=(0.1, 0.2, 0.2, 0.4, 0.4, 0.8, 0.8, 1.6),
