@@ -159,13 +159,16 @@ def _pack(args: argparse.Namespace) -> int:
 
 def _export(args: argparse.Namespace) -> int:
     _needs_torch()
-    from benchmark.report.board import make_board
-    from benchmark.report.text import markdown
-    from benchmark.running.results import read_results
+    from benchmark.report.part import make_parts
     from benchmark.training.export import export_weights
 
-    scores = markdown(make_board(read_results(args.results))) if args.results else ""
-    print(export_weights(args.run, args.out, scores=scores))
+    tables = [
+        text
+        for part in (make_parts(args.results) if args.results else [])
+        for name, text in part.files.items()
+        if name.endswith(".md")
+    ]
+    print(export_weights(args.run, args.out, scores="\n\n".join(tables)))
     return 0
 
 

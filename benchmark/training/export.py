@@ -23,6 +23,7 @@ from std_toolkit.io.documents import read_document
 
 _SHOWN_OPTIONS = ("sensor", "views", "width", "height", "quality", "matcher", "materials", "depth")
 _MIB = 2**20
+_OF_DEPTH = "specular_transparent_"  # scores of restorers
 _DECAYS = {"linear": "falling to 0", "steps": "falling by steps"}
 
 
@@ -75,10 +76,14 @@ def export_weights(run: Path, out: Path, *, scores: str = "") -> Path:
         *_table("Judged by (which weights are the best)", _data(note.validation)),
         *_table("How", _how(config, best, run, note)),
     ]
-    named = {k: v for k, v in best["scores"].items() if k.startswith("specular_transparent")}
+    named = {k: v for k, v in best["scores"].items() if k.startswith(_OF_DEPTH)}
+    told = "specular and transparent pixels, at the size of training"
     lines += _table(
-        "Scores of validation, specular and transparent pixels, at the size of training",
-        [(name.removeprefix("specular_transparent_"), f"{v:.4f}") for name, v in named.items()],
+        f"Scores of validation, {told}" if named else "Scores of validation",
+        [
+            (name.removeprefix(_OF_DEPTH), f"{value:.4f}")
+            for name, value in (named or best["scores"]).items()
+        ],
     )
     if scores:
         lines += ["## Scores on test sets", "", scores.rstrip(), ""]
@@ -109,7 +114,8 @@ def _data(parts: Sequence[PartNote]) -> list[tuple[str, str]]:
                 part.split,
                 f"{part.frames} frames of {len(part.scenes)} scenes "
                 f"({part.scenes[0]} to {part.scenes[-1]}), packed at "
-                f"{part.size[0]}x{part.size[1]}, colour {part.color}",
+                f"{part.size[0]}x{part.size[1]}"
+                + (f", colour {part.color}" if part.color != "none" else ""),
             )
         )
         if part.simulation:
