@@ -144,6 +144,9 @@ def fit(
     machine = machine or Machine()
     trainable = get_trainable(config.method)
     is_first = process_rank() == 0
+    loss = trainable.loss_with(config.loss)
+    # Before anything is written: wrong weights leave no training behind.
+    network = make_network(trainable, config, beginning or Beginning())
     with ExitStack() as stack:
         if is_first:
             folder.mkdir(parents=True, exist_ok=True)
@@ -160,14 +163,7 @@ def fit(
                 )
                 write_document(folder / RUN_NOTE, note)
         _quiet()
-        loss = trainable.loss_with(config.loss)
-        module = RestorerTraining(
-            config,
-            make_network(trainable, config, beginning or Beginning()),
-            trainable.step,
-            loss,
-            data.training.key,
-        )
+        module = RestorerTraining(config, network, trainable.step, loss, data.training.key)
         judge = trainable.judge(data.validation, data.of_validation, _judged_at_once(config), loss)
         watch = Watch(folder, judge, log_every=machine.log_every)
         trainer = _trainer(trainable, config, machine, watch, folder)

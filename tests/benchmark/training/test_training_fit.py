@@ -195,6 +195,13 @@ def test_training_begins_with_given_weights(pack, tmp_path):
         make_network(get_trainable("dfnet"), config, Beginning(imagenet=file))
 
 
+def test_wrong_weights_leave_no_training_behind(pack, tmp_path):
+    torch.save({"other.weight": torch.ones(2)}, tmp_path / "other.pth")
+    with pytest.raises(ToolkitError, match="weights of another network"):
+        trained(wishes("dfnet", pack, steps=2, weights=tmp_path / "other.pth"), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
 @pytest.mark.slow
 def test_two_processes_share_a_training(pack, tmp_path):
     """Launched as torchrun does, on gloo; their weights agree and the run goes on as one."""
