@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from std_toolkit.io.documents import read_document
 
 _SHOWN_OPTIONS = ("sensor", "views", "width", "height", "quality", "matcher", "materials", "depth")
 _MIB = 2**20
+_NUMBER = re.compile(r"(\d+)")
 _OF_DEPTH = "specular_transparent_"  # scores of restorers
 _DECAYS = {"linear": "falling to 0", "steps": "falling by steps"}
 
@@ -109,11 +111,12 @@ def half(tensor: torch.Tensor, name: str, path: Path) -> torch.Tensor:
 def _data(parts: Sequence[PartNote]) -> list[tuple[str, str]]:
     rows = []
     for part in parts:
+        scenes = sorted(part.scenes, key=_by_number)
         rows.append(
             (
                 part.split,
-                f"{part.frames} frames of {len(part.scenes)} scenes "
-                f"({part.scenes[0]} to {part.scenes[-1]}), packed at "
+                f"{part.frames} frames of {len(scenes)} scenes "
+                f"({scenes[0]} to {scenes[-1]}), packed at "
                 f"{part.size[0]}x{part.size[1]}"
                 + (f", colour {part.color}" if part.color != "none" else ""),
             )
@@ -124,6 +127,11 @@ def _data(parts: Sequence[PartNote]) -> list[tuple[str, str]]:
             )
             rows.append(("simulated by std-sim", f"{told}; scenes are named after their seeds"))
     return rows
+
+
+def _by_number(name: str) -> list[tuple[int, str]]:
+    """What sorts scene 9 before scene 10."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in _NUMBER.split(name)]
 
 
 def _how(
