@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from benchmark.data.frame import DepthFrame
 from benchmark.data.saved import saved_depth_path
 from benchmark.data.source import FrameKey
+from benchmark.methods.full_size import at_full_size
 from benchmark.methods.protocol import Restorer
 from benchmark.methods.registry import MethodOptions, make_restorer
 from benchmark.running.batch import restore_views, told
@@ -74,7 +75,10 @@ class DepthGiver:
             for index, frame in frames.items()
         }
         answers = restore_views(method, views)
-        return {i: a if isinstance(a, str) else a.depth for i, a in answers.items()}
+        return {
+            i: a if isinstance(a, str) else at_full_size(frames[i].depth_raw, a)
+            for i, a in answers.items()
+        }
 
     def _known(self, frame: DepthFrame) -> Depth | str:
         if self.choice.folder is None:

@@ -108,6 +108,16 @@ def test_restored_and_saved_depth(root: Path, tmp_path: Path) -> None:
     assert names == {("gt-nocs", "mine", "ransac"), ("gt-nocs", "nearest", "ransac")}
 
 
+def test_restored_depth_has_the_size_and_the_details_of_the_sensor(root: Path) -> None:
+    from benchmark.data.splits import open_split
+    from benchmark.pose_running.depths import DepthGiver
+
+    frame = open_split(SPLIT, root).load(0)
+    depth = DepthGiver(DepthChoice(name=f"{HERE}:Small"), SPLIT).depths({0: frame})[0]
+    assert depth.shape == frame.depth_raw.shape
+    assert (depth == frame.depth_raw).mean() > 0.9
+
+
 @pytest.mark.parametrize("as_input", [False, True])
 def test_networks_look_at_raw_depth_unless_told(root: Path, tmp_path: Path, as_input: bool) -> None:
     log = tmp_path / "log"
