@@ -8,6 +8,11 @@ PUBLISHED, COMPACT = "published", "compact"
 SHIPPED = Path(__file__).resolve().parent.parent / "weights"
 
 
+def shipped_file(method: str, preset: str) -> Path:
+    """Where weights that come with the toolkit would be."""
+    return SHIPPED / f"{method}-{preset}.safetensors"
+
+
 def preset_for(method: str, asked: str | None, weights: Path | None) -> str:
     """The preset that a network is made with.
 
@@ -19,6 +24,6 @@ def preset_for(method: str, asked: str | None, weights: Path | None) -> str:
     """
     if asked is not None:
         return asked
-    if weights is None and (SHIPPED / f"{method}-{COMPACT}.safetensors").is_file():
+    if weights is None and shipped_file(method, COMPACT).is_file():
         return COMPACT
     return PUBLISHED

@@ -14,7 +14,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from benchmark.methods.registry import MethodOptions
-from benchmark.methods.shipped import SHIPPED
+from benchmark.methods.shipped import shipped_file
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
 
@@ -60,7 +60,7 @@ def shipped_weights(method: str, preset: str) -> Path:
     Raises:
         ToolkitError: none comes for this preset, or the file is not what was shipped.
     """
-    path = SHIPPED / f"{method}-{preset}.safetensors"
+    path = shipped_file(method, preset)
     if not path.is_file():
         raise ToolkitError(
             f"no weights for {method}, preset {preset}, come with the toolkit",

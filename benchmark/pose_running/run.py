@@ -194,7 +194,7 @@ def _setup(
         method=run.method,
         preset=run.options.preset,
         settings=run.settings,
-        weights_sha256=weights_digest(method, run.options),
+        weights_sha256=weights_digest(run.method, method, run.options),
         precision=run.options.precision,
         compile=run.options.compile,
         device=run.devices[0].partition(":")[0],
@@ -202,7 +202,7 @@ def _setup(
         depth=run.depth.name,
         depth_preset=run.depth.options.preset if run.depth.is_restored else "",
         depth_settings=dict(run.depth.options.settings),
-        depth_weights_sha256=weights_digest(depths.restorer, run.depth.options),
+        depth_weights_sha256=weights_digest(run.depth.name, depths.restorer, run.depth.options),
         depth_folder="" if folder is None else str(folder.resolve()),
         as_input=run.as_input,
     )

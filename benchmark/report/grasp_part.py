@@ -147,7 +147,7 @@ def _board(results: Sequence[GraspResult], printed: Sequence[Sequence[str]]) -> 
         parts.append(f"<h3>{escape(camera)} camera, seed {seed}</h3>")
         rows = [[*map(text, cells(r)[:2]), *map(_figure, cells(r)[2:])] for r in mine]
         rows += [[*map(text, row[:2]), *map(_figure, row[2:])] for row in printed]
-        parts.append(table([(title, "") for title in HEADINGS], rows))
+        parts.append(table([_heading(title) for title in HEADINGS], rows))
     if printed:
         parts.append(paragraph("Published rows were measured with a real robot and other objects."))
     return "".join(parts)
@@ -165,8 +165,20 @@ def _plans(results: Sequence[GraspResult]) -> str:
     return paragraph(_PLANNED) + table([(title, "") for title in PLAN_HEADINGS], rows)
 
 
+def _heading(title: str) -> tuple[str, str]:
+    """A heading in two lines: what, and of what."""
+    for mark in (" %", " / "):
+        if mark in title:
+            at = title.index(mark)
+            return title[:at], title[at:].strip()
+    return title, ""
+
+
 def _figure(cell: str) -> Cell:
-    return Cell(escape(cell), numeric=True)
+    """A number, with its interval below it."""
+    value, bracket, interval = cell.partition(" [")
+    note = f"<small>{escape(bracket.strip() + interval)}</small>" if interval else ""
+    return Cell(escape(value) + note, numeric=True)
 
 
 def _causes(results: Sequence[GraspResult]) -> str:

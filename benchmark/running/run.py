@@ -169,7 +169,7 @@ def _setup(run: Run, source: DepthSource, restorer: Restorer, chosen: Sequence[i
         method=run.method,
         preset=run.options.preset,
         settings=dict(run.options.settings),
-        weights_sha256=weights_digest(restorer, run.options),
+        weights_sha256=weights_digest(run.method, restorer, run.options),
         precision=run.options.precision,
         compile=run.options.compile,
         device=run.devices[0].partition(":")[0],

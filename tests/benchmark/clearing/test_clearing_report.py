@@ -47,7 +47,7 @@ def test_the_gain_over_raw_depth_is_told_with_its_interval(tmp_path):
     page = "".join(s.html for s in part.sections)
     assert "slipped" in page and "96.15" in page
     # Of the tables 0 to 3, as `run_table` has their precision.
-    assert "30.0 [10.0, 50.0]" in page and "25.0" in part.terminal
+    assert "30.0<small>[10.0, 50.0]</small>" in page and "25.0" in part.terminal
     alone = grasp_part([tmp_path], published=False)
     assert "96.15" not in "".join(s.html for s in alone.sections)
 

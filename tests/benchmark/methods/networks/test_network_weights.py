@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import nn
 
-from benchmark.methods import shipped, weights
+from benchmark.methods import shipped
 from benchmark.methods.registry import MethodOptions
 from benchmark.methods.weights import (
     architecture_of,
@@ -19,7 +19,9 @@ from benchmark.methods.weights import (
     shipped_weights,
     weights_for,
 )
+from benchmark.running.usable import weights_digest
 from std_toolkit.errors import ToolkitError
+from std_toolkit.scene.provenance import digest_file
 
 
 def network(width: int = 4, seed: int = 0) -> nn.Module:
@@ -150,7 +152,7 @@ def test_architectures_are_known_by_their_keys(keys, title):
 
 
 def test_shipped_weights(tmp_path, monkeypatch):
-    monkeypatch.setattr(weights, "SHIPPED", tmp_path)
+    monkeypatch.setattr(shipped, "SHIPPED", tmp_path)
     with pytest.raises(ToolkitError, match="no weights for m, preset compact, come with") as caught:
         shipped_weights("m", "compact")
     assert "give --weights" in str(caught.value)
@@ -178,3 +180,22 @@ def test_weights_that_come_along_decide_the_preset_where_nobody_does(tmp_path, m
     assert shipped.preset_for("nlspn", None, None) == "published"
     assert shipped.preset_for("swindrnet", None, tmp_path / "own.safetensors") == "published"
     assert shipped.preset_for("swindrnet", "published", None) == "published"
+
+
+def test_results_name_weights_that_come_along(tmp_path, monkeypatch):
+    monkeypatch.setattr(shipped, "SHIPPED", tmp_path)
+    assert weights_digest("m", object(), MethodOptions()) == ""
+    path = tmp_path / "m-compact.safetensors"
+    path.write_bytes(b"some")
+    own = tmp_path / "own.safetensors"
+    own.write_bytes(b"other")
+    found = [
+        weights_digest("m", method, options)
+        for method, options in (
+            (object(), MethodOptions(preset="compact")),
+            (object(), MethodOptions(preset="compact", weights=own)),
+            (None, MethodOptions(preset="compact")),
+            (object(), MethodOptions(preset="published")),
+        )
+    ]
+    assert found == [digest_file(path), digest_file(own), "", ""]
