@@ -15,6 +15,7 @@ from benchmark.metrics.resize import nearest_indices
 # what was restored around it, to be believed.
 _EDGE, _NEAR = 0.015, 0.01
 _TRUSTED = 0.5
+_BEYOND = 1e6  # metres, farther than anything
 
 Depth = NDArray[np.float32]
 
@@ -40,11 +41,14 @@ def at_full_size(sensor: Depth, answer: Restored) -> Depth:
     if depth.shape == sensor.shape:
         return depth
     square = np.ones((3, 3), np.uint8)
-    least, most = cv2.erode(depth, square), cv2.dilate(depth, square)
+    answered = depth > 0
+    # A pixel without an answer is no near surface.
+    least = cv2.erode(np.where(answered, depth, np.float32(_BEYOND)), square)
+    most, whole = cv2.dilate(depth, square), cv2.erode(answered.astype(np.uint8), square)
     enlarge = _Enlarge(depth.shape, sensor.shape)
     near, far = enlarge(least), enlarge(most)
     found = enlarge(depth)
-    smooth = (far - near < _EDGE) & (near > 0)
+    smooth = (far - near < _EDGE) & (enlarge(whole) > 0)
     found[smooth] = enlarge(depth, cv2.INTER_LINEAR)[smooth]
     believed = (sensor > 0) & (sensor > near - _NEAR) & (sensor < far + _NEAR)
     if answer.confidence is not None:

@@ -74,3 +74,12 @@ def test_where_there_is_no_answer_there_is_no_depth():
 def test_what_is_restored_at_full_size_stays_as_it_is():
     answer = Restored(plane(), np.ones(FULL[::-1], np.float32))
     assert np.array_equal(at_full_size(plane() + np.float32(0.002), answer), plane())
+
+
+def test_beside_a_pixel_without_an_answer_the_sensor_must_be_near_the_others():
+    answer = restored(step(), 1.0)
+    answer.depth[60, 60] = 0
+    sensor = step()
+    v, u = 60 * 360 // 126 + 4, 60 * 640 // 224 + 4  # of the pixel below, to the right
+    sensor[v, u] = 0.3
+    assert at_full_size(sensor, answer)[v, u] == step()[v, u]
