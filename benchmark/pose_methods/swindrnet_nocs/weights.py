@@ -11,7 +11,13 @@ from pathlib import Path
 
 from torch import Tensor
 
-from benchmark.methods.weights import SWINDRNET, architecture_of, check_keys, read_weights
+from benchmark.methods.weights import (
+    SWINDRNET,
+    architecture_of,
+    check_keys,
+    load_weights,
+    read_weights,
+)
 from benchmark.pose_methods.swindrnet_nocs.config import CLASSES
 from benchmark.pose_methods.swindrnet_nocs.network import SwinNOCSNetwork
 
@@ -56,7 +62,7 @@ def begin_pose_network(network: SwinNOCSNetwork, path: Path) -> None:
     """
     state = read_weights(path)
     if architecture_of(state) != SWINDRNET:
-        load_pose_weights(network, path)
+        load_weights(network, path)  # not the authors', whose z is turned
         return
     shared = {k: v for k, v in state.items() if k.startswith(_SHARED)}
     own = {k: v for k, v in network.state_dict().items() if k.startswith(_SHARED)}

@@ -192,6 +192,13 @@ def test_it_begins_with_streams_and_fusion_of_swindrnet(tmp_path):
         begin_pose_network(wider, tmp_path / "depth.safetensors")
 
 
+def test_nothing_begins_with_weights_that_say_z_the_other_way(tmp_path):
+    network = a_network()
+    save_file(as_the_authors_save_it(network), tmp_path / "authors.safetensors")
+    with pytest.raises(ToolkitError, match="weights of another network"):
+        begin_pose_network(network, tmp_path / "authors.safetensors")
+
+
 def test_points_are_those_of_the_camera():
     camera = Camera(8, 6, 7.0, 6.5, 3.3, 2.6)
     depth = torch.rand(1, 1, 6, 8) + 0.3
