@@ -11,12 +11,10 @@ from benchmark.clearing.run import ORACLE, RAW, TRUE, GraspRun
 from benchmark.clearing.sensing import CAMERAS
 from benchmark.grasp_methods.registry import grasp_planners
 from benchmark.methods.registry import MethodOptions
-from benchmark.methods.shipped import preset_for
 from benchmark.running.plan import (
     check_lists,
     checked_label,
-    settings_by_method,
-    weights_by_method,
+    options_by_method,
 )
 from std_toolkit.errors import ToolkitError
 
@@ -79,20 +77,7 @@ def plan_grasp_runs(wishes: GraspWishes) -> list[GraspRun]:
         *(d for d in wishes.depths if d not in (RAW, TRUE)),
         *(p for p in wishes.planners if p != ORACLE),
     ]
-    weights = weights_by_method(wishes.weights, names)
-    settings = settings_by_method(wishes.settings, names)
-
-    def options(name: str) -> MethodOptions:
-        if name in (RAW, TRUE, ORACLE):
-            return MethodOptions()
-        return MethodOptions(
-            preset=preset_for(name, wishes.preset, weights.get(name)),
-            weights=weights.get(name),
-            precision=wishes.precision,  # type: ignore[arg-type]
-            compile=wishes.compile,
-            settings=settings[name],
-        )
-
+    options = options_by_method(wishes, names)
     for name in (*wishes.depths, *wishes.planners):
         checked_label(name.replace(":", "."))
     return [
@@ -102,8 +87,8 @@ def plan_grasp_runs(wishes: GraspWishes) -> list[GraspRun]:
             rounds=wishes.rounds,
             seed=wishes.seed,
             out=wishes.out,
-            depth_options=options(depth),
-            planner_options=options(planner),
+            depth_options=options.get(depth, MethodOptions()),
+            planner_options=options.get(planner, MethodOptions()),
             camera=wishes.camera,  # type: ignore[arg-type]
             attempts=wishes.attempts,
             devices=wishes.devices,

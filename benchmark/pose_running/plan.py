@@ -7,7 +7,6 @@ from itertools import product
 from pathlib import Path
 
 from benchmark.methods.registry import MethodOptions, restorers
-from benchmark.methods.shipped import preset_for
 from benchmark.pose_methods.fitting import FitMethod
 from benchmark.pose_running.depths import RAW, TRUE, DepthChoice
 from benchmark.pose_running.run import PoseRun
@@ -16,9 +15,8 @@ from benchmark.running.plan import (
     check_lists,
     checked_label,
     data_of,
+    options_by_method,
     roots_of,
-    settings_by_method,
-    weights_by_method,
 )
 from std_toolkit.errors import ToolkitError
 
@@ -81,22 +79,11 @@ def plan_pose_runs(wishes: PoseWishes) -> list[PoseRun]:
     depths = [_depth(text) for text in wishes.depths]
     restored = [depth.name for depth in depths if depth.is_restored]
     names = [*wishes.methods, *restored]
-    weights = weights_by_method(wishes.weights, names)
-    settings = settings_by_method(wishes.settings, names)
-
-    def options(name: str) -> MethodOptions:
-        return MethodOptions(
-            preset=preset_for(name, wishes.preset, weights.get(name)),
-            weights=weights.get(name),
-            precision=wishes.precision,  # type: ignore[arg-type]
-            compile=wishes.compile,
-            settings=settings[name],
-        )
-
+    options = options_by_method(wishes, names)
     chosen = [
         DepthChoice(
             name=depth.name,
-            options=options(depth.name) if depth.is_restored else MethodOptions(),
+            options=options[depth.name] if depth.is_restored else MethodOptions(),
             folder=depth.folder,
         )
         for depth in depths
@@ -108,7 +95,7 @@ def plan_pose_runs(wishes: PoseWishes) -> list[PoseRun]:
             split=split,
             root=data_of(split, wishes.roots),
             method=method,
-            options=options(method),
+            options=options[method],
             depth=depth,
             label=checked_label(wishes.label or method.replace(":", ".")),
             out=wishes.out,

@@ -1,4 +1,4 @@
-"""Which runs of table clearing a report is about: with what, where, how many failed."""
+"""Which runs of table clearing a report is about: with what, and where."""
 
 from __future__ import annotations
 

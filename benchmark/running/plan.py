@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
+from typing import Protocol
 
 from benchmark.methods.registry import MethodOptions
 from benchmark.methods.shipped import preset_for
@@ -65,20 +66,13 @@ def plan_runs(wishes: Wishes) -> list[Run]:
         ToolkitError: weights or settings for a method that is not asked for, a split without
             data, or a label that cannot be a folder's name.
     """
-    weights = weights_by_method(wishes.weights, wishes.methods)
-    settings = settings_by_method(wishes.settings, wishes.methods)
+    options = options_by_method(wishes, wishes.methods)
     return [
         Run(
             split=split,
             root=data_of(split, wishes.roots),
             method=method,
-            options=MethodOptions(
-                preset=preset_for(method, wishes.preset, weights.get(method)),
-                weights=weights.get(method),
-                precision=wishes.precision,  # type: ignore[arg-type]
-                compile=wishes.compile,
-                settings=settings[method],
-            ),
+            options=options[method],
             protocol=protocol,
             label=checked_label(wishes.label or method.replace(":", ".")),
             out=wishes.out,
@@ -90,6 +84,41 @@ def plan_runs(wishes: Wishes) -> list[Run]:
         )
         for method, split, protocol in product(wishes.methods, wishes.splits, wishes.protocols)
     ]
+
+
+class NetworkWishes(Protocol):
+    """What every task is asked about networks; see `Wishes`."""
+
+    @property
+    def preset(self) -> str | None: ...
+    @property
+    def precision(self) -> str: ...
+    @property
+    def compile(self) -> bool: ...
+    @property
+    def weights(self) -> tuple[str, ...]: ...
+    @property
+    def settings(self) -> tuple[str, ...]: ...
+
+
+def options_by_method(wishes: NetworkWishes, methods: Sequence[str]) -> dict[str, MethodOptions]:
+    """Options of each method, by its name.
+
+    Raises:
+        ToolkitError: weights or settings for a method that is not asked for.
+    """
+    weights = weights_by_method(wishes.weights, methods)
+    settings = settings_by_method(wishes.settings, methods)
+    return {
+        method: MethodOptions(
+            preset=preset_for(method, wishes.preset, weights.get(method)),
+            weights=weights.get(method),
+            precision=wishes.precision,  # type: ignore[arg-type]
+            compile=wishes.compile,
+            settings=settings[method],
+        )
+        for method in methods
+    }
 
 
 def check_lists(wishes: object, *names: str) -> None:

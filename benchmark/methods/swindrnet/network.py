@@ -24,6 +24,7 @@ class SwinDRNetwork(SwinStreams):
     program. Nothing is clamped: a predicted depth may be negative.
     """
 
+    config: SwinDRNetConfig
     backbone: Swin
     backbone_rgb_branch: Swin
     backbone_xyz_branch: Swin
@@ -32,7 +33,6 @@ class SwinDRNetwork(SwinStreams):
         config = config or SwinDRNetConfig()
         images = _images_of(config)
         super().__init__(config, images)
-        self.config = config
         self.decode_head_depth_restoration = self.head(1)
         if config.confidence:
             self.decode_head_confidence = self.head(2)

@@ -61,9 +61,11 @@ class SwinStreams(nn.Module):
         images: the streams' names, and the channels of the images that they get.
     """
 
+    config: StreamSettings
+
     def __init__(self, settings: StreamSettings, images: Mapping[str, int]) -> None:
         super().__init__()
-        self._settings = settings
+        self.config = settings
         self._names = tuple(images)
         for name, channels in images.items():
             if settings.details:
@@ -72,12 +74,12 @@ class SwinStreams(nn.Module):
 
     def add_fusion(self, make: Callable[[int, int], nn.Module]) -> None:
         """Fuse the levels of two streams; `make` is called with each level and its channels."""
-        for level, channels in enumerate(self._settings.level_channels):
+        for level, channels in enumerate(self.config.level_channels):
             self.add_module(f"cross_attention_{level}", make(level, channels))
 
     def head(self, outputs: int) -> UPerHead:
         """A decoder of the levels; where details are kept it leads to those, not to the outputs."""
-        settings = self._settings
+        settings = self.config
         return UPerHead(
             settings.fused_channels,
             settings.head_channels,
@@ -90,7 +92,7 @@ class SwinStreams(nn.Module):
         """What the decoders get, of what each stream is shown."""
         pyramids, all_details = [], []
         for name, image in zip(self._names, images, strict=True):
-            if self._settings.details:
+            if self.config.details:
                 all_details.append(self.get_submodule(f"{name}_details")(image))
                 image = all_details[-1][-1]
             pyramids.append(self.get_submodule(name)(image))
@@ -106,7 +108,7 @@ class SwinStreams(nn.Module):
         )
 
     def _stream(self, in_channels: int) -> Swin:
-        settings = self._settings
+        settings = self.config
         return Swin(
             settings.channels,
             settings.depths,

@@ -46,6 +46,7 @@ class SwinNOCSNetwork(SwinStreams):
     camera frame, metres, 0 where it measured nothing.
     """
 
+    config: SwinNOCSConfig
     backbone_rgb_branch: Swin
     backbone_xyz_branch: Swin
 
@@ -53,7 +54,6 @@ class SwinNOCSNetwork(SwinStreams):
         config = config or SwinNOCSConfig()
         images = _DEPTH_IMAGES if config.details else _POINT_IMAGES
         super().__init__(config, images)
-        self.config = config
         self.decode_head_classes = self.head(CLASSES)
         self.decode_head_nocs = self.head(3)
         if config.details:
