@@ -19,8 +19,7 @@ import cv2
 import numpy as np
 import OpenEXR
 
-from benchmark.data.source import DepthSource
-from benchmark.data.splits import open_split
+from benchmark.data.splits import DepthSource, open_split
 from std_toolkit.io.exr import write_exr
 from std_toolkit.io.images import write_color, write_png
 

@@ -24,9 +24,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import LinearOperator, bicgstab, spilu, splu
 
-from benchmark.methods.cleargrasp.global_optimization import optimize_depth
-from benchmark.methods.filling.colorization import colorization_system
-from benchmark.methods.filling.grid_solver import factorized
+from benchmark.methods.depth.cleargrasp.global_optimization import optimize_depth
+from benchmark.methods.depth.filling.colorization import colorization_system, factorized
 from benchmark.methods.protocol import View
 from benchmark.methods.registry import make_restorer
 from std_toolkit.geometry.camera import Camera, pixel_rays

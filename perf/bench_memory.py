@@ -15,11 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmark.data.frame import DepthFrame, Instance, Material
-from benchmark.data.source import FrameKey
-from benchmark.data.splits import Split
+from benchmark.data.splits import FrameKey, Split
+from benchmark.evaluation.tasks import depth as batch
+from benchmark.evaluation.tasks.depth import Run, run_method
 from benchmark.methods.registry import MethodOptions
-from benchmark.running import batch
-from benchmark.running.run import Run, run_method
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.jobs import JobOptions
 
@@ -67,7 +66,7 @@ def main() -> None:
             seen.append((indices[0], resident_mib()))
         return score(indices, *args, **more)
 
-    import benchmark.running.run as running
+    import benchmark.evaluation.tasks.depth as running
 
     running.score_batch = watched
     with tempfile.TemporaryDirectory() as folder:

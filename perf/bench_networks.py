@@ -32,11 +32,11 @@ ANY_SIZE = (1280, 720)  # for methods that take images as they come
 LIMIT_S, LIMIT_GIB = 0.9, 3.0  # of SwinDRNet on two cores
 PUBLISHED_FPS = 30  # of SwinDRNet on a GeForce RTX 3090
 NETWORKS = {
-    "swindrnet": "benchmark.methods.swindrnet.network:SwinDRNetwork",
-    "nlspn": "benchmark.methods.nlspn.network:NLSPNetwork",
-    "lidf": "benchmark.methods.lidf.network:LIDFNetwork",
-    "cleargrasp": "benchmark.methods.cleargrasp.network:ClearGraspNetwork",
-    "dfnet": "benchmark.methods.dfnet.network:DFNetwork",
+    "swindrnet": "benchmark.methods.depth.swindrnet.swindrnet_network:SwinDRNetwork",
+    "nlspn": "benchmark.methods.depth.nlspn:NLSPNetwork",
+    "lidf": "benchmark.methods.depth.lidf.lidf:LIDFNetwork",
+    "cleargrasp": "benchmark.methods.depth.cleargrasp.cleargrasp_network:ClearGraspNetwork",
+    "dfnet": "benchmark.methods.depth.dfnet:DFNetwork",
 }
 
 
@@ -106,7 +106,7 @@ def measure(arguments: argparse.Namespace, method: str, weights: Path) -> dict[s
         found["peak_gib"] = torch.cuda.max_memory_allocated() / 2**30
     works: list[Callable[[], object]] = [restore]
     if method == "swindrnet" and arguments.device == "cpu":
-        from benchmark.methods.swindrnet.network import SwinDRNetwork
+        from benchmark.methods.depth.swindrnet.swindrnet_network import SwinDRNetwork
 
         published = SwinDRNetwork().eval()
         inputs = restorer.inputs([view])  # type: ignore[attr-defined]

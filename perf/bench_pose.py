@@ -23,7 +23,7 @@ from benchmark.metrics.pose import (
     get_pose_protocol,
     score_poses,
 )
-from benchmark.metrics.pose.boxes import cube_to_box
+from benchmark.metrics.pose.box_iou import cube_to_box
 
 LIMIT_S = 10.0
 CLASSES = 7

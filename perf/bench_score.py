@@ -21,12 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.frame import BACKGROUND, DepthFrame
-from benchmark.data.saved import WithSavedDepth
-from benchmark.data.source import FrameKey
-from benchmark.data.splits import open_split
+from benchmark.data.splits import FrameKey, WithSavedDepth, open_split
+from benchmark.evaluation.tasks.depth import save_depth
 from benchmark.methods.protocol import Restored
-from benchmark.protocols import get_protocol, score_frame
-from benchmark.running.saving import save_depth
+from benchmark.metrics.protocols import get_protocol, score_frame
 from std_toolkit.io.exr import write_exr
 from std_toolkit.io.images import write_png
 

@@ -4,7 +4,7 @@
 
 SETS is a folder that `std-sim --layout dreds` wrote. Half of the frames are fitted to, the other
 half compared with: shares of holes, of depth within 1 cm and of the background seen through
-objects, by material class. `--write` puts the figures into benchmark/clearing/depth_model.json.
+objects, by material class. `--write` puts the figures into benchmark/tabletop/depth_model.json.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmark.clearing.depth_model import (
+from benchmark.data.frame import DepthFrame
+from benchmark.data.splits import open_split
+from benchmark.tabletop.depth_model import (
     BACKGROUND,
     EDGE,
     HOLE,
@@ -35,8 +37,6 @@ from benchmark.clearing.depth_model import (
     pixel_kinds,
     unmatched,
 )
-from benchmark.data.frame import DepthFrame
-from benchmark.data.splits import open_split
 from std_toolkit.io.documents import write_document
 
 NEAR_M = 0.01

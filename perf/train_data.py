@@ -22,8 +22,8 @@ from torch.utils.data import DataLoader
 
 from benchmark.data.splits import open_split
 from benchmark.data.torch_dataset import DepthDataset
+from benchmark.training.frame_order import BatchOrder, Steps
 from benchmark.training.module import network_inputs, target_of
-from benchmark.training.order import BatchOrder, Steps
 from benchmark.training.pack import PackOptions, pack_split
 from benchmark.training.packed_frames import PackedFrames
 from std_toolkit.jobs import JobOptions

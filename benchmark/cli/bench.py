@@ -9,9 +9,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from benchmark.cli.bench_bop import score_bop_results
-from benchmark.cli.bench_pose import add_pose_arguments, list_pose_methods, score_poses
-from benchmark.cli.grasp_task import OWN, add_grasp_arguments, list_planners, score_grasps
+from benchmark.cli.bench_tasks import (
+    OWN,
+    add_grasp_arguments,
+    add_pose_arguments,
+    list_planners,
+    list_pose_methods,
+    score_bop_results,
+    score_grasps,
+    score_poses,
+)
 from std_toolkit import __version__
 from std_toolkit.cli.job_arguments import add_job_arguments, job_options
 from std_toolkit.cli.outcome import exit_status
@@ -144,12 +151,10 @@ def _check_task(args: argparse.Namespace) -> None:
 
 
 def _score_depth(args: argparse.Namespace) -> int:
-    from benchmark.running.campaign import run_all
-    from benchmark.running.plan import Wishes, plan_runs
-    from benchmark.running.results import read_run
-    from benchmark.running.show import results_table
+    from benchmark.evaluation.tasks.depth_results import read_run, results_table
+    from benchmark.evaluation.tasks.depth_runs import DepthConfig, plan_runs, run_all
 
-    wishes = Wishes(
+    config = DepthConfig(
         methods=tuple(args.method),
         splits=tuple(args.split),
         protocols=tuple(args.protocol),
@@ -168,7 +173,7 @@ def _score_depth(args: argparse.Namespace) -> int:
         depth_from=args.depth_from,
     )
     jobs = replace(job_options(args), gpus=args.gpus_per_task)
-    report = run_all(plan_runs(wishes), jobs, speed=not args.no_speed, gallery=not args.no_gallery)
+    report = run_all(plan_runs(config), jobs, speed=not args.no_speed, gallery=not args.no_gallery)
     if report.finished:
         print(results_table([read_run(run.folder) for run in report.finished]))
     for title, error in report.failed.items():

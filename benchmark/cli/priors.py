@@ -52,8 +52,8 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _run(args: argparse.Namespace) -> int:
-    from benchmark.pose_methods.priors.file import save_priors
-    from benchmark.pose_methods.priors.make import PriorOptions, make_priors
+    from benchmark.methods.pose.priors.make_priors import PriorOptions, make_priors
+    from benchmark.methods.pose.priors.prior_file import save_priors
     from std_toolkit.errors import ToolkitError
 
     if args.out.suffix != ".safetensors":

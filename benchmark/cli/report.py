@@ -39,8 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(args: argparse.Namespace) -> int:
-    from benchmark.report.page import render_page
-    from benchmark.report.part import make_parts
+    from benchmark.report.page import make_parts, render_page
     from std_toolkit.io.atomic import write_bytes_atomic
 
     parts = make_parts(args.results, published=not args.no_published)

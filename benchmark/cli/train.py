@@ -8,13 +8,13 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmark.cli.pack_grasps import (
+from benchmark.cli.train_commands import (
     PACK_GRASPS,
     build_grasp_pack_parser,
+    build_recipe_parser,
     pack_grasps_command,
 )
-from benchmark.cli.recipe import build_recipe_parser
-from benchmark.cli.recipe import run as run_recipe
+from benchmark.cli.train_commands import run as run_recipe
 from std_toolkit import __version__
 from std_toolkit.cli.job_arguments import add_job_arguments, job_options
 from std_toolkit.cli.outcome import exit_status
@@ -159,7 +159,7 @@ def _pack(args: argparse.Namespace) -> int:
 
 def _export(args: argparse.Namespace) -> int:
     _needs_torch()
-    from benchmark.report.part import make_parts
+    from benchmark.report.page import make_parts
     from benchmark.training.export import export_weights
 
     tables = [
@@ -244,7 +244,7 @@ def _train(args: argparse.Namespace) -> int:
         return 0
     settings = " ".join(f"{name}={value}" for name, value in config.settings.items())
     told = f" --set {settings}" if settings else ""
-    from benchmark.training.asking import bench_command
+    from benchmark.training.export import bench_command
 
     command = bench_command(args.method)
     print(f"{best}: {command} --preset {args.preset} --weights {best}{told}")

@@ -6,8 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from benchmark.data.source import DepthSource, SceneFiles
-from benchmark.data.splits import Split, get_split
+from benchmark.data.splits import DepthSource, SceneFiles, Split, get_split
 from std_toolkit.errors import ToolkitError
 
 # So many names of missing files, and of damaged frames, are told.

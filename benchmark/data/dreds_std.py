@@ -13,6 +13,8 @@ Intrinsics are those of the sidecar of a toolkit export, or of the record that `
 `parameters/`; else the constants of the released code, with the principal point in the middle.
 
 Source: the loaders of github.com/PKU-EPIC/DREDS, described in data_spec.md, sections 6.2 and 11.
+
+Intrinsics of scenes in the DREDS and STD layouts, which have no place for them.
 """
 
 from __future__ import annotations
@@ -21,33 +23,119 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from benchmark.data.assemble import (
+from benchmark.data.frame import DepthFrame, Instance, Material
+from benchmark.data.loading import (
     NO_COLOR,
     NO_DEPTH,
+    FrameIndex,
     about,
     check_proportions,
     check_same_size,
     first_file,
+    read_coord_picture,
+    read_depth_map,
+    read_id_mask,
+    scene_files,
 )
-from benchmark.data.cad_boxes import model_handle, model_sides
-from benchmark.data.frame import DepthFrame, Instance, Material
-from benchmark.data.layout_camera import SceneCamera, read_scene_camera
-from benchmark.data.listing import FrameIndex, scene_files
-from benchmark.data.maps import read_coord_picture, read_depth_map, read_id_mask
-from benchmark.data.source import FrameKey, SceneFiles
-from benchmark.data.true_poses import KnownBox
+from benchmark.data.splits import FrameKey, SceneFiles
+from benchmark.data.true_poses import KnownBox, model_handle, model_sides
 from std_toolkit.errors import ToolkitError
+from std_toolkit.exporters.sidecar import find_sidecar
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.importers.intrinsics import read_intrinsics
 from std_toolkit.importers.std import DREDS_LAYOUT, STD_LAYOUT, Layout
 from std_toolkit.importers.std_objects import MetaLine, read_meta
 from std_toolkit.io.images import read_color
 from std_toolkit.scene.model import CATEGORY_CLASS_IDS, MATERIAL_IDS
 
 COLOR = ("_color.png",)
+
 META = ("_meta.txt",)
+
 NOCS = ("_coord.png",)
+
 MASKS = ("_mask.exr", "_mask.png")
-LAYOUTS = {layout.name: layout for layout in (DREDS_LAYOUT, STD_LAYOUT)}
+
 MUG = CATEGORY_CLASS_IDS["mug"]
+
+
+@dataclass(frozen=True)
+class SceneCamera:
+    """Cameras of the label maps of a scene.
+
+    Attributes:
+        usual: of every frame that `by_stem` does not name.
+        by_stem: of single frames.
+        given: read from a file, so that it fits one image size only; else the layout's constant.
+        without_depth: stems of frames whose raw depth is a placeholder.
+    """
+
+    usual: Camera
+    by_stem: dict[str, Camera] = field(default_factory=dict)
+    given: bool = False
+    without_depth: frozenset[str] = frozenset()
+
+    def of(self, stem: str, size: tuple[int, int], *, path: Path) -> Camera:
+        """Camera of a frame whose label maps are of `size`; `path` is one of them.
+
+        Raises:
+            ToolkitError: the intrinsics do not belong to this size.
+        """
+        camera = self.by_stem.get(stem, self.usual)
+        if camera.size == size:
+            return camera
+        if self.given:
+            raise ToolkitError(
+                f"label maps are of another size than their camera, {camera.width}x{camera.height}",
+                path=path,
+                value=f"{size[0]}x{size[1]}",
+            )
+        if camera.width * size[1] != camera.height * size[0]:
+            raise ToolkitError(
+                f"images of this layout are {camera.width}:{camera.height}",
+                path=path,
+                value=f"{size[0]}x{size[1]}",
+                hint="without a sidecar or a record in parameters/, intrinsics of no other "
+                "proportions are known",
+            )
+        return camera.resized(*size)
+
+
+def read_scene_camera(folder: Path, layout: Layout) -> SceneCamera:
+    """The cameras of a scene folder.
+
+    Raises:
+        ToolkitError: a sidecar or a record is there, but damaged.
+    """
+    width, height = layout.focal_size
+    fx, fy = layout.focal
+    constant = Camera(width, height, fx, fy, width / 2 - 0.5, height / 2 - 0.5)
+    found = find_sidecar(folder, layout.name)
+    if found is not None:
+        sidecar = found[0]
+        cameras = {k: v.camera() for k, v in sidecar.label_cameras.items()}
+        for key, model in sidecar.scene.cameras.items():
+            cameras.setdefault(key, model.camera())
+        by_stem = {frame.stem: cameras[frame.camera] for frame in sidecar.frames}
+        return SceneCamera(
+            next(iter(by_stem.values()), constant),
+            by_stem,
+            given=True,
+            without_depth=frozenset(f.stem for f in sidecar.frames if not f.sensor_depth),
+        )
+    place = folder.resolve()
+    for top in list(place.parents)[:4]:
+        record = top / "parameters" / place.parent.name / f"{place.name}.json"
+        if record.is_file():
+            read = read_intrinsics(str(record))
+            if read.size is None:
+                raise ToolkitError("the record tells no image size", path=record, field="width")
+            return SceneCamera(read.camera(read.size, path=str(record)), given=True)
+    return SceneCamera(constant)
+
+
+LAYOUTS = {layout.name: layout for layout in (DREDS_LAYOUT, STD_LAYOUT)}
+
 _CATEGORIES = {number: name for name, number in CATEGORY_CLASS_IDS.items()}
 
 
@@ -114,7 +202,7 @@ class LayoutScenes:
             raise about(error, key, mask_path) from error
 
     def known_boxes(self, index: int) -> dict[int, KnownBox]:
-        """See `KnowsBoxes`: of the models that lie beside the scenes."""
+        """See `BoxSource`: of the models that lie beside the scenes."""
         scene, stem = self.index.at(index)
         folder = Path(scene.path)
         found = {}

@@ -1,10 +1,17 @@
-"""One frame to score: what a sensor gave, and what was there."""
+"""A frame to score: sensor data and ground truth, selections of objects, resizing.
+
+Choosing objects of a frame by material, category, and whether they are distractors.
+
+Nearest-neighbour resizing with the very indices of `torch.nn.functional.interpolate`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import lru_cache
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -12,8 +19,100 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
+from std_toolkit.scene.model import CATEGORY_CLASS_IDS
+
+Size = tuple[int, int]  # (width, height), as everywhere in the toolkit
+
+T = TypeVar("T", bound=np.generic)
 
 BACKGROUND = 255  # mask value of pixels that belong to no instance, as STD and DREDS have it
+
+OTHER = 0
+
+
+@lru_cache(maxsize=256)
+def nearest_indices(length: int, wanted: int) -> NDArray[np.intp]:
+    """Which of `length` samples each of `wanted` samples takes.
+
+    Args:
+        length: samples along an axis of the source.
+        wanted: samples along that axis of the result.
+
+    Returns:
+        (wanted,) read-only indices: `floor(i * length / wanted)` with quotient, product and floor
+        in float32. Torch computes so for float32 tensors, and another precision gives another
+        index for about one pair of lengths in sixty.
+
+    Raises:
+        ToolkitError: a length below 1, or beyond 2**24, where float32 cannot count.
+
+    >>> nearest_indices(5, 3).tolist()
+    [0, 1, 3]
+    """
+    for name, value in (("length", length), ("wanted", wanted)):
+        if not 1 <= value <= 2**24:
+            raise ToolkitError("is no length of an image", field=name, value=value)
+    scale = np.float32(length) / np.float32(wanted)
+    exact = np.floor(np.arange(wanted, dtype=np.float32) * scale)
+    indices = np.minimum(exact.astype(np.intp), length - 1)
+    indices.flags.writeable = False
+    return indices
+
+
+@lru_cache(maxsize=32)
+def pixels_taken(size: Size, *steps: Size) -> NDArray[np.intp] | None:
+    """Which pixels of an image are left after it was resized to each of `steps` in turn.
+
+    Args:
+        size: (width, height) of the image.
+        steps: sizes that it goes through, the last one being that of the result.
+
+    Returns:
+        (height * width of the last step,) read-only indices into the flat image, row by row;
+        None where every pixel stays in its place.
+
+    Raises:
+        ToolkitError: a size without pixels.
+
+    >>> pixels_taken((4, 2), (2, 2)).tolist()
+    [0, 2, 4, 6]
+    >>> pixels_taken((4, 2), (4, 2)) is None
+    True
+    """
+    columns, rows = nearest_indices(size[0], size[0]), nearest_indices(size[1], size[1])
+    before = size
+    for step in steps:
+        columns = columns[nearest_indices(before[0], step[0])]
+        rows = rows[nearest_indices(before[1], step[1])]
+        before = step
+    if before == size and all(step == size for step in steps):
+        return None
+    taken = (rows[:, None] * size[0] + columns).ravel()
+    taken.flags.writeable = False
+    return taken
+
+
+def resize_nearest(image: NDArray[T], size: Size) -> NDArray[T]:
+    """An image at another size, each pixel being one of the source.
+
+    Args:
+        image: (H, W) or (H, W, C) of any type.
+        size: wanted (width, height).
+
+    Returns:
+        (height, width) or (height, width, C); a new array, also where the size stays.
+
+    Raises:
+        ToolkitError: not an image, or a size without pixels.
+
+    >>> resize_nearest(np.arange(8).reshape(2, 4), (2, 1)).tolist()
+    [[0, 2]]
+    """
+    if image.ndim not in (2, 3):
+        raise ToolkitError("must be (H, W) or (H, W, C)", field="image", value=image.shape)
+    rows = nearest_indices(image.shape[0], size[1])
+    columns = nearest_indices(image.shape[1], size[0])
+    return image.take(rows, axis=0).take(columns, axis=1)
 
 
 class Material(IntEnum):
@@ -112,3 +211,70 @@ class DepthFrame:
         table = np.zeros(256, np.uint8)
         table[[i.mask_id for i in self.instances if wanted(i)]] = 1
         return cv2.LUT(np.ascontiguousarray(self.mask), table).view(np.bool_)
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which objects count.
+
+    Attributes:
+        materials: empty for all.
+        categories: names, as "mug"; empty for all.
+        distractors: whether objects of no category (class 0, "other") count. Category-novel sets
+            and ClearGrasp consist of nothing else.
+
+    Example:
+        >>> glass = Instance(3, 6, Material.TRANSPARENT, "mug")
+        >>> Selection(materials=frozenset({Material.SPECULAR})).wants(glass)
+        False
+        >>> Selection(categories=frozenset({"mug"}), distractors=False).wants(glass)
+        True
+    """
+
+    materials: frozenset[Material] = frozenset()
+    categories: frozenset[str] = frozenset()
+    distractors: bool = True
+
+    def wants(self, instance: Instance) -> bool:
+        """Whether an object counts."""
+        if self.materials and instance.material not in self.materials:
+            return False
+        if self.categories and instance.category not in self.categories:
+            return False
+        return self.distractors or instance.class_id != OTHER
+
+    def mask(self, frame: DepthFrame) -> NDArray[np.bool_]:
+        """(k, l) pixels of the objects that count."""
+        return frame.mask_where(self.wants)
+
+
+def selection_of(
+    *, materials: list[str] | None = None, categories: list[str] | None = None, distractors: bool
+) -> Selection:
+    """A selection of names as on a command line.
+
+    Args:
+        materials: of raw, diffuse, transparent, specular.
+        categories: of the data sets' seven; "other" for the rest.
+
+    Raises:
+        ToolkitError: no such material or category.
+    """
+    chosen = []
+    for name in materials or []:
+        if name.upper() not in Material.__members__:
+            known = ", ".join(m.name.lower() for m in Material)
+            raise ToolkitError("no such material", field="material", value=name, hint=known)
+        chosen.append(Material[name.upper()])
+    for name in categories or []:
+        if name not in CATEGORY_CLASS_IDS:
+            raise ToolkitError(
+                "no such category", field="category", value=name, hint=", ".join(CATEGORY_CLASS_IDS)
+            )
+    return Selection(frozenset(chosen), frozenset(categories or []), distractors)
+
+
+def material_masks(frame: DepthFrame) -> dict[Material, NDArray[np.bool_]]:
+    """(k, l) pixels of every material that an object of the frame has."""
+    present = sorted({i.material for i in frame.instances})
+    return {material: frame.mask_of(material) for material in present}

@@ -1,29 +1,123 @@
-"""The splits that the benchmark knows.
+"""The built-in splits, and where each is found below the data root.
 
 Pages and counts: the papers (DREDS and STD: arXiv 2208.03792; ClearGrasp: arXiv 1910.02550) and the
 README files of github.com/PKU-EPIC/DREDS and github.com/Shreeyak/cleargrasp. About STD they
 contradict each other.
+
+Finding the folder of a split below what a user gives as root.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from benchmark.data.cleargrasp_real import SUFFIXES, ClearGraspReal
-from benchmark.data.cleargrasp_synthetic import ClearGraspSynthetic, list_rendered
+from benchmark.data.cleargrasp import SUFFIXES, ClearGraspReal, ClearGraspSynthetic, list_rendered
 from benchmark.data.dreds_std import LAYOUTS, LayoutScenes, frame_suffixes
-from benchmark.data.listing import FrameIndex, list_scenes
-from benchmark.data.places import Place, find_all
-from benchmark.data.source import DepthSource
-from benchmark.data.splits import Published, Split, get_split, where_to_get
+from benchmark.data.loading import FrameIndex, list_scenes
+from benchmark.data.splits import DepthSource, Published, Split, get_split, where_to_get
 from benchmark.data.toolkit_scenes import open_scenes
 from std_toolkit.errors import ToolkitError
 
+# Folder names that mean one split of one data set: where they are met, it is not another's.
+_NAMES = (
+    ("dreds-catknown", "dreds-catnovel", "std-catknown", "std-catnovel"),
+    ("train", "val", "test"),
+    ("real-val", "real-known", "real-test", "real-novel", "synthetic-val", "synthetic-test"),
+)
+
+# What archives and users put around the data sets.
+_WRAPPERS = (
+    "", "dreds", "std", "cleargrasp", "cleargrasp-dataset-test-val", "data", "data/dreds",
+    "data/std", "data/cleargrasp", "data/cleargrasp-dataset-test-val",
+    "cleargrasp/cleargrasp-dataset-test-val",
+)  # fmt: skip
+
 _DREDS_PAGE = "https://pku-epic.github.io/DREDS/"
+
 _DREDS_FILES = "https://mirrors.pku.edu.cn/dl-release/DREDS_ECCV2022/data/"
+
 _CLEARGRASP_PAGE = "https://sites.google.com/view/cleargrasp"
+
 _CLEARGRASP_FILES = "https://storage.googleapis.com/cleargrasp/cleargrasp-dataset-test-val.tar"
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the scenes of a split may lie.
+
+    Attributes:
+        folders: below the root or one of the usual folders around it, the best first; several
+            levels parted by "/". Upper and lower case, `-` and `_` are the same.
+        data_set: folder name of the data set, "" for any.
+        part: whether the data set has parts, so that the folder's name must not be another's.
+    """
+
+    folders: tuple[str, ...]
+    data_set: str = ""
+    part: bool = False
+
+    def find(self, root: Path) -> Path | None:
+        """The folder, or None. The root itself is taken where nothing about it says that it is
+        another split's or holds several.
+        """
+        for wrapper in _WRAPPERS:
+            for folder in self.folders:
+                found = _descend(root, (*wrapper.split("/"), *folder.split("/")))
+                if found is not None and not self._is_rival(found):
+                    return found
+        if not root.is_dir() or self._is_rival(root):
+            return None
+        every = {name for names in (*_NAMES, *(w.split("/") for w in _WRAPPERS)) for name in names}
+        if any(_plain(p.name) in every for p in _folders(root)):
+            return None
+        return root
+
+    def _is_rival(self, folder: Path) -> bool:
+        parts = [_plain(p) for p in folder.resolve().parts[-3:]]
+        data_sets = {p for p in parts if p in _NAMES[0]}
+        if data_sets and _plain(self.data_set) not in data_sets:
+            return True
+        if not self.part:
+            return False
+        told = [p for p in parts if p in (*_NAMES[1], *_NAMES[2])]
+        own = {_plain(f.rsplit("/", 1)[-1]) for f in self.folders}
+        return bool(told) and told[-1] not in own
+
+
+def find_all(root: Path, folders: Sequence[str]) -> list[Path]:
+    """Those of these folders that are below the root or one of the usual folders around it."""
+    for wrapper in _WRAPPERS:
+        found = [_descend(root, (*wrapper.split("/"), f)) for f in folders]
+        if any(found):
+            return [f for f in found if f is not None]
+    return []
+
+
+def _descend(root: Path, parts: tuple[str, ...]) -> Path | None:
+    place = root
+    for part in parts:
+        if not part:
+            continue
+        below = next((p for p in _folders(place) if _plain(p.name) == _plain(part)), None)
+        if below is None:
+            return None
+        place = below
+    return place if place.is_dir() else None
+
+
+def _folders(folder: Path) -> list[Path]:
+    try:
+        with os.scandir(folder) as entries:
+            return sorted(folder / e.name for e in entries if e.is_dir())
+    except OSError:
+        return []
+
+
+def _plain(name: str) -> str:
+    return name.lower().replace("_", "-")
 
 
 def _layout_scenes(name: str, layout: str, place: Place) -> Callable[[Path], DepthSource]:
@@ -110,18 +204,22 @@ def _dreds(name: str, part: str, about: str, published: tuple[Published, ...]) -
 
 
 _TRAIN_AND_VAL = Published("paper and the README", 100_200, 3340, of_more="training and validation")
+
 DREDS_CATKNOWN_TRAIN = _dreds(
     "dreds-catknown-train", "train", "simulated, training shapes of 7 categories", (_TRAIN_AND_VAL,)
 )
+
 DREDS_CATKNOWN_VAL = _dreds(
     "dreds-catknown-val", "val", "simulated, training shapes in other scenes", (_TRAIN_AND_VAL,)
 )
+
 DREDS_CATKNOWN_TEST = _dreds(
     "dreds-catknown-test",
     "test",
     "simulated, new shapes of 7 categories",
     (Published("paper and the README", 19_380, 646),),
 )
+
 DREDS_CATNOVEL = Split(
     name="dreds-catnovel",
     about="simulated, 60 objects of other categories",
@@ -133,6 +231,7 @@ DREDS_CATNOVEL = Split(
     download=(f"{_DREDS_FILES}DREDS-CatNovel/",),
     published=(Published("paper and the README", 11_520),),
 )
+
 STD_CATKNOWN = Split(
     name="std-catknown",
     about="real D415, 42 objects of 7 categories in 25 scenes",
@@ -142,6 +241,7 @@ STD_CATKNOWN = Split(
     download=(f"{_DREDS_FILES}STD-CatKnown/",),
     published=(Published("paper", 22_500, 25), Published("README", 27_000, 25)),
 )
+
 STD_CATNOVEL = Split(
     name="std-catnovel",
     about="real D415, 8 objects of other categories in 5 scenes, all specular or transparent",
@@ -153,6 +253,7 @@ STD_CATNOVEL = Split(
     download=(f"{_DREDS_FILES}STD-CatNovel/",),
     published=(Published("paper", 4_500, 5), Published("README", 11_000, 5)),
 )
+
 CLEARGRASP_REAL_KNOWN = Split(
     name="cleargrasp-real-known",
     about="real D435, transparent objects of the training set (real-val)",
@@ -162,6 +263,7 @@ CLEARGRASP_REAL_KNOWN = Split(
     download=(_CLEARGRASP_FILES,),
     published=(Published("paper", 173),),
 )
+
 CLEARGRASP_REAL_NOVEL = Split(
     name="cleargrasp-real-novel",
     about="real D415 and D435, transparent objects that are new (real-test)",
@@ -171,6 +273,7 @@ CLEARGRASP_REAL_NOVEL = Split(
     download=(_CLEARGRASP_FILES,),
     published=(Published("paper", 113),),
 )
+
 CLEARGRASP_SYNTHETIC = Split(
     name="cleargrasp-synthetic",
     about="rendered transparent objects, known (synthetic-val) and novel (synthetic-test)",
@@ -179,12 +282,14 @@ CLEARGRASP_SYNTHETIC = Split(
     page=_CLEARGRASP_PAGE,
     download=(_CLEARGRASP_FILES,),
 )
+
 SCENES = Split(
     name="scenes",
     about="scene folders of this toolkit, recorded, imported or simulated",
     layout="ROOT/<scene>/scene.json with ground truth (`std-curate render`)",
     open=lambda root: open_scenes("scenes", root),
 )
+
 STD_EXPORT = Split(
     name="std-export",
     about="exports of `std-curate export --format std`, several below one folder too",

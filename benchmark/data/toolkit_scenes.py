@@ -16,15 +16,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.data.assemble import NO_COLOR, NO_DEPTH, about, check_proportions, check_same_size
-from benchmark.data.cad_boxes import mesh_handle
-from benchmark.data.cleargrasp_real import TRANSPARENT
+from benchmark.data.cleargrasp import TRANSPARENT
 from benchmark.data.dreds_std import MUG
 from benchmark.data.frame import BACKGROUND, DepthFrame, Instance, Material
-from benchmark.data.listing import FrameIndex, SceneFolder
-from benchmark.data.maps import read_coord_picture, read_depth_map, read_id_mask
-from benchmark.data.source import FrameKey, SceneFiles
-from benchmark.data.true_poses import KnownBox
+from benchmark.data.loading import (
+    NO_COLOR,
+    NO_DEPTH,
+    FrameIndex,
+    SceneFolder,
+    about,
+    check_proportions,
+    check_same_size,
+    read_coord_picture,
+    read_depth_map,
+    read_id_mask,
+)
+from benchmark.data.splits import FrameKey, SceneFiles
+from benchmark.data.true_poses import KnownBox, mesh_handle
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters.frame_maps import check_fresh
 from std_toolkit.geometry.alignment import Similarity
@@ -113,7 +121,7 @@ class ToolkitScenes:
             raise about(error, key, truth.mask) from error
 
     def known_boxes(self, index: int) -> dict[int, KnownBox]:
-        """See `KnowsBoxes`: of the scene's meshes, with the poses that were rendered."""
+        """See `BoxSource`: of the scene's meshes, with the poses that were rendered."""
         listed, stem = self.index.at(index)
         scene = self._scene(listed.path)
         frame = next((f for f in scene.frames if f.name == stem), None)
@@ -124,15 +132,15 @@ class ToolkitScenes:
             rows = read_frame_truth(scene, frame.id).objects
             poses = {row.object: row.pose.matrix() for row in rows}
         found = {}
-        for thing in scene.objects.objects:
-            model, mesh = scene.objects.model(thing.model), scene.mesh(thing.model)
+        for obj in scene.objects.objects:
+            model, mesh = scene.objects.model(obj.model), scene.mesh(obj.model)
             centre, diagonal = nocs_frame(mesh)
             sides = np.array(model.size_m) / diagonal
             handle = mesh_handle(mesh) if model.class_id == MUG else None
             RT = None
-            if thing.id in poses:
-                RT = poses[thing.id] @ Similarity(diagonal, np.eye(3), centre).matrix()
-            found[thing.id] = KnownBox(sides, RT, handle)
+            if obj.id in poses:
+                RT = poses[obj.id] @ Similarity(diagonal, np.eye(3), centre).matrix()
+            found[obj.id] = KnownBox(sides, RT, handle)
         return found
 
     def files(self) -> Iterator[SceneFiles]:
@@ -249,11 +257,11 @@ def _instances(scene: Scene, truth: _Truth) -> tuple[Instance, ...]:
     models = {m.id: m for m in scene.objects.models}
     return tuple(
         Instance(
-            mask_id=thing.id,
-            class_id=models[thing.model].class_id,
-            material=Material(MATERIAL_IDS[thing.material]),
-            category=models[thing.model].category,
-            model=thing.model,
+            mask_id=obj.id,
+            class_id=models[obj.model].class_id,
+            material=Material(MATERIAL_IDS[obj.material]),
+            category=models[obj.model].category,
+            model=obj.model,
         )
-        for thing in scene.objects.objects
+        for obj in scene.objects.objects
     )

@@ -12,7 +12,7 @@ from torch.nn.functional import interpolate
 from torch.utils.data import Dataset, get_worker_info
 
 from benchmark.data.frame import BACKGROUND, DepthFrame
-from benchmark.data.source import DepthSource
+from benchmark.data.splits import DepthSource
 from std_toolkit.errors import ToolkitError
 
 

@@ -1,4 +1,14 @@
-"""What restorers that are neural networks share: views to tensors and back, device, precision."""
+"""What networks share: views to tensors, device, precision, relative depth.
+
+Sizes of images that networks work at.
+
+Depth told to a network, and told by it, relative to what the sensor measured in the same image.
+
+A scene that is twice as large and twice as far looks the same: relative depth is the same for both.
+What a network is told is relative to the image's mean. What it tells is relative to the sensor's
+depth, coarse and with its holes filled from around them: where the sensor is right the answer is 0,
+so that nothing need be learned to repeat it.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +18,25 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import interpolate
+from torch.nn.functional import avg_pool2d, interpolate, pad
 
 from benchmark.methods.protocol import Restored, View
 from benchmark.methods.registry import MethodOptions
 from std_toolkit.errors import ToolkitError
 
 _PRECISIONS = {"fp32": None, "bf16": torch.bfloat16, "fp16": torch.float16}
+
+# (width, height) that compact networks work at: that of the main tables, so that their answers are
+# scored pixel by pixel, and shaped as the cameras' images.
+COMPACT_SIZE = (224, 126)
+
+_SPAN = 0.2  # what counts as 1: a tabletop's depths differ by about this share of their mean
+
+# Of the mean: farther measurements are most often wrong matches. Far walls are among them, too; an
+# answer about these has farther to go.
+_FARTHEST = 2.5
+
+_CONTRAST = 0.25
 
 
 class Prediction(NamedTuple):
@@ -216,3 +238,66 @@ def _at_size(images: Tensor, views: Sequence[View]) -> list[np.ndarray]:
     if images.shape[-2:] != size:
         images = interpolate(images, size=size, mode="nearest")
     return list(images[:, 0].cpu().numpy())
+
+
+def padded_to(images: Tensor, multiple: int) -> Tensor:
+    """(b, c, h, w) images with their last row and column repeated up to multiples of `multiple`."""
+    h, w = images.shape[-2:]
+    right, below = -w % multiple, -h % multiple
+    return pad(images, (0, right, 0, below), mode="replicate") if right or below else images
+
+
+def mean_depth(depth: Tensor) -> Tensor:
+    """(b, 1, 1, 1) mean of each image's measured depths (b, 1, h, w), metres; 1 m without any."""
+    measured = (depth > 0).sum(dim=(1, 2, 3), keepdim=True)
+    mean = depth.sum(dim=(1, 2, 3), keepdim=True) / measured.clamp(min=1)
+    return mean.masked_fill(measured == 0, 1.0)
+
+
+def coarse_depth(depth: Tensor) -> Tensor:
+    """(b, 1, h, w) metres everywhere: means over 4x4 pixels of what was measured, enlarged.
+
+    What was measured beyond 2.5 times the image's mean is left out: one wrong match would fill a
+    whole hole. A pixel of that map without any measurement takes the mean of a region around it
+    that has one, the smallest of 8x8, 16x16 and so on; 1 m in an image without any.
+    """
+    size = depth.shape[-2:]
+    filled = mean_depth(depth)
+    known = ((depth > 0) & (depth < _FARTHEST * filled)).to(depth.dtype)
+    sums, counts = [_halved(_halved(depth * known))], [_halved(_halved(known))]
+    while max(sums[-1].shape[-2:]) > 1:
+        sums.append(_halved(sums[-1]))
+        counts.append(_halved(counts[-1]))
+    for total, count in zip(reversed(sums), reversed(counts), strict=True):
+        around = interpolate(filled, size=total.shape[-2:], mode="bilinear", align_corners=False)
+        filled = (total / count.clamp(min=1e-9)).where(count > 0, around)
+    return interpolate(filled, size=size, mode="bilinear", align_corners=False)
+
+
+def told_depth(depth: Tensor) -> Tensor:
+    """(b, 1, h, w) what a network is told of metres: relative to their mean, of which they are
+    2.5 times at most."""
+    mean = mean_depth(depth)
+    return relative_to(mean, torch.minimum(depth, _FARTHEST * mean))
+
+
+def told_color(color: Tensor) -> Tensor:
+    """(b, 3, h, w) colour in [0, 1] less the image's mean colour, in quarters.
+
+    Most of an image is the table: what stands on it, glass too, is then what differs from 0.
+    """
+    return (color - color.mean(dim=(2, 3), keepdim=True)) / _CONTRAST
+
+
+def relative_to(reference: Tensor, depth: Tensor) -> Tensor:
+    """Metres (b, 1, h, w) as (depth / reference - 1) / 0.2; what was not measured is -5."""
+    return (depth / reference - 1) / _SPAN
+
+
+def in_metres(reference: Tensor, relative: Tensor) -> Tensor:
+    """The inverse of `relative_to`."""
+    return reference * (1 + _SPAN * relative)
+
+
+def _halved(image: Tensor) -> Tensor:
+    return avg_pool2d(image, 2, ceil_mode=True, count_include_pad=False)

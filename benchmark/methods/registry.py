@@ -1,15 +1,110 @@
-"""Which depth restorers there are, and how one is made."""
+"""Registry and factory of all methods: options, presets, settings.
+
+Making a method of any kind from its name: what can go wrong is one line that says where.
+
+A method's own settings: from text, as a user gives them, to the fields of its configuration.
+
+Where the weights that come with the toolkit are, and which preset they stand for.
+
+Which pose methods there are, and how one is made.
+
+Which grasp planners there are, and how one is made.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+import traceback
+import types
+import typing
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
-from benchmark.methods.making import make_of
-from benchmark.methods.protocol import Restorer
+from benchmark.methods.protocol import GraspPlanner, PoseEstimator, Restorer
+from std_toolkit.errors import ToolkitError
 from std_toolkit.plugins import Registry
+
+T = TypeVar("T")
+
+Config = TypeVar("Config")
+
+_TRUTHS = {"true": True, "yes": True, "on": True, "1": True}
+
+_FALSITIES = {"false": False, "no": False, "off": False, "0": False}
+
+PUBLISHED, COMPACT = "published", "compact"
+
+SHIPPED = Path(__file__).resolve().parent.parent / "weights"
+
+pose_methods: Registry[PoseMethodFactory] = Registry(
+    "std_toolkit.pose_methods",
+    {
+        "gt-nocs": "benchmark.methods.pose.ground_truth:GroundTruthNOCS",
+        "swindrnet-nocs": "benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs:SwinDRNetNOCS",
+        "nocs": "benchmark.methods.pose.nocs.nocs:NOCS",
+        "spd": "benchmark.methods.pose.spd:SPD",
+        "sgpa": "benchmark.methods.pose.sgpa:SGPA",
+    },
+)
+
+grasp_planners: Registry[PlannerFactory] = Registry(
+    "std_toolkit.grasp_planners",
+    {
+        "antipodal": "benchmark.methods.grasp.antipodal.antipodal:Antipodal",
+        "graspnet": "benchmark.methods.grasp.graspnet.graspnet:GraspNet",
+    },
+)
+
+
+def make_method(
+    registry: Registry[Callable[[Any], T]],
+    name: str,
+    options: object,
+    *,
+    called: str,
+    has: Sequence[str] = (),
+    guide: str,
+) -> T:
+    """A method by its name, or by `package.module:Class`.
+
+    Args:
+        registry: of its kind.
+        name: which one.
+        options: what its class takes.
+        called: the method that it must have.
+        has: attributes that it must have.
+        guide: the page that shows how one is written.
+
+    Raises:
+        ToolkitError: no such method, one that lacks a part, or what it says of its options.
+    """
+    factory = registry.get(name)
+    if not callable(factory):
+        raise ToolkitError(
+            "is not a class that takes MethodOptions", value=name, hint=f"{guide} shows one"
+        )
+    try:
+        method = factory(options)
+    except (ToolkitError, MemoryError):
+        raise
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        raise ToolkitError(
+            f"the method cannot be made: {type(error).__name__}: {' '.join(str(error).split())}",
+            value=name,
+            hint=f"raised in {place.filename}, line {place.lineno}",
+        ) from error
+    absent = [part for part in has if not hasattr(method, part)]
+    absent += [] if callable(getattr(method, called, None)) else [called]
+    if absent:
+        raise ToolkitError(
+            "the method has no such attribute",
+            field=", ".join(absent),
+            value=name,
+            hint=f"{guide} tells what a method must have",
+        )
+    return method
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,18 +133,18 @@ RestorerFactory = Callable[[MethodOptions], Restorer]
 restorers: Registry[RestorerFactory] = Registry(
     "std_toolkit.restorers",
     {
-        "raw": "benchmark.methods.filling.raw:Raw",
-        "nearest": "benchmark.methods.filling.nearest:Nearest",
-        "navier-stokes": "benchmark.methods.filling.inpainting:NavierStokes",
-        "telea": "benchmark.methods.filling.inpainting:Telea",
-        "joint-bilateral": "benchmark.methods.filling.joint_bilateral:JointBilateral",
-        "colorization": "benchmark.methods.filling.colorization:Colorization",
-        "planes": "benchmark.methods.filling.planes:Planes",
-        "swindrnet": "benchmark.methods.swindrnet.restorer:SwinDRNet",
-        "nlspn": "benchmark.methods.nlspn.restorer:NLSPN",
-        "lidf": "benchmark.methods.lidf.restorer:LIDF",
-        "cleargrasp": "benchmark.methods.cleargrasp.restorer:ClearGrasp",
-        "dfnet": "benchmark.methods.dfnet.restorer:DFNet",
+        "raw": "benchmark.methods.depth.filling.filler:Raw",
+        "nearest": "benchmark.methods.depth.filling.filler:Nearest",
+        "navier-stokes": "benchmark.methods.depth.filling.inpainting:NavierStokes",
+        "telea": "benchmark.methods.depth.filling.inpainting:Telea",
+        "joint-bilateral": "benchmark.methods.depth.filling.inpainting:JointBilateral",
+        "colorization": "benchmark.methods.depth.filling.colorization:Colorization",
+        "planes": "benchmark.methods.depth.filling.planes:Planes",
+        "swindrnet": "benchmark.methods.depth.swindrnet.swindrnet:SwinDRNet",
+        "nlspn": "benchmark.methods.depth.nlspn:NLSPN",
+        "lidf": "benchmark.methods.depth.lidf.lidf:LIDF",
+        "cleargrasp": "benchmark.methods.depth.cleargrasp.cleargrasp:ClearGrasp",
+        "dfnet": "benchmark.methods.depth.dfnet:DFNet",
     },
 )
 
@@ -60,11 +155,132 @@ def make_restorer(name: str, options: MethodOptions | None = None) -> Restorer:
     Raises:
         ToolkitError: no such method, or what the method says of its options and weights.
     """
-    return make_of(
+    return make_method(
         restorers,
         name,
         options or MethodOptions(),
         called="restore",
         has=("input_size", "needs_mask"),
         guide="docs/methods.md",
+    )
+
+
+def configured(config: Config, settings: Mapping[str, str]) -> Config:
+    """`config`, a dataclass, with the fields named in `settings` set.
+
+    Fields may be bool, int, float, str, literals, tuples of one of them (`96,192,384`), and any
+    of these or None (`none`).
+
+    Raises:
+        ToolkitError: no such field, or text that is no value for it.
+    """
+    hints = typing.get_type_hints(type(config))
+    known = [field.name for field in fields(config)]  # type: ignore[arg-type]
+    changes: dict[str, Any] = {}
+    for name, text in settings.items():
+        if name not in known:
+            raise ToolkitError(
+                "the method has no such setting", field=name, hint=f"it has {', '.join(known)}"
+            )
+        try:
+            changes[name] = _value(hints[name], text.strip())
+        except ValueError as error:
+            raise ToolkitError(str(error), field=name, value=text) from error
+    return replace(config, **changes)  # type: ignore[type-var]
+
+
+def preset_of(presets: Mapping[str, Config], name: str) -> Config:
+    """One of a method's presets.
+
+    Raises:
+        ToolkitError: it has no such preset.
+    """
+    if name not in presets:
+        raise ToolkitError(
+            "the method has no such preset", value=name, hint=f"it has {', '.join(presets)}"
+        )
+    return presets[name]
+
+
+def _value(kind: Any, text: str) -> Any:
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin is typing.Literal:
+        if text not in arguments:
+            raise ValueError(f"expected one of {', '.join(arguments)}")
+        return text
+    if origin in (types.UnionType, typing.Union):
+        if text.lower() == "none" and type(None) in arguments:
+            return None
+        (kind,) = (a for a in arguments if a is not type(None))
+        return _value(kind, text)
+    if origin is tuple:
+        parts = text.split(",")
+        if arguments[-1] is not Ellipsis and len(parts) != len(arguments):
+            raise ValueError(f"expected {len(arguments)} values with commas between them")
+        return tuple(_value(arguments[0], part.strip()) for part in parts)
+    if kind is bool:
+        if (truth := {**_TRUTHS, **_FALSITIES}.get(text.lower())) is None:
+            raise ValueError("expected true or false")
+        return truth
+    try:
+        return kind(text)
+    except ValueError:
+        raise ValueError(f"expected {'a whole number' if kind is int else 'a number'}") from None
+
+
+def shipped_file(method: str, preset: str) -> Path:
+    """Where weights that come with the toolkit would be."""
+    return SHIPPED / f"{method}-{preset}.safetensors"
+
+
+def preset_for(method: str, asked: str | None, weights: Path | None) -> str:
+    """The preset that a network is made with.
+
+    Args:
+        method: its name.
+        asked: what a user wants; None is `published`, but `compact` where no weights are given
+            and the toolkit brings some of that size.
+        weights: a user's own.
+    """
+    if asked is not None:
+        return asked
+    if weights is None and shipped_file(method, COMPACT).is_file():
+        return COMPACT
+    return PUBLISHED
+
+
+PoseMethodFactory = Callable[[MethodOptions], PoseEstimator]
+
+
+def make_pose_method(name: str, options: MethodOptions | None = None) -> PoseEstimator:
+    """A pose method by its name, or by `package.module:Class`.
+
+    Raises:
+        ToolkitError: no such method, or what the method says of its options and weights.
+    """
+    return make_method(
+        pose_methods,
+        name,
+        options or MethodOptions(),
+        called="estimate",
+        has=("input_size", "needs_truth"),
+        guide="docs/pose.md",
+    )
+
+
+PlannerFactory = Callable[[MethodOptions], GraspPlanner]
+
+
+def make_planner(name: str, options: MethodOptions | None = None) -> GraspPlanner:
+    """A planner by its name, or by `package.module:Class`.
+
+    Raises:
+        ToolkitError: no such planner, or what the planner says of its options and weights.
+    """
+    return make_method(
+        grasp_planners,
+        name,
+        options or MethodOptions(),
+        called="plan",
+        guide="docs/grasping.md",
     )

@@ -13,8 +13,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from benchmark.methods.registry import MethodOptions
-from benchmark.methods.shipped import shipped_file
+from benchmark.methods.registry import MethodOptions, shipped_file
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
 

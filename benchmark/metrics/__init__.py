@@ -1,10 +1,9 @@
 """Depth metrics: pure functions, an accumulator, confidence intervals, significance."""
 
-from benchmark.metrics.accumulate import DepthMetrics
-from benchmark.metrics.depth import coverage, delta, depth_errors, mae, rel, rmse
-from benchmark.metrics.missing import THRESHOLDS, Missing
-from benchmark.metrics.resize import nearest_indices, resize_nearest
-from benchmark.metrics.tally import NAMES, Errors
+from benchmark.data.frame import nearest_indices, resize_nearest
+from benchmark.metrics.depth.accumulate import DepthMetrics
+from benchmark.metrics.depth.depth_errors import coverage, delta, depth_errors, mae, rel, rmse
+from benchmark.metrics.depth.tally import NAMES, THRESHOLDS, Errors, Missing
 
 __all__ = [
     "NAMES",

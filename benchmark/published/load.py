@@ -5,6 +5,8 @@ not print is not here, and stays empty wherever it is shown.
 
 Source: Dai et al., "Domain Randomization-Enhanced Depth Simulation and Restoration for Perceiving
 and Grasping Specular and Transparent Objects", ECCV 2022, main paper and supplement.
+
+Category-level poses as the paper prints them, in the names and units of this benchmark.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import pandas as pd
 from std_toolkit.errors import ToolkitError
 
 _FILE = Path(__file__).with_name("published_results.csv")
+
 # Names of data sets as printed, and of our splits.
 SPLIT_OF = {
     "DREDS-CatKnown": "dreds-catknown-test",
@@ -26,6 +29,7 @@ SPLIT_OF = {
     "ClearGrasp real-known": "cleargrasp-real-known",
     "ClearGrasp real-novel": "cleargrasp-real-novel",
 }
+
 # Our subsets for the printed columns. STD-CatNovel has one column for both, since all its objects
 # are specular or transparent.
 SUBSETS_OF = {
@@ -33,6 +37,7 @@ SUBSETS_OF = {
     "specular_transparent": ("specular+transparent",),
     "all_and_specular_transparent": ("all", "specular+transparent"),
 }
+
 # Our column and unit for the printed metric.
 _METRICS = {
     "rmse_m": ("rmse", 1.0),
@@ -42,6 +47,8 @@ _METRICS = {
     "delta_1.10_pct": ("d110", 0.01),
     "delta_1.25_pct": ("d125", 0.01),
 }
+
+_PERCENT = "_pct"
 
 
 @cache
@@ -120,3 +127,25 @@ def published_speed() -> dict[str, float]:
     """Frames per second by method, as printed, on an RTX 3090."""
     rows = published_rows()
     return {r.method: float(r.value) for r in rows[rows["metric"] == "fps"].itertuples()}
+
+
+def published_poses() -> pd.DataFrame:
+    """Poses by method and split.
+
+    Returns:
+        The columns split, subset, method, training_data, table (where it is printed), and iou25,
+        ..., 10deg10cm (shares); NaN where nothing is printed. In the order of print. By the
+        protocol `paper`.
+    """
+    rows = published_rows()
+    rows = rows[(rows["task"] == "category_pose") & rows["dataset"].isin(SPLIT_OF)]
+    found: dict[tuple[str, ...], dict[str, float]] = {}
+    for row in rows.itertuples():
+        for subset in SUBSETS_OF[row.subset]:
+            key = (SPLIT_OF[row.dataset], subset, row.method, row.training_data, row.table)
+            metric = row.metric.removesuffix(_PERCENT)
+            found.setdefault(key, {})[metric] = float(row.value) / 100
+    keys = ("split", "subset", "method", "training_data", "table")
+    return pd.DataFrame(
+        [dict(zip(keys, key, strict=True)) | figures for key, figures in found.items()]
+    )

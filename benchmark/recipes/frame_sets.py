@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import msgspec
 
 from benchmark.data.splits import open_split, where_to_get
-from benchmark.recipes.recipe import BASE_SETS, Recipe
-from benchmark.recipes.scale import Scale
+from benchmark.recipes.recipe import BASE_SETS, Recipe, Scale
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions
 

@@ -14,10 +14,9 @@ import torch
 from torch.utils.tensorboard import SummaryWriter
 
 from benchmark.methods.weights import save_weights
-from benchmark.training.judging import Judging
 from benchmark.training.module import RestorerTraining
-from benchmark.training.progress import Rows, Speed
-from benchmark.training.run_files import BEST, CHECKPOINT, SCORES
+from benchmark.training.run_files import BEST, CHECKPOINT, SCORES, Rows, Speed
+from benchmark.training.validation import Validator
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import write_document
 from std_toolkit.log import logger
@@ -35,7 +34,7 @@ class Watch(pl.Callback):
         log_every: steps.
     """
 
-    def __init__(self, folder: Path, judge: Judging, *, log_every: int) -> None:
+    def __init__(self, folder: Path, judge: Validator, *, log_every: int) -> None:
         self.folder, self.judge, self.log_every = folder, judge, log_every
         self.best, self.best_step = math.inf, -1
         self.speed = Speed()
@@ -83,7 +82,7 @@ class Watch(pl.Callback):
             row = {"step": step, "learning_rate": config.rate(step - 1)}
             row |= {name: float(part) for name, part in pl_module.parts.items()}
             row |= self.speed.told()
-            phase = {"phase": config.moment(step - 1).phase} if config.phases else {}
+            phase = {"phase": config.step_info(step - 1).phase} if config.phases else {}
             self.steps.add({**row, **phase})
             self._show("train", row)
 

@@ -1,4 +1,7 @@
-"""Trained weights made ready to be given away: half precision, a digest, a model card."""
+"""Trained weights made ready to be given away: half precision, a digest, a model card.
+
+How std-bench is asked for a method that was trained.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +15,8 @@ from typing import Any
 import torch
 from safetensors.torch import save
 
+from benchmark.methods.registry import grasp_planners, pose_methods, restorers
 from benchmark.methods.weights import read_weights, sha256_of
-from benchmark.training.asking import bench_command
 from benchmark.training.config import CONFIG
 from benchmark.training.run_files import BEST, SCORES
 from benchmark.training.run_note import RUN_NOTE, PartNote, RunNote
@@ -23,9 +26,13 @@ from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import read_document
 
 _SHOWN_OPTIONS = ("sensor", "views", "width", "height", "quality", "matcher", "materials", "depth")
+
 _MIB = 2**20
+
 _NUMBER = re.compile(r"(\d+)")
+
 _OF_DEPTH = "specular_transparent_"  # scores of restorers
+
 _DECAYS = {"linear": "falling to 0", "steps": "falling by steps"}
 
 
@@ -196,3 +203,17 @@ def _hours(run: Path, batch: int) -> tuple[float, float]:
 
 def _table(title: str, rows: Sequence[tuple[str, str]]) -> list[str]:
     return [f"## {title}", "", "| | |", "|---|---|", *(f"| {a} | {b} |" for a, b in rows), ""]
+
+
+def bench_command(method: str) -> str:
+    """The command and the name of a method, without its preset and weights.
+
+    >>> bench_command("swindrnet"), bench_command("nocs")
+    ('std-bench --method swindrnet', 'std-bench --task pose --method nocs')
+    """
+    if method not in restorers.names():
+        if method in pose_methods.names():
+            return f"std-bench --task pose --method {method}"
+        if method in grasp_planners.names():
+            return f"std-bench --task grasp --planner {method}"
+    return f"std-bench --method {method}"

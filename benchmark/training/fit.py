@@ -20,13 +20,12 @@ from torch.utils.data import DataLoader
 from benchmark.methods.weights import save_weights
 from benchmark.training.callbacks import Watch
 from benchmark.training.catalogue import Trainable, get_trainable
-from benchmark.training.checkpoint_file import AtomicCheckpoints
 from benchmark.training.config import TrainConfig, begin
+from benchmark.training.frame_order import BatchOrder, Steps
 from benchmark.training.module import RestorerTraining, seed_of
-from benchmark.training.order import BatchOrder, Steps
 from benchmark.training.packed_frames import PackedFrames
 from benchmark.training.run_files import BEST, CHECKPOINT, LAST
-from benchmark.training.run_note import RUN_NOTE, note_of
+from benchmark.training.run_note import RUN_NOTE, AtomicCheckpoints, note_of
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import sweep_temporaries
 from std_toolkit.io.documents import write_document

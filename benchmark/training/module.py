@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from benchmark.training.config import TrainConfig
-from benchmark.training.step import Batch, Seen, StepFunction, seen_of
+from benchmark.training.step import Batch, ModelInput, StepFunction, model_input
 from std_toolkit.errors import ToolkitError
 
 _TOLD = 8  # frames named in an error
@@ -61,8 +61,8 @@ class RestorerTraining(pl.LightningModule):
         # depend on its number alone.
         torch.manual_seed(seed_of(self.config.seed, self.global_step, part, self.global_rank))
         with torch.no_grad(), torch.autocast(self.device.type, enabled=False):
-            seen = self._augmented(seen_of(batch))
-        loss = self.step(self.network, self.loss, seen, self.config.moment(self.global_step))
+            seen = self._augmented(model_input(batch))
+        loss = self.step(self.network, self.loss, seen, self.config.step_info(self.global_step))
         if not torch.isfinite(loss.total):
             self._stop("the loss is not a number", {n: float(p) for n, p in loss.parts.items()})
         self.parts = {"loss": loss.total.detach(), **loss.parts}
@@ -86,9 +86,9 @@ class RestorerTraining(pl.LightningModule):
             "lr_scheduler": {"scheduler": schedule, "interval": "step"},
         }
 
-    def _augmented(self, seen: Seen) -> Seen:
+    def _augmented(self, seen: ModelInput) -> ModelInput:
         if self.config.geometry:
-            from benchmark.training.geometry import moved
+            from benchmark.training.augmentation import moved
 
             seen = moved(seen)
         color, depth, batch = seen
@@ -98,7 +98,7 @@ class RestorerTraining(pl.LightningModule):
             from benchmark.training.augmentation import lose_objects
 
             depth = lose_objects(depth, batch["mask"], self.config.holes)
-        return Seen(color, depth, batch)
+        return ModelInput(color, depth, batch)
 
     def _stop(self, problem: str, value: object) -> None:
         names = [self.key(i) for i in self._frames[:_TOLD]]

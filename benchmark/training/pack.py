@@ -10,10 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmark.data.frame import BACKGROUND, DepthFrame, Material
-from benchmark.data.source import names_digest
-from benchmark.data.splits import open_split
-from benchmark.metrics.resize import resize_nearest
+from benchmark.data.frame import BACKGROUND, DepthFrame, Material, resize_nearest
+from benchmark.data.splits import names_digest, open_split
 from benchmark.training.shards import (
     PACK,
     ColorWay,

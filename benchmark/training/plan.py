@@ -8,11 +8,15 @@ from pathlib import Path
 from typing import Any, Literal
 
 from benchmark.training.catalogue import Trainable, get_trainable
-from benchmark.training.config import TrainConfig
+from benchmark.training.config import Optimization, TrainConfig
 from benchmark.training.fit import Beginning, Data
-from benchmark.training.optimization import Optimization
-from benchmark.training.order import BatchOrder
-from benchmark.training.scenes import check_no_leak, frames_digest, hold_out, thinned
+from benchmark.training.frame_order import (
+    BatchOrder,
+    check_no_leak,
+    frames_digest,
+    hold_out,
+    thinned,
+)
 from std_toolkit.errors import ToolkitError
 from std_toolkit.scene.provenance import digest_file
 

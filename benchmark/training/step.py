@@ -1,4 +1,7 @@
-"""What a network sees of a batch, and how a method makes a loss of it."""
+"""What a network sees of a batch, and how a method makes a loss of it.
+
+What a loss is given and what it answers.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,65 @@ from torch import Tensor, nn
 
 from benchmark.data.frame import BACKGROUND, Material
 from benchmark.methods.network import Prediction
-from benchmark.training.losses.terms import Loss, Target
+
+_LEAST = 1e-6  # so that no weight at all is no division by 0
 
 Batch = Mapping[str, Tensor]  # as `PackedFrames` gives it
 
 
-class Seen(NamedTuple):
+class Target(NamedTuple):
+    """What the network should have answered.
+
+    Attributes:
+        depth: (b, 1, h, w) true metres, 0 where there is no ground truth.
+        foreground: (b, 1, h, w) bool pixels of objects.
+        K: (b, 3, 3) intrinsics at this size.
+        sensor: (b, 1, h, w) metres that the network was given, 0 = none; for losses that look at
+            it.
+    """
+
+    depth: Tensor
+    foreground: Tensor
+    K: Tensor
+    sensor: Tensor | None = None
+
+
+class Loss(NamedTuple):
+    """A loss and what it is made of.
+
+    Attributes:
+        total: scalar, what is minimised.
+        parts: scalars without gradient by name, for logs.
+    """
+
+    total: Tensor
+    parts: dict[str, Tensor]
+
+
+class LossFunction(Protocol):
+    """A loss of a batch."""
+
+    def __call__(self, prediction: Prediction, target: Target) -> Loss: ...
+
+
+def weighed(target: Target, objects: float) -> Tensor:
+    """(b, 1, h, w) what each pixel counts: pixels of objects `objects` times as much as others."""
+    return target.foreground.to(target.depth.dtype) * (objects - 1) + 1
+
+
+def weighed_mean(values: Tensor, weights: Tensor, dim: tuple[int, ...] | None = None) -> Tensor:
+    """Mean over `dim`, or over all, of finite values by their weights; 0 where none has any."""
+    return (values * weights).sum(dim=dim) / weights.sum(dim=dim).clamp(min=_LEAST)
+
+
+def mean_where(values: Tensor, where: Tensor) -> Tensor:
+    """Mean over the pixels where `where` is true; 0, with a gradient of 0, where there is none."""
+    # Products would make NaN of what is not finite and does not count.
+    chosen = values.masked_fill(~where, 0.0)
+    return chosen.sum() / where.sum().clamp(min=1)
+
+
+class ModelInput(NamedTuple):
     """A batch, augmented.
 
     Attributes:
@@ -29,7 +85,7 @@ class Seen(NamedTuple):
     batch: Batch
 
 
-class Moment(NamedTuple):
+class StepInfo(NamedTuple):
     """A step's place in its phase of the training.
 
     Attributes:
@@ -49,10 +105,12 @@ class StepFunction(Protocol):
     `loss` is the method's loss, as configured.
     """
 
-    def __call__(self, network: nn.Module, loss: Any, seen: Seen, moment: Moment) -> Loss: ...
+    def __call__(
+        self, network: nn.Module, loss: Any, seen: ModelInput, step_info: StepInfo
+    ) -> Loss: ...
 
 
-def depth_step(network: nn.Module, loss: Any, seen: Seen, moment: Moment) -> Loss:  # noqa: ARG001
+def depth_step(network: nn.Module, loss: Any, seen: ModelInput, step_info: StepInfo) -> Loss:  # noqa: ARG001
     """The step of a network from colour and depth to `Prediction`."""
     prediction = in_full_precision(network(seen.color, seen.depth))
     with torch.autocast(seen.color.device.type, enabled=False):
@@ -64,11 +122,11 @@ def network_depth(network: nn.Module, batch: Batch) -> Tensor:
     return network(*network_inputs(batch)).depth[:, 0]
 
 
-def seen_of(batch: Batch) -> Seen:
+def model_input(batch: Batch) -> ModelInput:
     """A batch as it is; of one without images there is nothing to augment."""
     if "color" not in batch:
-        return Seen(*(batch["index"].new_zeros(0, dtype=torch.float32),) * 2, batch)
-    return Seen(*network_inputs(batch), batch)
+        return ModelInput(*(batch["index"].new_zeros(0, dtype=torch.float32),) * 2, batch)
+    return ModelInput(*network_inputs(batch), batch)
 
 
 def network_inputs(batch: Batch) -> tuple[Tensor, Tensor]:

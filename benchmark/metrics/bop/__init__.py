@@ -1,11 +1,9 @@
 """Metrics of instance-level 6D poses as the BOP Challenge has them: VSD, MSSD, MSPD and AR."""
 
-from benchmark.metrics.bop.dataset import BopDataset, BopTarget, open_bop
-from benchmark.metrics.bop.evaluate import score_bop
-from benchmark.metrics.bop.projection import mspd
-from benchmark.metrics.bop.recall import BopScores, PoseErrors, average_recalls
-from benchmark.metrics.bop.results import BopEstimate, read_bop_results, write_bop_results
-from benchmark.metrics.bop.visible_surface import SeenSurface, see, vsd
+from benchmark.metrics.bop.bop_dataset import BopDataset, BopTarget, open_bop
+from benchmark.metrics.bop.bop_errors import SeenSurface, mspd, see, vsd
+from benchmark.metrics.bop.bop_file import BopEstimate, read_bop_results, write_bop_results
+from benchmark.metrics.bop.bop_recall import BopScores, PoseErrors, average_recalls, score_bop
 
 __all__ = [
     "BopDataset",

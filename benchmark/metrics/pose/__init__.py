@@ -1,11 +1,11 @@
 """Metrics of category-level 6D poses: overlap of boxes, angles and distances, and their scores."""
 
 from benchmark.metrics.pose.box_iou import BoxIoU, box_iou
-from benchmark.metrics.pose.classes import DREDS_CLASSES, PoseClasses
-from benchmark.metrics.pose.errors import rotation_errors_deg, translation_errors_cm
-from benchmark.metrics.pose.frames import PosePrediction, PoseTruth
-from benchmark.metrics.pose.matching import PoseMatches
-from benchmark.metrics.pose.protocol import (
+from benchmark.metrics.pose.matching import PoseMatches, rotation_errors_deg, translation_errors_cm
+from benchmark.metrics.pose.pose_frames import PosePrediction, PoseTruth
+from benchmark.metrics.pose.pose_protocol import (
+    DREDS_CLASSES,
+    PoseClasses,
     PoseGate,
     PoseProtocol,
     PoseScoring,

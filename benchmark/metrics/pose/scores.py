@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from benchmark.metrics.pose.frames import PosePrediction, PoseTruth
 from benchmark.metrics.pose.matching import PoseMatches, match
-from benchmark.metrics.pose.pairing import flatten
-from benchmark.metrics.pose.protocol import STRICT, PoseProtocol, PoseScoring
+from benchmark.metrics.pose.pose_frames import PosePrediction, PoseTruth, flatten
+from benchmark.metrics.pose.pose_protocol import STRICT, PoseProtocol, PoseScoring
 from std_toolkit.errors import ToolkitError
 
 Floats = NDArray[np.float64]

@@ -12,8 +12,7 @@ import pytest
 from dreds_on_disk import write_cleargrasp_real, write_cleargrasp_synthetic
 
 from benchmark.data.frame import Instance, Material
-from benchmark.data.source import iterate
-from benchmark.data.splits import open_split
+from benchmark.data.splits import iterate, open_split
 from std_toolkit.io.images import write_png
 
 # Raw depth inside the mask at 224x126 nearest, of the data's own description: share of valid

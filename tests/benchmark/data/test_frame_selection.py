@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from dreds_on_disk import Drawn, write_dreds_scene
 
-from benchmark.data import selection
-from benchmark.data.frame import DepthFrame, Material
-from benchmark.data.selection import Selection, material_masks, selection_of
+from benchmark.data import frame as selection
+from benchmark.data.frame import DepthFrame, Material, Selection, material_masks, selection_of
 from benchmark.data.splits import open_split
 from std_toolkit.errors import ToolkitError
 

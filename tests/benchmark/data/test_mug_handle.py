@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmark.data.cad_boxes import mesh_handle
-from benchmark.data.mug_handle import LEAST_HANDLE_PIXELS, find_handle
+from benchmark.data.true_poses import LEAST_HANDLE_PIXELS, find_handle, mesh_handle
 
 
 def mug(angle_deg: float) -> trimesh.Trimesh:

@@ -17,8 +17,7 @@ from dreds_on_disk import (
     write_std_scene,
 )
 
-from benchmark.data.source import DepthSource
-from benchmark.data.splits import open_split
+from benchmark.data.splits import DepthSource, open_split
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import write_color, write_png
 

@@ -14,9 +14,8 @@ from dreds_on_disk import (
     write_std_scene,
 )
 
-from benchmark.data.listing import FrameIndex, SceneFolder, list_scenes
-from benchmark.data.source import DepthSource
-from benchmark.data.splits import Split, open_split, splits
+from benchmark.data.loading import FrameIndex, SceneFolder, list_scenes
+from benchmark.data.splits import DepthSource, Split, open_split, splits
 from std_toolkit.errors import ToolkitError
 
 

@@ -13,8 +13,7 @@ from dreds_on_disk import BALLS, draw, dreds_camera, write_cleargrasp_real
 from scene_on_disk import CAMERA, write_scene
 
 from benchmark.data.frame import BACKGROUND, Instance, Material
-from benchmark.data.source import iterate
-from benchmark.data.splits import open_split
+from benchmark.data.splits import iterate, open_split
 from sensors.output import (
     SimulatedFrame,
     SimulatedObject,

@@ -112,6 +112,6 @@ def test_an_impossible_size(std) -> None:
 
 def test_loading_and_checking_need_no_torch() -> None:
     """Methods without learning run where it is not installed."""
-    modules = "benchmark.data.check, benchmark.data.known_splits, benchmark.data.selection"
+    modules = "benchmark.data.check, benchmark.data.known_splits, benchmark.data.frame"
     code = f"import sys, {modules}; assert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmark.methods.full_size import at_full_size
+from benchmark.data.frame import resize_nearest
+from benchmark.methods.depth.full_size import at_full_size
 from benchmark.methods.protocol import Restored
-from benchmark.metrics.resize import resize_nearest
 
 FULL, OWN = (640, 360), (224, 126)
 NOTHING = np.zeros(FULL[::-1], np.float32)

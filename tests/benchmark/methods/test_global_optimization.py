@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from benchmark.methods.cleargrasp.global_optimization import (
+from benchmark.methods.depth.cleargrasp.global_optimization import (
     OptimizationOptions,
     normals_to_opencv,
     optimize_depth,

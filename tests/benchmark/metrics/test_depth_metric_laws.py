@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from benchmark.metrics import NAMES, DepthMetrics, Errors, Missing, depth_errors, rmse
-from benchmark.metrics.tally import Tally, tally
+from benchmark.metrics.depth.tally import Tally, tally
 
 METRES = st.floats(0.0625, 16, width=32)
 ANYTHING = st.one_of(METRES, st.sampled_from([0.0, -0.5, np.nan, np.inf, -np.inf]))
@@ -131,7 +131,7 @@ def test_merging_is_one_pass(images: list[tuple[np.ndarray, np.ndarray]], at: in
 @given(depths(), st.sampled_from([Missing.COUNTED, Missing.AS_GIVEN]))
 def test_torch_and_numpy(pair: tuple[np.ndarray, np.ndarray], missing: Missing) -> None:
     torch = pytest.importorskip("torch")
-    from benchmark.metrics import depth_torch
+    from benchmark.metrics.depth import depth_torch
 
     pred, true = pair
     tensors = [torch.from_numpy(np.ascontiguousarray(a))[None] for a in (pred, true)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmark.metrics import NAMES, Missing, coverage, delta, depth_errors, mae, rel, rmse
-from benchmark.metrics.tally import tally
+from benchmark.metrics.depth.tally import tally
 from std_toolkit.errors import ToolkitError
 
 # Truth 1, 2, 4 and 0.5 m; errors +0.04, -0.4 and 0; then a hole, which costs its whole depth.

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmark.metrics import Missing, depth
+from benchmark.metrics import Missing
+from benchmark.metrics.depth.depth_errors import depth_errors
 from std_toolkit.errors import ToolkitError
 
 torch = pytest.importorskip("torch")
 
-from benchmark.metrics import depth_torch  # noqa: E402 - there is nothing to import without torch
+from benchmark.metrics.depth import depth_torch  # noqa: E402 - there is nothing to import without torch
 
 MISSING = list(Missing)
 REPORTED = [Missing.COUNTED, Missing.AS_GIVEN]
@@ -43,7 +44,7 @@ def test_functions(dtype: type, missing: Missing) -> None:
         ("delta", {"threshold": 1.25}),
     ):
         found = getattr(depth_torch, name)(*tensors, missing=missing, **options)
-        one = getattr(depth, name)
+        one = getattr(depth_errors, name)
         expected = [
             one(*image, missing=missing, **options) for image in zip(pred, true, valid, strict=True)
         ]
@@ -61,7 +62,7 @@ def test_all_at_once(dtype: type, missing: Missing, masked: bool) -> None:
         *tensors, torch.from_numpy(valid) if masked else None, missing=missing
     )
     for i in range(len(pred)):
-        expected = depth.depth_errors(
+        expected = depth_errors.depth_errors(
             pred[i], true[i], valid[i] if masked else None, missing=missing
         ).as_dict()
         assert list(found) and set(found) == set(expected)
@@ -75,7 +76,7 @@ def test_all_at_once(dtype: type, missing: Missing, masked: bool) -> None:
 def test_coverage() -> None:
     pred, true, valid = batch(np.float32)
     found = depth_torch.coverage(*(torch.from_numpy(a) for a in (pred, true, valid)))
-    expected = [depth.coverage(*image) for image in zip(pred, true, valid, strict=True)]
+    expected = [depth_errors.coverage(*image) for image in zip(pred, true, valid, strict=True)]
     np.testing.assert_array_equal(found.numpy(), expected)
 
 

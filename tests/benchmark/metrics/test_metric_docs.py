@@ -11,11 +11,11 @@ from types import ModuleType
 import pytest
 
 import benchmark.metrics
-import benchmark.protocols
+import benchmark.metrics.protocols
 
 NAMES = [
     module.name
-    for package in (benchmark.metrics, benchmark.protocols)
+    for package in (benchmark.metrics, benchmark.metrics.protocols)
     for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
 ]
 NEVER_RAISE = {"as_real", "holm"}

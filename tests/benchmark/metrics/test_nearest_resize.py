@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmark.metrics.resize import nearest_indices, pixels_taken, resize_nearest
+from benchmark.data.frame import nearest_indices, pixels_taken, resize_nearest
 from std_toolkit.errors import ToolkitError
 
 SIZES = [(1280, 720), (640, 360), (224, 224), (126, 224), (224, 126), (320, 240), (7, 3)]

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from scipy.stats import wilcoxon
 
-from benchmark.metrics.paired import compare_methods, holm, paired_test
+from benchmark.metrics.significance import compare_methods, holm, paired_test
 from std_toolkit.errors import ToolkitError
 
 
@@ -40,7 +40,7 @@ def test_drawn_flips_are_near_the_counted_ones(monkeypatch: pytest.MonkeyPatch) 
     second = first - np.random.default_rng(1).normal(0.01, 0.05, 12)[scenes]
     counted = paired_test(first, second, scenes).p_flip
     assert 0.02 < counted < 0.98
-    monkeypatch.setattr("benchmark.metrics.paired.EXACT_SCENES", 3)
+    monkeypatch.setattr("benchmark.metrics.significance.EXACT_SCENES", 3)
     assert paired_test(first, second, scenes).p_flip == pytest.approx(counted, abs=0.02)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmark.metrics.bootstrap import mean_interval, scene_sums
+from benchmark.metrics.significance import mean_interval, scene_sums
 from std_toolkit.errors import ToolkitError
 
 

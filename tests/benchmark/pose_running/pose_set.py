@@ -10,13 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmark.methods.protocol import Restored, View
+from benchmark.evaluation.tasks.pose import PoseRun
+from benchmark.evaluation.tasks.pose_inputs import DepthChoice
+from benchmark.methods.pose.ground_truth import GroundTruthNOCS
+from benchmark.methods.protocol import Estimated, PoseView, Restored, View
 from benchmark.methods.registry import MethodOptions
 from benchmark.metrics.pose import PosePrediction
-from benchmark.pose_methods.ground_truth import GroundTruthNOCS
-from benchmark.pose_methods.protocol import Estimated, PoseView
-from benchmark.pose_running.depths import DepthChoice
-from benchmark.pose_running.run import PoseRun
 from std_toolkit.jobs import JobOptions
 from tests.dreds_on_disk import BALLS, TABLE_M, write_dreds_scene, write_equal
 

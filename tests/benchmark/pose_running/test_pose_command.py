@@ -12,16 +12,12 @@ import pytest
 from benchmark.cli.bench import main
 from benchmark.cli.report import PAGE
 from benchmark.cli.report import main as report
+from benchmark.evaluation.tasks.pose_results import read_pose_results, score_run
+from benchmark.evaluation.tasks.pose_runs import PoseConfig, plan_pose_runs, wanted_protocols
 from benchmark.metrics.bop import BopEstimate, open_bop, write_bop_results
-from benchmark.pose_running.comparing import compare_runs
-from benchmark.pose_running.plan import PoseWishes, plan_pose_runs
-from benchmark.pose_running.protocols import wanted_protocols
-from benchmark.pose_running.results import read_pose_results
-from benchmark.pose_running.scoring import score_run
-from benchmark.published.poses import published_poses
-from benchmark.report.pose_answer import findings
-from benchmark.report.pose_board import make_pose_board
-from benchmark.report.pose_part import CSV, LATEX, MARKDOWN
+from benchmark.published.load import published_poses
+from benchmark.report.parts.pose import CSV, LATEX, MARKDOWN, findings
+from benchmark.report.parts.pose_board import compare_runs, make_pose_board
 from std_toolkit.errors import ToolkitError
 from tests.benchmark.metrics.bop.bop_set import write_bop
 from tests.benchmark.pose_running.pose_set import SPLIT, write_pose_split
@@ -176,7 +172,7 @@ def test_result_files_of_bop(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 
 def test_raw_depth_is_raw_depth_also_as_input(tmp_path: Path) -> None:
-    wishes = PoseWishes(
+    config = PoseConfig(
         methods=("nocs",),
         splits=(SPLIT,),
         depths=("raw", "swindrnet", "mine=/saved"),
@@ -187,7 +183,7 @@ def test_raw_depth_is_raw_depth_also_as_input(tmp_path: Path) -> None:
         weights=("nocs=/n", "swindrnet=/s"),
         settings=("swindrnet.fusion=released", "nocs.most=5"),
     )
-    runs = plan_pose_runs(wishes)
+    runs = plan_pose_runs(config)
     assert [r.folder.relative_to(tmp_path / "pose" / SPLIT).as_posix() for r in runs] == [
         f"nocs/{depth}/{fit}"
         for depth in ("raw", "swindrnet-as-input", "mine-as-input")

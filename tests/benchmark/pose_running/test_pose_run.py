@@ -10,17 +10,21 @@ import pandas as pd
 import pytest
 
 from benchmark.data.frame import Material
+from benchmark.evaluation.engine import UnusableMethod
+from benchmark.evaluation.manifest import POSE_MANIFEST
+from benchmark.evaluation.results import ERROR, INDEX
+from benchmark.evaluation.tasks.depth import save_depth
+from benchmark.evaluation.tasks.pose import run_poses
+from benchmark.evaluation.tasks.pose_inputs import DepthChoice
+from benchmark.evaluation.tasks.pose_results import (
+    HARD,
+    read_pose_results,
+    read_pose_run,
+    score_run,
+)
+from benchmark.evaluation.tasks.pose_table import FOUND, KIND, POSES, TRUE, frames_of
 from benchmark.methods.registry import MethodOptions
 from benchmark.metrics.pose import get_pose_protocol
-from benchmark.pose_running.depths import DepthChoice
-from benchmark.pose_running.manifest import POSE_MANIFEST
-from benchmark.pose_running.results import read_pose_results, read_pose_run
-from benchmark.pose_running.run import run_poses
-from benchmark.pose_running.scoring import HARD, score_run
-from benchmark.pose_running.table import FOUND, KIND, POSES, TRUE, frames_of
-from benchmark.running.parts import ERROR, INDEX
-from benchmark.running.saving import save_depth
-from benchmark.running.usable import UnusableMethod
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions
 from tests.benchmark.pose_running.pose_set import SERIAL, SPLIT, a_pose_run, write_pose_split
@@ -86,8 +90,7 @@ def test_a_prediction_goes_with_the_object_that_it_belongs_to() -> None:
 
 
 def test_restored_and_saved_depth(root: Path, tmp_path: Path) -> None:
-    from benchmark.data.source import FrameKey
-    from benchmark.data.splits import open_split
+    from benchmark.data.splits import FrameKey, open_split
     from benchmark.methods.protocol import Restored
 
     source = open_split(SPLIT, root)
@@ -110,10 +113,10 @@ def test_restored_and_saved_depth(root: Path, tmp_path: Path) -> None:
 
 def test_restored_depth_has_the_size_and_the_details_of_the_sensor(root: Path) -> None:
     from benchmark.data.splits import open_split
-    from benchmark.pose_running.depths import DepthGiver
+    from benchmark.evaluation.tasks.pose_inputs import DepthProvider
 
     frame = open_split(SPLIT, root).load(0)
-    depth = DepthGiver(DepthChoice(name=f"{HERE}:Small"), SPLIT).depths({0: frame})[0]
+    depth = DepthProvider(DepthChoice(name=f"{HERE}:Small"), SPLIT).depths({0: frame})[0]
     assert depth.shape == frame.depth_raw.shape
     assert (depth == frame.depth_raw).mean() > 0.9
 

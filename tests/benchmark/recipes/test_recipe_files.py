@@ -9,11 +9,18 @@ import pytest
 
 from benchmark.data.splits import get_split
 from benchmark.methods.registry import restorers
-from benchmark.protocols.registry import get_protocol
+from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.published.load import published_rows, published_table
 from benchmark.recipes import recipe as recipe_module
-from benchmark.recipes.recipe import FOLDER, load_recipe, read_toml, recipe_names
-from benchmark.recipes.scale import Scale, get_scale, scales
+from benchmark.recipes.recipe import (
+    FOLDER,
+    Scale,
+    get_scale,
+    load_recipe,
+    read_toml,
+    recipe_names,
+    scales,
+)
 from benchmark.recipes.targets import find_targets
 from sensors.simulation.options import SimulationOptions
 from std_toolkit.errors import ToolkitError

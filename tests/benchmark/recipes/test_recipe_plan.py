@@ -10,16 +10,15 @@ import pytest
 from recipe_data import mark_as_simulated, write_set, write_std
 
 from benchmark.cli.train import build_parser, main
-from benchmark.recipes.estimate import simulation_s
-from benchmark.recipes.plan import RecipePlan, RecipeWishes, plan_recipe
 from benchmark.recipes.recipe import recipe_names
-from benchmark.recipes.show import plan_text, recipe_list, train_command
+from benchmark.recipes.recipe_plan import RecipeConfig, RecipePlan, plan_recipe
+from benchmark.recipes.recipe_show import plan_text, recipe_list, simulation_s, train_command
 from sensors.simulation.options import SimulationOptions
 from std_toolkit.errors import ToolkitError
 
 
 def planned(tmp_path: Path, recipe: str, scale: str = "tiny", **told: Any) -> RecipePlan:
-    return plan_recipe(RecipeWishes(recipe=recipe, scale=scale, out=tmp_path / "out", **told))
+    return plan_recipe(RecipeConfig(recipe=recipe, scale=scale, out=tmp_path / "out", **told))
 
 
 @pytest.fixture

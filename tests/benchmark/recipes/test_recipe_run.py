@@ -16,8 +16,8 @@ import torch
 from recipe_data import write_set, write_std
 
 from benchmark.cli.train import main
-from benchmark.recipes.page import CSV, MARKDOWN, PAGE
-from benchmark.recipes.table import ABSENT, COLUMNS, MEASURED, PUBLISHED
+from benchmark.recipes.recipe_page import CSV, MARKDOWN, PAGE
+from benchmark.recipes.recipe_table import ABSENT, COLUMNS, MEASURED, PUBLISHED
 
 pytestmark = pytest.mark.slow
 HERE = ["--accelerator", "cpu", "--readers", "0", "--engine", "serial"]
@@ -89,8 +89,7 @@ def test_the_table_holds_everything(done):
 
 
 def test_the_scores_are_those_of_the_benchmark(done):
-    from benchmark.protocols.summary import summarise
-    from benchmark.running.results import read_results
+    from benchmark.evaluation.tasks.depth_results import read_results, summarise
 
     rows = pd.read_csv(done / "tiny" / "sim-to-real" / CSV)
     results = read_results([done / "tiny" / "results"])
@@ -188,7 +187,7 @@ def test_stale_steps_are_refused(own, tmp_path, capsys, monkeypatch):
     train = write_set(tmp_path / "train", "train", 3)
     line = command(tmp_path / "out", ["--train-data", str(train), *own[2:4]], "--only", "cropped")
     assert main(line) == 0
-    from benchmark.recipes import scale as scale_module
+    from benchmark.recipes import recipe as scale_module
 
     text = scale_module._FILE.read_text()
     (tmp_path / "scales.toml").write_text(text.replace("steps = 4", "steps = 6"))

@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 
 from benchmark.cli.train import main
-from benchmark.recipes.page import CSV, PAGE
-from benchmark.recipes.table import MEASURED
+from benchmark.recipes.recipe_page import CSV, PAGE
+from benchmark.recipes.recipe_table import MEASURED
 from std_toolkit.io.documents import read_document
 from std_toolkit.jobs import JobOptions
 

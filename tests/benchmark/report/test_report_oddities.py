@@ -1,4 +1,4 @@
-"""Reports on results that are not as one wishes: unfinished, empty, many methods, long names."""
+"""Reports on results that are not as one config: unfinished, empty, many methods, long names."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import pandas as pd
 import pytest
 
 from benchmark.cli.report import main
-from benchmark.report.board import MEASURED, PUBLISHED, make_board, one_of_each
-from benchmark.report.plots import bars, method_colors, radar
-from benchmark.report.sections import can_differ
-from benchmark.running.campaign import run_all
-from benchmark.running.parts import TABLE
-from benchmark.running.results import read_results
+from benchmark.evaluation.results import TABLE
+from benchmark.evaluation.tasks.depth_results import read_results
+from benchmark.evaluation.tasks.depth_runs import run_all
+from benchmark.report.leaderboard import MEASURED, PUBLISHED, make_board, one_of_each
+from benchmark.report.parts.depth_plots import bars, method_colors, radar
+from benchmark.report.parts.depth_sections import can_differ
 from std_toolkit.jobs import JobOptions
 from tests.benchmark.running.bench_set import SPLIT, a_run, write_split
 from tests.dreds_on_disk import write_std_scene

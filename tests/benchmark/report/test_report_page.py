@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from benchmark.cli.report import PAGE, main
-from benchmark.running.campaign import run_all
+from benchmark.evaluation.tasks.depth_runs import run_all
 from std_toolkit.jobs import JobOptions
 from tests.benchmark.running.bench_set import a_run, write_split
 

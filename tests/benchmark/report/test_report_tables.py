@@ -12,13 +12,11 @@ import pandas as pd
 import pytest
 
 from benchmark.cli.report import PAGE, main
-from benchmark.protocols.summary import summarise
-from benchmark.report.board import PUBLISHED, make_board
-from benchmark.report.columns import METRICS
-from benchmark.report.depth_part import CSV, LATEX, MARKDOWN
-from benchmark.report.text import escape_latex, latex, markdown, terminal
-from benchmark.running.campaign import run_all
-from benchmark.running.results import read_results
+from benchmark.evaluation.tasks.depth_results import read_results, summarise
+from benchmark.evaluation.tasks.depth_runs import run_all
+from benchmark.report.leaderboard import METRICS, PUBLISHED, make_board
+from benchmark.report.leaderboard_text import escape_latex, latex, markdown, terminal
+from benchmark.report.parts.depth import CSV, LATEX, MARKDOWN
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions
 from tests.benchmark.running.bench_set import a_run, write_split
@@ -154,7 +152,7 @@ def test_one_method_twice_is_refused(results: Path, tmp_path: Path) -> None:
 
 
 def test_csv_reads_back(results: Path) -> None:
-    from benchmark.report.text import board_csv
+    from benchmark.report.leaderboard_text import board_csv
 
     board = make_board(read_results([results]), samples=50)
     back = pd.read_csv(io.StringIO(board_csv(board)))

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmark.evaluation.tasks.depth import Run
 from benchmark.methods.protocol import Restored, View
 from benchmark.methods.registry import MethodOptions
-from benchmark.running.run import Run
 from tests.dreds_on_disk import write_std_scene
 
 SPLIT = "std-catknown"

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.running.parts import TABLE
-from benchmark.running.run import run_method
+from benchmark.evaluation.results import TABLE
+from benchmark.evaluation.tasks.depth import run_method
 from std_toolkit.jobs import JobOptions
 from tests.benchmark.running.bench_set import a_run, write_split
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmark.cli.bench import main
-from benchmark.running.results import read_results
+from benchmark.evaluation.tasks.depth_results import read_results
 from tests.benchmark.running.bench_set import SPLIT, write_split
 
 HERE = "tests.benchmark.running.bench_set"

@@ -6,22 +6,22 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.running.plan import Wishes, plan_runs
+from benchmark.evaluation.tasks.depth_runs import DepthConfig, plan_runs
 from std_toolkit.errors import ToolkitError
 
 
-def wishes(**changes: object) -> Wishes:
+def config(**changes: object) -> DepthConfig:
     given: dict[str, object] = {
         "methods": ("swindrnet", "raw"),
         "splits": ("std-catknown", "dreds-catnovel"),
         "data": ("data",),
         "out": Path("results"),
     }
-    return Wishes(**(given | changes))  # type: ignore[arg-type]
+    return DepthConfig(**(given | changes))  # type: ignore[arg-type]
 
 
 def test_every_method_meets_every_split_by_every_protocol() -> None:
-    runs = plan_runs(wishes(protocols=("strict", "paper")))
+    runs = plan_runs(config(protocols=("strict", "paper")))
     assert len(runs) == 8
     assert len({run.folder for run in runs}) == 8
     assert runs[0].folder == Path("results/std-catknown/swindrnet/strict")
@@ -30,24 +30,24 @@ def test_every_method_meets_every_split_by_every_protocol() -> None:
 
 
 def test_a_split_may_have_a_folder_of_its_own() -> None:
-    runs = plan_runs(wishes(data=("data", "dreds-catnovel=elsewhere")))
+    runs = plan_runs(config(data=("data", "dreds-catnovel=elsewhere")))
     assert {(run.split, str(run.root)) for run in runs} == {
         ("std-catknown", "data"),
         ("dreds-catnovel", "elsewhere"),
     }
     with pytest.raises(ToolkitError, match=r"no data for this split.*std-catknown"):
-        plan_runs(wishes(data=("dreds-catnovel=elsewhere",)))
+        plan_runs(config(data=("dreds-catnovel=elsewhere",)))
 
 
 def test_an_equals_sign_in_the_name_of_a_folder(tmp_path: Path) -> None:
     folder = tmp_path / "a=b"
     folder.mkdir()
-    assert plan_runs(wishes(data=(str(folder),)))[0].root == folder
+    assert plan_runs(config(data=(str(folder),)))[0].root == folder
 
 
 def test_weights_and_settings_find_their_method() -> None:
     runs = plan_runs(
-        wishes(
+        config(
             weights=("swindrnet=model.pth",),
             settings=("swindrnet.fusion=released", "swindrnet.a=b=c"),
         )
@@ -55,7 +55,7 @@ def test_weights_and_settings_find_their_method() -> None:
     assert runs[0].options.weights == Path("model.pth")
     assert runs[0].options.settings == {"fusion": "released", "a": "b=c"}
     assert runs[-1].options.weights is None
-    one = plan_runs(wishes(methods=("nlspn",), weights=("w.pth",), settings=("steps=3",)))[0]
+    one = plan_runs(config(methods=("nlspn",), weights=("w.pth",), settings=("steps=3",)))[0]
     assert (one.options.weights, one.options.settings) == (Path("w.pth"), {"steps": "3"})
 
 
@@ -74,8 +74,8 @@ def test_weights_and_settings_find_their_method() -> None:
 )
 def test_what_cannot_be_meant_is_refused(changes: dict[str, object], told: str) -> None:
     with pytest.raises(ToolkitError, match=told):
-        plan_runs(wishes(**changes))
+        plan_runs(config(**changes))
 
 
 def test_a_plug_in_has_a_label_that_can_be_a_folder() -> None:
-    assert plan_runs(wishes(methods=("my.module:Class",)))[0].label == "my.module.Class"
+    assert plan_runs(config(methods=("my.module:Class",)))[0].label == "my.module.Class"

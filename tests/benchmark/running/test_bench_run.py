@@ -14,12 +14,12 @@ import pandas as pd
 import pytest
 
 from benchmark.data.splits import open_split
+from benchmark.evaluation.results import FAILURES, TABLE, write_part
+from benchmark.evaluation.tasks.depth import chosen_frames, run_method
+from benchmark.methods.depth.full_size import view_of
 from benchmark.methods.registry import MethodOptions
-from benchmark.protocols.registry import get_protocol
-from benchmark.protocols.score import score_frame
-from benchmark.running.parts import FAILURES, TABLE, write_part
-from benchmark.running.run import chosen_frames, run_method
-from benchmark.running.views import view_of
+from benchmark.metrics.protocols.protocol import get_protocol
+from benchmark.metrics.protocols.score import score_frame
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions
 from tests.benchmark.running.bench_set import SPLIT, a_run, write_split
@@ -98,7 +98,7 @@ def test_a_killed_run_goes_on_where_it_was(root: Path, tmp_path: Path) -> None:
     log = tmp_path / "log"
     program = (
         "import sys, time; from pathlib import Path\n"
-        f"import {HERE} as s; import benchmark.running.run as r\n"
+        f"import {HERE} as s; import benchmark.evaluation.tasks.depth as r\n"
         "from benchmark.running import pieces\n"
         "from benchmark.methods.registry import MethodOptions\n"
         "from std_toolkit.jobs import JobOptions\n"
@@ -170,7 +170,7 @@ def test_parts_of_equal_name_do_not_lose_frames(
 ) -> None:
     """A run that was killed left a part whose first and last frame failed, the others good."""
     # Both failed batches come in one piece of work, hence in one part.
-    monkeypatch.setattr("benchmark.running.pieces._PIECES_PER_WORKER", 1)
+    monkeypatch.setattr("benchmark.evaluation.engine._PIECES_PER_WORKER", 1)
     run = a_run(root, tmp_path)
     whole = run_method(run, SERIAL)
     (run.folder / TABLE).unlink()

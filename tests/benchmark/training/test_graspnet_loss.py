@@ -8,8 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from benchmark.grasp_methods.graspnet.heads import Approaches, Operations
-from benchmark.training.losses.graspnet import GraspNetLoss, GraspTarget
+from benchmark.methods.grasp.graspnet.graspnet_network import Approaches, Operations
+from benchmark.training.grasp.grasp_step import GraspNetLoss, GraspTarget
 
 B, S, V, A, D = 2, 5, 6, 3, 2
 

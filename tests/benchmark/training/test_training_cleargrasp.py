@@ -15,19 +15,23 @@ from torch import Tensor
 from torch.nn.functional import normalize
 from training_set import TINY, packed, same, trained, wishes, write_scenes
 
-from benchmark.methods.cleargrasp.global_optimization import normals_to_opencv, optimize_depth
-from benchmark.methods.cleargrasp.join import join_weights
+from benchmark.methods.depth.cleargrasp.global_optimization import normals_to_opencv, optimize_depth
+from benchmark.methods.depth.cleargrasp.join import join_weights
+from benchmark.methods.depth.full_size import view_of
 from benchmark.methods.registry import MethodOptions, make_restorer
-from benchmark.running.views import view_of
 from benchmark.training.catalogue import get_trainable
-from benchmark.training.cleargrasp import ClearGraspJudge, cleargrasp_target
-from benchmark.training.losses.cleargrasp import (
+from benchmark.training.depth.cleargrasp_losses import (
+    CONTACT,
+    IGNORED,
+    NONE,
+    OCCLUSION,
     ClearGraspAnswers,
     ClearGraspLoss,
     ClearGraspTarget,
+    outlines_of,
 )
-from benchmark.training.losses.outlines import CONTACT, IGNORED, NONE, OCCLUSION, outlines_of
-from benchmark.training.losses.surfaces import points
+from benchmark.training.depth.cleargrasp_training import ClearGraspValidator, cleargrasp_target
+from benchmark.training.depth.depth_losses import points
 from benchmark.training.packed_frames import PackedFrames
 from std_toolkit.geometry.camera import Camera
 from tests.dreds_on_disk import TRANSPARENT
@@ -166,7 +170,7 @@ def a_question(seed: int = 0) -> tuple[ClearGraspAnswers, ClearGraspTarget]:
     classes[:, 0, :2] = IGNORED
     true = normalize(random(3), dim=1)
     true[:, :, 1, 1] = 0
-    from benchmark.training.losses.outlines import Outlines
+    from benchmark.training.depth.cleargrasp_losses import Outlines
 
     target = ClearGraspTarget(
         torch.randint(0, 2, (2, 4, 5), generator=draw), Outlines(true, classes)
@@ -280,7 +284,7 @@ def test_one_network_or_all_three_are_the_same_training(pack, tmp_path):
 
 def test_validation_of_what_is_true_is_perfect(pack, tmp_path):
     frames, loss = PackedFrames([pack]), ClearGraspLoss()
-    judge = ClearGraspJudge(frames, range(5), 2, loss)
+    judge = ClearGraspValidator(frames, range(5), 2, loss)
 
     class Knowing(torch.nn.Module):
         """The submodules answer what is true of the batch that colour is asked of."""

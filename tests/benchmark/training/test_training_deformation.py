@@ -6,25 +6,27 @@ import numpy as np
 import pytest
 import torch
 
-from benchmark.methods.registry import MethodOptions
-from benchmark.methods.settings import configured
+from benchmark.methods.pointnet.chamfer import chamfer, chamfer_of_sets, one_way
+from benchmark.methods.pose.deformation import Deformed
+from benchmark.methods.registry import MethodOptions, configured, make_pose_method
 from benchmark.methods.weights import save_weights
-from benchmark.metrics.pose.classes import PoseClasses
-from benchmark.pose_methods.chamfer import chamfer, chamfer_of_sets, one_way
-from benchmark.pose_methods.deformation import Deformed
-from benchmark.pose_methods.registry import make_pose_method
+from benchmark.metrics.pose.pose_protocol import PoseClasses
 from benchmark.training.catalogue import get_trainable
-from benchmark.training.deforming import DeformationJudge, coordinate_errors, deformation_step
-from benchmark.training.losses.deformation import (
+from benchmark.training.pose.deformation_loss import (
     DeformationLoss,
     ObjectTruth,
     about_y,
     canonical,
+    objects_of,
 )
-from benchmark.training.objects import objects_of
-from benchmark.training.step import Moment, seen_of
+from benchmark.training.pose.deformation_training import (
+    DeformationValidator,
+    coordinate_errors,
+    deformation_step,
+)
+from benchmark.training.step import StepInfo, model_input
 from std_toolkit.errors import ToolkitError
-from tests.benchmark.pose_methods.boxes_in_view import (
+from tests.benchmark.methods.pose.boxes_in_view import (
     CAR,
     MUG,
     batch_of,
@@ -200,7 +202,7 @@ def test_errors_of_round_objects_are_taken_after_the_best_turn():
 def test_objects_of_frames():
     views = [view_of_boxes(boxes_of(seed)) for seed in (1, 2)]
     batch = batch_of(views)
-    seen = seen_of(batch)
+    seen = model_input(batch)
     classes = PoseClasses(round_about_y=frozenset({"mug"}))
 
     def found(**changes):
@@ -236,7 +238,7 @@ def test_objects_of_frames():
 def test_a_step_gives_every_parameter_a_gradient(method, priors):
     trainable, network = get_trainable(method), network_of(method, priors)
     batch = batch_of([view_of_boxes(boxes_of(seed)) for seed in (1, 2, 3)])
-    loss = deformation_step(network, trainable.loss, seen_of(batch), Moment())
+    loss = deformation_step(network, trainable.loss, model_input(batch), StepInfo())
     loss.total.backward()
     idle = [n for n, p in network.named_parameters() if p.grad is None or not p.grad.any()]
     assert idle == []
@@ -247,11 +249,11 @@ def test_frames_without_objects_teach_nothing(priors):
     network = network_of("spd", priors)
     batch = batch_of([view_of_boxes(boxes_of(1))])
     batch["mask"].fill_(255)
-    loss = deformation_step(network, DeformationLoss(), seen_of(batch), Moment())
+    loss = deformation_step(network, DeformationLoss(), model_input(batch), StepInfo())
     loss.total.backward()
     assert loss.total == 0 and all(not p.grad.any() for p in network.parameters())
     names = network.config.categories
-    judge = DeformationJudge([], [], 1)
+    judge = DeformationValidator([], [], 1)
     states = judge.states(network, torch.device("cpu"))
     assert states.shape == (len(names), 3)
     assert judge.main_score(judge.scores(states)) == ("coordinates", math.inf)
@@ -274,7 +276,7 @@ def test_a_network_that_knows_its_frame_finds_its_poses(method, rate, priors, tm
     losses = []
     for step in range(steps):
         torch.manual_seed(step)
-        found = deformation_step(network, loss, seen_of(batch), Moment())
+        found = deformation_step(network, loss, model_input(batch), StepInfo())
         optimizer.zero_grad()
         found.total.backward()
         optimizer.step()

@@ -20,14 +20,14 @@ from training_set import SIDE, SPLIT, TINY, packed, same, trained, wishes, write
 from benchmark.cli.bench import main as bench
 from benchmark.cli.train import main
 from benchmark.data.splits import open_split
+from benchmark.methods.depth.full_size import view_of
 from benchmark.methods.registry import MethodOptions, make_restorer
-from benchmark.running.views import view_of
 from benchmark.training.catalogue import get_trainable
 from benchmark.training.fit import Beginning, make_network
-from benchmark.training.judging import Judge, main_score, scores_of
 from benchmark.training.packed_frames import PackedFrames
 from benchmark.training.plan import plan_training
-from benchmark.training.step import Moment, depth_step, seen_of
+from benchmark.training.step import StepInfo, depth_step, model_input
+from benchmark.training.validation import DepthValidator, main_score, scores_of
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import read_color
 
@@ -89,7 +89,7 @@ def test_from_packing_to_the_leaderboard(method, data, tmp_path, capsys):
         ].depth
         for i in found.of_validation
     ]
-    from benchmark.metrics.accumulate import DepthMetrics
+    from benchmark.metrics.depth.accumulate import DepthMetrics
 
     metrics = DepthMetrics()
     for i, answer in zip(found.of_validation, answers, strict=True):
@@ -133,8 +133,8 @@ def test_every_parameter_receives_a_gradient(method, pack):
     for step, phase in itertools.product(range(4), config.phases or [""]):
         batch = data.training[[0, 1, 2, step + 3]]
         optimizer.zero_grad()
-        moment = Moment(phase, step, 4)
-        trainable.step(network, trainable.loss, seen_of(batch), moment).total.backward()
+        step_info = StepInfo(phase, step, 4)
+        trainable.step(network, trainable.loss, model_input(batch), step_info).total.backward()
         optimizer.step()
         for name, parameter in network.named_parameters():
             assert parameter.grad is not None or config.phases, name
@@ -149,7 +149,7 @@ def test_released_fusion_leaves_its_attention_without_gradient(pack):
     trainable = get_trainable("swindrnet")
     network = make_network(trainable, config, beginning).train()
     batch = data.training[[0, 1]]
-    depth_step(network, trainable.loss, seen_of(batch), Moment()).total.backward()
+    depth_step(network, trainable.loss, model_input(batch), StepInfo()).total.backward()
     idle = {name for name, p in network.named_parameters() if p.grad is None}
     assert idle
     # What makes queries, keys and values of depth, and nothing else.
@@ -228,7 +228,7 @@ def test_two_processes_share_a_training(pack, tmp_path):
 
 def test_shares_of_validation_add_up_to_the_whole(pack):
     frames = PackedFrames([pack])
-    judge = Judge(frames, range(7), 2)
+    judge = DepthValidator(frames, range(7), 2)
     network = make_network(
         get_trainable("dfnet"), plan_training(wishes("dfnet", pack))[0], Beginning()
     )
@@ -247,14 +247,14 @@ def test_pictures_show_the_frames(pack, tmp_path):
     network = make_network(
         get_trainable("dfnet"), plan_training(wishes("dfnet", pack))[0], Beginning()
     )
-    Judge(frames, range(2), 2).gallery(network, torch.device("cpu"), tmp_path / "g.jpg")
+    DepthValidator(frames, range(2), 2).gallery(network, torch.device("cpu"), tmp_path / "g.jpg")
     picture = read_color(tmp_path / "g.jpg")
     assert picture.shape[0] == 2 * 320
     assert picture.std() > 10
 
 
 def test_log_rows_beyond_the_checkpoint_are_dropped(tmp_path):
-    from benchmark.training.progress import Rows
+    from benchmark.training.run_files import Rows
 
     rows = Rows(tmp_path / "log.csv", 0)
     for step in (1, 2, 3):
@@ -269,11 +269,11 @@ def test_log_rows_beyond_the_checkpoint_are_dropped(tmp_path):
 
 
 def test_waiting_for_data_is_told(monkeypatch):
-    from benchmark.training import progress
+    from benchmark.training import run_files
 
     clock = iter([0.0, 3.0, 4.0, 10.0, 10.5, 12.0])
-    monkeypatch.setattr(progress.time, "perf_counter", lambda: next(clock))
-    speed = progress.Speed()
+    monkeypatch.setattr(run_files.time, "perf_counter", lambda: next(clock))
+    speed = run_files.Speed()
     speed.begin_step()  # 3 s for data
     speed.end_step(8)  # 1 s of work
     speed.restart()  # 6 s of validation

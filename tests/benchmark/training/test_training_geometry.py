@@ -9,12 +9,11 @@ import pytest
 import torch
 from training_set import packed, trained, wishes, write_scenes
 
-from benchmark.training import geometry
-from benchmark.training.augmentation import jitter
-from benchmark.training.geometry import moved
-from benchmark.training.losses.surfaces import points
+from benchmark.training import augmentation
+from benchmark.training.augmentation import jitter, moved
+from benchmark.training.depth.depth_losses import points
 from benchmark.training.plan import plan_training
-from benchmark.training.step import Seen
+from benchmark.training.step import ModelInput
 from std_toolkit.errors import ToolkitError
 
 SIDE = (48, 64)  # height, width
@@ -22,7 +21,7 @@ SIDE = (48, 64)  # height, width
 K = torch.tensor([[60.0, 0, 30.7], [0, 90.0, 24.2], [0, 0, 1]])
 
 
-def a_scene(count: int) -> Seen:
+def a_scene(count: int) -> ModelInput:
     """A slanted plane whose colour tells x and y, with a box of which the sensor sees nothing."""
     h, w = SIDE
     rays = points(torch.ones(count, 1, h, w), K.expand(count, 3, 3))
@@ -37,7 +36,7 @@ def a_scene(count: int) -> Seen:
         "materials": torch.zeros(count, 256), "K": K.expand(count, 3, 3),
         "index": torch.arange(count), "nocs": torch.zeros(1),
     }  # fmt: skip
-    return Seen(color, depth, batch)
+    return ModelInput(color, depth, batch)
 
 
 def drawn(monkeypatch, scale: float, degrees: float, side: float) -> None:
@@ -47,7 +46,7 @@ def drawn(monkeypatch, scale: float, degrees: float, side: float) -> None:
         motion = torch.tensor([[side * cosine, -sine], [side * sine, cosine]])
         return motion.expand(count, 2, 2), torch.full((count,), scale)
 
-    monkeypatch.setattr(geometry, "_motions", motions)
+    monkeypatch.setattr(augmentation, "_motions", motions)
 
 
 def test_nothing_drawn_changes_nothing(monkeypatch):
@@ -113,9 +112,9 @@ def test_what_comes_from_outside_is_unknown(monkeypatch):
 
 def test_draws_are_the_published_ones_and_the_seeds_alone():
     torch.manual_seed(3)
-    motion, scale = geometry._motions(4000)
+    motion, scale = augmentation._motions(4000)
     torch.manual_seed(3)
-    assert torch.equal(geometry._motions(4000)[0], motion)
+    assert torch.equal(augmentation._motions(4000)[0], motion)
     assert 1 <= scale.min() < 1.01 and 1.49 < scale.max() <= 1.5
     mirrored = torch.linalg.det(motion) < 0
     assert mirrored.float().mean().item() == pytest.approx(0.5, abs=0.03)

@@ -11,24 +11,24 @@ import torch
 from torch import Tensor
 from training_set import SIDE, TINY, packed, trained, wishes, write_scenes
 
-from benchmark.methods.lidf.network import LIDFPrediction
-from benchmark.methods.lidf.rays import Rays, Refinements, Terminations
-from benchmark.methods.lidf.voxels import Pairs
+from benchmark.methods.depth.lidf.lidf import LIDFPrediction
+from benchmark.methods.depth.lidf.voxels import Pairs, Rays, Refinements, Terminations
 from benchmark.training.catalogue import get_trainable
-from benchmark.training.fit import make_network
-from benchmark.training.lidf import lidf_depth, lidf_inputs, lidf_step
-from benchmark.training.losses.lidf import (
+from benchmark.training.depth.lidf_training import (
     COARSE,
     HARD,
     REFINE,
     LIDFLoss,
     end_loss,
     hardest,
+    lidf_depth,
+    lidf_inputs,
+    lidf_step,
     with_neighbours,
 )
-from benchmark.training.losses.terms import Target
+from benchmark.training.fit import make_network
 from benchmark.training.plan import plan_training
-from benchmark.training.step import Moment, seen_of, target_of
+from benchmark.training.step import StepInfo, Target, model_input, target_of
 from std_toolkit.errors import ToolkitError
 
 
@@ -156,7 +156,7 @@ def test_published_phases_and_rates(pack):
     assert config.phases == {COARSE: 60, REFINE: 30, HARD: 30}
     rates = [config.rate(step) for step in (0, 59, 60, 89, 90, 119, 120)]
     assert rates == pytest.approx([1e-3] * 4 + [1e-4] * 3)
-    places = [tuple(config.moment(step)) for step in (0, 59, 60, 90, 119, 120)]
+    places = [tuple(config.step_info(step)) for step in (0, 59, 60, 90, 119, 120)]
     assert places == [
         (COARSE, 0, 60), (COARSE, 59, 60), (REFINE, 0, 30), (HARD, 0, 30), (HARD, 29, 30),
         (HARD, 30, 30),
@@ -166,7 +166,7 @@ def test_published_phases_and_rates(pack):
     chosen = wishes("lidf", pack, steps=None, phases={HARD: 3, COARSE: 4})
     config = plan_training(chosen)[0]
     assert config.steps == 7
-    assert [config.moment(step).phase for step in range(7)] == [COARSE] * 4 + [HARD] * 3
+    assert [config.step_info(step).phase for step in range(7)] == [COARSE] * 4 + [HARD] * 3
 
 
 @pytest.mark.parametrize(
@@ -234,15 +234,15 @@ def test_true_voxels_are_told_at_the_beginning_only(pack, monkeypatch):
         return plain(self, *inputs, learns=learns, follow=follow)
 
     monkeypatch.setattr(type(network), "forward", watched)
-    seen = seen_of(data.training[[0, 1]])
-    for moment in (Moment(COARSE, 5, 60), Moment(COARSE, 6, 60), Moment(REFINE, 0, 60)):
-        lidf_step(network, LIDFLoss(), seen, moment)
+    seen = model_input(data.training[[0, 1]])
+    for step_info in (StepInfo(COARSE, 5, 60), StepInfo(COARSE, 6, 60), StepInfo(REFINE, 0, 60)):
+        lidf_step(network, LIDFLoss(), seen, step_info)
     assert follows == [(1, True), (1, False), (2, False)]
 
 
 def test_doubted_and_asked_pixels_are_the_restorers(pack):
     config, data, beginning = plan_training(wishes("lidf", pack))
-    seen = seen_of(data.training[[0, 1]])
+    seen = model_input(data.training[[0, 1]])
     hard = data.training.frame(0).mask_where(lambda i: i.material in (2, 3))
     for predict, mask in (("all", "objects"), ("missing", "objects"), ("missing", "holes")):
         settings = {**TINY["lidf"], "predict": predict, "mask": mask}
@@ -266,7 +266,7 @@ def test_frames_without_a_measurement_teach_nothing_and_break_nothing(pack, phas
     network = make_network(get_trainable("lidf"), config, beginning)
     batch = data.training[[0, 1]]
     batch["raw"].zero_()
-    loss = lidf_step(network, LIDFLoss(), seen_of(batch), Moment(phase, 3, 4))
+    loss = lidf_step(network, LIDFLoss(), model_input(batch), StepInfo(phase, 3, 4))
     loss.total.backward()
     assert loss.total.item() == 0
     assert all(torch.isfinite(p.grad).all() for p in network.parameters() if p.grad is not None)

@@ -10,11 +10,16 @@ import torch
 from torch import Tensor
 
 from benchmark.methods.network import Prediction
-from benchmark.training.losses.dfnet import DFNetLoss
-from benchmark.training.losses.nlspn import NLSPNLoss
-from benchmark.training.losses.surfaces import normals, sobel, whole_around
-from benchmark.training.losses.swindrnet import SwinDRNetLoss, released_camera
-from benchmark.training.losses.terms import LossFunction, Target, mean_where
+from benchmark.training.depth.depth_losses import (
+    DFNetLoss,
+    NLSPNLoss,
+    SwinDRNetLoss,
+    normals,
+    released_camera,
+    sobel,
+    whole_around,
+)
+from benchmark.training.step import LossFunction, Target, mean_where
 
 LOSSES: dict[str, LossFunction] = {
     "swindrnet": SwinDRNetLoss(),

@@ -10,8 +10,8 @@ import pytest
 from training_set import SIDE, SPLIT, packed, write_scenes
 
 from benchmark.cli.train import main
+from benchmark.data.frame import resize_nearest
 from benchmark.data.splits import open_split
-from benchmark.metrics.resize import resize_nearest
 from benchmark.training.packed_frames import PackedFrames
 from tests.dreds_on_disk import BALLS, write_dreds_scene
 

@@ -14,10 +14,9 @@ from training_set import TINY, packed, wishes, write_scenes
 
 from benchmark.training.catalogue import get_trainable
 from benchmark.training.config import TrainConfig, flat
-from benchmark.training.order import BatchOrder, Steps
+from benchmark.training.frame_order import BatchOrder, Steps, check_no_leak, hold_out, thinned
 from benchmark.training.packed_frames import PackedFrames
 from benchmark.training.plan import plan_training
-from benchmark.training.scenes import check_no_leak, hold_out, thinned
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import read_document, write_document
 

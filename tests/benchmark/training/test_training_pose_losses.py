@@ -8,22 +8,25 @@ import pytest
 import torch
 from torch import Tensor
 
-from benchmark.pose_methods.nocs.detector import Boxes, places_of
-from benchmark.pose_methods.nocs.network import NOCSPrediction
-from benchmark.pose_methods.nocs.regions import Regions
-from benchmark.pose_methods.swindrnet_nocs.network import SwinNOCSPrediction
-from benchmark.training.losses.nocs import (
+from benchmark.methods.pose.nocs.detector import Boxes, Regions, places_of
+from benchmark.methods.pose.nocs.nocs import NOCSPrediction
+from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs_network import SwinNOCSPrediction
+from benchmark.training.pose.nocs_losses import (
+    TURNS,
     NOCSLoss,
     NOCSTarget,
+    PoseTarget,
+    SwinNOCSLoss,
     assign,
     bin_of,
     focal_loss,
     generalised_overlap,
+    is_round,
     middle_of,
+    nearest_turn,
+    turned,
 )
-from benchmark.training.losses.swindrnet_nocs import PoseTarget, SwinNOCSLoss
-from benchmark.training.losses.turns import TURNS, is_round, nearest_turn, turned
-from benchmark.training.poses import jittered, nocs_target, pose_target
+from benchmark.training.pose.nocs_training import jittered, nocs_target, pose_target
 from std_toolkit.errors import ToolkitError
 
 SIDE = 12
@@ -219,7 +222,7 @@ def test_nocs_gradients_by_differences():
 def test_bins_of_a_turned_bottle_are_as_right(turn):
     target = a_target(BOTTLE, CAMERA)
     regions, boxes = given_regions(target), found_boxes()
-    from benchmark.pose_methods.nocs.regions import nearest_pixels
+    from benchmark.methods.pose.nocs.detector import nearest_pixels
 
     true = nearest_pixels(regions.boxes, regions.image, target.nocs.permute(0, 2, 3, 1), 8)
     after = turned(true, torch.tensor(turn), 3)

@@ -14,15 +14,14 @@ import torch
 from training_set import HERE, SIDE, packed, same, trained, wishes, write_scenes
 
 from benchmark.cli.train import main
-from benchmark.methods.registry import MethodOptions
-from benchmark.pose_methods.registry import make_pose_method
-from benchmark.training.asking import bench_command
+from benchmark.methods.registry import MethodOptions, make_pose_method
 from benchmark.training.catalogue import get_trainable
+from benchmark.training.export import bench_command
 from benchmark.training.fit import make_network
 from benchmark.training.plan import TrainWishes, plan_training
-from benchmark.training.step import Moment, seen_of
+from benchmark.training.step import StepInfo, model_input
 from std_toolkit.errors import ToolkitError
-from tests.benchmark.pose_methods.learnt_poses import packed_things, write_things
+from tests.benchmark.methods.pose.learnt_poses import packed_things, write_things
 
 TINY = {
     "swindrnet-nocs": {
@@ -73,8 +72,8 @@ def test_every_parameter_of_a_pose_network_receives_a_gradient(method, tmp_path)
     moved = {name: torch.zeros_like(p) for name, p in network.named_parameters()}
     for step in range(3):  # what begins at 0 holds up the gradients of what is behind it
         optimizer.zero_grad()
-        seen = seen_of(frames[[0, 1]])
-        trainable.step(network, trainable.loss, seen, Moment("", step, 3)).total.backward()
+        seen = model_input(frames[[0, 1]])
+        trainable.step(network, trainable.loss, seen, StepInfo("", step, 3)).total.backward()
         optimizer.step()
         for name, parameter in network.named_parameters():
             assert parameter.grad is not None, name
@@ -186,7 +185,7 @@ def test_loose_and_known_pixels_do_not_depend_on_the_order_of_frames(pack):
     network = make_network(trainable, config, beginning).eval()
     totals = []
     for order in ([0, 1, 2, 3], [3, 1, 0, 2]):
-        seen = seen_of(data.training[order])
+        seen = model_input(data.training[order])
         with torch.no_grad():
-            totals.append(float(trainable.step(network, trainable.loss, seen, Moment()).total))
+            totals.append(float(trainable.step(network, trainable.loss, seen, StepInfo()).total))
     assert np.isclose(*totals, rtol=1e-5)

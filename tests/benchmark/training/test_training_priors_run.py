@@ -11,14 +11,13 @@ from training_set import SPLIT, packed, same, write_scenes
 
 from benchmark.cli.bench import main as bench
 from benchmark.cli.train import main
-from benchmark.methods.registry import MethodOptions
-from benchmark.pose_methods.registry import make_pose_method
+from benchmark.methods.registry import MethodOptions, make_pose_method
 from benchmark.training.catalogue import get_trainable
 from benchmark.training.fit import Beginning, make_network
 from benchmark.training.plan import TrainWishes, plan_training
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import read_color
-from tests.benchmark.pose_methods.boxes_in_view import write_priors
+from tests.benchmark.methods.pose.boxes_in_view import write_priors
 
 SIZE = (64, 36)
 TINY = {

@@ -15,8 +15,8 @@ import torch
 from training_set import HERE, TINY, packed, same, trained, wishes, write_scenes
 
 from benchmark.training.callbacks import CHECKPOINT, Watch
-from benchmark.training.checkpoint_file import AtomicCheckpoints
 from benchmark.training.module import RestorerTraining
+from benchmark.training.run_note import AtomicCheckpoints
 from std_toolkit.cli.outcome import exit_status
 from std_toolkit.errors import ToolkitError
 
@@ -223,10 +223,10 @@ def _losses(run: Path) -> list[tuple[str, str]]:
 
 
 FULL = {
-    "validation.csv": "benchmark.training.progress:Rows.save",
+    "validation.csv": "benchmark.training.run_files:Rows.save",
     "best.safetensors": "benchmark.training.callbacks:save_weights",
     "best.json": "benchmark.training.callbacks:write_document",
-    "step-0000004.jpg": "benchmark.training.judging:Judge.gallery",
+    "step-0000004.jpg": "benchmark.training.validation:DepthValidator.gallery",
     "last.safetensors": "benchmark.training.fit:save_weights",
     "tensorboard": "benchmark.training.callbacks:Watch._show",
 }

@@ -6,8 +6,8 @@ import torch
 from network_cases import SIDE, frames
 from torch import Tensor
 
-from benchmark.methods.lidf.config import LIDFConfig
-from benchmark.methods.lidf.network import LIDFNetwork
+from benchmark.methods.depth.lidf.lidf import LIDFNetwork
+from benchmark.methods.depth.lidf.voxels import LIDFConfig
 
 TINY = LIDFConfig(
     channels=8,

@@ -10,13 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from benchmark.methods.dfnet.config import DFNetConfig
-from benchmark.methods.dfnet.network import DFNetwork
-from benchmark.methods.nlspn.config import NLSPNConfig
-from benchmark.methods.nlspn.network import NLSPNetwork
+from benchmark.methods.depth.dfnet import DFNetConfig, DFNetwork
+from benchmark.methods.depth.nlspn import NLSPNConfig, NLSPNetwork
+from benchmark.methods.depth.swindrnet.swindrnet_network import SwinDRNetConfig, SwinDRNetwork
 from benchmark.methods.protocol import View
-from benchmark.methods.swindrnet.config import SwinDRNetConfig
-from benchmark.methods.swindrnet.network import SwinDRNetwork
 from std_toolkit.geometry.camera import Camera
 
 # These networks are small: several threads would mostly wait for one another.

@@ -11,10 +11,14 @@ import torch
 from network_cases import CASES, views, weights_of
 from torch import nn
 
-from benchmark.methods.cleargrasp import join
-from benchmark.methods.cleargrasp.config import PRESETS, ClearGraspConfig
-from benchmark.methods.cleargrasp.network import ClearGraspMaps, ClearGraspNetwork
-from benchmark.methods.cleargrasp.restorer import ClearGrasp
+from benchmark.methods.depth.cleargrasp import join
+from benchmark.methods.depth.cleargrasp.cleargrasp import ClearGrasp
+from benchmark.methods.depth.cleargrasp.cleargrasp_network import (
+    PRESETS,
+    ClearGraspConfig,
+    ClearGraspMaps,
+    ClearGraspNetwork,
+)
 from benchmark.methods.network import parameter_count
 from benchmark.methods.protocol import View
 from benchmark.methods.registry import MethodOptions, make_restorer

@@ -8,8 +8,7 @@ import pytest
 import torch
 from network_cases import CASES, frames
 
-from benchmark.methods.dfnet.config import PRESETS, DFNetConfig
-from benchmark.methods.dfnet.network import DFNetwork, believable
+from benchmark.methods.depth.dfnet import PRESETS, DFNetConfig, DFNetwork, believable
 from benchmark.methods.network import parameter_count
 
 

@@ -10,9 +10,8 @@ import torch
 from lidf_scenes import SETTINGS, TINY, pixel_rays_of, scene, tiny
 from network_cases import CASES, SIDE, views, weights_of
 
-from benchmark.methods.lidf.config import PRESETS
-from benchmark.methods.lidf.network import LIDFNetwork
-from benchmark.methods.lidf.restorer import LIDF
+from benchmark.methods.depth.lidf.lidf import LIDF, LIDFNetwork
+from benchmark.methods.depth.lidf.voxels import PRESETS
 from benchmark.methods.network import parameter_count
 from benchmark.methods.protocol import View
 from benchmark.methods.registry import MethodOptions, make_restorer

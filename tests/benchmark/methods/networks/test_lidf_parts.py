@@ -10,20 +10,34 @@ import torch
 from lidf_scenes import pixel_rays_of
 from torch.nn.functional import normalize
 
-from benchmark.methods.lidf.color import cell_means, surroundings
-from benchmark.methods.lidf.config import LIDFConfig
-from benchmark.methods.lidf.encoding import encoded, encoded_size
-from benchmark.methods.lidf.heads import Features, Head, OffsetHead, leaky_clip
-from benchmark.methods.lidf.points import PointNet
-from benchmark.methods.lidf.rays import points_on, true_pairs
-from benchmark.methods.lidf.refinement import disturbances
-from benchmark.methods.lidf.sampling import spread
-from benchmark.methods.lidf.scatter import (
+from benchmark.methods.depth.lidf.features import (
+    PointNet,
+    cell_means,
+    encoded,
+    encoded_size,
     first_largest_of_groups,
     largest_of_groups,
     log_softmax_of_groups,
+    spread,
+    surroundings,
 )
-from benchmark.methods.lidf.voxels import Grid, Pairs, Voxels, occupied, passed
+from benchmark.methods.depth.lidf.refinement import (
+    Features,
+    Head,
+    OffsetHead,
+    disturbances,
+    leaky_clip,
+)
+from benchmark.methods.depth.lidf.voxels import (
+    Grid,
+    LIDFConfig,
+    Pairs,
+    Voxels,
+    occupied,
+    passed,
+    points_on,
+    true_pairs,
+)
 
 CONFIG = LIDFConfig()
 

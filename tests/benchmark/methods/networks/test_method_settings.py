@@ -7,7 +7,7 @@ from typing import Literal
 
 import pytest
 
-from benchmark.methods.settings import configured, preset_of
+from benchmark.methods.registry import configured, preset_of
 from std_toolkit.errors import ToolkitError
 
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from network_cases import CASES, views, weights_of
 
-from benchmark.methods import shipped
+from benchmark.methods import registry
 from benchmark.methods.network import NetworkRestorer, parameter_count
 from benchmark.methods.registry import MethodOptions, make_restorer
 from benchmark.methods.weights import load_weights, save_weights
@@ -117,7 +117,7 @@ def test_weights_of_another_size(name, tmp_path):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_without_weights(method, tmp_path, monkeypatch):
-    monkeypatch.setattr(shipped, "SHIPPED", tmp_path)
+    monkeypatch.setattr(registry, "SHIPPED", tmp_path)
     with pytest.raises(ToolkitError, match=f"no weights for {method}, preset compact, come with"):
         make_restorer(method, MethodOptions(preset="compact"))
 

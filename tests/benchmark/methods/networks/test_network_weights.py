@@ -9,7 +9,8 @@ import pytest
 import torch
 from torch import nn
 
-from benchmark.methods import shipped
+from benchmark.evaluation.engine import weights_digest
+from benchmark.methods import registry
 from benchmark.methods.registry import MethodOptions
 from benchmark.methods.weights import (
     architecture_of,
@@ -19,7 +20,6 @@ from benchmark.methods.weights import (
     shipped_weights,
     weights_for,
 )
-from benchmark.running.usable import weights_digest
 from std_toolkit.errors import ToolkitError
 from std_toolkit.scene.provenance import digest_file
 
@@ -152,7 +152,7 @@ def test_architectures_are_known_by_their_keys(keys, title):
 
 
 def test_shipped_weights(tmp_path, monkeypatch):
-    monkeypatch.setattr(shipped, "SHIPPED", tmp_path)
+    monkeypatch.setattr(registry, "SHIPPED", tmp_path)
     with pytest.raises(ToolkitError, match="no weights for m, preset compact, come with") as caught:
         shipped_weights("m", "compact")
     assert "give --weights" in str(caught.value)
@@ -173,17 +173,17 @@ def test_a_users_weights_come_first(tmp_path):
 
 
 def test_weights_that_come_along_decide_the_preset_where_nobody_does(tmp_path, monkeypatch):
-    monkeypatch.setattr(shipped, "SHIPPED", tmp_path)
-    assert shipped.preset_for("swindrnet", None, None) == "published"
+    monkeypatch.setattr(registry, "SHIPPED", tmp_path)
+    assert registry.preset_for("swindrnet", None, None) == "published"
     (tmp_path / "swindrnet-compact.safetensors").touch()
-    assert shipped.preset_for("swindrnet", None, None) == "compact"
-    assert shipped.preset_for("nlspn", None, None) == "published"
-    assert shipped.preset_for("swindrnet", None, tmp_path / "own.safetensors") == "published"
-    assert shipped.preset_for("swindrnet", "published", None) == "published"
+    assert registry.preset_for("swindrnet", None, None) == "compact"
+    assert registry.preset_for("nlspn", None, None) == "published"
+    assert registry.preset_for("swindrnet", None, tmp_path / "own.safetensors") == "published"
+    assert registry.preset_for("swindrnet", "published", None) == "published"
 
 
 def test_results_name_weights_that_come_along(tmp_path, monkeypatch):
-    monkeypatch.setattr(shipped, "SHIPPED", tmp_path)
+    monkeypatch.setattr(registry, "SHIPPED", tmp_path)
     assert weights_digest("m", object(), MethodOptions()) == ""
     path = tmp_path / "m-compact.safetensors"
     path.write_bytes(b"some")

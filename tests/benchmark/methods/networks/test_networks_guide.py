@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from benchmark.methods.network import parameter_count
-from benchmark.protocols.strict import STRICT
+from benchmark.metrics.protocols.protocol import STRICT
 
 REPOSITORY = Path(__file__).resolve().parents[4]
 NETWORKS = {
@@ -21,10 +21,21 @@ NETWORKS = {
     "cleargrasp": "ClearGraspNetwork",
     "dfnet": "DFNetwork",
 }
+MODULES = {
+    "swindrnet": "swindrnet.swindrnet_network",
+    "nlspn": "nlspn",
+    "lidf": "lidf.lidf",
+    "cleargrasp": "cleargrasp.cleargrasp_network",
+    "dfnet": "dfnet",
+}
+
+
+def module(name: str):
+    return importlib.import_module(f"benchmark.methods.depth.{MODULES[name]}")
 
 
 def presets(name: str):
-    return importlib.import_module(f"benchmark.methods.{name}.config").PRESETS
+    return module(name).PRESETS
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +49,7 @@ def test_sizes_and_parameters(text: str, name: str) -> None:
     assert row is not None
     w, h = presets(name)["published"].input_size
     assert f"{w}x{h}" in row[1]
-    network = getattr(importlib.import_module(f"benchmark.methods.{name}.network"), NETWORKS[name])
+    network = getattr(module(name), NETWORKS[name])
     with torch.device("meta"):
         sizes = [parameter_count(network(presets(name)[p])) for p in ("published", "compact")]
     assert [f"{size / 1e6:.2f}" for size in sizes] == [row[2], row[3]]

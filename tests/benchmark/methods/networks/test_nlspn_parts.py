@@ -10,11 +10,15 @@ import torch
 from network_cases import CASES, frames
 from torch import nn
 
+from benchmark.methods.depth.nlspn import (
+    PRESETS,
+    NLSPNetwork,
+    Propagation,
+    load_imagenet,
+    sample,
+    sampling_places,
+)
 from benchmark.methods.network import parameter_count
-from benchmark.methods.nlspn.config import PRESETS
-from benchmark.methods.nlspn.imagenet import load_imagenet
-from benchmark.methods.nlspn.network import NLSPNetwork
-from benchmark.methods.nlspn.propagation import Propagation, sample, sampling_places
 from benchmark.methods.resnet import residual_layer
 from std_toolkit.errors import ToolkitError
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 from network_cases import CASES, frames
 
-from benchmark.methods.relative import (
+from benchmark.methods.network import (
     coarse_depth,
     in_metres,
     mean_depth,

@@ -10,12 +10,11 @@ import torch
 from network_cases import frames
 
 from benchmark.cli.bench import main as bench
+from benchmark.evaluation.tasks.depth_results import read_results
 from benchmark.methods.protocol import View
-from benchmark.methods.registry import MethodOptions, make_restorer, restorers
-from benchmark.methods.shipped import SHIPPED
+from benchmark.methods.registry import SHIPPED, MethodOptions, make_restorer, restorers
 from benchmark.methods.weights import read_weights, sha256_of
-from benchmark.report.board import make_board
-from benchmark.running.results import read_results
+from benchmark.report.leaderboard import make_board
 from std_toolkit.geometry.camera import Camera
 
 FILES = sorted(SHIPPED.glob("*.safetensors"))

@@ -9,18 +9,22 @@ import pytest
 import torch
 from network_cases import TINY_SWIN
 
-from benchmark.methods.swindrnet.details import DetailDecoder, DetailEncoder
-from benchmark.methods.swindrnet.fusion import PaperFusion
-from benchmark.methods.swindrnet.imagenet import load_imagenet
-from benchmark.methods.swindrnet.network import SwinDRNetwork, blended
-from benchmark.methods.swindrnet.swin import Swin, drop_path
-from benchmark.methods.swindrnet.windows import (
+from benchmark.methods.depth.swindrnet.fusion_decoder import (
+    DetailDecoder,
+    DetailEncoder,
+    PaperFusion,
+)
+from benchmark.methods.depth.swindrnet.swin import (
+    Swin,
+    drop_path,
     from_windows,
     padded,
     relative_index,
     shift_mask,
     to_windows,
 )
+from benchmark.methods.depth.swindrnet.swindrnet import load_imagenet
+from benchmark.methods.depth.swindrnet.swindrnet_network import SwinDRNetwork, blended
 from benchmark.methods.weights import save_weights
 from std_toolkit.errors import ToolkitError
 

@@ -12,11 +12,10 @@ import pytest
 import torch
 from network_cases import CASES, frames
 
+from benchmark.methods.depth.swindrnet.swin import relative_index
+from benchmark.methods.depth.swindrnet.swindrnet import FastSwinDRNetwork
+from benchmark.methods.depth.swindrnet.swindrnet_network import PRESETS, SwinDRNetwork
 from benchmark.methods.network import Prediction, parameter_count
-from benchmark.methods.swindrnet.config import PRESETS
-from benchmark.methods.swindrnet.fast import FastSwinDRNetwork
-from benchmark.methods.swindrnet.network import SwinDRNetwork
-from benchmark.methods.swindrnet.windows import relative_index
 from benchmark.methods.weights import architecture_of
 
 DATA = Path(__file__).resolve().parents[3] / "data"
@@ -47,7 +46,7 @@ def test_keys_and_shapes_are_the_published_ones():
     [("compact", {}, 11_541_595), ("published", {"fusion": "paper"}, 155_327_799)],
 )
 def test_sizes(preset, settings, count):
-    from benchmark.methods.settings import configured
+    from benchmark.methods.registry import configured
 
     with torch.device("meta"):
         assert parameter_count(SwinDRNetwork(configured(PRESETS[preset], settings))) == count

@@ -12,7 +12,7 @@ from benchmark.metrics.pose import (
     match_poses,
     score_matches,
 )
-from benchmark.metrics.pose.draws import figures_of_draws, scene_weights, side_by_side
+from benchmark.metrics.pose.resampling import resampled_scores, scene_weights, side_by_side
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 
@@ -54,11 +54,11 @@ def test_each_draw_is_what_it_is_by_itself(
     name: str, scores: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Few ranks at once, so that both ways of summing are taken.
-    monkeypatch.setattr("benchmark.metrics.pose.draws._FEW_RANKS", 2)
+    monkeypatch.setattr("benchmark.metrics.pose.resampling._FEW_RANKS", 2)
     matches = match_poses(*some_frames(1, scores=scores), get_pose_protocol(name))
     weights = np.random.default_rng(0).integers(0, 3, (20, FRAMES)).astype(float)
     weights[3] = 0
-    found = figures_of_draws(matches, weights)
+    found = resampled_scores(matches, weights)
     for drawn, w in zip(found, weights, strict=True):
         expected = list(score_matches(matches, w).mean.values())
         np.testing.assert_allclose(drawn, expected, atol=1e-12, equal_nan=True)
@@ -75,7 +75,7 @@ def test_two_methods_side_by_side() -> None:
     both = side_by_side(a, b)
     ones, zeros = np.ones(FRAMES), np.zeros(FRAMES)
     swap = np.arange(FRAMES) % 2 == 0
-    found = figures_of_draws(
+    found = resampled_scores(
         both, [np.append(ones, zeros), np.append(zeros, ones), np.append(~swap, swap)]
     )
     mixed = [s if swapped else f for f, s, swapped in zip(first, second, swap, strict=True)]
@@ -90,7 +90,7 @@ def test_two_methods_side_by_side() -> None:
 def test_weights_that_are_none() -> None:
     matches = match_poses(*some_frames(3))
     with pytest.raises(ToolkitError, match="draws, frames"):
-        figures_of_draws(matches, np.ones(FRAMES))
+        resampled_scores(matches, np.ones(FRAMES))
     with pytest.raises(ToolkitError, match="not negative"):
-        figures_of_draws(matches, -np.ones((1, FRAMES)))
+        resampled_scores(matches, -np.ones((1, FRAMES)))
     assert scene_weights(["b", "a"], np.array([[3.0, 5.0]])).tolist() == [[5.0, 3.0]]

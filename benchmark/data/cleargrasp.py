@@ -1,0 +1,255 @@
+"""ClearGrasp's real captures and rendered images.
+
+rgb-imgs/NNNNNNNNN-rgb.jpg                           colour
+depth-imgs-rectified/NNNNNNNNN-depth-rectified.exr   exact z-depth, metres
+segmentation-masks/NNNNNNNNN-segmentation-mask.png   transparent objects (also `-mask.png`)
+json-files/NNNNNNNNN-masks.json                      field of view, among other things
+camera-normals, outlines, variant-masks              not read here
+
+No raw depth was simulated (issue 8 of the data set's repository). As raw depth, the exact one is
+given without the pixels of transparent objects: what a sensor would measure that sees nothing of
+them and everything else perfectly.
+
+Source of the names: the sample set in github.com/Shreeyak/cleargrasp.
+
+ClearGrasp's real captures: `real-val/d435` (known objects), `real-test/d415` and `d435` (novel).
+
+NNNNNNNNN-transparent-rgb-img.jpg    colour
+NNNNNNNNN-transparent-depth-img.exr  raw depth; float16 metres, 0 or NaN = missing
+NNNNNNNNN-opaque-depth-img.exr       depth of spray-painted twins in the same place: ground truth
+NNNNNNNNN-mask.png                   255 = transparent object, all of them together
+NNNNNNNNN-normals.exr                rendered normals, not read here
+camera_intrinsics.yaml               in the folder or above it
+
+Every capture shows another arrangement, so each is a scene of its own.
+
+Source of the names: the data set's repository, github.com/Shreeyak/cleargrasp.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from benchmark.data.frame import DepthFrame, Instance, Material
+from benchmark.data.loading import (
+    NO_COLOR,
+    NO_DEPTH,
+    FrameIndex,
+    SceneFolder,
+    check_proportions,
+    check_same_size,
+    first_file,
+    list_scenes,
+    read_binary_mask,
+    read_depth_map,
+    scene_files,
+)
+from benchmark.data.splits import FrameKey, SceneFiles
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.importers.intrinsics import read_intrinsics
+from std_toolkit.io.images import read_color
+from std_toolkit.log import logger
+
+COLOR = ("-transparent-rgb-img.jpg", "-transparent-rgb-img.png")
+
+RAW = ("-transparent-depth-img.exr",)
+
+TRUTH = ("-opaque-depth-img.exr",)
+
+MASK = ("-mask.png",)
+
+SUFFIXES = (*COLOR, *RAW, *TRUTH, *MASK)
+
+NEEDED = {"colour": COLOR, "raw depth": RAW, "ground-truth depth": TRUTH, "mask": MASK}
+
+INTRINSICS = "camera_intrinsics.yaml"
+
+# Of the cameras' colour images; ClearGrasp's own evaluation uses it for all of them.
+COLOR_FOV_X = math.radians(69.4)
+
+TRANSPARENT = Instance(1, 0, Material.TRANSPARENT)
+
+SYNTHETIC_COLOR = ("-rgb.jpg", "-rgb.png")
+
+SYNTHETIC_TRUTH = ("-depth-rectified.exr",)
+
+SYNTHETIC_MASK = ("-segmentation-mask.png", "-mask.png")
+
+_FOLDERS = {
+    "colour": ("rgb-imgs", SYNTHETIC_COLOR),
+    "ground-truth depth": ("depth-imgs-rectified", SYNTHETIC_TRUTH),
+    "mask": ("segmentation-masks", SYNTHETIC_MASK),
+}
+
+
+@dataclass(frozen=True)
+class ClearGraspReal:
+    """Captures of a split; see `DepthSource`."""
+
+    name: str
+    index: FrameIndex
+    _cameras: dict[str, Camera] = field(default_factory=dict, repr=False, compare=False)
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def keys(self) -> list[FrameKey]:
+        return [FrameKey(f"{folder.name}-{stem}", stem) for folder, stem in self.index]
+
+    def load(self, index: int, *, sensor: bool = True, nocs: bool = False) -> DepthFrame:  # noqa: ARG002 - it has none
+        """See `DepthSource`."""
+        scene, stem = self.index.at(index)
+        folder = Path(scene.path)
+
+        def path(what: str) -> Path:
+            return first_file(folder, tuple(stem + s for s in NEEDED[what]), what)
+
+        true = read_depth_map(path("ground-truth depth"))
+        mask_path = path("mask")
+        mask = read_binary_mask(mask_path, TRANSPARENT.mask_id)
+        check_same_size(mask_path, mask, true, "mask")
+        size = (true.shape[1], true.shape[0])
+        color, raw = NO_COLOR, NO_DEPTH
+        if sensor:
+            color_path, raw_path = path("colour"), path("raw depth")
+            color = read_color(color_path)
+            raw = read_depth_map(raw_path)
+            check_proportions(color_path, color, size)
+            check_proportions(raw_path, raw, size)
+        return DepthFrame(
+            scene=f"{scene.name}-{stem}",
+            name=stem,
+            color=color,
+            depth_raw=raw,
+            depth_true=true,
+            mask=mask,
+            camera=self._camera(folder, size),
+            instances=(TRANSPARENT,),
+        )
+
+    def files(self) -> Iterator[SceneFiles]:
+        """See `DepthSource`."""
+        return (scene_files(scene, NEEDED) for scene in self.index.scenes)
+
+    def _camera(self, folder: Path, size: tuple[int, int]) -> Camera:
+        known = self._cameras.get(str(folder))
+        if known is None:
+            known = self._cameras[str(folder)] = _read_camera(folder, size)
+        return known if known.size == size else known.resized(*size)
+
+
+def camera_of_view(size: tuple[int, int], fov_x: float = COLOR_FOV_X) -> Camera:
+    """Camera with square pixels and this horizontal field of view in radians, centred."""
+    width, height = size
+    focal = width / 2 / math.tan(fov_x / 2)
+    return Camera(width, height, focal, focal, width / 2 - 0.5, height / 2 - 0.5)
+
+
+def _read_camera(folder: Path, size: tuple[int, int]) -> Camera:
+    for place in (folder, folder.parent):
+        path = place / INTRINSICS
+        if path.is_file():
+            return read_intrinsics(str(path), size=size).camera(size, path=str(path))
+    logger.warning("%s: no %s: using a field of view of 69.4 degrees", folder, INTRINSICS)
+    return camera_of_view(size)
+
+
+@dataclass(frozen=True)
+class ClearGraspSynthetic:
+    """Rendered images, a scene per folder of one kind of object; see `DepthSource`."""
+
+    name: str
+    index: FrameIndex
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def keys(self) -> list[FrameKey]:
+        return [FrameKey(scene.name, stem) for scene, stem in self.index]
+
+    def load(self, index: int, *, sensor: bool = True, nocs: bool = False) -> DepthFrame:  # noqa: ARG002 - it has none
+        """See `DepthSource`."""
+        scene, stem = self.index.at(index)
+
+        def path(what: str) -> Path:
+            folder, suffixes = _FOLDERS[what]
+            return first_file(Path(scene.path) / folder, tuple(stem + s for s in suffixes), what)
+
+        true, mask_path = read_depth_map(path("ground-truth depth")), path("mask")
+        mask = read_binary_mask(mask_path, TRANSPARENT.mask_id)
+        check_same_size(mask_path, mask, true, "mask")
+        size = (true.shape[1], true.shape[0])
+        color, raw = NO_COLOR, NO_DEPTH
+        if sensor:
+            color_path = path("colour")
+            color = read_color(color_path)
+            check_proportions(color_path, color, size)
+            raw = np.where(mask == TRANSPARENT.mask_id, np.float32(0), true)
+        view = _field_of_view(Path(scene.path) / "json-files" / f"{stem}-masks.json")
+        return DepthFrame(
+            scene=scene.name,
+            name=stem,
+            color=color,
+            depth_raw=raw,
+            depth_true=true,
+            mask=mask,
+            camera=camera_of_view(size, view),
+            instances=(TRANSPARENT,),
+        )
+
+    def files(self) -> Iterator[SceneFiles]:
+        """See `DepthSource`."""
+        for scene in self.index.scenes:
+            missing: dict[str, list[str]] = {}
+            for what, (folder, suffixes) in _FOLDERS.items():
+                place = Path(scene.path) / folder
+                if not place.is_dir():
+                    missing[what] = [f"{folder}/{stem}{suffixes[0]}" for stem in scene.stems]
+                    continue
+                part = SceneFolder(scene.name, str(place), scene.stems)
+                missing |= scene_files(part, {what: suffixes}).missing
+            yield SceneFiles(scene.name, scene.path, len(scene.stems), missing)
+
+
+def list_rendered(tops: Sequence[Path]) -> FrameIndex:
+    """Scenes below these folders: every folder that holds `rgb-imgs`.
+
+    Raises:
+        ToolkitError: a folder cannot be read.
+    """
+    scenes = []
+    for top in tops:
+        listed = list_scenes(top, (*SYNTHETIC_COLOR, *SYNTHETIC_TRUTH, *SYNTHETIC_MASK), depth=4)
+        stems: dict[Path, set[str]] = {}
+        for part in listed.scenes:
+            if Path(part.path).name in {folder for folder, _ in _FOLDERS.values()}:
+                stems.setdefault(Path(part.path).parent, set()).update(part.stems)
+        scenes += [
+            SceneFolder(place.name, str(place), tuple(sorted(found)))
+            for place, found in stems.items()
+        ]
+    return FrameIndex(tuple(scenes))
+
+
+def _field_of_view(path: Path) -> float:
+    """Horizontal, in radians; the usual one where the file is not there."""
+    if not path.is_file():
+        return COLOR_FOV_X
+    try:
+        view = json.loads(path.read_bytes())["camera"]["field_of_view"]["x_axis_rads"]
+        if not 0.1 < view < math.pi - 0.1:
+            raise ValueError(view)
+    except (OSError, ValueError, TypeError, LookupError, RecursionError) as error:
+        raise ToolkitError(
+            "tells no horizontal field of view",
+            path=path,
+            field="camera.field_of_view.x_axis_rads",
+        ) from error
+    return float(view)

@@ -1,0 +1,309 @@
+"""Manifests of runs: what decides a table, and the circumstances of the run.
+
+What a run of clearing was: all that decides its table, and the circumstances it ran in.
+
+What a run of poses was: everything that decides its table, and the circumstances it ran in.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from std_toolkit import __version__
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import begin_folder
+
+MANIFEST = "run.json"
+
+_PACKAGES = ("numpy", "opencv-python-headless", "pandas", "pyarrow", "scipy", "torch")
+
+GRASP_MANIFEST = "grasp.json"
+
+POSE_MANIFEST = "pose.json"
+
+
+class Setup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What decides a run's numbers; a run goes on only with the same.
+
+    Attributes:
+        split: name of the split.
+        frames: number of frames.
+        frames_sha256: hash over the frames' names.
+        method, preset, settings: the restorer and its options.
+        weights_sha256: hash of the file of weights; empty where there is none.
+        precision, compile, device: of the network; device is its kind, `cpu` or `cuda`.
+        protocol: the scoring protocol.
+        batch_size: frames that go through the method together.
+        depth_from: folder whose depth took the place of the sensor's; empty for the sensor's own.
+    """
+
+    split: str
+    frames: int
+    frames_sha256: str
+    method: str
+    preset: str
+    settings: dict[str, str]
+    weights_sha256: str
+    precision: str
+    compile: bool
+    device: str
+    protocol: str
+    batch_size: int
+    depth_from: str
+
+
+class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A run's setup and its circumstances, which only tell a reader where it ran.
+
+    Attributes:
+        version_of_tool: of this package.
+        label: what the method is called in tables.
+        root: where the data lay.
+        weights: the file of weights, as it was named.
+        packages: versions of the libraries that compute.
+        hardware: processor, cores and GPUs.
+    """
+
+    version_of_tool: str
+    label: str
+    setup: Setup
+    root: str
+    weights: str
+    packages: dict[str, str]
+    hardware: dict[str, str]
+
+
+def begin(folder: Path, manifest: Any, name: str = MANIFEST) -> None:
+    """Write the manifest of a new run, or see that the run that was begun there is the same.
+
+    Args:
+        folder: of the run.
+        manifest: a structure with a field `setup`, such as `Manifest`.
+        name: of its file.
+
+    Raises:
+        ToolkitError: another run was begun there; the field that differs is named.
+    """
+    path = folder / name
+    begun = begin_folder(path, manifest, hint="choose another --out")
+    for field in manifest.setup.__struct_fields__:
+        was, now = getattr(begun.setup, field), getattr(manifest.setup, field)
+        if was != now:
+            raise ToolkitError(
+                f"these results were begun with {was!r}",
+                path=path,
+                field=f"setup.{field}",
+                value=now,
+                hint="give the new run a name of its own with --label, or another --out",
+            )
+
+
+def manifest_of(setup: Setup, *, label: str, root: Path, weights: Path | None) -> Manifest:
+    """A manifest with this machine's circumstances."""
+    return Manifest(
+        version_of_tool=__version__,
+        label=label,
+        setup=setup,
+        root=str(root),
+        weights=str(weights or ""),
+        packages=package_versions(),
+        hardware=hardware(),
+    )
+
+
+def package_versions() -> dict[str, str]:
+    """Versions of the libraries that compute, as far as they are installed."""
+    found = {"python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def hardware() -> dict[str, str]:
+    """Processor, usable cores, and the GPUs that torch sees if something has loaded torch."""
+    found = {"processor": _processor(), "cores": str(len(os.sched_getaffinity(0)))}
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.cuda.is_available():
+        names = [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())]
+        found["gpus"] = ", ".join(names)
+    return found
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+class GraspSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What decides a run's table; a run goes on only with the same. Rounds may be added.
+
+    Attributes:
+        seed: of all rounds.
+        attempts: at most so many a round.
+        camera: `quick` or `simulated`.
+        depth_model_sha256: of the fitted figures behind the quick camera; empty for the other.
+        gripper: name of the hand.
+        planner, planner_preset, planner_settings, planner_weights_sha256: the planner and its
+            options.
+        depth, depth_preset, depth_settings, depth_weights_sha256: `raw`, `gt`, which have no
+            preset, or a restorer and its options.
+        precision, compile, device: of networks; device is its kind, `cpu` or `cuda`.
+    """
+
+    seed: int
+    attempts: int
+    camera: str
+    depth_model_sha256: str
+    gripper: str
+    planner: str
+    planner_preset: str
+    planner_settings: dict[str, str]
+    planner_weights_sha256: str
+    depth: str
+    depth_preset: str
+    depth_settings: dict[str, str]
+    depth_weights_sha256: str
+    precision: str
+    compile: bool
+    device: str
+
+
+class GraspManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A run's setup and its circumstances, which only tell a reader where it ran.
+
+    Attributes:
+        version_of_tool: of this package.
+        depth_label, planner_label: what depth and planner are called in tables.
+        planner_weights, depth_weights: the files of weights, as they were named.
+        packages: versions of the libraries that compute.
+        hardware: processor, cores and GPUs.
+    """
+
+    version_of_tool: str
+    depth_label: str
+    planner_label: str
+    setup: GraspSetup
+    planner_weights: str
+    depth_weights: str
+    packages: dict[str, str]
+    hardware: dict[str, str]
+
+
+def grasp_manifest(
+    setup: GraspSetup,
+    *,
+    depth_label: str,
+    planner_label: str,
+    planner_weights: Path | None,
+    depth_weights: Path | None,
+) -> GraspManifest:
+    """A manifest with this machine's circumstances."""
+    return GraspManifest(
+        version_of_tool=__version__,
+        depth_label=depth_label,
+        planner_label=planner_label,
+        setup=setup,
+        planner_weights=str(planner_weights or ""),
+        depth_weights=str(depth_weights or ""),
+        packages=package_versions(),
+        hardware=hardware(),
+    )
+
+
+class PoseSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What decides a run's table; a run goes on only with the same.
+
+    Attributes:
+        split: name of the split.
+        frames: number of frames.
+        frames_sha256: hash over the frames' names.
+        method, preset, settings: the pose method and its options; the fit is among the settings.
+        weights_sha256: hash of the file of weights; empty where there is none.
+        precision, compile, device: of networks; device is its kind, `cpu` or `cuda`.
+        batch_size: frames that go through the method together.
+        depth: what poses are fitted to: `raw`, `gt`, a restorer, or what a folder is called.
+        depth_preset, depth_settings, depth_weights_sha256: of the restorer; empty for the others.
+        depth_folder: that depth was read from; empty for the others.
+        as_input: whether networks look at that depth, too, and not at raw depth.
+    """
+
+    split: str
+    frames: int
+    frames_sha256: str
+    method: str
+    preset: str
+    settings: dict[str, str]
+    weights_sha256: str
+    precision: str
+    compile: bool
+    device: str
+    batch_size: int
+    depth: str
+    depth_preset: str
+    depth_settings: dict[str, str]
+    depth_weights_sha256: str
+    depth_folder: str
+    as_input: bool
+
+
+class PoseManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A run's setup and its circumstances, which only tell a reader where it ran.
+
+    Attributes:
+        version_of_tool: of this package.
+        label, depth_label, fit: what method, depth and fit are called in tables.
+        root: where the data lay.
+        weights, depth_weights: the files of weights, as they were named.
+        packages: versions of the libraries that compute.
+        hardware: processor, cores and GPUs.
+    """
+
+    version_of_tool: str
+    label: str
+    depth_label: str
+    fit: str
+    setup: PoseSetup
+    root: str
+    weights: str
+    depth_weights: str
+    packages: dict[str, str]
+    hardware: dict[str, str]
+
+
+def pose_manifest(
+    setup: PoseSetup,
+    *,
+    label: str,
+    depth_label: str,
+    fit: str,
+    root: Path,
+    weights: Path | None,
+    depth_weights: Path | None,
+) -> PoseManifest:
+    """A manifest with this machine's circumstances."""
+    return PoseManifest(
+        version_of_tool=__version__,
+        label=label,
+        depth_label=depth_label,
+        fit=fit,
+        setup=setup,
+        root=str(root),
+        weights=str(weights or ""),
+        depth_weights=str(depth_weights or ""),
+        packages=package_versions(),
+        hardware=hardware(),
+    )

@@ -1,0 +1,116 @@
+"""Pictures of a few frames of a run: where the method did best, as usual and worst, and three that
+all methods show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pandas as pd
+
+from benchmark.evaluation.results import ERROR, INDEX, TABLE, read_table
+from benchmark.evaluation.tasks.depth import Run, chosen_frames, frame_view, source_of
+from benchmark.methods.registry import make_restorer
+from benchmark.metrics.depth.depth_panels import LARGEST_ERROR_M, depth_scale, strip
+from benchmark.metrics.protocols.protocol import get_protocol
+from std_toolkit.io.documents import write_document
+from std_toolkit.io.images import write_color
+
+FOLDER = "gallery"
+INDEX_FILE = "gallery.json"
+# By the root of mean squared error, holes counted: what methods are ranked by.
+RANKED_BY = "rmse"
+COMMON = 3
+
+
+class GalleryPicture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One frame.
+
+    Attributes:
+        rank: `best`, `median`, `worst`, or `common` for the frames that every method shows.
+        scene, frame: which it is.
+        rmse: metres, on the main grid and subset of the protocol.
+        picture: file name; its panels are those of `PANELS`, and `TRUST_PANEL` if `trust`.
+        near, far: metres at the ends of the colours of depth.
+        largest_error: metres at the end of the colours of error.
+        trust: whether the method's trust in the sensor is shown; never where methods are compared,
+            since most have none.
+    """
+
+    rank: str
+    scene: str
+    frame: str
+    rmse: float
+    picture: str
+    near: float
+    far: float
+    largest_error: float = LARGEST_ERROR_M
+    trust: bool = False
+
+
+class Gallery(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """All pictures of a run."""
+
+    pictures: list[GalleryPicture]
+
+
+def make_gallery(run: Run) -> Gallery:
+    """Restore the frames of the gallery once more and keep their pictures in the run's folder.
+
+    Raises:
+        ToolkitError: a picture cannot be written.
+    """
+    protocol = get_protocol(run.protocol)
+    table = read_table(run.folder / TABLE)
+    source = source_of(run)
+    common = chosen_frames(len(source), run.limit)
+    common = [common[i] for i in chosen_frames(len(common), COMMON)]
+    frames = gallery_frames(table, protocol.main, common)
+    restorer = make_restorer(run.method, replace(run.options, device=run.devices[0]))
+    pictures = []
+    for rank, index, rmse in frames:
+        frame = source.load(index)
+        restored = restorer.restore([frame_view(frame, restorer, protocol)])[0]
+        name = f"{rank}-{index:07d}.jpg"
+        trust = None if rank == "common" else restored.confidence
+        write_color(run.folder / FOLDER / name, strip(frame, restored.depth, trust), quality=88)
+        scale = depth_scale(frame)
+        pictures.append(
+            GalleryPicture(
+                rank=rank,
+                scene=frame.scene,
+                frame=frame.name,
+                rmse=rmse,
+                picture=name,
+                near=scale.near,
+                far=scale.far,
+                trust=trust is not None,
+            )
+        )
+    gallery = Gallery(pictures=pictures)
+    write_document(run.folder / FOLDER / INDEX_FILE, gallery)  # last: it says that all are there
+    return gallery
+
+
+def gallery_frames(
+    table: pd.DataFrame, main: tuple[str, str], common: list[int]
+) -> list[tuple[str, int, float]]:
+    """Rank, index and RMSE of the frames to show.
+
+    Args:
+        table: rows of a run.
+        main: grid and subset that methods are ranked by.
+        common: frames that every method shows, as far as they could be scored.
+    """
+    grid, subset = main
+    scored = table[(table["grid"] == grid) & (table["subset"] == subset) & (table[ERROR] == "")]
+    scored = scored[scored["n_pixels"] > 0].sort_values([RANKED_BY, INDEX], kind="stable")
+    if scored.empty:
+        return []
+    value = dict(zip(scored[INDEX].tolist(), scored[RANKED_BY].tolist(), strict=True))
+    order = scored[INDEX].to_numpy()
+    places = {"best": 0, "median": (len(order) - 1) // 2, "worst": len(order) - 1}
+    shown = [(rank, int(order[place])) for rank, place in places.items()]
+    shown += [("common", index) for index in common if index in value]
+    return [(rank, index, float(np.float64(value[index]))) for rank, index in shown]

@@ -1,0 +1,325 @@
+"""Table clearing as a task: one planner on one depth over seeded rounds.
+
+From what a user types to the runs of table clearing that it means.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, field, replace
+from itertools import product
+from pathlib import Path
+
+import pandas as pd
+
+from benchmark.evaluation.engine import as_unusable_method, claim_device, complete, weights_digest
+from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspSetup, grasp_manifest
+from benchmark.evaluation.results import write_part
+from benchmark.evaluation.tasks.depth import restore_views
+from benchmark.evaluation.tasks.depth_runs import (
+    check_lists,
+    checked_label,
+    options_by_method,
+)
+from benchmark.evaluation.tasks.grasp_pictures import attempt_strip
+from benchmark.evaluation.tasks.grasp_table import ATTEMPTS, rows_of_round, scene_name
+from benchmark.methods.depth.full_size import at_full_size, view_of
+from benchmark.methods.protocol import GraspView, Restorer
+from benchmark.methods.registry import MethodOptions, grasp_planners, make_planner, make_restorer
+from benchmark.metrics.grasp.grasp import Grasps
+from benchmark.metrics.grasp.gripper import PANDA
+from benchmark.tabletop.arrange import arrange, round_seed
+from benchmark.tabletop.depth_model import MODEL_FILE
+from benchmark.tabletop.round import MOST_ATTEMPTS, GivenDepth, Plan, State, clear_table
+from benchmark.tabletop.sense import CAMERAS, CameraKind, Observation, camera_pose, make_camera
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.images import write_color
+from std_toolkit.jobs import JobOptions
+from std_toolkit.scene.provenance import digest_file
+
+GRASP_FOLDER, STRIPS = "grasp", "strips"
+
+RAW, TRUE = "raw", "gt"
+
+# Knows where the objects are: what can be reached at all.
+ORACLE = "oracle"
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspRun:
+    """What clears the table, and how.
+
+    Attributes:
+        depth, depth_options: `raw`, `gt`, or a restorer and its options.
+        planner, planner_options: a registered planner, or `oracle`.
+        rounds, seed: how many, and of which seed.
+        out: folder of results.
+        camera: `quick` or `simulated`.
+        attempts: at most so many a round.
+        devices: torch devices, of which each worker takes one.
+        strips: keep pictures of every attempt.
+    """
+
+    depth: str
+    planner: str
+    rounds: int
+    seed: int
+    out: Path
+    depth_options: MethodOptions = field(default_factory=MethodOptions)
+    planner_options: MethodOptions = field(default_factory=MethodOptions)
+    camera: CameraKind = "quick"
+    attempts: int = MOST_ATTEMPTS
+    devices: tuple[str, ...] = ("cpu",)
+    strips: bool = True
+
+    @property
+    def depth_label(self) -> str:
+        return self.depth.replace(":", ".")
+
+    @property
+    def planner_label(self) -> str:
+        return self.planner.replace(":", ".")
+
+    @property
+    def folder(self) -> Path:
+        """Where this run's files lie."""
+        seeded = f"{self.camera}-seed{self.seed}"
+        return self.out / GRASP_FOLDER / seeded / self.planner_label / self.depth_label
+
+    @property
+    def title(self) -> str:
+        """For people."""
+        return f"{self.planner_label} on {self.depth_label} depth"
+
+    @property
+    def is_restored(self) -> bool:
+        """Whether a restorer makes the depth."""
+        return self.depth not in (RAW, TRUE)
+
+
+def run_clearing(run: GraspRun, jobs: JobOptions | None = None) -> pd.DataFrame:
+    """Clear the tables that have not been cleared yet.
+
+    Rounds and their noise follow from the run's seed and their number alone: however they are
+    interrupted, resumed or spread over workers, the table is the same.
+
+    Returns:
+        The rows of `benchmark.evaluation.tasks.grasp_table`.
+
+    Raises:
+        ToolkitError: planner, restorer or camera cannot be used, rounds failed, or another run was
+            begun in this folder.
+    """
+    jobs = jobs or JobOptions()
+    equipment = _usable(run)
+    manifest = grasp_manifest(
+        _setup(run, equipment),
+        depth_label=run.depth_label,
+        planner_label=run.planner_label,
+        planner_weights=run.planner_options.weights,
+        depth_weights=run.depth_options.weights,
+    )
+    if jobs.workers is None and equipment.has_network and run.devices[0] != "cpu":
+        # A second process would only double the memory on the device.
+        jobs = replace(jobs, workers=len(run.devices))
+    return complete(
+        run.folder, manifest, lambda done: [i for i in range(run.rounds) if i not in done],
+        _Worker(run), title=run.title, key=scene_name, jobs=jobs, unit="rounds",
+        table=ATTEMPTS, manifest_name=GRASP_MANIFEST,
+    )  # fmt: skip
+
+
+class _Equipment:
+    """Restorer and planner of a process."""
+
+    def __init__(self, run: GraspRun, device: str) -> None:
+        self.restorer: Restorer | None = None
+        if run.is_restored:
+            self.restorer = make_restorer(run.depth, replace(run.depth_options, device=device))
+        self.true = run.depth == TRUE
+        self.planner = None
+        if run.planner != ORACLE:
+            self.planner = make_planner(run.planner, replace(run.planner_options, device=device))
+
+    @property
+    def has_network(self) -> bool:
+        return any(hasattr(part, "network") for part in (self.restorer, self.planner))
+
+    @property
+    def looks_at_color(self) -> bool:
+        """Restorers do; planners only where they say so."""
+        return self.restorer is not None or bool(getattr(self.planner, "needs_color", False))
+
+    def given(self, looked: Observation) -> GivenDepth:
+        """The depth to plan on, at the camera's size; a restorer's as `at_full_size` makes it."""
+        frame = looked.frame
+        if self.restorer is None:
+            depth = frame.depth_true if self.true else frame.depth_raw
+            return GivenDepth(frame.color, depth, frame.camera)
+        view = view_of(frame, self.restorer.input_size, with_mask=self.restorer.needs_mask)
+        answer = restore_views(self.restorer, {0: view})[0]
+        if isinstance(answer, str):
+            raise ToolkitError(f"the restorer failed: {answer}")
+        return GivenDepth(frame.color, at_full_size(frame.depth_raw, answer), frame.camera)
+
+    def plan(self, view: GraspView, state: State) -> Grasps:
+        if self.planner is not None:
+            return self.planner.plan(view)
+        from benchmark.tabletop.oracle import plan_from_surfaces, surfaces_of
+
+        surfaces = surfaces_of([o.body for o in state.objects], state.poses)
+        return plan_from_surfaces(surfaces).transformed(camera_pose().inverse())
+
+
+class _Worker:
+    """Clears the table of one round and writes its rows and pictures."""
+
+    def __init__(self, run: GraspRun) -> None:
+        self.run = run
+
+    def __call__(self, index: int) -> int:
+        from sensors.simulation.dataset import parts_cache
+
+        equipment = _kept_equipment(self.run)
+        arrangement = arrange(round_seed(self.run.seed, index), parts_cache=parts_cache())
+        camera = make_camera(self.run.camera, arrangement, parts_cache=parts_cache())
+        plan: Plan = equipment.plan
+        attempts = list(
+            clear_table(
+                arrangement, camera, equipment.given, plan,
+                color=equipment.looks_at_color, attempts=self.run.attempts,
+            )
+        )  # fmt: skip
+        if self.run.strips:
+            for attempt in attempts:
+                name = f"{scene_name(index)}-attempt-{attempt.number:02d}.png"
+                write_color(self.run.folder / STRIPS / name, attempt_strip(attempt))
+        rows = rows_of_round(index, arrangement, attempts, camera.T_world_cam)
+        write_part(self.run.folder, index, index, rows)
+        return len(attempts)
+
+
+_kept: dict[str, _Equipment] = {}
+
+
+def _kept_equipment(run: GraspRun) -> _Equipment:
+    key = repr(run)
+    if key not in _kept:
+        _kept.clear()
+        device = claim_device(run.devices, run.folder / ".devices")
+        _kept[key] = _Equipment(run, device)
+        _one_thread()
+    return _kept[key]
+
+
+def _one_thread() -> None:
+    """Sums over several threads come out a little different with another number of workers."""
+    if (torch := sys.modules.get("torch")) is not None:
+        torch.set_num_threads(1)
+
+
+def _usable(run: GraspRun) -> _Equipment:
+    with as_unusable_method(run.devices):
+        return _Equipment(run, run.devices[0])
+
+
+def _setup(run: GraspRun, equipment: _Equipment) -> GraspSetup:
+    planner, depth = run.planner_options, run.depth_options
+    network = depth if run.is_restored else planner  # both are made with the same of these options
+    return GraspSetup(
+        seed=run.seed,
+        attempts=run.attempts,
+        camera=run.camera,
+        depth_model_sha256=digest_file(MODEL_FILE) if run.camera == "quick" else "",
+        gripper=PANDA.name,
+        planner=run.planner,
+        planner_preset=planner.preset,
+        planner_settings=dict(planner.settings),
+        planner_weights_sha256=weights_digest(run.planner, equipment.planner, planner),
+        depth=run.depth,
+        depth_preset=depth.preset if run.is_restored else "",
+        depth_settings=dict(depth.settings),
+        depth_weights_sha256=weights_digest(run.depth, equipment.restorer, depth),
+        precision=network.precision,
+        compile=network.compile,
+        device=run.devices[0].partition(":")[0],
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspConfig:
+    """What a user asks for; every planner works on every depth, all on the same rounds.
+
+    Attributes:
+        depths: `raw`, `gt`, or restorers.
+        planners: registered ones, or `oracle`.
+        rounds, seed, camera, attempts, strips, devices, out: as in `GraspRun`.
+        preset, precision, compile: of networks; see `preset_for`.
+        weights: `NAME=FILE`, of planners and restorers; `FILE` where there is one of them.
+        settings: `NAME.SETTING=VALUE`, likewise.
+    """
+
+    depths: tuple[str, ...]
+    planners: tuple[str, ...]
+    rounds: int
+    seed: int
+    out: Path
+    camera: str = "quick"
+    attempts: int = MOST_ATTEMPTS
+    preset: str | None = None
+    precision: str = "fp32"
+    compile: bool = False
+    weights: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()
+    devices: tuple[str, ...] = ("cpu",)
+    strips: bool = True
+
+    def __post_init__(self) -> None:
+        check_lists(self, "depths", "planners", "devices")
+        for name, low in (("rounds", 1), ("attempts", 1), ("seed", 0)):
+            if getattr(self, name) < low:
+                raise ToolkitError(f"must be at least {low}", field=name, value=getattr(self, name))
+        if self.camera not in CAMERAS:
+            raise ToolkitError(
+                "no such camera", field="camera", value=self.camera, hint=", ".join(CAMERAS)
+            )
+
+
+def plan_grasp_runs(config: GraspConfig) -> list[GraspRun]:
+    """The runs, planner by planner.
+
+    Raises:
+        ToolkitError: weights or settings for what is not asked for, or a label that cannot be a
+            folder's name.
+    """
+    for name in config.planners:
+        if name != ORACLE and ":" not in name and name not in grasp_planners.names():
+            raise ToolkitError(
+                "no such planner",
+                field="--planner",
+                value=name,
+                hint=f"known: {', '.join([*grasp_planners.names(), ORACLE])}",
+            )
+    names = [
+        *(d for d in config.depths if d not in (RAW, TRUE)),
+        *(p for p in config.planners if p != ORACLE),
+    ]
+    options = options_by_method(config, names)
+    for name in (*config.depths, *config.planners):
+        checked_label(name.replace(":", "."))
+    return [
+        GraspRun(
+            depth=depth,
+            planner=planner,
+            rounds=config.rounds,
+            seed=config.seed,
+            out=config.out,
+            depth_options=options.get(depth, MethodOptions()),
+            planner_options=options.get(planner, MethodOptions()),
+            camera=config.camera,  # type: ignore[arg-type]
+            attempts=config.attempts,
+            devices=config.devices,
+            strips=config.strips,
+        )
+        for planner, depth in product(config.planners, config.depths)
+    ]

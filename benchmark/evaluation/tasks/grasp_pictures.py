@@ -1,0 +1,113 @@
+"""A strip of pictures of an attempt: what was seen, what the planner was given, and what the hand
+did.
+
+Drawn by casting rays, so that no graphics card or display is needed: shaded surfaces, glass in
+blue, metal in grey, the hand in orange.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.metrics.depth.depth_panels import DepthScale, depth_picture
+from benchmark.metrics.grasp.gripper import PANDA, Gripper
+from benchmark.tabletop.grasp import Stage
+from benchmark.tabletop.round import Attempt
+from sensors.physics import PhysicalObject
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.rendering.maps import compose, surface_maps
+from std_toolkit.rendering.mesh import RenderMesh
+from std_toolkit.rendering.protocol import PlacedMesh
+from std_toolkit.rendering.raycast import RaycastRenderer
+
+Image = NDArray[np.uint8]
+PANELS = ("seen", "depth given", "pre-grasp", "closed", "lifted")
+WIDTH, HEIGHT = 288, 216
+_BAND = 18
+# From the right of the camera's place, further away, so that the lifted hand is in view.
+_EYE, _TARGET = (0.42, -0.55, 0.42), (0.0, 0.0, 0.14)
+_COLORS = {"transparent": (120, 170, 235), "specular": (185, 185, 190)}
+_HAND, _TABLE = (235, 140, 60), (232, 226, 214)
+
+
+def attempt_strip(attempt: Attempt, *, gripper: Gripper = PANDA) -> Image:
+    """(h, w, 3) uint8: `PANELS` side by side; stages that were not come to stay empty."""
+    frame = attempt.looked.frame
+    known = frame.depth_true
+    scale = DepthScale(float(known.min()) - 0.02, float(np.quantile(known, 0.98)))
+    pictures = [_fit(frame.color), _fit(depth_picture(attempt.given.depth, scale))]
+    titles = [PANELS[0], PANELS[1]]
+    stages = () if attempt.executed is None else attempt.executed.stages
+    for stage in stages:
+        pictures.append(_stage_picture(attempt, stage, gripper))
+        titles.append(stage.name)
+    while len(pictures) < len(PANELS):
+        pictures.append(np.full((HEIGHT, WIDTH, 3), 40, np.uint8))
+        titles.append("")
+    titles[0] += f" ({attempt.number}: {attempt.outcome})"
+    return np.hstack([_titled(p, t) for p, t in zip(pictures, titles, strict=True)])
+
+
+def _stage_picture(attempt: Attempt, stage: Stage, gripper: Gripper) -> Image:
+    from sensors.viewpoints.look_at import look_at
+
+    camera = Camera(WIDTH, HEIGHT, 260.0, 260.0, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
+    T_world_cam = look_at(_EYE, _TARGET)
+    T_cam_world = T_world_cam.inverse()
+    placed: list[PlacedMesh] = []
+    colors: list[tuple[int, int, int]] = []
+    for obj, T in zip(attempt.before.objects, stage.poses, strict=True):
+        placed.append(PlacedMesh(len(placed) + 1, _mesh(obj.body), T_cam_world @ T))
+        colors.append(_COLORS.get(obj.material.material_class, (200, 200, 120)))
+    boxes = gripper.boxes([stage.opening], [0.0])
+    for low, high in zip(boxes.low[0], boxes.high[0], strict=True):
+        placed.append(
+            PlacedMesh(len(placed) + 1, _box(low, high), T_cam_world @ stage.T_world_hand)
+        )
+        colors.append(_HAND)
+    seen = compose(RaycastRenderer(threads=1), camera, placed)
+    normals = surface_maps(camera, placed, seen)[1]
+    rays = camera.rays()
+    down = rays @ T_world_cam.R[2]
+    table = np.where(down < 0, -T_world_cam.t[2] / np.where(down < 0, down, -1), 0)
+    on_table = (table > 0) & ((seen.index < 0) | (seen.depth > table))
+    shade = np.clip(-normals[..., 2], 0, 1) * 0.65 + 0.35
+    image = np.full((HEIGHT, WIDTH, 3), 250.0)
+    there = (seen.index >= 0) & ~on_table
+    image[there] = np.array(colors, float)[seen.index[there]] * shade[there][:, None]
+    points = T_world_cam @ (rays * table[..., None]).reshape(-1, 3)
+    checks = (np.floor(points[:, :2] / 0.05).astype(np.int64).sum(axis=1) % 2).reshape(table.shape)
+    image[on_table] = (np.array(_TABLE, float) - 10.0 * checks[..., None])[on_table]
+    return np.rint(np.clip(image, 0, 255)).astype(np.uint8)
+
+
+def _mesh(obj: PhysicalObject) -> RenderMesh:
+    return RenderMesh.from_arrays(obj.asset.vertices * obj.diagonal_m, obj.asset.faces)
+
+
+def _box(low: NDArray[np.float64], high: NDArray[np.float64]) -> RenderMesh:
+    import trimesh
+
+    box = trimesh.creation.box(bounds=np.stack([low, high]))
+    return RenderMesh.from_arrays(np.asarray(box.vertices), np.asarray(box.faces))
+
+
+def _fit(image: Image) -> Image:
+    """The middle of a wide picture, at a panel's size."""
+    h, w = image.shape[:2]
+    wanted = round(h * WIDTH / HEIGHT)
+    if w > wanted:
+        left = (w - wanted) // 2
+        image = image[:, left : left + wanted]
+    fitted = cv2.resize(image, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+    return np.asarray(fitted, np.uint8)
+
+
+def _titled(image: Image, title: str) -> Image:
+    band = np.full((_BAND, image.shape[1], 3), 255, np.uint8)
+    cv2.putText(band, title, (4, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (40, 40, 40), 1, cv2.LINE_AA)
+    framed = np.vstack([band, image])
+    framed[:, -1] = 255
+    return framed

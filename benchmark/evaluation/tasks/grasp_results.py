@@ -1,0 +1,292 @@
+"""Results of table clearing: read back, success and completion, the paper's table.
+
+Success and completion of table clearing, per object and per table, and how sure they are.
+
+The paper that this experiment comes from prints a completion rate of 40 % beside 19 objects
+removed of about 25; no definition gives both. So both are defined here and printed side by side:
+
+- success, per attempt: attempts that ended with an object held / attempts, over all rounds;
+- success, per table: the mean over rounds of that ratio; a round without any attempt, because the
+  planner found nothing to grasp, counts 0;
+- completion, per object: objects removed / objects that stood there, over all rounds;
+- completion, per table: the mean over rounds of that ratio;
+- tables cleared: the share of rounds in which nothing was left.
+
+An object is removed when it is held after lifting, or lies beyond the edge of the table. Intervals
+come from drawing whole rounds with replacement.
+
+The results of table clearing as the paper's table, in the terminal and as text.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest
+from benchmark.evaluation.results import INDEX, aligned, read_table
+from benchmark.evaluation.tasks.grasp_table import (
+    ATTEMPT,
+    ATTEMPTS,
+    GRASPED,
+    KIND,
+    LOST,
+    OBJECT,
+    PRECISION,
+)
+from benchmark.metrics.significance import mean_interval
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import read_document
+from std_toolkit.log import logger
+
+# Camera, seed, planner and depth of a run, as tables have them.
+RunName = tuple[str, int, str, str]
+
+HEADINGS = (
+    "planner", "depth", "rounds", "grasped / attempts", "success % per attempt", "per table",
+    "removed / objects", "completion % per object", "per table", "tables cleared %",
+    "transparent %", "specular %",
+)  # fmt: skip
+
+
+PLAN_HEADINGS = (
+    "planner", "depth", "views", "grasps of a view", "AP %", "AP0.8 %", "AP0.4 %",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A share, with its interval of 95 %; NaN where there is nothing to count.
+
+    Attributes:
+        count, total: what was divided; for means over tables, their number in `total`.
+    """
+
+    value: float
+    low: float
+    high: float
+    count: float
+    total: int
+
+
+@dataclass(frozen=True)
+class Rates:
+    """What a run came to.
+
+    Attributes:
+        rounds, objects, attempts: how many there were; attempts that were carried out.
+        success_attempts, success_tables: see above.
+        completion_objects, completion_tables, cleared: see above.
+        completion_of: completion per object by material class.
+        grasped, lost: objects held, and objects that left over the table's edge.
+        outcomes: how often attempts ended in each way, views without a grasp among them.
+        precision: means over the tables' first views, columns of `grasp_table`.
+        planned: mean number of grasps of a first view.
+    """
+
+    rounds: int
+    objects: int
+    attempts: int
+    success_attempts: Rate
+    success_tables: Rate
+    completion_objects: Rate
+    completion_tables: Rate
+    cleared: Rate
+    completion_of: dict[str, Rate]
+    grasped: int
+    lost: int
+    outcomes: dict[str, int]
+    precision: dict[str, Rate]
+    planned: float
+
+
+def rates_of(table: pd.DataFrame) -> Rates:
+    """The rates of one run's table."""
+    objects = table[table[KIND] == OBJECT]
+    views = table[table[KIND] == ATTEMPT]
+    tried = views[views["executed"]]
+    removed = objects["fate"].isin([GRASPED, LOST])
+    won = tried["held"] > 0
+    first = views[views[PRECISION[0]].notna()]
+    rounds = np.sort(objects[INDEX].unique())
+    by_round = removed.groupby(objects[INDEX]).mean().reindex(rounds)
+    won_by_round = won.groupby(tried[INDEX]).mean().reindex(rounds).fillna(0.0)
+    return Rates(
+        rounds=len(rounds),
+        objects=len(objects),
+        attempts=len(tried),
+        success_attempts=_rate(won, tried[INDEX]),
+        success_tables=_rate(won_by_round, rounds),
+        completion_objects=_rate(removed, objects[INDEX]),
+        completion_tables=_rate(by_round, rounds),
+        cleared=_rate(by_round == 1.0, rounds),
+        completion_of={
+            str(name): _rate(part, objects.loc[part.index, INDEX])
+            for name, part in removed.groupby(objects["material"])
+        },
+        grasped=int((objects["fate"] == GRASPED).sum()),
+        lost=int((objects["fate"] == LOST).sum()),
+        outcomes={str(k): int(n) for k, n in views["outcome"].value_counts().sort_index().items()},
+        precision={name: _rate(first[name], first[INDEX]) for name in PRECISION},
+        planned=float(first["found"].mean()) if len(first) else float("nan"),
+    )
+
+
+def completion_gain(table: pd.DataFrame, other: pd.DataFrame) -> Rate:
+    """Completion per table of a run less that of another one on the same rounds.
+
+    Rounds that only one of them has are left out: the tables stand alike in both.
+    """
+    both = [_completions(t) for t in (table, other)]
+    shared = both[0].index.intersection(both[1].index)
+    return _rate(both[0].loc[shared] - both[1].loc[shared], shared)
+
+
+def _completions(table: pd.DataFrame) -> pd.Series:
+    objects = table[table[KIND] == OBJECT]
+    return objects["fate"].isin([GRASPED, LOST]).groupby(objects[INDEX]).mean()
+
+
+def _rate(values: pd.Series, rounds: Sequence[int] | pd.Series) -> Rate:
+    numbers = np.asarray(values, dtype=np.float64)
+    if not len(numbers):
+        return Rate(float("nan"), float("nan"), float("nan"), 0, 0)
+    found = mean_interval(numbers, np.asarray(rounds))
+    return Rate(
+        float(found.mean), float(found.low), float(found.high), float(numbers.sum()), len(numbers)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class GraspResult:
+    """One run.
+
+    Attributes:
+        folder: where it lies.
+        manifest: what it was.
+        table: see `benchmark.evaluation.tasks.grasp_table`.
+        rates: what it came to.
+    """
+
+    folder: Path
+    manifest: GraspManifest
+    table: pd.DataFrame
+    rates: Rates
+
+    @property
+    def name(self) -> RunName:
+        setup = self.manifest.setup
+        return setup.camera, setup.seed, self.manifest.planner_label, self.manifest.depth_label
+
+
+def read_grasp_run(folder: Path, *, rounds: int | None = None) -> GraspResult:
+    """One run's results.
+
+    Args:
+        folder: of the run.
+        rounds: only the first so many; None for all that there are.
+
+    Raises:
+        ToolkitError: a file is missing or damaged, or no round is finished.
+    """
+    manifest = read_document(folder / GRASP_MANIFEST, GraspManifest)
+    path = folder / ATTEMPTS
+    table = read_table(path)
+    needed = (INDEX, KIND, "fate", "outcome", "held", "found", *PRECISION)
+    if absent := [c for c in needed if c not in table]:
+        raise ToolkitError("the table lacks columns", path=path, field=", ".join(absent))
+    if rounds is not None:
+        table = table[table[INDEX] < rounds]
+    if table.empty:
+        raise ToolkitError("no round is finished", path=path)
+    return GraspResult(folder, manifest, table, rates_of(table))
+
+
+def read_grasp_results(folders: Iterable[Path]) -> list[GraspResult]:
+    """All finished runs of clearing below some folders, in a fixed order.
+
+    Raises:
+        ToolkitError: there is none, a run is damaged, or two runs bear one name.
+    """
+    found: dict[RunName, GraspResult] = {}
+    for folder in folders:
+        begun = sorted(p.parent for p in folder.rglob(GRASP_MANIFEST))
+        finished = [path for path in begun if (path / ATTEMPTS).exists()]
+        if not finished:
+            raise ToolkitError("no finished run of table clearing here", path=folder)
+        for path in begun:
+            if path not in finished:
+                logger.warning("%s: not finished, left out", path)
+        for path in finished:
+            result = read_grasp_run(path)
+            other = found.get(result.name)
+            if other is not None and other.folder.resolve() != path.resolve():
+                raise ToolkitError(
+                    "two folders hold the same run", path=path, value=str(other.folder)
+                )
+            found[result.name] = result
+    return list(found.values())
+
+
+def grasp_table(results: Sequence[GraspResult]) -> str:
+    """One line per run, of what was cleared and of what was planned; intervals of 95 % in
+    brackets."""
+    blocks = []
+    for camera, seed in dict.fromkeys(r.name[:2] for r in results):
+        mine = [r for r in results if r.name[:2] == (camera, seed)]
+        cleared = aligned([list(HEADINGS), *(cells(r) for r in mine)])
+        planned = aligned([list(PLAN_HEADINGS), *(plan_cells(r) for r in mine)])
+        blocks.append(f"table clearing, {camera} camera, seed {seed}\n{cleared}")
+        blocks.append(f"grasps planned on the first view of each table\n{planned}")
+    return "\n\n".join(blocks)
+
+
+def cells(result: GraspResult) -> list[str]:
+    """The texts of a run's line, in the order of `HEADINGS`."""
+    r = result.rates
+    removed = r.grasped + r.lost
+    lost = f" ({r.lost} off)" if r.lost else ""
+    return [
+        result.manifest.planner_label,
+        result.manifest.depth_label,
+        str(r.rounds),
+        f"{int(r.success_attempts.count)} / {r.attempts}",
+        share(r.success_attempts),
+        share(r.success_tables),
+        f"{removed} / {r.objects}{lost}",
+        share(r.completion_objects),
+        share(r.completion_tables),
+        share(r.cleared),
+        share(r.completion_of.get("transparent")),
+        share(r.completion_of.get("specular")),
+    ]
+
+
+def plan_cells(result: GraspResult) -> list[str]:
+    """The texts of a run's line, in the order of `PLAN_HEADINGS`."""
+    r = result.rates
+    return [
+        result.manifest.planner_label,
+        result.manifest.depth_label,
+        str(r.precision["ap"].total),
+        f"{r.planned:.1f}",
+        *(share(r.precision[name]) for name in PRECISION),
+    ]
+
+
+def share(rate: Rate | None) -> str:
+    """A rate in percent, with its interval where there is one.
+
+    >>> share(Rate(0.5, 0.25, 0.75, 3, 6)), share(None)
+    ('50.0 [25.0, 75.0]', '-')
+    """
+    if rate is None or math.isnan(rate.value):
+        return "-"
+    if math.isnan(rate.low):
+        return f"{100 * rate.value:.1f}"
+    return f"{100 * rate.value:.1f} [{100 * rate.low:.1f}, {100 * rate.high:.1f}]"

@@ -1,0 +1,261 @@
+"""Results of pose runs: read back, scored by protocol and material, shown.
+
+Figures of runs of poses: by protocol and by material of the objects, with intervals.
+
+The results of a few runs of poses as tables in the terminal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from benchmark.data.frame import Material
+from benchmark.evaluation.manifest import POSE_MANIFEST, PoseManifest
+from benchmark.evaluation.results import ERROR, INDEX, aligned, read_table
+from benchmark.evaluation.tasks.pose_table import COLUMNS, POSES, frames_of
+from benchmark.metrics.pose import (
+    PoseMatches,
+    PoseProtocol,
+    PoseScores,
+    match_poses,
+    score_matches,
+)
+from benchmark.metrics.pose.resampling import resampled_scores, scene_weights
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import read_document
+from std_toolkit.log import logger
+
+# Method, depth and fit of a run, as tables have them.
+RunName = tuple[str, str, str]
+
+ALL, HARD = "all", "specular+transparent"
+
+SUBSETS: dict[str, frozenset[Material]] = {
+    ALL: frozenset(),
+    HARD: frozenset({Material.SPECULAR, Material.TRANSPARENT}),
+    "transparent": frozenset({Material.TRANSPARENT}),
+    "specular": frozenset({Material.SPECULAR}),
+    "diffuse": frozenset({Material.RAW, Material.DIFFUSE}),
+}
+
+SAMPLES = 1000
+
+LEVEL = 0.95
+
+_TEXTS = ("method", "depth", "fit", "objects")
+
+
+@dataclass(frozen=True)
+class PoseResult:
+    """One run: a method on a split with one depth and fit.
+
+    Attributes:
+        folder: where it lies.
+        manifest: what it was.
+        table: see `benchmark.evaluation.tasks.pose_table`.
+    """
+
+    folder: Path
+    manifest: PoseManifest
+    table: pd.DataFrame
+
+    @property
+    def split(self) -> str:
+        return self.manifest.setup.split
+
+    @property
+    def name(self) -> RunName:
+        """Method, depth and fit."""
+        return self.manifest.label, self.manifest.depth_label, self.manifest.fit
+
+    @property
+    def failed(self) -> int:
+        """Frames that could not be read, or at which the method failed."""
+        return int(self.table.loc[self.table[ERROR] != "", INDEX].nunique())
+
+    @property
+    def missing(self) -> int:
+        """Frames that the run has not come to."""
+        return self.manifest.setup.frames - int(self.table[INDEX].nunique())
+
+
+def read_pose_run(folder: Path) -> PoseResult:
+    """One run's results.
+
+    Raises:
+        ToolkitError: a file is missing or damaged.
+    """
+    manifest = read_document(folder / POSE_MANIFEST, PoseManifest)
+    table = read_table(folder / POSES)
+    if absent := [name for name in COLUMNS if name not in table]:
+        raise ToolkitError("the table lacks columns", path=folder / POSES, field=", ".join(absent))
+    return PoseResult(folder, manifest, table)
+
+
+def read_pose_results(folders: Iterable[Path]) -> list[PoseResult]:
+    """All runs of poses below some folders of results that have a table.
+
+    Raises:
+        ToolkitError: a folder holds none, or two runs of one name are among them.
+    """
+    found: dict[tuple[str, RunName], PoseResult] = {}
+    for folder in folders:
+        begun = sorted(p.parent for p in folder.rglob(POSE_MANIFEST))
+        paths = [path for path in begun if (path / POSES).exists()]
+        if not paths:
+            raise ToolkitError(
+                "no finished run of poses here",
+                path=folder,
+                hint="run the same std-bench command again to go on",
+            )
+        for path in begun:
+            if path not in paths:
+                logger.warning("%s: not finished, left out", path)
+        for path in paths:
+            result = read_pose_run(path)
+            key = (result.split, result.name)
+            if key in found and found[key].folder.resolve() != path.resolve():
+                raise ToolkitError(
+                    f"{', '.join(result.name)} on {result.split} stands in two folders",
+                    path=path,
+                    value=str(found[key].folder),
+                    hint="give one of them another name with --label",
+                )
+            found[key] = result
+            if result.missing:
+                logger.warning(
+                    "%s: not finished: %d of %d frames are missing",
+                    path, result.missing, result.manifest.setup.frames,
+                )  # fmt: skip
+    return list(found.values())
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """A run's figures by one protocol for objects of some materials.
+
+    Attributes:
+        result: the run.
+        subset: key of `SUBSETS`.
+        scores: figures by class.
+        matches: which they come from.
+        scenes, names: (F,) of the frames of the matches.
+        low, high: (K,) ends of the 95 % intervals of the means over scenes; NaN with one scene,
+            or where nothing was drawn.
+    """
+
+    result: PoseResult
+    subset: str
+    scores: PoseScores
+    matches: PoseMatches
+    scenes: NDArray[np.generic]
+    names: NDArray[np.generic]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+    @property
+    def objects(self) -> int:
+        """True objects of the classes."""
+        return int(self.scores.true_objects.sum())
+
+    @property
+    def scene_count(self) -> int:
+        """Scenes with frames."""
+        return len(np.unique(self.scenes))
+
+    def interval(self, column: str) -> tuple[float, float]:
+        """Ends of the interval of a column."""
+        place = self.scores.columns.index(column)
+        return float(self.low[place]), float(self.high[place])
+
+
+def score_run(
+    result: PoseResult, protocol: PoseProtocol, subset: str = ALL, *, samples: int = 0
+) -> Scored:
+    """Score a run.
+
+    Args:
+        result: the run.
+        protocol: what counts, and how.
+        subset: which objects, a key of `SUBSETS`.
+        samples: draws of scenes for the intervals; 0 for none.
+
+    Raises:
+        ToolkitError: the table holds poses that are none.
+    """
+    frames = frames_of(result.table, SUBSETS[subset])
+    matches = match_poses(frames.truths, frames.found, protocol)
+    low = high = np.full(len(protocol.columns), np.nan)
+    if samples and len(np.unique(frames.scenes)) > 1:
+        draws = scene_draws(len(np.unique(frames.scenes)), samples)
+        drawn = resampled_scores(matches, scene_weights(frames.scenes, draws))
+        low, high = interval_of(drawn)
+    return Scored(
+        result, subset, score_matches(matches), matches, frames.scenes, frames.names, low, high
+    )
+
+
+def score_runs(
+    results: Sequence[PoseResult],
+    protocol: PoseProtocol,
+    subsets: Sequence[str] = (ALL, HARD),
+    *,
+    samples: int = 0,
+) -> list[Scored]:
+    """Every run for every subset that has objects, see `score_run`."""
+    scored = [score_run(r, protocol, s, samples=samples) for s in subsets for r in results]
+    return [each for each in scored if each.objects]
+
+
+def interval_of(drawn: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Ends (K,) of the intervals of drawn figures (D, K), each over the draws that have it."""
+    low, high = np.full((2, drawn.shape[1]), np.nan)
+    for column, values in enumerate(drawn.T):
+        there = values[~np.isnan(values)]
+        if len(there):
+            low[column], high[column] = np.quantile(there, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    return low, high
+
+
+def scene_draws(scenes: int, samples: int, *, seed: int = 0) -> NDArray[np.float64]:
+    """(samples, scenes) how often each scene is drawn, with replacement."""
+    rng = np.random.default_rng(seed)
+    drawn = rng.integers(0, scenes, (samples, scenes)) + scenes * np.arange(samples)[:, None]
+    counts = np.bincount(drawn.ravel(), minlength=samples * scenes)
+    return counts.reshape(samples, scenes).astype(np.float64)
+
+
+def poses_table(results: Sequence[PoseResult], protocols: Sequence[PoseProtocol]) -> str:
+    """Means over classes in percent, for all objects and for specular and transparent ones."""
+    blocks = []
+    for split in dict.fromkeys(result.split for result in results):
+        mine = [result for result in results if result.split == split]
+        for protocol in protocols:
+            scored = score_runs(mine, protocol, (ALL, HARD))
+            shown = _table(scored, protocol) if scored else "no true object in any frame"
+            blocks.append(f"{split}, protocol {protocol.name}, poses right in %\n{shown}")
+    return "\n\n".join(blocks)
+
+
+def _table(scored: Sequence[Scored], protocol: PoseProtocol) -> str:
+    lines = [[*_TEXTS, "true", *map(heading, protocol.columns)]]
+    for each in scored:
+        figures = each.scores.mean
+        numbers = [f"{100 * figures[c]:.1f}" for c in protocol.columns]
+        lines.append([*each.result.name, each.subset, str(each.objects), *numbers])
+    return aligned(lines, texts=len(_TEXTS))
+
+
+def heading(column: str) -> str:
+    """A column as people read it.
+
+    >>> heading("iou25"), heading("10deg5cm")
+    ('IoU25', '10°5cm')
+    """
+    return column.replace("iou", "IoU").replace("deg", "°")

@@ -1,0 +1,207 @@
+"""Gripper poses at contact pairs, and what they must not collide with.
+
+What a hand must not run into: what is seen, and what must be beneath it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.methods.grasp.antipodal.contact_pairs import Pairs
+from benchmark.metrics.grasp.collision import Cloud, hits_plane, voxel_means
+from benchmark.metrics.grasp.grasp import Grasps
+from benchmark.metrics.grasp.gripper import Boxes, Gripper
+
+FINE_M, COARSE_M = 0.004, 0.01
+
+# Points of one object are nearer to each other than this, at the fine spacing.
+_CONNECTED_M = 0.012
+
+# Cells of about 5 mm on a fingertip, along and across.
+_PAD_CELLS = 3
+
+Floats = NDArray[np.float64]
+
+# Turns of the approach about the closing direction, away from downwards; positive ones make the
+# hand come from the side of the camera, where it is known that nothing is in the way.
+_TILTS_DEG = (0, 20, -20, 40, 60)
+
+# How far the tips reach beyond the contacts.
+_REACHES_M = (0.02, 0.012, 0.006)
+
+# Way that the hand comes from behind, in which nothing must be either.
+_WAY_M = 0.1
+
+# Fingers may be as near as this to what they grasp, at the least.
+_LEAST_ROOM_M = 0.003
+
+# A hand that points up or level from below the table's edge cannot be there.
+_LEAST_DOWN = math.cos(math.radians(80))
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacles:
+    """In the table's frame.
+
+    Attributes:
+        fine: points about 4 mm apart, for the fingers.
+        coarse: about 1 cm apart, for the palm.
+        seen: (P, 3) those of `fine` that were seen.
+        object_of: (P,) number of the connected piece that each of them belongs to.
+        middles: (M, 2) middle of each piece on the table.
+        tops: (M,) height of each piece.
+    """
+
+    fine: Cloud
+    coarse: Cloud
+    seen: Floats
+    object_of: NDArray[np.int64]
+    middles: Floats
+    tops: Floats
+
+
+def obstacles_of(points: Floats) -> Obstacles:
+    """Obstacles of points (P, 3) above the table: they, and all that lies under them.
+
+    A camera sees the near sides and the tops of things alone. What stands on a table mostly goes
+    down to it, so a column under each point is taken for solid.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    seen = voxel_means(points, FINE_M)
+    filled = voxel_means(np.concatenate([seen, _columns(seen)]), FINE_M)
+    if len(seen):
+        i, j = cKDTree(seen).query_pairs(_CONNECTED_M, output_type="ndarray").T
+        links = coo_array((np.ones(len(i)), (i, j)), shape=(len(seen), len(seen)))
+        count, object_of = connected_components(links, directed=False)
+    else:
+        count, object_of = 0, np.zeros(0, dtype=np.int32)
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, object_of, seen)
+    np.maximum.at(high, object_of, seen)
+    return Obstacles(
+        fine=Cloud(filled),
+        coarse=Cloud(voxel_means(filled, COARSE_M)),
+        seen=seen,
+        object_of=object_of.astype(np.int64),
+        middles=(low[:, :2] + high[:, :2]) / 2,
+        tops=high[:, 2],
+    )
+
+
+def filled_pads(grasps: Grasps, obstacles: Obstacles, gripper: Gripper) -> Floats:
+    """(N,) share of the fingertips' faces before which something was seen between the fingers.
+
+    A grasp of a corner or an edge has little there, and slips or turns.
+    """
+    share = np.zeros(len(grasps))
+    across = gripper.finger_height / _PAD_CELLS
+    along = gripper.finger_sections[0][0] / _PAD_CELLS
+    half = grasps.widths / 2
+    cloud = Cloud(obstacles.seen)
+    for row in range(_PAD_CELLS):
+        low = np.stack([grasps.depths - (row + 1) * along, -half, np.zeros_like(half)], axis=1)
+        high = np.stack([grasps.depths - row * along, half, np.zeros_like(half)], axis=1)
+        for column in range(_PAD_CELLS):
+            low[:, 2] = -gripper.finger_height / 2 + column * across
+            high[:, 2] = low[:, 2] + across
+            cell = Boxes(low[:, None].copy(), high[:, None].copy())
+            share += cloud.count_inside(grasps, cell)[:, 0] > 0
+    return share / _PAD_CELLS**2
+
+
+def _columns(points: Floats) -> Floats:
+    """Points under each point, down to the table."""
+    step = 1.5 * FINE_M
+    below = np.floor(points[:, 2] / step).astype(np.int64)
+    which = np.repeat(np.arange(len(points)), below)
+    first = np.repeat(np.cumsum(below) - below, below)
+    down = np.arange(len(which)) - first + 1
+    columns = points[which].copy()
+    columns[:, 2] -= step * down
+    return columns[columns[:, 2] > 0]
+
+
+def hands_at(
+    pairs: Pairs,
+    obstacles: Obstacles,
+    gripper: Gripper,
+    eye: Floats,
+    *,
+    room: float,
+    table_room: float,
+) -> tuple[Grasps, NDArray[np.int64]]:
+    """For each pair the first hand that hits nothing, in the table's frame.
+
+    The order of trying is the order of preference: approach downwards before tilted, reaching far
+    before reaching just so, wide open before narrow.
+
+    Args:
+        pairs: of contacts.
+        obstacles: what not to hit.
+        gripper: the hand.
+        eye: (3,) the camera.
+        room: metres between each finger and its contact.
+        table_room: metres to stay above the table.
+
+    Returns:
+        The grasps, scores 0, and (N,) the pair of each.
+    """
+    found: list[Grasps] = []
+    of_pair: list[NDArray[np.int64]] = []
+    left = np.arange(len(pairs))
+    coming = replace(gripper, palm=(gripper.palm[0] + _WAY_M, *gripper.palm[1:]))
+    for tilt in _TILTS_DEG:
+        for reach in _REACHES_M:
+            for gap in (room, room / 2):
+                if not len(left):
+                    break
+                grasps, possible = _hands(pairs[left], math.radians(tilt), reach, gap, gripper, eye)
+                possible &= ~hits_plane(grasps, gripper, np.eye(4), clearance=table_room)
+                tried = np.flatnonzero(possible)
+                tried = tried[~_hits(grasps[tried], coming, obstacles)]
+                found.append(grasps[tried])
+                of_pair.append(left[tried])
+                left = np.delete(left, tried)
+    return Grasps.concatenated(found), np.concatenate([np.zeros(0, np.int64), *of_pair])
+
+
+def _hands(
+    pairs: Pairs, tilt: float, reach: float, gap: float, gripper: Gripper, eye: Floats
+) -> tuple[Grasps, NDArray[np.bool_]]:
+    """Hands of one tilt, reach and gap, and which of them there can be."""
+    y = pairs.closings
+    down = np.array([0.0, 0.0, -1.0]) - y * -y[:, 2:]
+    steepness = np.linalg.norm(down, axis=1)
+    down /= np.maximum(steepness, 1e-9)[:, None]
+    side = np.cross(y, down)
+    away = np.einsum("ni,ni->n", side, pairs.middles - eye)
+    side = np.where(away[:, None] < 0, -side, side)
+    x = math.cos(tilt) * down + math.sin(tilt) * side
+    x = np.where(steepness[:, None] > 1e-6, x, np.cross(y, np.eye(3)[np.abs(y).argmin(axis=1)]))
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    widths = np.minimum(pairs.widths + 2 * gap, gripper.max_width)
+    possible: NDArray[np.bool_] = widths - pairs.widths >= 2 * _LEAST_ROOM_M
+    possible &= -x[:, 2] > _LEAST_DOWN
+    R = np.stack([x, y, np.cross(x, y)], axis=2)
+    return Grasps.make(R, pairs.middles, widths=widths, depths=reach), possible
+
+
+def _hits(grasps: Grasps, gripper: Gripper, obstacles: Obstacles) -> NDArray[np.bool_]:
+    """(N,) hands with an obstacle in them: fingers against the fine points, palm the coarse."""
+    boxes = gripper.boxes(grasps.widths, grasps.depths)
+    palm = Boxes(boxes.low[:, -1:], boxes.high[:, -1:])
+    hit: NDArray[np.bool_] = np.asarray(
+        obstacles.coarse.count_inside(grasps, palm, margin=COARSE_M / 4).any(axis=1)
+    )
+    rest = np.flatnonzero(~hit)
+    fingers = Boxes(boxes.low[rest, :-1], boxes.high[rest, :-1])
+    counts = obstacles.fine.count_inside(grasps[rest], fingers, margin=FINE_M / 8)
+    hit[rest] = counts.any(axis=1)
+    return hit

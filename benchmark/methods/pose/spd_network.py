@@ -1,0 +1,281 @@
+"""SPD (Tian et al., ECCV 2020): configuration, colour features, network.
+
+Source: Tian, Ang, Lee, "Shape Prior Deformation for Categorical 6D Object Pose and Size
+Estimation", ECCV 2020.
+
+Sizes of SPD.
+
+Colour features of an object's pixels: a ResNet with pyramid pooling (Zhao et al., CVPR 2017).
+
+The form that SPD gives DenseFusion's: four pooled levels of a quarter of the channels each, and
+three doublings of resolution back to that of the patch.
+
+ImageNet weights of ResNet-18 as the beginning of networks over patches, for training.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import interpolate, relu
+
+from benchmark.methods.pointnet import SharedMLP, at
+from benchmark.methods.pose.deformation import Deformed, Deformer
+from benchmark.methods.pose.priors.prior_file import load_priors
+from benchmark.methods.resnet import residual_layer
+from benchmark.methods.weights import check_keys, read_weights
+from benchmark.metrics.pose.pose_protocol import DREDS_CLASSES
+from std_toolkit.errors import ToolkitError
+
+_IMAGENET_MEAN, _IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+
+_PARTS = ("conv1", "bn1", "layer1", "layer2", "layer3", "layer4")
+
+_COUNT = "num_batches_tracked"  # missing in older files, and without meaning here
+
+
+@dataclass(frozen=True, kw_only=True)
+class PriorNetworkConfig:
+    """What networks that deform a prior share.
+
+    Attributes:
+        categories: class 1 and the following, in the order of their numbers.
+        priors: file of priors, or `builtin`.
+        prior_points: of a prior.
+        side: of the patch of colour, pixels; a multiple of 8.
+        points: of an object.
+        color_width, color_blocks, color_decoder: see `PatchFeatures`.
+        color: channels of the colour features of a point.
+        geometry: channels of the geometry features of a point.
+        width: channels of the features of a whole object.
+        hidden: widths of the heads.
+        centred: whether points are moved so that their mean is at 0, and divided by their mean
+            distance from it. As published they are in metres in the camera frame, so that a network
+            must learn places that it was never shown.
+        input_size: (width, height) of the frames that patches are cut out of.
+        trained_on: depth that the points of training come from.
+        masks: whose masks objects are cut out by: a pose method that segments, such as `nocs`, or
+            `true` for those of the ground truth.
+        mask_preset, mask_weights: of that method; by default the weights that come with it.
+        fit: `ransac` with a metric threshold, or `paper`: least squares over all points.
+        threshold_m: largest distance of an inlier, metres.
+    """
+
+    categories: tuple[str, ...] = DREDS_CLASSES[1:]
+    priors: str = "builtin"
+    prior_points: int = 1024
+    side: int = 192
+    points: int = 1024
+    color_width: int = 64
+    color_blocks: tuple[int, ...] = (2, 2, 2, 2)
+    color_decoder: tuple[int, ...] = (256, 64, 64, 32)
+    color: int = 64
+    geometry: int = 64
+    width: int = 1024
+    hidden: tuple[int, ...] = (512, 256)
+    centred: bool = False
+    input_size: tuple[int, int] = (640, 360)
+    trained_on: Literal["raw", "true"] = "raw"
+    masks: str = "nocs"
+    mask_preset: str = "published"
+    mask_weights: str | None = None
+    fit: Literal["ransac", "paper"] = "ransac"
+    threshold_m: float = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class SPDConfig(PriorNetworkConfig):
+    """The network; see `PriorNetworkConfig`."""
+
+
+_PUBLISHED = SPDConfig()
+
+PRESETS = {
+    "published": _PUBLISHED,
+    "compact": replace(
+        _PUBLISHED,
+        side=96,
+        points=512,
+        color_width=32,
+        color_decoder=(64, 32, 32, 32),
+        width=256,
+        hidden=(256, 128),
+        centred=True,
+    ),
+}
+
+
+class PriorNetwork(nn.Module):
+    """What knows the priors and sees objects as the configuration says.
+
+    Raises:
+        ToolkitError: no priors, or of another number of points.
+    """
+
+    prior: Tensor
+
+    def __init__(self, config: PriorNetworkConfig) -> None:
+        super().__init__()
+        self.config = config
+        points = load_priors(config.priors).of(config.categories)
+        if points.shape[1] != config.prior_points:
+            raise ToolkitError(
+                f"the priors have {points.shape[1]} points",
+                field="prior_points",
+                value=config.prior_points,
+            )
+        if config.side % 8:
+            raise ToolkitError("must be a multiple of 8", field="side", value=config.side)
+        # Kept with the weights: another prior would be another network.
+        self.register_buffer("prior", torch.from_numpy(points))
+
+    def seen(self, points: Tensor) -> Tensor:
+        """Points as the network sees them."""
+        if not self.config.centred:
+            return points
+        apart = points - points.mean(dim=1, keepdim=True)
+        return apart / apart.norm(dim=2).mean(dim=1).clamp(min=1e-6)[:, None, None]
+
+    def color_features(self) -> PatchFeatures:
+        """A new network over colour."""
+        config = self.config
+        return PatchFeatures(
+            width=config.color_width,
+            blocks=config.color_blocks,
+            decoder=config.color_decoder,
+            outputs=config.color,
+        )
+
+    def deformer(self, local: int, prior_local: int) -> Deformer:
+        """New heads over features of these channels."""
+        config = self.config
+        return Deformer(
+            local,
+            prior_local,
+            width=config.width,
+            hidden=config.hidden,
+            categories=len(config.categories),
+            prior_points=config.prior_points,
+        )
+
+
+class SPDNetwork(PriorNetwork):
+    """Patches and points of objects to `Deformed`.
+
+    Raises:
+        ToolkitError: no priors, or of another number of points.
+    """
+
+    def __init__(self, config: SPDConfig) -> None:
+        super().__init__(config)
+        g = config.geometry
+        self.color = self.color_features()
+        self.geometry = SharedMLP(3, (g, g, g), normalised=False)
+        self.prior_geometry = SharedMLP(3, (g, g, g), normalised=False)
+        self.heads = self.deformer(config.color + g, g)
+
+    def forward(self, color: Tensor, points: Tensor, pixels: Tensor, category: Tensor) -> Deformed:
+        """Objects.
+
+        Args:
+            color: (b, 3, s, s) RGB in [0, 1].
+            points: (b, n, 3) metres in the camera frame.
+            pixels: (b, n) place of each point in the patch.
+            category: (b,) place of its category in the configuration's.
+        """
+        points, prior = self.seen(points), self.prior[category]
+        local = torch.cat([self.geometry(points.transpose(1, 2)), self.color(color, pixels)], dim=1)
+        prior_local = self.prior_geometry(prior.transpose(1, 2))
+        return self.heads(local, prior_local, prior, points, category)
+
+
+class PatchFeatures(nn.Module):
+    """Colour (b, 3, s, s) in [0, 1] to features (b, `outputs`, n) at n pixels of the patch.
+
+    Args:
+        width: channels of the first layer of the ResNet; 64 for ResNet-18.
+        blocks: residual blocks of its four layers.
+        bins: sides of the pooled grids.
+        decoder: channels after pooling and after each doubling but the last, and of the last.
+        outputs: channels.
+    """
+
+    mean: Tensor
+    std: Tensor
+
+    def __init__(
+        self,
+        *,
+        width: int = 64,
+        blocks: Sequence[int] = (2, 2, 2, 2),
+        bins: Sequence[int] = (1, 2, 3, 6),
+        decoder: Sequence[int] = (256, 64, 64, 32),
+        outputs: int = 64,
+    ) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(3, width, 7, 2, 3, bias=False)
+        self.bn1 = nn.BatchNorm2d(width)
+        self.pool = nn.MaxPool2d(3, 2, 1)
+        self.layer1 = residual_layer(width, width, blocks[0])
+        self.layer2 = residual_layer(width, 2 * width, blocks[1], stride=2)
+        # Dilated instead of strided: an eighth of the resolution is left.
+        self.layer3 = residual_layer(2 * width, 4 * width, blocks[2], dilation=2)
+        self.layer4 = residual_layer(4 * width, 8 * width, blocks[3], dilation=4)
+        deep = 8 * width
+        self.levels = nn.ModuleList(
+            nn.Sequential(
+                nn.AdaptiveAvgPool2d(b), nn.Conv2d(deep, deep // len(bins), 1, bias=False)
+            )
+            for b in bins
+        )
+        channels = deep + len(bins) * (deep // len(bins))
+        self.up = nn.ModuleList()
+        for channel in decoder[:-1]:
+            self.up.append(nn.Sequential(nn.Conv2d(channels, channel, 3, padding=1), nn.PReLU()))
+            channels = channel
+        self.final = nn.Conv2d(channels, decoder[-1], 1)
+        self.each = nn.Sequential(nn.Conv1d(decoder[-1], outputs, 1), nn.ReLU())
+        self.outputs = outputs
+        self.register_buffer("mean", torch.tensor(_IMAGENET_MEAN)[:, None, None], persistent=False)
+        self.register_buffer("std", torch.tensor(_IMAGENET_STD)[:, None, None], persistent=False)
+
+    def forward(self, color: Tensor, pixels: Tensor) -> Tensor:
+        """Features (b, c, n) at pixels (b, n), row * s + column."""
+        x = (color - self.mean) / self.std
+        x = self.pool(relu(self.bn1(self.conv1(x))))
+        x = self.layer4(self.layer3(self.layer2(self.layer1(x))))
+        size = x.shape[-2:]
+        pooled = [interpolate(level(x), size, mode="bilinear") for level in self.levels]
+        x = torch.cat([x, *(relu(p) for p in pooled)], dim=1)
+        for up in self.up:
+            x = up(interpolate(x, scale_factor=2.0, mode="bilinear"))
+        # The last layer at the pixels that count alone: the same numbers for less work.
+        features = at(x.flatten(2), pixels)
+        return self.each(self.final(features[..., None])[..., 0])
+
+
+def load_imagenet(network: PriorNetwork, path: Path) -> None:
+    """Begin the ResNet over colour with one that was trained on ImageNet.
+
+    Raises:
+        ToolkitError: the file cannot be read, or holds another network.
+    """
+    color = network.get_submodule("color")
+    assert isinstance(color, PatchFeatures)
+    wanted = {
+        key: tensor
+        for key, tensor in color.state_dict().items()
+        if key.partition(".")[0] in _PARTS and not key.endswith(_COUNT)
+    }
+    state = {
+        key: tensor
+        for key, tensor in read_weights(path).items()
+        if key.partition(".")[0] in _PARTS and not key.endswith(_COUNT)
+    }
+    check_keys(wanted, state, path)
+    color.load_state_dict(state, strict=False)

@@ -1,0 +1,168 @@
+"""SwinDRNet's pose network as an estimator, and its weights.
+
+Weights of SwinDRNet's pose network: this project's, and those that the authors' program saves.
+
+The authors' network has two decoders more, for depth and its confidence, which nothing uses, and
+its NOCS decoder answers 1 - z in the place of z, as the pictures of the data set hold it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from benchmark.methods.pose.pose_network import Found, NetworkEstimator, points_of
+from benchmark.methods.pose.segmented import Segmented
+from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs_network import (
+    BACKGROUND_CLASS,
+    CLASSES,
+    PRESETS,
+    SwinNOCSConfig,
+    SwinNOCSNetwork,
+    SwinNOCSPrediction,
+)
+from benchmark.methods.registry import MethodOptions, configured, preset_of
+from benchmark.methods.weights import (
+    SWINDRNET,
+    architecture_of,
+    check_keys,
+    load_weights,
+    read_weights,
+    weights_for,
+)
+
+_LAST = ".conv_seg.weight"
+
+# Decoders are known by how many maps they make: their names in the authors' program are not.
+_OWN_NAMES = {CLASSES: "decode_head_classes", 3: "decode_head_nocs"}
+
+# Parts that SwinDRNet has, too.
+_SHARED = ("backbone_rgb_branch", "backbone_xyz_branch", "cross_attention_")
+
+
+class SwinDRNetNOCS(NetworkEstimator):
+    """Classes and coordinates of pixels from two Swin transformers; settings are those of
+    `SwinNOCSConfig`.
+
+    Raises:
+        ToolkitError: an unknown setting, no weights or those of another network, no such device.
+    """
+
+    def __init__(self, options: MethodOptions) -> None:
+        self.config = configured(preset_of(PRESETS, options.preset), options.settings)
+        network = SwinNOCSNetwork(self.config)
+        self.flipped = load_pose_weights(network, weights_for("swindrnet-nocs", options))
+        super().__init__(network, options, self.config)
+
+    def inputs(self, color: Tensor, depth: Tensor, K: Tensor) -> tuple[Tensor, ...]:
+        return color, points_of(depth, K)
+
+    def found(self, outputs: SwinNOCSPrediction) -> list[Found]:
+        chances = outputs.classes.float().softmax(dim=1)
+        nocs = outputs.nocs.float()
+        if self.flipped:
+            nocs[:, 2] = 1 - nocs[:, 2]
+        coordinates = nocs.permute(0, 2, 3, 1).cpu().numpy()
+        return [
+            Found(segments_of(likely, self.config), c)
+            for likely, c in zip(chances.cpu().numpy(), coordinates, strict=True)
+        ]
+
+
+def segments_of(chances: NDArray[np.float32], config: SwinNOCSConfig) -> Segmented:
+    """The objects of an image, best first; a score is the mean chance of the object's pixels.
+
+    Args:
+        chances: (9, h, w) of each class at each pixel.
+        config: what counts as an object.
+    """
+    best = chances.argmax(axis=0)
+    classes: list[int] = []
+    scores: list[float] = []
+    masks: list[NDArray[np.bool_]] = []
+    for class_id in range(1, BACKGROUND_CLASS):
+        for mask in _objects(best == class_id, config.instances):
+            if mask.sum() >= config.least_pixels:
+                classes.append(class_id)
+                scores.append(float(chances[class_id][mask].mean()))
+                masks.append(mask)
+    order = np.argsort([-score for score in scores], kind="stable").astype(int)
+    h, w = best.shape
+    return Segmented(
+        np.array(classes, np.int64)[order],
+        np.array(scores, np.float64)[order],
+        np.array(masks, bool).reshape(-1, h, w)[order],
+    )
+
+
+def _objects(mask: NDArray[np.bool_], instances: str) -> list[NDArray[np.bool_]]:
+    if instances == "class" or not mask.any():
+        return [mask] if mask.any() else []
+    count, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
+    return [labels == number for number in range(1, count)]
+
+
+def load_pose_weights(network: SwinNOCSNetwork, path: Path) -> bool:
+    """Read the network's weights from a file.
+
+    Returns:
+        Whether they are the authors', so that the network answers 1 - z in the place of z.
+
+    Raises:
+        ToolkitError: the file cannot be read, or holds weights of another network.
+    """
+    state = read_weights(path)
+    own = f"decode_head_nocs{_LAST}" in state
+    authors = not own and {len(t) for k, t in state.items() if k.endswith(_LAST)} >= {*_OWN_NAMES}
+    if authors:
+        state = own_names(state)
+    check_keys(network.state_dict(), state, path)
+    wanted = {name: tensor.dtype for name, tensor in network.state_dict().items()}
+    network.load_state_dict({n: t.to(wanted[n]) for n, t in state.items()}, assign=True)
+    return authors
+
+
+def begin_pose_network(network: SwinNOCSNetwork, path: Path) -> None:
+    """Give a network, before it is trained, the weights of a file.
+
+    Args:
+        network: all of it begins with weights of its own kind; with those of SwinDRNet its
+            streams and their fusion do, and its decoders keep what they have.
+        path: weights of either.
+
+    Raises:
+        ToolkitError: the file cannot be read, or holds weights of another network or other sizes.
+    """
+    state = read_weights(path)
+    if architecture_of(state) != SWINDRNET:
+        load_weights(network, path)  # not the authors', whose z is turned
+        return
+    shared = {k: v for k, v in state.items() if k.startswith(_SHARED)}
+    own = {k: v for k, v in network.state_dict().items() if k.startswith(_SHARED)}
+    rest = {k: v for k, v in state.items() if k not in shared}
+    check_keys(own | rest, state, path)
+    network.load_state_dict(shared, strict=False)
+
+
+def own_names(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """The authors' weights under this project's names, without the decoders that nothing uses."""
+    heads = {
+        key.removesuffix(_LAST): _OWN_NAMES.get(len(tensor))
+        for key, tensor in state.items()
+        if key.endswith(_LAST)
+    }
+    renamed = {}
+    for key, tensor in state.items():
+        if key.endswith("attn_mask"):
+            continue  # follows from the size of the image
+        head = next((h for h in heads if key.startswith(f"{h}.")), None)
+        if head is None:
+            renamed[key] = tensor
+        elif (name := heads[head]) is not None:
+            renamed[name + key.removeprefix(head)] = tensor
+    return renamed

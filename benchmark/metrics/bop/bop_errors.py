@@ -1,0 +1,220 @@
+"""BOP's pose errors: VSD and MSPD.
+
+Source: T. Hodan et al., "BOP Challenge 2020", equations 1 and 2, with the 2019 definition of
+visibility: where the sensor measured nothing, the object counts as visible.
+
+MSPD: how far a wrong pose moves an object in the image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry.symmetry import Symmetry
+from std_toolkit.rendering.mesh import RenderMesh
+from std_toolkit.rendering.protocol import Renderer, Window
+from std_toolkit.rendering.windows import image_window, normalised_rays, object_window
+
+DELTA_M = 0.015
+
+TAUS = tuple(round(0.05 * k, 2) for k in range(1, 11))
+
+Floats = NDArray[np.float64]
+
+# BOP: what a step leaves out is at most 1 % of the object's extent.
+TURN_STEPS = 315
+
+_POINTS_AT_ONCE = 300_000
+
+
+@dataclass(frozen=True, eq=False)
+class SeenSurface:
+    """A posed mesh as the camera would see it alone, and what of it is not hidden.
+
+    Attributes:
+        window: of the image that the arrays cover; None if nothing of the mesh is in the image.
+        distance: (h, w) metres from the camera's centre, 0 where the mesh is not.
+        visible: (h, w) where the sensor measured nothing nearer, or nothing at all.
+    """
+
+    window: Window | None
+    distance: NDArray[np.float32]
+    visible: NDArray[np.bool_]
+
+
+def see(
+    renderer: Renderer,
+    camera: Camera,
+    mesh: RenderMesh,
+    T_cam_obj: SE3,
+    depth: NDArray[np.floating],
+    *,
+    delta_m: float = DELTA_M,
+) -> SeenSurface:
+    """Render a posed mesh, and compare it with the sensor's depth.
+
+    Args:
+        renderer: draws the mesh.
+        camera: of the depth image.
+        mesh: of the object.
+        T_cam_obj: its pose.
+        depth: (H, W) the sensor's z-depth in metres, 0 where nothing was measured.
+        delta_m: the mesh may be this much farther than what was measured.
+
+    Returns:
+        The surface seen.
+
+    Raises:
+        ToolkitError: depth of another size than the camera's images.
+
+    >>> from std_toolkit.rendering.raycast import RaycastRenderer
+    >>> camera = Camera(64, 48, 60, 60, 31.5, 23.5)
+    >>> corners = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
+    >>> mesh = RenderMesh.from_arrays(corners, np.array([[0, 1, 2]]))
+    >>> pose = SE3(np.eye(3), np.array([0.0, 0.0, 9.0]))
+    >>> see(RaycastRenderer(), camera, mesh, pose, np.full((48, 64), 9.0)).visible.any()
+    np.True_
+    """
+    if depth.shape != (camera.height, camera.width):
+        raise ToolkitError(
+            "depth is not of the camera's size",
+            value=depth.shape,
+            hint=f"expected {(camera.height, camera.width)}",
+        )
+    window = object_window(camera, mesh, T_cam_obj)
+    if window is None:
+        nothing = np.zeros((0, 0), np.float32)
+        return SeenSurface(None, nothing, nothing.astype(bool))
+    x, y = normalised_rays(camera, window)
+    along = np.sqrt(x * x + y * y + 1).astype(np.float32)
+    distance = renderer.draw(camera, mesh, T_cam_obj, window=window).depth * along
+    measured = depth[window.slices_in(image_window(camera))] * along
+    visible = (distance > 0) & ((measured == 0) | (distance - measured <= delta_m))
+    return SeenSurface(window, distance, visible)
+
+
+def vsd(
+    estimate: SeenSurface,
+    truth: SeenSurface,
+    diameter_m: float,
+    *,
+    taus: Sequence[float] = TAUS,
+) -> NDArray[np.float64]:
+    """Visible surface discrepancy: the share of visible pixels where the surfaces disagree.
+
+    Args:
+        estimate, truth: the mesh at both poses, of one image.
+        diameter_m: of the object.
+        taus: largest differences of distance that agree, in diameters.
+
+    Returns:
+        (len(taus),) errors in [0, 1].
+
+    Raises:
+        ToolkitError: a diameter that is not positive.
+
+    >>> one = np.ones((1, 2), np.float32)
+    >>> true = SeenSurface(Window(0, 0, 2, 1), one, one > 0)
+    >>> off = SeenSurface(Window(1, 0, 2, 1), one + 0.02, one > 0)  # one pixel of three in common
+    >>> vsd(off, true, 0.1, taus=(0.1, 0.5)).round(3).tolist()
+    [1.0, 0.667]
+    """
+    if not diameter_m > 0:
+        raise ToolkitError("must be positive", field="diameter_m", value=diameter_m)
+    if estimate.window is None or truth.window is None:
+        return np.ones(len(taus))
+    outer = _around(estimate.window, truth.window)
+    d_est, v_est = _spread(estimate, outer)
+    d_true, v_true = _spread(truth, outer)
+    # What is visible at the true pose is not hidden from the estimate at the same pixel.
+    v_est = v_est | (v_true & (d_est > 0))
+    both, either = v_est & v_true, v_est | v_true
+    union = int(either.sum())
+    if not union:
+        return np.ones(len(taus))
+    apart = np.abs(d_est[both] - d_true[both]) / diameter_m
+    wrong = (apart >= np.asarray(taus)[:, None]).sum(axis=1) + union - len(apart)
+    return np.asarray(wrong / union, dtype=np.float64)
+
+
+def _around(a: Window, b: Window) -> Window:
+    x, y = min(a.x, b.x), min(a.y, b.y)
+    return Window(x, y, max(a.x1, b.x1) - x, max(a.y1, b.y1) - y)
+
+
+def _spread(seen: SeenSurface, outer: Window) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Distance and visibility in a larger window."""
+    assert seen.window is not None
+    distance = np.zeros((outer.height, outer.width), np.float32)
+    visible = np.zeros(distance.shape, dtype=bool)
+    at = seen.window.slices_in(outer)
+    distance[at], visible[at] = seen.distance, seen.visible
+    return distance, visible
+
+
+def mspd(
+    estimate: SE3,
+    truth: SE3,
+    vertices: NDArray[np.floating],
+    camera: Camera,
+    symmetry: Symmetry | None = None,
+    *,
+    steps: int = TURN_STEPS,
+) -> float:
+    """Maximum symmetry-aware projection distance, pixels.
+
+    Source: T. Hodan et al., "BOP Challenge 2020", equation 4.
+
+    Args:
+        estimate, truth: T_cam_obj of both.
+        vertices: (V, 3) of the mesh, object frame, metres. All of them: unlike distances in space,
+            distances of projections need not be largest on the hull.
+        camera: projects them, without lens distortion, as BOP does.
+        symmetry: of the object; none means the identity alone.
+        steps: samples of a full turn for continuous symmetries.
+
+    Returns:
+        The distance; infinity where a pose puts a vertex at or behind the camera's plane.
+
+    Raises:
+        ToolkitError: vertices of another shape.
+
+    >>> camera = Camera(640, 480, 500, 500, 319.5, 239.5)
+    >>> off = SE3(np.eye(3), np.array([0.01, 0, 1.0]))
+    >>> mspd(off, SE3(np.eye(3), np.array([0, 0, 1.0])), np.zeros((1, 3)), camera)
+    5.0
+    """
+    points = np.asarray(vertices, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3 or not len(points):
+        raise ToolkitError("must be (V, 3)", field="vertices", value=points.shape)
+    seen = _project(camera, (estimate @ points)[None])
+    if seen is None:
+        return float("inf")
+    transforms = [truth @ S for S in (symmetry or Symmetry()).transforms(steps)]
+    best = np.inf
+    at_once = max(1, _POINTS_AT_ONCE // len(points))
+    for begin in range(0, len(transforms), at_once):
+        some = transforms[begin : begin + at_once]
+        R, t = np.stack([T.R for T in some]), np.stack([T.t for T in some])
+        true = _project(camera, points @ R.transpose(0, 2, 1) + t[:, None])
+        if true is None:
+            return float("inf")
+        squared = ((true - seen) ** 2).sum(axis=2).max(axis=1)
+        best = min(best, float(np.sqrt(squared.min())))
+    return best
+
+
+def _project(camera: Camera, points: Floats) -> Floats | None:
+    """(S, V, 2) pixels, or None if a point is not in front."""
+    z = points[..., 2:]
+    if not (z > 0).all():
+        return None
+    focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
+    return points[..., :2] / z * focal + centre

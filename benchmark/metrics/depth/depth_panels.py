@@ -1,0 +1,100 @@
+"""Depth and its error as pictures, side by side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.data.frame import DepthFrame, resize_nearest
+
+Image = NDArray[np.uint8]
+# Titles of the panels of a strip, from the left.
+PANELS = ("colour", "raw depth", "restored", "ground truth", "error")
+TRUST_PANEL = "trust in the sensor"  # behind them, of methods that tell it
+PANEL_WIDTH = 320
+# Errors beyond are as red as it gets: 5 cm is useless for a gripper.
+LARGEST_ERROR_M = 0.05
+_NOTHING = np.array((28, 28, 32), np.uint8)  # no depth, or no ground truth
+_MISSED = np.array((150, 60, 200), np.uint8)  # ground truth without an answer
+_GAP = 4
+
+
+@dataclass(frozen=True)
+class DepthScale:
+    """Metres at the two ends of the colours of depth."""
+
+    near: float
+    far: float
+
+
+def depth_scale(frame: DepthFrame) -> DepthScale:
+    """One scale for all depth panels of a frame: what its ground truth spans."""
+    there = frame.depth_true[frame.depth_true > 0]
+    if not there.size:
+        there = frame.depth_raw[frame.depth_raw > 0]
+    if not there.size:
+        return DepthScale(0.0, 1.0)
+    near, far = np.percentile(there, (1, 99))
+    margin = 0.05 * (far - near) + 0.01
+    return DepthScale(float(near - margin), float(far + margin))
+
+
+def strip(
+    frame: DepthFrame,
+    restored: NDArray[np.float32],
+    confidence: NDArray[np.float32] | None = None,
+) -> Image:
+    """(h, w, 3) the panels of `PANELS` beside each other, and `TRUST_PANEL` where it is given."""
+    scale = depth_scale(frame)
+    width = PANEL_WIDTH
+    height = round(width * frame.camera.height / frame.camera.width)
+    size = (width, height)
+    color = cv2.resize(frame.color, size, interpolation=cv2.INTER_AREA)
+    true = frame.depth_true
+    native = (true.shape[1], true.shape[0])
+    answer = resize_nearest(np.asarray(restored, np.float32), native)
+    panels = [
+        np.asarray(color, np.uint8),
+        depth_picture(resize_nearest(frame.depth_raw, size), scale),
+        depth_picture(resize_nearest(answer, size), scale),
+        depth_picture(resize_nearest(true, size), scale),
+        resize_nearest(error_picture(answer, true), size),
+    ]
+    if confidence is not None:
+        panels.append(trust_picture(resize_nearest(np.asarray(confidence, np.float32), size)))
+    gap = np.full((height, _GAP, 3), 255, np.uint8)
+    return np.hstack([part for panel in panels for part in (panel, gap)][:-1])
+
+
+def depth_picture(depth: NDArray[np.float32], scale: DepthScale) -> Image:
+    """(h, w, 3) depth in colours, near bright; almost black where there is none."""
+    there = np.isfinite(depth) & (depth > 0)
+    level = np.clip((np.where(there, depth, 0) - scale.near) / (scale.far - scale.near), 0, 1)
+    picture = _colored(1 - level, cv2.COLORMAP_VIRIDIS)
+    picture[~there] = _NOTHING
+    return picture
+
+
+def error_picture(restored: NDArray[np.float32], true: NDArray[np.float32]) -> Image:
+    """(h, w, 3) |error| where there is ground truth, up to `LARGEST_ERROR_M`; violet where the
+    method has no answer."""
+    known = np.isfinite(true) & (true > 0)
+    answered = np.isfinite(restored) & (restored > 0)
+    error = np.abs(np.where(known & answered, restored - true, 0))
+    picture = _colored(np.clip(error / LARGEST_ERROR_M, 0, 1), cv2.COLORMAP_INFERNO)
+    picture[~known] = _NOTHING
+    picture[known & ~answered] = _MISSED
+    return picture
+
+
+def trust_picture(confidence: NDArray[np.float32]) -> Image:
+    """(h, w, 3) trust in the sensor's depth: 0 black, 1 light."""
+    return _colored(np.clip(confidence, 0, 1), cv2.COLORMAP_BONE)
+
+
+def _colored(level: NDArray[np.floating], scale: int) -> Image:
+    grey = np.rint(255 * level).astype(np.uint8)
+    return np.ascontiguousarray(cv2.applyColorMap(grey, scale)[..., ::-1])

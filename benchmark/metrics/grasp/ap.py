@@ -1,0 +1,194 @@
+"""GraspNet's average precision: do a planner's best grasps hold, and hit nothing?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from benchmark.metrics.grasp.collision import Cloud, voxel_means
+from benchmark.metrics.grasp.force_closure import FRICTIONS, NO_CLOSURE, GraspedMesh, even_points
+from benchmark.metrics.grasp.grasp import Grasps, suppress_similar
+from benchmark.metrics.grasp.gripper import GRASPNET
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.se3 import SE3
+
+Floats = NDArray[np.float64]
+
+TOP = 50
+PER_OBJECT = 10
+VOXEL_M = 0.008
+_SPACING_M = 0.004
+# Points of the scene farther from an object's bounding box than this are not looked at.
+_AROUND_M = 0.05
+LEAST_BETWEEN = 10
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedObject:
+    """An object that grasps are judged on.
+
+    Attributes:
+        vertices, faces: (V, 3) metres and (F, 3) of its mesh.
+        points: (P, 3) of its surface, in the mesh's frame; the vertices of a finely meshed model
+            are such points.
+    """
+
+    vertices: Floats
+    faces: NDArray[np.int64]
+    points: Floats
+
+    @classmethod
+    def of_mesh(cls, vertices: Floats, faces: NDArray[np.int64]) -> JudgedObject:
+        """An object of any mesh, with points 4 mm apart."""
+        return cls(vertices, faces, even_points(vertices, faces, _SPACING_M))
+
+    @cached_property
+    def thinned(self) -> Floats:
+        """The points, one for each cell of 8 mm."""
+        return voxel_means(self.points, VOXEL_M)
+
+    @cached_property
+    def mesh(self) -> GraspedMesh:
+        """What fingers close on."""
+        return GraspedMesh(self.vertices, self.faces)
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What became of the grasps of one image that count, best first.
+
+    Attributes:
+        grasps: (N) those, in the frame of the camera; `object_ids` is the place of the object in
+            the list.
+        collided: (N,) bool they hit the scene.
+        empty: (N,) bool there is nothing between the fingers.
+        friction: (N,) at which they hold, -1 for none, a collision or an empty grasp.
+    """
+
+    grasps: Grasps
+    collided: NDArray[np.bool_]
+    empty: NDArray[np.bool_]
+    friction: Floats
+
+
+def judge_grasps(
+    grasps: Grasps,
+    objects: Sequence[JudgedObject],
+    poses: Sequence[SE3],
+    T_cam_table: SE3 | None = None,
+) -> Judged:
+    """Judge a planner's grasps of an image as GraspNet does.
+
+    Widths are cut to [0, 0.1]. Of grasps nearer than 3 cm and 30 degrees the best stays. Each goes
+    to the object whose point is nearest, which keeps its best ten; of all, the best fifty stay. A
+    grasp fails if a point of the scene is inside the hand, if fewer than ten are between its
+    fingers, or if the fingers do not hold the object with a friction of 1.2.
+
+    Args:
+        grasps: in the camera's frame.
+        objects: of the scene.
+        poses: T_cam_obj of each.
+        T_cam_table: the table, z = 0; None where there is none.
+
+    Raises:
+        ToolkitError: no objects, or another number of poses.
+    """
+    if not objects or len(objects) != len(poses):
+        raise ToolkitError("needs objects and a pose for each", value=(len(objects), len(poses)))
+    counted = _counted(grasps, objects, poses)
+    clouds = [T @ o.thinned for o, T in zip(objects, poses, strict=True)]
+    scene = np.concatenate(clouds if T_cam_table is None else [*clouds, T_cam_table @ _table()])
+    count = len(counted)
+    collided, empty = np.zeros(count, bool), np.zeros(count, bool)
+    friction = np.full(count, NO_CLOSURE)
+    for number, (obj, T, cloud) in enumerate(zip(objects, poses, clouds, strict=True)):
+        mine = np.flatnonzero(counted.object_ids == number)
+        if not len(mine):
+            continue
+        low, high = cloud.min(axis=0) - _AROUND_M, cloud.max(axis=0) + _AROUND_M
+        near = Cloud(scene[((scene > low) & (scene < high)).all(axis=1)])
+        its = counted[mine]
+        collided[mine] = near.hit_by(its, GRASPNET)
+        empty[mine] = near.count_between(its, GRASPNET) < LEAST_BETWEEN
+        friction[mine] = obj.mesh.friction_scores(its.transformed(T.inverse()))
+    friction[collided | empty] = NO_CLOSURE
+    return Judged(counted, collided, empty, friction)
+
+
+def _counted(grasps: Grasps, objects: Sequence[JudgedObject], poses: Sequence[SE3]) -> Grasps:
+    """Those that count, best first, with the place of their object."""
+    from scipy.spatial import cKDTree
+
+    cut = grasps.replaced(widths=np.clip(grasps.widths, 0, GRASPNET.max_width))
+    kept = suppress_similar(cut)
+    if not len(kept):
+        return kept
+    clouds = [T @ o.thinned for o, T in zip(objects, poses, strict=True)]
+    owner = np.repeat(np.arange(len(clouds)), [len(c) for c in clouds])
+    nearest = owner[cKDTree(np.concatenate(clouds)).query(kept.translations)[1]]
+    # Best first already: the rank within an object is how many of its own came before.
+    rank = np.array([(nearest[:i] == n).sum() for i, n in enumerate(nearest)])
+    best = kept.replaced(object_ids=nearest)[rank < PER_OBJECT]
+    if len(best) > TOP:
+        best = best[best.scores >= best.scores[TOP - 1]]
+    return best
+
+
+def _table() -> Floats:
+    """Points of the table: 1 m x 1 m x 5 cm, 8 mm apart, its top at z = 0."""
+    side = np.linspace(-0.5, 0.5, 125)
+    grid = np.meshgrid(side, side, np.linspace(-0.05, 0, 6), indexing="ij")
+    return np.stack(grid, axis=-1).reshape(-1, 3)
+
+
+def precision_at(friction: ArrayLike, frictions: Sequence[float] = FRICTIONS) -> Floats:
+    """(50, M) share of the best 1, 2, ... 50 grasps that hold at each friction.
+
+    Where there are fewer grasps, those that lack count as failures.
+
+    Args:
+        friction: (N,) of the grasps, best first, -1 for those that fail.
+        frictions: coefficients.
+
+    >>> precision_at([0.4, -1, 0.2], [0.2, 0.4])[:4].round(3).tolist()
+    [[0.0, 1.0], [0.0, 0.5], [0.333, 0.667], [0.25, 0.5]]
+    """
+    best = np.asarray(friction, dtype=np.float64)[:TOP, None]
+    holds = np.zeros((TOP, len(frictions)))
+    # Frictions come from the same list; the slack is for files that round them.
+    holds[: len(best)] = (best > 0) & (best <= np.asarray(frictions) + 1e-6)
+    return holds.cumsum(axis=0) / np.arange(1, TOP + 1)[:, None]
+
+
+@dataclass(frozen=True)
+class GraspPrecision:
+    """GraspNet's three figures, in percent.
+
+    Attributes:
+        ap: mean over frictions 0.2 to 1.2.
+        ap08, ap04: at friction 0.8 and 0.4.
+        frames: images that they are means of.
+    """
+
+    ap: float
+    ap08: float
+    ap04: float
+    frames: int
+
+
+def average_precision(tables: Iterable[Floats]) -> GraspPrecision:
+    """The figures of many images, each given by its `precision_at`.
+
+    Raises:
+        ToolkitError: no image.
+    """
+    by_friction = [table.mean(axis=0) for table in tables]
+    if not by_friction:
+        raise ToolkitError("no image to take the average precision of")
+    mean = 100 * np.mean(by_friction, axis=0)
+    at = dict(zip(FRICTIONS, mean.tolist(), strict=True))
+    return GraspPrecision(float(mean.mean()), at[0.8], at[0.4], len(by_friction))

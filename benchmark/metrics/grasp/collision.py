@@ -1,0 +1,238 @@
+"""Whether a gripper hits what is there: points, voxels, planes, meshes; all grasps at once.
+
+Boxes against triangles, by separating axes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import chain
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from benchmark.metrics.grasp.grasp import Grasps
+from benchmark.metrics.grasp.gripper import Boxes, Gripper
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.se3 import SE3
+
+Floats = NDArray[np.float64]
+
+# Pairs of a box and a point that are looked at in one go: about 100 MB.
+_PAIRS_AT_ONCE = 2_000_000
+
+
+def boxes_meet_triangles(low: Floats, high: Floats, triangles: Floats) -> NDArray[np.bool_]:
+    """Whether axis-aligned boxes and triangles have a point in common.
+
+    Two convex bodies are apart exactly if their shadows are on one of these axes: the box's, the
+    triangle's normal, and the products of an edge of the one and an edge of the other.
+
+    Args:
+        low, high: (B, 3) corners of the boxes.
+        triangles: (F, 3, 3) corners in the frame of the boxes.
+
+    Returns:
+        (B, F). Touching counts.
+
+    >>> unit = np.zeros((1, 3)), np.ones((1, 3))
+    >>> corner = np.array([[[2, 0, 0.5], [0, 2, 0.5], [2, 2, 0.5]]])  # touches the edge x + y = 2
+    >>> boxes_meet_triangles(*unit, corner).tolist()
+    [[True]]
+    >>> boxes_meet_triangles(*unit, corner + [0.1, 0.1, 0]).tolist()
+    [[False]]
+    """
+    half = (high - low)[:, None] / 2
+    # Corners seen from the middle of each box: (B, F, 3, 3).
+    corners = triangles[None] - ((low + high) / 2)[:, None, None]
+    meet = (corners.min(axis=2) <= half).all(axis=-1) & (corners.max(axis=2) >= -half).all(axis=-1)
+    edges = np.roll(triangles, -1, axis=1) - triangles
+    axes = [np.cross(edges[:, 0], edges[:, 1])]
+    axes += [np.cross(unit, edges[:, k]) for unit in np.eye(3) for k in range(3)]
+    for axis in axes:
+        shadow = np.einsum("bfkj,fj->bfk", corners, axis)
+        reach = (half * np.abs(axis)).sum(axis=-1)
+        meet &= (shadow.min(axis=2) <= reach) & (shadow.max(axis=2) >= -reach)
+    return meet
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points that grippers are tested against, with what finds the near ones.
+
+    Args:
+        points: (P, 3) metres, in the frame of the grasps.
+
+    Raises:
+        ToolkitError: not (P, 3) finite numbers.
+    """
+
+    points: Floats
+
+    def __post_init__(self) -> None:
+        from scipy.spatial import cKDTree
+
+        points = np.asarray(self.points, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+            raise ToolkitError("a cloud is (P, 3) finite numbers", value=points.shape)
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "_tree", cKDTree(points) if len(points) else None)
+
+    def count_inside(
+        self, grasps: Grasps, boxes: Boxes, *, margin: float = 0.0
+    ) -> NDArray[np.int64]:
+        """How many points lie in each box of each grasp.
+
+        Args:
+            grasps: N of them, in the frame of the points.
+            boxes: B for each, in the frames of the grasps; their surface is outside.
+            margin: by which the boxes grow on all sides, metres.
+
+        Returns:
+            (N, B) counts.
+        """
+        shape = boxes.low.shape[:2]
+        if not len(self.points) or not len(grasps):
+            return np.zeros(shape, dtype=np.int64)
+        # Each box looks at the points in the ball around it.
+        low, high = (boxes.low - margin).reshape(-1, 3), (boxes.high + margin).reshape(-1, 3)
+        rotations = np.repeat(grasps.rotations, shape[1], axis=0)
+        origins = np.repeat(grasps.translations, shape[1], axis=0)
+        centers = origins + np.einsum("nij,nj->ni", rotations, (low + high) / 2)
+        reach = np.linalg.norm(high - low, axis=1) / 2
+        tree = self._tree  # type: ignore[attr-defined]
+        expected = tree.query_ball_point(centers, reach, return_length=True)
+        ends = np.cumsum(expected)
+        counts = np.zeros(len(low), dtype=np.int64)
+        first = 0
+        while first < len(low):
+            done = ends[first - 1] if first else 0
+            last = max(int(np.searchsorted(ends, done + _PAIRS_AT_ONCE)), first + 1)
+            part = slice(first, last)
+            near = tree.query_ball_point(centers[part], reach[part])
+            box = np.repeat(np.arange(first, last), expected[part])
+            point = np.fromiter(chain.from_iterable(near), dtype=np.int64, count=len(box))
+            # p_grasp = R^T (p - t), axis by axis: what is out along one is not looked at again.
+            away = self.points[point] - origins[box]
+            for axis in range(3):
+                value = np.einsum("pj,pj->p", away, rotations[box, :, axis])
+                inside = (value > low[box, axis]) & (value < high[box, axis])
+                box, away = box[inside], away[inside]
+            counts += np.bincount(box, minlength=len(low))
+            first = last
+        return counts.reshape(shape)
+
+    def hit_by(self, grasps: Grasps, gripper: Gripper, *, margin: float = 0.0) -> NDArray[np.bool_]:
+        """(N,) grasps whose open gripper has a point inside it; `margin` as of `count_inside`."""
+        boxes = gripper.boxes(grasps.widths, grasps.depths)
+        return np.asarray(self.count_inside(grasps, boxes, margin=margin).any(axis=1))
+
+    def count_between(self, grasps: Grasps, gripper: Gripper) -> NDArray[np.int64]:
+        """(N,) how many points lie between the open fingers: few of them, and it grasps air."""
+        boxes = gripper.between(grasps.widths, grasps.depths)
+        return self.count_inside(grasps, boxes)[:, 0]
+
+
+def voxel_centers(points: ArrayLike, size: float) -> Floats:
+    """(V, 3) centres of the cells of a grid of `size` metres that hold a point, in order.
+
+    A gripper hits a voxel grid where it hits these points with a margin of half a cell.
+    """
+    cells = np.unique(np.floor(np.asarray(points, dtype=np.float64) / size), axis=0)
+    return (cells + 0.5) * size
+
+
+def voxel_means(points: ArrayLike, size: float) -> Floats:
+    """(V, 3) mean of the points in each cell of a grid of `size` metres: a thinner cloud."""
+    p = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    # The grid begins half a cell before the smallest point, as Open3D's does.
+    low = p.min(axis=0, initial=0 if not len(p) else np.inf) - size / 2
+    _, cell, count = np.unique(
+        np.floor((p - low) / size), axis=0, return_inverse=True, return_counts=True
+    )
+    cell = cell.reshape(-1)
+    sums = [np.bincount(cell, weights=p[:, axis], minlength=len(count)) for axis in range(3)]
+    return np.stack(sums, axis=1) / np.maximum(count, 1)[:, None]
+
+
+def filled_share(
+    grasps: Grasps, gripper: Gripper, points: ArrayLike, *, voxel: float = 0.01
+) -> Floats:
+    """(N,) share of the gripper's volume that occupied voxels fill, as cells per volume.
+
+    GraspNet's post-processing drops grasps by it: more than 1 % of the hand (`GRASPNET_SWEPT`)
+    inside the measured cloud.
+
+    Args:
+        points: (P, 3) cloud in the frame of the grasps.
+        voxel: metres, side of a cell.
+    """
+    boxes = gripper.boxes(grasps.widths, grasps.depths)
+    counts = Cloud(voxel_means(points, voxel)).count_inside(grasps, boxes).sum(axis=1)
+    volume = (boxes.high - boxes.low).prod(axis=-1).sum(axis=1)
+    return counts / (volume / voxel**3)
+
+
+def lowest_points(grasps: Grasps, gripper: Gripper, T_plane: SE3 | ArrayLike) -> Floats:
+    """(N,) height of the open gripper's lowest corner above a plane, metres.
+
+    Args:
+        T_plane: pose of the plane in the frame of the grasps: its z = 0, z points up.
+    """
+    pose = T_plane if isinstance(T_plane, SE3) else SE3.from_matrix(T_plane)
+    up = pose.R[:, 2]
+    boxes = gripper.boxes(grasps.widths, grasps.depths)
+    # The lowest corner of a box lies where each axis that points down is at its largest.
+    slope = np.einsum("nji,j->ni", grasps.rotations, up)[:, None]
+    corner = np.where(slope > 0, boxes.low, boxes.high)
+    heights = (corner * slope).sum(axis=-1).min(axis=1)
+    return heights + (grasps.translations - pose.t) @ up
+
+
+def hits_plane(
+    grasps: Grasps, gripper: Gripper, T_plane: SE3 | ArrayLike, *, clearance: float = 0.0
+) -> NDArray[np.bool_]:
+    """(N,) grasps whose gripper comes nearer to a plane than `clearance` metres, or through it."""
+    return lowest_points(grasps, gripper, T_plane) < clearance
+
+
+def hits_mesh(
+    grasps: Grasps, gripper: Gripper, vertices: ArrayLike, faces: ArrayLike
+) -> NDArray[np.bool_]:
+    """(N,) grasps whose open gripper touches a triangle, exactly, or lies within a closed mesh.
+
+    Args:
+        vertices: (V, 3) metres, in the frame of the grasps.
+        faces: (F, 3).
+    """
+    import trimesh
+
+    triangles = np.asarray(vertices, dtype=np.float64)[np.asarray(faces)]
+    boxes = gripper.boxes(grasps.widths, grasps.depths)
+    hit = np.zeros(len(grasps), dtype=bool)
+    reach = np.linalg.norm(triangles - triangles.mean(axis=1, keepdims=True), axis=2).max(axis=1)
+    middles = triangles.mean(axis=1)
+    for n in range(len(grasps)):
+        R, t = grasps.rotations[n], grasps.translations[n]
+        low, high = boxes.low[n], boxes.high[n]
+        local = (middles - t) @ R
+        near = (local + reach[:, None] > low.min(axis=0)) & (
+            local - reach[:, None] < high.max(axis=0)
+        )
+        close = (triangles[near.all(axis=1)] - t) @ R
+        hit[n] = boxes_meet_triangles(low, high, close).any()
+    if len(grasps) and trimesh.Trimesh(vertices, faces, process=False).is_volume:
+        import open3d as o3d
+
+        scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+        scene.add_triangles(
+            o3d.core.Tensor.from_numpy(np.asarray(vertices, dtype=np.float32)),
+            o3d.core.Tensor.from_numpy(np.asarray(faces, dtype=np.uint32)),
+        )
+        middle = (boxes.low + boxes.high) / 2
+        places = np.einsum("nij,nbj->nbi", grasps.rotations, middle) + grasps.translations[:, None]
+        inside = scene.compute_occupancy(
+            o3d.core.Tensor.from_numpy(np.ascontiguousarray(places, dtype=np.float32)), nthreads=1
+        )
+        hit |= (inside.numpy() > 0.5).any(axis=1)
+    return hit

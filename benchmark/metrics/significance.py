@@ -1,0 +1,299 @@
+"""Confidence intervals over scenes, and paired tests between methods.
+
+Frames are paired, and scenes are what is independent: both tests below look at differences
+between two methods by scene, never at frames as if each were a sample of its own.
+
+Confidence intervals of means over frames, by resampling scenes.
+
+Frames of one scene show the same objects from nearby places: their errors go together, and an
+interval that takes them for independent is several times too narrow. So whole scenes are drawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+
+from std_toolkit.errors import ToolkitError
+
+SAMPLES = 4000
+
+_DRAWN_AT_ONCE = 4_000_000  # counts in memory: 32 MB
+
+EXACT_SCENES = 14  # up to so many, all 2**scenes ways to swap the methods are counted
+
+FLIPS = 20_000  # drawn ways above that
+
+_FLIPS_AT_ONCE = 1000  # a multiple of 8
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean and where it lies.
+
+    Attributes:
+        mean: (...) means over all frames.
+        low, high: (...) ends of the interval; NaN with fewer than two scenes.
+    """
+
+    mean: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+
+def mean_interval(
+    values: ArrayLike,
+    scenes: ArrayLike,
+    *,
+    level: float = 0.95,
+    samples: int = SAMPLES,
+    seed: int = 0,
+) -> Interval:
+    """Mean over frames, with a percentile interval from drawing scenes with replacement.
+
+    Args:
+        values: (N,) or (N, M) one or more figures of each frame; all M share the draws, so that
+            their intervals can be set side by side. A NaN makes its figure's answer NaN.
+        scenes: (N,) the scene of each frame: text or numbers.
+        level: share of draws that the interval holds.
+        samples: draws.
+        seed: of the draws: equal input gives equal output.
+
+    Returns:
+        The mean (a scalar array, or (M,)) and its interval. With fewer than about ten scenes a
+        percentile interval is too narrow; with one there is none.
+
+    Raises:
+        ToolkitError: no frames, or lengths that differ, or a level outside (0, 1).
+
+    >>> found = mean_interval([1.0, 1.0, 3.0, 3.0], ["a", "a", "b", "b"])
+    >>> float(found.low), float(found.mean), float(found.high)
+    (1.0, 2.0, 3.0)
+    """
+    if not 0 < level < 1 or samples < 1:
+        raise ToolkitError("needs a level in (0, 1) and draws", value=(level, samples))
+    sums, counts = scene_sums(values, scenes)
+    mean = np.asarray(sums.sum(axis=0) / counts.sum())
+    if len(counts) < 2:
+        return Interval(mean, np.full_like(mean, np.nan), np.full_like(mean, np.nan))
+    rng = np.random.default_rng(seed)
+    flat = sums.reshape(len(counts), -1)
+    draws = _draws(rng, len(counts), samples)
+    drawn = np.concatenate([(w @ flat) / (w @ counts)[:, None] for w in draws])
+    tail = (1 - level) / 2
+    low, high = np.quantile(drawn, [tail, 1 - tail], axis=0).reshape(2, *mean.shape)
+    return Interval(mean, low, high)
+
+
+def scene_sums(
+    values: ArrayLike, scenes: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Sums of frames' figures by scene.
+
+    Args:
+        values: (N,) or (N, M).
+        scenes: (N,) the scene of each frame.
+
+    Returns:
+        (S,) or (S, M) sums and (S,) numbers of frames, in the sorted order of scenes.
+
+    Raises:
+        ToolkitError: no frames, or lengths that differ.
+
+    >>> sums, counts = scene_sums([1.0, 2.0, 4.0], ["b", "a", "b"])
+    >>> sums.tolist(), counts.tolist()
+    ([2.0, 5.0], [1.0, 2.0])
+    """
+    v, names = np.asarray(values, dtype=np.float64), np.asarray(scenes)
+    if len(v) == 0 or v.ndim > 2 or names.shape != v.shape[:1]:
+        raise ToolkitError(
+            "needs figures of frames, and the scene of each", value=(v.shape, names.shape)
+        )
+    _, inverse = np.unique(names, return_inverse=True)
+    counts = np.bincount(inverse).astype(np.float64)
+    sums = np.zeros((len(counts), *v.shape[1:]))
+    np.add.at(sums, inverse, v)
+    return sums, counts
+
+
+def _draws(rng: np.random.Generator, scenes: int, samples: int) -> Iterator[NDArray[np.float64]]:
+    """How often each scene is drawn: (samples, scenes) in all, some at a time."""
+    at_once = max(1, _DRAWN_AT_ONCE // scenes)
+    for begin in range(0, samples, at_once):
+        size = min(at_once, samples - begin)
+        # Counting drawn scenes takes a fifth of the time of rng.multinomial.
+        drawn = rng.integers(0, scenes, (size, scenes))
+        drawn += np.arange(size)[:, None] * scenes
+        counts = np.bincount(drawn.ravel(), minlength=size * scenes)
+        yield counts.reshape(size, scenes).astype(np.float64)
+
+
+@dataclass(frozen=True)
+class Paired:
+    """Two methods on the same frames.
+
+    Attributes:
+        difference: mean over frames of first minus second.
+        low, high: 95 % interval of it over scenes; NaN with one scene.
+        p_flip: two-sided p of the sign-flip test: how often the mean difference is at least as
+            large when in each scene the methods are swapped by chance. Never below
+            2 / 2**scenes: with five scenes or fewer nothing can be significant at 0.05.
+        p_wilcoxon: two-sided p of Wilcoxon's signed-rank test of the scenes' mean differences:
+            less moved by one scene that differs greatly, and blind to how many frames it has.
+        frames, scenes: how many were compared.
+    """
+
+    difference: float
+    low: float
+    high: float
+    p_flip: float
+    p_wilcoxon: float
+    frames: int
+    scenes: int
+
+
+def paired_test(
+    first: ArrayLike, second: ArrayLike, scenes: ArrayLike, *, samples: int = SAMPLES, seed: int = 0
+) -> Paired:
+    """Compare two methods by one figure.
+
+    Args:
+        first, second: (N,) the figure of each frame, in the same order, without NaN.
+        scenes: (N,) the scene of each frame.
+        samples: draws for the interval.
+        seed: of all that is drawn.
+
+    Returns:
+        The difference and how likely it is by chance.
+
+    Raises:
+        ToolkitError: no frames, lengths that differ, or a NaN.
+
+    >>> scenes = np.repeat(list("abcdefgh"), 2)
+    >>> found = paired_test(np.linspace(2, 3, 16), np.linspace(1, 2, 16), scenes)
+    >>> found.difference, found.p_flip, found.scenes
+    (1.0, 0.0078125, 8)
+    """
+    from scipy.stats import wilcoxon  # half a second that only comparisons should wait for
+
+    a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
+    if a.shape != b.shape or a.ndim != 1 or not np.isfinite(a).all() or not np.isfinite(b).all():
+        raise ToolkitError(
+            "paired figures must be finite, and as many of one method as of the other",
+            value=(a.shape, b.shape),
+        )
+    sums, counts = scene_sums(a - b, scenes)
+    found = mean_interval(a - b, scenes, samples=samples, seed=seed)
+    means = sums / counts
+    # Without any difference the ranks are empty and scipy's answer is NaN.
+    p_wilcoxon = float(wilcoxon(means).pvalue) if np.any(means) else 1.0
+    return Paired(
+        float(found.mean),
+        float(found.low),
+        float(found.high),
+        _flip_test(sums, np.random.default_rng(seed)),
+        p_wilcoxon,
+        len(a),
+        len(counts),
+    )
+
+
+def holm(p_values: ArrayLike) -> NDArray[np.float64]:
+    """P-values of several comparisons, corrected so that all hold together (Holm, 1979).
+
+    Args:
+        p_values: (N,) of the comparisons, NaN for those that were not made.
+
+    Returns:
+        (N,) corrected ones, at most 1, in the order given; NaN stays and does not count.
+
+    >>> holm([0.01, 0.04, 0.03]).round(3).tolist()
+    [0.03, 0.06, 0.06]
+    """
+    p = np.asarray(p_values, dtype=np.float64)
+    made = np.flatnonzero(~np.isnan(p))
+    order = made[np.argsort(p[made], kind="stable")]
+    adjusted = np.full(p.shape, np.nan)
+    adjusted[order] = np.maximum.accumulate(p[order] * np.arange(len(order), 0, -1))
+    return np.minimum(adjusted, 1)
+
+
+def compare_methods(
+    rows: pd.DataFrame, metric: str = "rmse", *, samples: int = SAMPLES, seed: int = 0
+) -> pd.DataFrame:
+    """Compare every two methods on the frames that both were scored on.
+
+    Args:
+        rows: columns `method`, `scene`, `frame` and `metric`: of one data set, protocol, grid and
+            subset, hence one row for each method and frame. Rows with NaN (frames without pixels
+            to compare) do not take part.
+        metric: the column to compare.
+        samples: draws for intervals.
+        seed: of all that is drawn.
+
+    Returns:
+        A row for each pair, in the order in which methods first appear: `first`, `second`, the
+        fields of `Paired`, `p_flip_holm` and `p_wilcoxon_holm` corrected for the number of pairs,
+        and `unpaired`, the frames that only one of the two has.
+
+    Raises:
+        ToolkitError: a column is missing, or a method has a frame twice.
+
+    >>> rows = pd.DataFrame({"method": list("aabb"), "scene": list("xyxy"), "frame": 0})
+    >>> found = compare_methods(rows.assign(rmse=[1.0, 2.0, 3.0, 4.0]))
+    >>> found[["first", "second", "difference", "frames"]].to_numpy().tolist()
+    [['a', 'b', -2.0, 2]]
+    """
+    key = ["method", "scene", "frame"]
+    absent = [name for name in (*key, metric) if name not in rows]
+    if absent:
+        raise ToolkitError("rows lack columns", field=", ".join(absent), value=list(rows.columns))
+    there = rows[[*key, metric]].dropna(subset=[metric])
+    if there.duplicated(key).any():
+        twice = there[there.duplicated(key)].iloc[0]
+        raise ToolkitError(
+            "is there twice for one method",
+            path=f"{twice['scene']}/{twice['frame']}",
+            value=twice["method"],
+            hint="compare rows of one data set, protocol, grid and subset",
+        )
+    table = there.set_index(["scene", "frame", "method"])[metric].unstack("method")
+    pairs = []
+    for first, second in combinations(dict.fromkeys(there["method"]), 2):
+        either = table[[first, second]].dropna(how="all")
+        both = either.dropna()
+        pair = {"first": first, "second": second, "unpaired": len(either) - len(both)}
+        if len(both):
+            scenes = both.index.get_level_values("scene").to_numpy()
+            found = paired_test(
+                both[first].to_numpy(), both[second].to_numpy(), scenes, samples=samples, seed=seed
+            )
+            pair |= vars(found)
+        pairs.append(pair)
+    columns = ["first", "second", *Paired.__dataclass_fields__, "unpaired"]
+    out = pd.DataFrame(pairs, columns=columns)
+    for name in ("p_flip", "p_wilcoxon"):
+        out[f"{name}_holm"] = holm(out[name].to_numpy(dtype=np.float64))
+    return out
+
+
+def _flip_test(sums: NDArray[np.float64], rng: np.random.Generator) -> float:
+    """Two-sided p of the sum of the scenes' differences under all swaps, or many drawn ones."""
+    observed = abs(sums.sum())
+    # Sums of the same numbers in another order differ in their last bits.
+    least = observed - 1e-12 * np.abs(sums).sum()
+    if len(sums) <= EXACT_SCENES:
+        ways = np.arange(2 ** len(sums))[:, None] >> np.arange(len(sums)) & 1
+        return float((np.abs((1 - 2 * ways) @ sums) >= least).mean())
+    reached = 0
+    for _ in range(0, FLIPS, _FLIPS_AT_ONCE):
+        bits = rng.bytes(_FLIPS_AT_ONCE * len(sums) // 8)
+        swapped = np.unpackbits(np.frombuffer(bits, np.uint8)).reshape(_FLIPS_AT_ONCE, -1)
+        left = sums.sum() - 2 * (swapped.astype(np.float64) @ sums)
+        reached += int((np.abs(left) >= least).sum())
+    return (reached + 1) / (FLIPS + 1)  # what was observed is one of the ways

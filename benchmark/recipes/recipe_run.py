@@ -1,0 +1,208 @@
+"""A recipe from its plan to its page. Every step is done once: what is finished is left alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from benchmark.evaluation.tasks.depth_results import RunResult, read_run
+from benchmark.evaluation.tasks.depth_runs import run_all
+from benchmark.recipes.frame_sets import FrameSet, simulate
+from benchmark.recipes.recipe_plan import Entry, Pack, RecipePlan
+from std_toolkit.errors import ToolkitError
+from std_toolkit.jobs import JobOptions
+from std_toolkit.log import logger
+
+if TYPE_CHECKING:
+    from benchmark.training.fit import Machine
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What a training was.
+
+    Attributes:
+        frames, scenes: that it was trained on.
+        steps, batch_size: how long.
+        best_step: of the weights that were chosen; None where it is not told.
+    """
+
+    frames: int
+    scenes: int
+    steps: int
+    batch_size: int
+    best_step: int | None
+
+
+@dataclass
+class Outcome:
+    """What has been done so far.
+
+    Attributes:
+        trained: by entry.
+        results: by entry and test.
+        problems: error lines, by what they are of.
+    """
+
+    trained: dict[str, Trained] = field(default_factory=dict)
+    results: dict[tuple[str, str], list[RunResult]] = field(default_factory=dict)
+    problems: dict[str, str] = field(default_factory=dict)
+
+
+def run_recipe(
+    plan: RecipePlan,
+    machine: Machine,
+    jobs: JobOptions | None = None,
+    *,
+    precision: str = "fp32",
+    after: Callable[[Outcome], None] = lambda outcome: None,  # noqa: ARG005
+) -> Outcome:
+    """Simulate, pack, train and score what is not done yet.
+
+    A variant that fails does not keep the others from running.
+
+    Args:
+        plan: all steps.
+        machine: where networks are trained.
+        jobs: where all else runs.
+        precision: of the training's arithmetic.
+        after: is told what there is so far, after every variant; at least once.
+
+    Raises:
+        ToolkitError: no test is at hand, or a set or a pack cannot be made, or is another than it
+            was.
+    """
+    jobs = jobs or JobOptions()
+    if all(plan.place(target) is None for target in plan.targets):
+        first = plan.targets[0]
+        raise ToolkitError(
+            "no test of this recipe is at hand: nothing could be scored",
+            value=[target.name for target in plan.targets],
+            hint=f"{first.absent} (`--plan` tells about all tests)",
+        )
+    outcome = Outcome(problems={e.title: e.problem for e in plan.entries if e.problem})
+    for frames in plan.sets.values():
+        if frames.options is None:
+            continue
+        failed = make_set(frames, jobs)
+        outcome.problems |= {f"set {frames.name}, scene {k}": e for k, e in failed.items()}
+    for pack in plan.packs:
+        failed = make_pack(pack, jobs)
+        outcome.problems |= {f"pack {pack.folder.name}, {k}": e for k, e in failed.items()}
+    for entry in plan.entries:
+        if entry.problem:
+            logger.error("%s: %s", entry.title, entry.problem)
+            continue
+        try:
+            if entry.wishes is not None:
+                outcome.trained[entry.name] = train(entry, machine, precision)
+            _score(plan, entry, jobs, outcome)
+        except ToolkitError as error:
+            logger.error("%s: %s", entry.title, error)
+            outcome.problems[entry.title] = str(error)
+        if entry.wishes is not None:
+            after(outcome)
+    if not outcome.trained:
+        after(outcome)
+    return outcome
+
+
+def make_set(frames: FrameSet, jobs: JobOptions) -> dict[str, str]:
+    """Simulate what is missing of a set; error lines by scene.
+
+    Raises:
+        ToolkitError: the folder holds another set, or the simulator cannot run.
+    """
+    from sensors.simulation.dataset import SET_FILE, SetRecord
+    from std_toolkit.io.documents import read_document
+
+    record = frames.root / SET_FILE
+    is_whole = record.is_file() and not frames.missing()
+    if is_whole and read_document(record, SetRecord).options == frames.options:
+        logger.info("set %s: %d frames are there", frames.name, frames.frames)
+        return {}
+    return simulate(frames, jobs)
+
+
+def make_pack(pack: Pack, jobs: JobOptions) -> dict[str, str]:
+    """Pack what is not packed yet; error lines by frame.
+
+    Raises:
+        ToolkitError: the folder holds another pack, or no frame could be packed.
+    """
+    from benchmark.training.pack import PackOptions, pack_split
+    from benchmark.training.shards import PackSetup
+
+    options = PackOptions(size=pack.size, raw=pack.raw)
+    try:
+        packed = pack_split(pack.folder, pack.frames.split, pack.frames.root, options, jobs)
+    except ToolkitError as error:
+        if error.field not in PackSetup.__struct_fields__:
+            raise
+        raise ToolkitError(
+            error.problem,
+            path=error.path,
+            field=error.field,
+            value=error.value,
+            hint="the frames are others than it was made of: choose another --out",
+        ) from error
+    logger.info("pack %s: %d frames", pack.folder.name, packed.frames)
+    return packed.failed
+
+
+def train(entry: Entry, machine: Machine, precision: str) -> Trained:
+    """Train a variant, or go on with it; what is finished is left alone.
+
+    Raises:
+        ToolkitError: the training there was begun with another configuration, or it fails.
+    """
+    from dataclasses import replace
+
+    from benchmark.training.config import CONFIG, begin
+    from benchmark.training.fit import fit
+    from benchmark.training.plan import plan_training
+    from benchmark.training.run_files import BEST, LAST, SCORES
+    from std_toolkit.io.documents import read_document
+
+    assert entry.wishes is not None
+    assert entry.folder is not None
+    wishes = replace(entry.wishes, precision=precision)  # type: ignore[arg-type]
+    config, data, beginning = plan_training(wishes)
+    folder = entry.folder
+    if (folder / CONFIG).is_file():
+        begin(folder, config)
+    if all((folder / name).is_file() for name in (BEST, LAST)):
+        logger.info("%s: is trained", entry.label)
+    else:
+        logger.info(
+            "%s: %d steps of %d frames", entry.label, config.steps, config.optimization.batch_size
+        )
+        fit(folder, config, data, machine, beginning)
+    told = folder / SCORES
+    best = read_document(told, dict) if told.is_file() else {}
+    return Trained(
+        frames=len(data.of_training),
+        scenes=len({data.training.scene(i) for i in data.of_training}),
+        steps=config.steps,
+        batch_size=config.optimization.batch_size,
+        best_step=best.get("step"),
+    )
+
+
+def _score(plan: RecipePlan, entry: Entry, jobs: JobOptions, outcome: Outcome) -> None:
+    """Score on one test after the other: one that fails keeps no other from it."""
+    runs = plan.runs(entry)
+    for target in dict.fromkeys(target.name for target, _ in runs):
+        mine = [run for of, run in runs if of.name == target]
+        try:
+            report = run_all(mine, jobs, speed=False)
+        except ToolkitError as error:
+            outcome.problems[f"{entry.title} on {target}"] = str(error)
+            continue
+        outcome.problems |= {f"{k} ({target})": e for k, e in report.failed.items()}
+        if report.failed_frames:
+            outcome.problems[f"{entry.title} on {target}"] = (
+                f"{report.failed_frames} frames failed; failures.csv beside the results tells why"
+            )
+        outcome.results[entry.name, target] = [read_run(run.folder) for run in report.finished]

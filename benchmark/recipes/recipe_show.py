@@ -1,0 +1,181 @@
+"""What a recipe is going to do, as text.
+
+What a recipe is going to cost, before it is run.
+"""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from benchmark.recipes.recipe import load_recipe, recipe_names, scales
+from benchmark.recipes.recipe_page import scale_line
+from benchmark.recipes.recipe_plan import Entry, RecipePlan
+from benchmark.training.run_files import LAST
+from benchmark.training.shards import PACK
+
+if TYPE_CHECKING:
+    from sensors.simulation.options import SimulationOptions
+
+# Processor seconds of a frame of 640x360 at draft quality: `perf/simulate.py`.
+_INFRARED_S, _COLOR_S, _DENOISING_S, _REST_S = 4.62, 2.13, 0.48, 0.77
+
+_MEASURED_PIXELS = 640 * 360
+
+_DRAFT_SAMPLES = 16
+
+# A shape's convex parts, found once; so many shapes are drawn from on one side of the split.
+_SHAPE_S, _SHAPES = 1.6, 8 * 250
+
+# Colour as PNG of a picture larger than the labels.
+_COLOR_BYTES = 2.0
+
+
+def simulation_s(options: SimulationOptions, scenes: int) -> float:
+    """Processor seconds that scenes take where no shape is known from before: by pixels and light
+    paths from what was measured at draft quality."""
+    from sensors.simulation.quality import quality_of
+
+    quality = quality_of(options.quality)
+    pixels = options.width * options.height / _MEASURED_PIXELS
+    color_pixels = pixels * options.color_factor**2
+    infrared = _INFRARED_S * quality.infrared.samples / _DRAFT_SAMPLES
+    color = _COLOR_S * quality.color.samples / _DRAFT_SAMPLES + _DENOISING_S
+    frame = pixels * (infrared + _REST_S) + color_pixels * color
+    shapes = min(scenes * (options.min_objects + options.max_objects) / 2, _SHAPES)
+    return scenes * options.views * frame + shapes * _SHAPE_S
+
+
+def simulation_bytes(options: SimulationOptions, frames: int) -> float:
+    """Room on the disk that frames take."""
+    from sensors.simulation.dataset import BYTES_PER_PIXEL
+
+    larger = options.color_factor**2 - 1
+    pixels = options.width * options.height
+    return frames * pixels * (BYTES_PER_PIXEL["dreds"] + larger * _COLOR_BYTES)
+
+
+def pack_bytes(size: tuple[int, int], frames: int) -> float:
+    """Room that packed frames take: colour, two maps of depth, mask."""
+    return frames * size[0] * size[1] * (3 + 4 + 4 + 1)
+
+
+def as_size(number: float) -> str:
+    """Bytes for people."""
+    for factor, unit in ((1e12, "TB"), (1e9, "GB"), (1e6, "MB")):
+        if number >= factor:
+            return f"{number / factor:.1f} {unit}"
+    return f"{number / 1e3:.0f} kB"
+
+
+def as_time(seconds: float) -> str:
+    """A duration for people."""
+    if seconds >= 2 * 3600:
+        return f"{seconds / 3600:.0f} h"
+    return f"{seconds / 60:.0f} min" if seconds >= 120 else f"{seconds:.0f} s"
+
+
+def recipe_list() -> str:
+    """All recipes and scales with a line on each."""
+    names = recipe_names()
+    width = max(map(len, names))
+    lines = ["recipes:"]
+    for name in names:
+        _, recipe = load_recipe(name)
+        about = " ".join(recipe.about.split())
+        lines.append(f"  {name:{width}}  {about}")
+    lines.append("scales:")
+    for name, scale in scales().items():
+        frames = scale.sets["train"].scenes * int(scale.sets["train"].options["views"])
+        lines.append(f"  {name:{width}}  {frames} training frames; {scale.about}")
+    return "\n".join(lines)
+
+
+def plan_text(plan: RecipePlan) -> str:
+    """All steps with their size, and which are finished."""
+    lines = [f"{plan.recipe.title}. {scale_line(plan)}", "", "data"]
+    lines += _sets(plan) or ["  nothing to simulate"]
+    lines.append("packs")
+    lines += _packs(plan) or ["  none"]
+    lines.append("trainings")
+    for entry in plan.entries:
+        if entry.wishes is not None or entry.problem:
+            lines += _training(entry)
+    lines.append("tests")
+    for target in plan.targets:
+        place = plan.place(target)
+        if place is None:
+            lines.append(f"  {target.title}: not at hand: {target.absent}")
+        elif target.set:
+            lines.append(f"  {target.title}: {plan.sets[target.set].origin}")
+        else:
+            lines.append(f"  {target.title}: {place[1]}")
+    runs = sum(len(plan.runs(entry)) for entry in plan.entries if not entry.problem)
+    limit = "" if plan.scale.limit is None else f", at most {plan.scale.limit} frames each"
+    lines.append(f"scores\n  {runs} runs of a method on a test by a protocol{limit}")
+    lines.append(f"page\n  {plan.folder}")
+    return "\n".join(lines)
+
+
+def _sets(plan: RecipePlan) -> list[str]:
+    lines = []
+    for frames in plan.sets.values():
+        if frames.options is None:
+            lines.append(f"  {frames.name}: {frames.frames} frames in {frames.root}")
+            continue
+        left = len(frames.missing())
+        o = frames.options
+        cost = ""
+        if left:
+            cost = (
+                f"; {left} to do: about {as_time(simulation_s(o, left))} of one core and "
+                f"{as_size(simulation_bytes(o, left * o.views))}"
+            )
+        lines.append(f"  {frames.name}: {frames.size}, {o.width}x{o.height}{cost or '; done'}")
+    return lines
+
+
+def _packs(plan: RecipePlan) -> list[str]:
+    lines = []
+    for pack in plan.packs:
+        size = as_size(pack_bytes(pack.size, pack.frames.frames))
+        begun = "begun" if (pack.folder / PACK).is_file() else "to do"
+        lines.append(f"  {pack.folder.name}: {size}; {begun}")
+    return lines
+
+
+def _training(entry: Entry) -> list[str]:
+    if entry.problem:
+        return [f"  {entry.title}: {entry.problem}"]
+    assert entry.wishes is not None
+    assert entry.folder is not None
+    wishes = entry.wishes
+    long = "as published" if wishes.steps is None else f"{wishes.steps} steps"
+    of = "" if wishes.batch_size is None else f" of {wishes.batch_size}"
+    done = (entry.folder / LAST).is_file()
+    return [
+        f"  {entry.title}: {long}{of}; {'done' if done else 'to do'}",
+        f"    {train_command(entry, entry.folder)}",
+    ]
+
+
+def train_command(entry: Entry, folder: Path) -> str:
+    """The same training by itself: on several devices, for instance."""
+    wishes = entry.wishes
+    assert wishes is not None
+    words = ["std-train", "--method", wishes.method, "--preset", wishes.preset]
+    if wishes.settings:
+        words += ["--set", *(f"{name}={value}" for name, value in wishes.settings.items())]
+    words += ["--data", *map(str, wishes.data)]
+    if wishes.validation:
+        words += ["--validation", *map(str, wishes.validation)]
+    words += ["--hold-out", f"{wishes.hold_out:g}"]
+    words += ["--share", f"{wishes.share:g}"] if wishes.share != 1 else []
+    words += ["--steps", str(wishes.steps)] if wishes.steps is not None else []
+    words += ["--batch-size", str(wishes.batch_size)] if wishes.batch_size is not None else []
+    if wishes.learning_rate is not None:
+        words += ["--learning-rate", f"{wishes.learning_rate:g}"]
+    words += ["--geometry", wishes.geometry] if wishes.geometry != "published" else []
+    words += ["--seed", str(wishes.seed)] if wishes.seed else []
+    return shlex.join([*words, "--out", str(folder)])

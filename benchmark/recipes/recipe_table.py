@@ -1,0 +1,193 @@
+"""The table of a recipe: measured rows, and the published ones beside them."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+from benchmark.evaluation.tasks.depth_results import OVER_ALL, summarise
+from benchmark.metrics.protocols.protocol import get_protocol
+from benchmark.metrics.significance import compare_methods
+from benchmark.published.load import published_table
+from benchmark.recipes.recipe import Recipe
+from benchmark.recipes.recipe_plan import Entry, RecipePlan
+from benchmark.recipes.recipe_run import Outcome
+from benchmark.recipes.targets import Target
+from benchmark.report.leaderboard_text import MAIN_SUBSETS
+
+MEASURED, PUBLISHED, ABSENT = "measured", "published", "not measured"
+_INTERVAL = ("rmse_low", "rmse_high")
+# kind: MEASURED, PUBLISHED or ABSENT, of which `note` tells why. data: where the frames of the test
+# come from. Errors in metres, shares 0 to 1; interval: 95 %, over scenes.
+COLUMNS = (
+    "recipe", "scale", "test", "dataset", "data", "variant", "kind", "protocol", "subset",
+    *OVER_ALL, *_INTERVAL, "frames", "scenes", "training_frames", "training_scenes", "steps",
+    "batch_size", "training_data", "note",
+)  # fmt: skip
+_DRAWS = 1000
+_PLACES = {subset: place for place, subset in enumerate(MAIN_SUBSETS)}
+RANKED_BY = "rmse"
+
+
+def recipe_rows(plan: RecipePlan, outcome: Outcome) -> pd.DataFrame:
+    """All rows, test by test, in the order of the recipe; see `COLUMNS`.
+
+    Nothing is left out: a test that is not at hand and a variant that did not run have a row that
+    says so.
+
+    Raises:
+        ToolkitError: the recipe names a table that was not published.
+    """
+    printed = printed_rows(plan.recipe)
+    rows: list[dict[str, object]] = []
+    for target in plan.targets:
+        mine = printed[printed["dataset"] == target.dataset]
+        here: list[dict[str, object]] = []
+        if plan.place(target) is None:
+            here.append({"kind": ABSENT, "variant": "", "note": f"not at hand: {target.absent}"})
+        shown: set[tuple[str, str]] = set()
+        for entry in plan.entries:
+            if plan.place(target) is not None:
+                here += _measured(outcome, entry, target)
+            if entry.published is not None:
+                key = (entry.published.method, entry.published.training_data)
+                shown.add(key)
+                here += _published(mine, key, entry.title)
+        for key in dict.fromkeys(mine[["method", "training_data"]].itertuples(index=False)):
+            if tuple(key) not in shown:
+                here += _published(mine, tuple(key), key[0], note="not a variant that was run")
+        told = {
+            "recipe": plan.name,
+            "scale": plan.scale_name,
+            "test": target.name,
+            "dataset": target.dataset,
+            "data": origin(plan, target),
+        }
+        here.sort(key=lambda row: _PLACES.get(str(row.get("subset")), -1))
+        rows += [{**told, **row} for row in here]
+    return pd.DataFrame(rows).reindex(columns=list(COLUMNS))
+
+
+def printed_rows(recipe: Recipe) -> pd.DataFrame:
+    """The table of the paper that a recipe is held against, maybe without rows.
+
+    Raises:
+        ToolkitError: no such table was published.
+    """
+    if not recipe.table:
+        return pd.DataFrame(columns=["dataset", "subset", "method", "training_data", *OVER_ALL])
+    return published_table(recipe.table)
+
+
+def origin(plan: RecipePlan, target: Target) -> str:
+    """Where a test's frames come from, for people."""
+    if target.set:
+        return plan.sets[target.set].origin
+    return "not at hand" if target.root is None else f"given: {target.root}"
+
+
+def findings(plan: RecipePlan, outcome: Outcome) -> list[str]:
+    """A sentence on every test in which variants can be compared: who is best in RMSE by the first
+    protocol, by how much, whether chance could do it, and what the paper prints."""
+    printed = printed_rows(plan.recipe)
+    told = []
+    for target in plan.targets:
+        tables = {}
+        for entry in plan.entries:
+            found = outcome.results.get((entry.name, target.name), [])
+            if entry.folder is not None and found:
+                tables[entry.title] = found[0].table.assign(method=entry.title)
+        subset = _hardest(list(tables.values()))
+        if len(tables) < 2 or subset is None:
+            continue
+        grid, _ = get_protocol(plan.recipe.protocols[0]).main
+        frames = pd.concat(tables.values(), ignore_index=True)
+        frames = frames[(frames["grid"] == grid) & (frames["subset"] == subset)]
+        means = summarise(frames, by=["method"]).set_index("method")[RANKED_BY].sort_values()
+        best = str(means.index[0])
+        pairs = compare_methods(frames, RANKED_BY, samples=_DRAWS)
+        others = []
+        for name, value in means.iloc[1:].items():
+            pair = next(p for p in pairs.itertuples() if {p.first, p.second} == {best, name})
+            others.append(f"{name} {1e3 * value:.1f} mm (p = {pair.p_flip_holm:.2g})")
+        sentence = (
+            f"{target.title}, {subset}: least RMSE {best}, {1e3 * means.iloc[0]:.1f} mm; "
+            + ", ".join(others)
+        )
+        order = _printed_order(plan, printed, target, subset)
+        told.append(f"{sentence}. {order}" if order else f"{sentence}.")
+    return told
+
+
+def _hardest(tables: list[pd.DataFrame]) -> str | None:
+    """The first of the subsets that all tables have pixels of: specular and transparent ones, else
+    all objects."""
+    for subset in reversed(MAIN_SUBSETS):
+        if tables and all(((t["subset"] == subset) & (t["n_pixels"] > 0)).any() for t in tables):
+            return subset
+    return None
+
+
+def _printed_order(plan: RecipePlan, printed: pd.DataFrame, target: Target, subset: str) -> str:
+    rows = printed[(printed["dataset"] == target.dataset) & (printed["subset"] == subset)]
+    found = {}
+    for entry in plan.entries:
+        if entry.published is not None:
+            match = rows[
+                (rows["method"] == entry.published.method)
+                & (rows["training_data"] == entry.published.training_data)
+            ]
+            if len(match):
+                found[entry.title] = float(match[RANKED_BY].iloc[0])
+    ordered = sorted(found.items(), key=lambda item: item[1])
+    figures = ", ".join(f"{title} {1e3 * value:.0f}" for title, value in ordered)
+    return f"The paper prints {figures} mm." if ordered else ""
+
+
+def _measured(outcome: Outcome, entry: Entry, target: Target) -> list[dict[str, object]]:
+    told: dict[str, object] = {"variant": entry.title}
+    if entry.name in outcome.trained:
+        trained = outcome.trained[entry.name]
+        told |= {
+            "training_frames": trained.frames,
+            "training_scenes": trained.scenes,
+            "steps": trained.steps,
+            "batch_size": trained.batch_size,
+        }
+    results = outcome.results.get((entry.name, target.name), [])
+    rows: list[dict[str, object]] = []
+    for result in results:
+        protocol = result.manifest.setup.protocol
+        grid, _ = get_protocol(protocol).main
+        table = result.table[result.table["grid"] == grid]
+        means = summarise(table[table["subset"].isin(MAIN_SUBSETS)], samples=_DRAWS)
+        for row in means[means["frames"] > 0].to_dict("records"):
+            names = ("protocol", "subset", *OVER_ALL, *_INTERVAL, "frames", "scenes")
+            rows.append({**told, "kind": MEASURED, **{name: row[name] for name in names}})
+    if rows:
+        return rows
+    where = f"{entry.title} on {target.name}"
+    why = entry.problem or outcome.problems.get(entry.title) or outcome.problems.get(where)
+    ran = "no frame could be scored" if results else "not run yet"
+    return [{**told, "kind": ABSENT, "note": why or ran}]
+
+
+def _published(
+    rows: pd.DataFrame, key: tuple[str, str], title: str, note: str = ""
+) -> list[dict[str, object]]:
+    method, training_data = key
+    found = rows[(rows["method"] == method) & (rows["training_data"] == training_data)]
+    return [
+        {
+            "variant": title,
+            "kind": PUBLISHED,
+            "protocol": "the paper's",
+            "training_data": training_data,
+            "note": note,
+            **{
+                name: row[name]
+                for name in ("subset", *OVER_ALL)
+                if name in row and not pd.isna(row[name])
+            },
+        }
+        for row in found.to_dict("records")
+    ]

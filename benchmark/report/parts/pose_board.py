@@ -1,0 +1,300 @@
+"""The leaderboard of poses: a row for each method, depth and fit, measured or published.
+
+Whether one depth gives better poses than another, on the same frames by the same method.
+
+Scenes are what is independent. Average precision is no mean of frames, so that scenes cannot have
+differences of their own; but if the depth made no difference, the answers to each scene could be
+swapped between the two, and the figures of all swapped tables be as likely as the observed ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from benchmark.evaluation.tasks.pose_inputs import RAW, TRUE
+from benchmark.evaluation.tasks.pose_results import (
+    ALL,
+    HARD,
+    SAMPLES,
+    SUBSETS,
+    PoseResult,
+    Scored,
+    heading,
+    interval_of,
+    scene_draws,
+    score_run,
+)
+from benchmark.evaluation.tasks.pose_runs import FITS
+from benchmark.metrics.pose import PoseProtocol, get_pose_protocol
+from benchmark.metrics.pose.resampling import resampled_scores, scene_weights, side_by_side
+from benchmark.published.load import published_poses
+from benchmark.report.leaderboard import MEASURED, PUBLISHED, Column
+from std_toolkit.errors import ToolkitError
+
+Floats = NDArray[np.float64]
+
+EXACT_SCENES = 11  # up to so many, all 2**scenes ways to swap are counted
+
+FLIPS = 2000  # drawn ways above that
+
+# The protocols of the tables; comparisons are by the first.
+PROTOCOLS = ("strict", "paper")
+
+TABLES = (ALL, HARD)
+
+# What "right" means in comparisons, breakdowns and the answer.
+MAIN = "5deg5cm"
+
+
+@dataclass(frozen=True, eq=False)
+class PoseDifference:
+    """Two runs on the same frames, by one protocol.
+
+    Attributes:
+        columns: names of the K figures.
+        difference: (K,) first minus second, shares.
+        low, high: (K,) 95 % interval over scenes; NaN with one scene.
+        p: (K,) two-sided p of the swap test: how often a difference is as large when each scene's
+            answers are swapped between the two by chance. Never below 2 / 2**scenes: with five
+            scenes or fewer nothing can be significant at 0.05.
+        scenes, frames: how many were compared.
+    """
+
+    columns: tuple[str, ...]
+    difference: Floats
+    low: Floats
+    high: Floats
+    p: Floats
+    scenes: int
+    frames: int
+
+    def of(self, column: str) -> tuple[float, float, float, float]:
+        """Difference, its interval, and p of a column."""
+        i = self.columns.index(column)
+        values = (self.difference[i], self.low[i], self.high[i], self.p[i])
+        return values[0].item(), values[1].item(), values[2].item(), values[3].item()
+
+
+def compare_runs(
+    first: Scored, second: Scored, *, samples: int = SAMPLES, seed: int = 0
+) -> PoseDifference:
+    """Compare two runs.
+
+    Args:
+        first, second: by the same protocol, of the same objects.
+        samples: draws for the interval.
+        seed: of all that is drawn.
+
+    Raises:
+        ToolkitError: they are not of the same frames and objects.
+    """
+    same = (
+        np.array_equal(first.names, second.names)
+        and np.array_equal(first.scenes, second.scenes)
+        and first.objects == second.objects
+    )
+    if not same:
+        raise ToolkitError(
+            "only runs over the same frames can be compared",
+            value=", ".join(second.result.name),
+            hint="run both over all frames, with the same --limit",
+        )
+    both = side_by_side(first.matches, second.matches)
+    scenes = len(np.unique(first.scenes))
+    frames = len(first.scenes)
+
+    def differences(of_first: Floats, of_second: Floats) -> Floats:
+        """(D, K) for weights (D, scenes) of the first run's answers and of the second's."""
+        a, b = (scene_weights(first.scenes, w) for w in (of_first, of_second))
+        return resampled_scores(both, np.hstack([a, b])) - resampled_scores(both, np.hstack([b, a]))
+
+    ones, zeros = np.ones((1, scenes)), np.zeros((1, scenes))
+    observed = differences(ones, zeros)[0]
+    low = high = np.full(len(observed), np.nan)
+    if scenes > 1:
+        draws = scene_draws(scenes, samples, seed=seed)
+        drawn = differences(draws, np.zeros_like(draws))
+        low, high = interval_of(drawn)
+    swaps = _swaps(scenes, seed)
+    swapped = differences(1.0 - swaps, swaps)
+    # The same figures summed in another order differ in their last bits.
+    reached = (np.abs(swapped) >= np.abs(observed) - 1e-12).sum(axis=0)
+    exact = scenes <= EXACT_SCENES
+    p = reached / len(swaps) if exact else (reached + 1) / (len(swaps) + 1)
+    p = np.where(np.isnan(observed), np.nan, p)
+    columns = first.scores.columns
+    return PoseDifference(columns, observed, low, high, p, scenes, frames)
+
+
+def _swaps(scenes: int, seed: int) -> Floats:
+    """(W, scenes) which scenes are swapped: all ways, or some that are drawn."""
+    if scenes <= EXACT_SCENES:
+        ways: Floats = (np.arange(2**scenes)[:, None] >> np.arange(scenes) & 1).astype(np.float64)
+        return ways
+    rng = np.random.default_rng(seed)
+    return rng.integers(0, 2, (FLIPS, scenes)).astype(np.float64)
+
+
+DETAILS = tuple(name for name in SUBSETS if name not in TABLES)
+
+FIGURES = tuple(
+    Column(name, heading(name), "%", 1e2, 1, less_is_better=False, printed_digits=1)
+    for name in get_pose_protocol(PROTOCOLS[0]).columns
+)
+
+INTERVALS = tuple(f"{c.name}_{end}" for c in FIGURES for end in ("low", "high"))
+
+COLUMNS = (
+    "split", "protocol", "subset", "method", "depth", "fit", "kind", "objects", "frames", "scenes",
+    "failed", *(c.name for c in FIGURES), *INTERVALS, "training_data", "table",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """A run against the same method on raw depth.
+
+    Attributes:
+        scored: the run.
+        difference: the run minus that on raw depth; None where they cannot be compared.
+        why_not: in that case why.
+    """
+
+    scored: Scored
+    difference: PoseDifference | None
+    why_not: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseBoard:
+    """All that the formats and the page show.
+
+    Attributes:
+        rows: see `COLUMNS`; shares.
+        details: by split, the runs by the first protocol, for all objects and for those of each
+            single material, without intervals.
+        compared: by split and subset of `TABLES`, the runs on other than raw depth.
+        results: the runs.
+    """
+
+    rows: pd.DataFrame
+    details: dict[str, list[Scored]]
+    compared: dict[tuple[str, str], list[Compared]]
+    results: tuple[PoseResult, ...]
+
+    @property
+    def splits(self) -> list[str]:
+        """That were measured."""
+        return list(dict.fromkeys(result.split for result in self.results))
+
+    def part(self, split: str, protocol: str, subset: str) -> pd.DataFrame:
+        """The rows of one table."""
+        rows = self.rows
+        chosen = (rows["split"] == split) & (rows["protocol"] == protocol)
+        return rows[chosen & (rows["subset"] == subset)].reset_index(drop=True)
+
+
+def make_pose_board(
+    results: Sequence[PoseResult], *, published: bool = True, samples: int = SAMPLES
+) -> PoseBoard:
+    """Score runs and compare them.
+
+    Args:
+        results: at least one.
+        published: with the figures that papers print for the same splits and subsets.
+        samples: draws of scenes for intervals.
+
+    Raises:
+        ToolkitError: no run has a frame with a true object.
+    """
+    ordered = sorted(results, key=lambda r: (r.split, r.name[0], FITS.index(r.name[2]), _place(r)))
+    rows, details, compared = [], {}, {}
+    for split in dict.fromkeys(result.split for result in ordered):
+        mine = [result for result in ordered if result.split == split]
+        for name in PROTOCOLS:
+            protocol = get_pose_protocol(name)
+            for subset in TABLES:
+                scored = _scored(mine, protocol, subset, samples)
+                rows += [_row(each, name) for each in scored]
+                if name == PROTOCOLS[0]:
+                    compared[split, subset] = _against_raw(scored, samples)
+        first = get_pose_protocol(PROTOCOLS[0])
+        details[split] = [s for subset in (ALL, *DETAILS) for s in _scored(mine, first, subset, 0)]
+    if not rows:
+        raise ToolkitError(
+            "no frame has a true object, there is nothing to report", path=results[0].folder
+        )
+    board = pd.DataFrame(rows)
+    if published:
+        board = pd.concat([board, _published(board)], ignore_index=True)
+    return PoseBoard(board.reindex(columns=list(COLUMNS)), details, compared, tuple(ordered))
+
+
+def _place(result: PoseResult) -> tuple[int, str]:
+    """Raw depth before restored depth, true depth last."""
+    depth = result.manifest.setup.depth
+    return (0 if depth == RAW else 2 if depth == TRUE else 1, result.name[1])
+
+
+def _scored(
+    results: Sequence[PoseResult], protocol: PoseProtocol, subset: str, samples: int
+) -> list[Scored]:
+    scored = [score_run(result, protocol, subset, samples=samples) for result in results]
+    return [each for each in scored if each.objects]
+
+
+def _row(scored: Scored, protocol: str) -> dict[str, object]:
+    method, depth, fit = scored.result.name
+    row: dict[str, object] = {
+        "split": scored.result.split,
+        "protocol": protocol,
+        "subset": scored.subset,
+        "method": method,
+        "depth": depth,
+        "fit": fit,
+        "kind": MEASURED,
+        "objects": scored.objects,
+        "frames": len(scored.scenes),
+        "scenes": scored.scene_count,
+        "failed": scored.result.failed,
+    }
+    for column, value in scored.scores.mean.items():
+        row[column] = value
+        row[f"{column}_low"], row[f"{column}_high"] = scored.interval(column)
+    return row
+
+
+def _against_raw(scored: Sequence[Scored], samples: int) -> list[Compared]:
+    """Runs on other depths, each with the run of the same method and fit on raw depth."""
+    raw = {(s.result.name[0], s.result.name[2]): s for s in scored if s.result.name[1] == RAW}
+    found = []
+    for each in scored:
+        method, depth, fit = each.result.name
+        if depth == RAW:
+            continue
+        base = raw.get((method, fit))
+        if base is None:
+            found.append(Compared(each, None, "not run on raw depth"))
+            continue
+        try:
+            found.append(Compared(each, compare_runs(each, base, samples=samples)))
+        except ToolkitError as error:
+            found.append(Compared(each, None, error.problem))
+    return found
+
+
+def _published(board: pd.DataFrame) -> pd.DataFrame:
+    """Published rows of the splits and subsets that were measured, beside every protocol."""
+    printed = published_poses()
+    parts = []
+    for split, protocol, subset in (
+        board[["split", "protocol", "subset"]].drop_duplicates().itertuples(index=False)
+    ):
+        part = printed[(printed["split"] == split) & (printed["subset"] == subset)]
+        parts.append(part.assign(protocol=protocol))
+    return pd.concat(parts, ignore_index=True).assign(kind=PUBLISHED, depth="", fit="")

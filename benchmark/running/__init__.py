@@ -1,1 +1,0 @@
-"""Scoring of methods over splits: batches, resume, tables, manifests, speed."""

@@ -1,0 +1,219 @@
+"""One round of clearing: look, restore, plan, grasp, until the table is empty or ten attempts are
+made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.methods.protocol import GraspView
+from benchmark.metrics.grasp.grasp import Grasps
+from benchmark.metrics.grasp.gripper import PANDA, Gripper
+from benchmark.tabletop.arrange import Arrangement, TableObject, off_table
+from benchmark.tabletop.grasp import APPROACH_M, Execution, execute
+from benchmark.tabletop.sense import Observation, TableCamera
+from sensors.physics.world import World, come_to_rest
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.se3 import SE3, rotation_angle
+
+Array = NDArray[np.float64]
+
+MOST_ATTEMPTS = 10
+NO_GRASP = "no-grasp"
+# So many views in a row without any grasp end a round.
+_BLIND_VIEWS = 3
+# An arm does not come from below: approaches within so much of straight down.
+_STEEPEST = np.deg2rad(80.0)
+# A grasp as near as this to one that failed in this round is tried after all others.
+_SAME_M, _SAME_RAD = 0.012, np.deg2rad(25.0)
+# The hand's corners stay above the table.
+_BELOW_M = 0.002
+_LONGEST_REST_S = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class GivenDepth:
+    """The depth that a planner is given, at the size of the method that made it."""
+
+    color: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    camera: Camera
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """What is on the table before an attempt."""
+
+    objects: tuple[TableObject, ...]
+    poses: tuple[SE3, ...]
+
+
+Restore = Callable[[Observation], GivenDepth]
+# Grasps in the camera's frame; the state is for planners that know the truth.
+Plan = Callable[[GraspView, State], Grasps]
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """One view, and what was tried upon it.
+
+    Attributes:
+        number: 0, 1, ... within the round.
+        before: the table.
+        looked, given: what was seen, and what the planner was given.
+        planned: the planner's grasps, in the camera's frame.
+        grasp: the one tried, in the world's frame; None where there was none to try.
+        executed: what became of it.
+        removed: numbers of the objects that were taken away, held.
+        lost: numbers of the objects that fell or rolled off the table.
+    """
+
+    number: int
+    before: State
+    looked: Observation
+    given: GivenDepth
+    planned: Grasps
+    grasp: Grasps | None = None
+    executed: Execution | None = None
+    removed: tuple[int, ...] = ()
+    lost: tuple[int, ...] = ()
+
+    @property
+    def found(self) -> int:
+        """How many grasps the planner gave."""
+        return len(self.planned)
+
+    @property
+    def outcome(self) -> str:
+        """`held`, or why nothing was."""
+        return NO_GRASP if self.executed is None else self.executed.outcome
+
+
+@dataclass
+class _Memory:
+    """Grasps that failed, as (tips, rotations) in the world."""
+
+    failed: list[tuple[Array, Array]] = field(default_factory=list)
+
+    def knows(self, tip: Array, R: Array) -> bool:
+        return any(
+            np.linalg.norm(tip - t) < _SAME_M and _turn(R, Q) < _SAME_RAD for t, Q in self.failed
+        )
+
+
+def clear_table(
+    arrangement: Arrangement,
+    camera: TableCamera,
+    restore: Restore,
+    plan: Plan,
+    *,
+    color: bool,
+    gripper: Gripper = PANDA,
+    attempts: int = MOST_ATTEMPTS,
+) -> Iterator[Attempt]:
+    """The attempts of a round, one after the other. The same input gives the same ones.
+
+    Args:
+        arrangement: the table at the start.
+        camera: looks before every attempt.
+        restore: makes the depth that the planner is given.
+        plan: the planner.
+        color: whether somebody looks at colour.
+        gripper: the hand.
+        attempts: at most so many.
+    """
+    state = State(arrangement.objects, arrangement.poses)
+    memory, blind = _Memory(), 0
+    for number in range(attempts):
+        if not state.objects or blind == _BLIND_VIEWS:
+            return
+        looked = camera.look(state.objects, state.poses, number, color=color)
+        given = restore(looked)
+        T_world_cam = camera.T_world_cam
+        view = GraspView(
+            given.color, given.depth, given.camera, T_cam_table=T_world_cam.inverse().matrix()
+        )
+        planned = plan(view, state)
+        chosen = choose(planned.transformed(T_world_cam), memory, gripper)
+        if chosen is None:
+            blind += 1
+            yield Attempt(number, state, looked, given, planned)
+            continue
+        blind = 0
+        executed = execute(
+            [o.body for o in state.objects], state.poses, chosen,
+            masses_kg=[o.mass_kg for o in state.objects], gripper=gripper,
+        )  # fmt: skip
+        if not executed.held:
+            memory.failed.append((chosen.tips[0], chosen.rotations[0]))
+        following, lost = _after(state, executed)
+        yield Attempt(
+            number, state, looked, given, planned, chosen, executed,
+            tuple(state.objects[k].number for k in executed.held), lost,
+        )  # fmt: skip
+        state = following
+
+
+def choose(grasps: Grasps, memory: _Memory, gripper: Gripper) -> Grasps | None:
+    """The planner's best grasp that an arm above the table can come to; None if there is none.
+
+    What failed before in this round comes last: a camera without noise would have the same grasp
+    tried again and again.
+    """
+    fine = grasps[reachable(grasps, gripper)]
+    for k in range(len(fine)):
+        if not memory.knows(fine.tips[k], fine.rotations[k]):
+            return fine[k]
+    return fine[0] if len(fine) else None
+
+
+def reachable(grasps: Grasps, gripper: Gripper) -> NDArray[np.bool_]:
+    """(N,) grasps in the world's frame that come from above and keep the hand over the table."""
+    if not len(grasps):
+        return np.zeros(0, bool)
+    steep = grasps.approaches[:, 2] < -np.cos(_STEEPEST)
+    boxes = gripper.boxes(np.minimum(grasps.widths, gripper.max_width), grasps.depths)
+    up = grasps.rotations[:, 2]  # height of each of the hand's axes
+    lowest = np.minimum(boxes.low * up[:, None], boxes.high * up[:, None]).sum(axis=2).min(axis=1)
+    return steep & (lowest + grasps.translations[:, 2] > -_BELOW_M)
+
+
+def _after(state: State, executed: Execution) -> tuple[State, tuple[int, ...]]:
+    """The table when the hand and what it holds are gone and the rest lies still."""
+    left = [k for k in range(len(state.objects)) if k not in executed.held]
+    if not left:
+        return State((), ()), ()
+    world = World([state.objects[k].body for k in left])
+    world.place([executed.poses[k] for k in left])
+    # What still rolls after that is looked at where it is.
+    come_to_rest(world, _LONGEST_REST_S)
+    poses = world.poses()
+    gone = set(off_table(poses))
+    lost = tuple(state.objects[k].number for i, k in enumerate(left) if i in gone)
+    kept = [(state.objects[k], poses[i]) for i, k in enumerate(left) if i not in gone]
+    return State(tuple(o for o, _ in kept), tuple(T for _, T in kept)), lost
+
+
+def _turn(R: Array, Q: Array) -> float:
+    """Angle between two grasps, of which half a turn about the approach makes no difference."""
+    half = np.diag([1.0, -1.0, -1.0])
+    return min(rotation_angle(R.T @ Q), rotation_angle(half @ R.T @ Q))
+
+
+def target_of(attempt: Attempt, points: Sequence[Array]) -> int | None:
+    """Place of the object whose surface is nearest to where the fingertips were sent; None without
+    a grasp.
+
+    Args:
+        points: (N, 3) of each object on the table, world.
+    """
+    if attempt.grasp is None:
+        return None
+    middle = attempt.grasp.tips[0] - 0.01 * attempt.grasp.approaches[0]
+    return int(np.argmin([np.linalg.norm(p - middle, axis=1).min() for p in points]))
+
+
+__all__ = ["APPROACH_M", "Attempt", "GivenDepth", "State", "clear_table", "target_of"]

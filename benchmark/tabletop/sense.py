@@ -1,0 +1,327 @@
+"""The camera above the table: exact depth, and depth by the quick model or the simulator.
+
+What the camera truly sees of the objects on the table, and what lies behind them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.data.frame import BACKGROUND, DepthFrame, Instance, Material
+from benchmark.tabletop.arrange import Arrangement, TableObject
+from benchmark.tabletop.depth_model import degrade, draw_shares
+from sensors.physics import PhysicalObject
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.rendering.maps import compose, surface_maps
+from std_toolkit.rendering.mesh import RenderMesh
+from std_toolkit.rendering.protocol import PlacedMesh
+from std_toolkit.rendering.raycast import RaycastRenderer
+from std_toolkit.rendering.windows import image_window
+
+if TYPE_CHECKING:
+    from sensors.simulation.world import World
+
+CameraKind = Literal["quick", "simulated"]
+
+CAMERAS: tuple[CameraKind, ...] = ("quick", "simulated")
+
+WIDTH, HEIGHT = 640, 360
+
+# Above the near edge of the working area, looking down at 52 degrees.
+EYE, TARGET = (0.0, -0.33, 0.45), (0.0, 0.0, 0.03)
+
+_QUALITY = "rough"
+
+
+@dataclass(frozen=True, eq=False)
+class ExactView:
+    """A view of the table; the maps have the camera's size.
+
+    Attributes:
+        depth: float32 metres, z-depth of the first surface, glass and table included.
+        mask: uint8 index of the object, `BACKGROUND` on the table.
+        behind: float32 metres, of the next object or the table behind the object that is seen;
+            equal to `depth` on the table.
+        normals: (h, w, 3) float32 in the camera's frame, towards the camera.
+    """
+
+    depth: NDArray[np.float32]
+    mask: NDArray[np.uint8]
+    behind: NDArray[np.float32]
+    normals: NDArray[np.float32]
+
+
+class ExactCamera:
+    """A camera that stands still above the table, whose plane is z = 0.
+
+    Args:
+        camera: without distortion.
+        T_world_cam: where it stands; every pixel must see the table's plane.
+    """
+
+    def __init__(self, camera: Camera, T_world_cam: SE3) -> None:
+        self.camera, self.T_world_cam = camera, T_world_cam
+        self._renderer = RaycastRenderer(threads=1)
+        self._meshes: dict[tuple[str, float], RenderMesh] = {}
+        down = camera.rays() @ T_world_cam.R[2]
+        self.table = (-T_world_cam.t[2] / down).astype(np.float32)
+
+    def look(self, objects: Sequence[PhysicalObject], poses: Sequence[SE3]) -> ExactView:
+        """The view of objects at poses T_world_obj."""
+        T_cam_world = self.T_world_cam.inverse()
+        placed = [
+            PlacedMesh(i + 1, self._mesh(o), T_cam_world @ T)
+            for i, (o, T) in enumerate(zip(objects, poses, strict=True))
+        ]
+        up = T_cam_world.R[:, 2].astype(np.float32)
+        depth, behind = self.table.copy(), self.table.copy()
+        mask = np.full(depth.shape, BACKGROUND, np.uint8)
+        normals = np.broadcast_to(up, (*depth.shape, 3)).copy()
+        if not placed:
+            return ExactView(depth, mask, behind, normals)
+        seen = compose(self._renderer, self.camera, placed)
+        on = (seen.index >= 0) & (seen.depth < self.table)
+        depth[on], mask[on] = seen.depth[on], seen.index[on].astype(np.uint8)
+        normals[on] = surface_maps(self.camera, placed, seen)[1][on]
+        for i, outline in enumerate(seen.silhouettes):
+            if outline.image is None or outline.image_window is None:
+                continue
+            place = outline.image_window.slices_in(image_window(self.camera))
+            there = outline.image.depth
+            later = (there > 0) & (mask[place] != i) & on[place] & (there < behind[place])
+            np.copyto(behind[place], there, where=later)
+        return ExactView(depth, mask, behind, normals)
+
+    def _mesh(self, obj: PhysicalObject) -> RenderMesh:
+        key = (obj.asset.id, obj.diagonal_m)
+        if key not in self._meshes:
+            self._meshes[key] = RenderMesh.from_arrays(
+                obj.asset.vertices * obj.diagonal_m, obj.asset.faces
+            )
+        return self._meshes[key]
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """A view of the table.
+
+    Attributes:
+        frame: colour, measured and true depth, instances by their place in the list of objects.
+        exact: with what lies behind, for pictures.
+    """
+
+    frame: DepthFrame
+    exact: ExactView
+
+
+class TableCamera(Protocol):
+    """A camera that stands still above a round."""
+
+    camera: Camera
+    T_world_cam: SE3
+
+    def look(
+        self, objects: Sequence[TableObject], poses: Sequence[SE3], attempt: int, *, color: bool
+    ) -> Observation:
+        """The table before an attempt; the same for the same objects, poses and attempt.
+
+        Args:
+            objects, poses: what is still there.
+            attempt: decides the noise.
+            color: whether somebody will look at the colour; else it is a plain shading.
+        """
+        ...
+
+
+def camera_pose() -> SE3:
+    """T_world_cam of the camera above the table."""
+    from sensors.viewpoints.look_at import look_at
+
+    return look_at(EYE, TARGET)
+
+
+def make_camera(
+    kind: str, arrangement: Arrangement, *, parts_cache: Path | None = None
+) -> TableCamera:
+    """The camera of one round.
+
+    Raises:
+        ToolkitError: no such kind.
+    """
+    if kind == "quick":
+        return QuickCamera(arrangement)
+    if kind == "simulated":
+        return SimulatedCamera(arrangement, parts_cache=parts_cache)
+    raise ToolkitError(
+        "no such camera", field="--camera", value=kind, hint=f"one of {', '.join(CAMERAS)}"
+    )
+
+
+def materials_of(objects: Sequence[TableObject]) -> dict[int, str]:
+    """Material class by place in the list."""
+    return {k: o.material.material_class for k, o in enumerate(objects)}
+
+
+def shaded(exact: ExactView) -> NDArray[np.uint8]:
+    """(h, w, 3) grey picture lit from the camera, for planners that look at depth alone."""
+    light = np.clip(-exact.normals[..., 2], 0.1, 1.0)
+    return np.repeat(np.rint(200 * light)[..., None], 3, axis=2).astype(np.uint8)
+
+
+class QuickCamera:
+    """Exact depth degraded by the fitted model; colour by the path tracer of `sensors`.
+
+    How much of an object is measured is drawn once for a round, its patches at every look.
+    """
+
+    def __init__(self, arrangement: Arrangement) -> None:
+        self._scenery = Scenery(arrangement)
+        self._exact = ExactCamera(self._scenery.camera, self._scenery.T_world_cam)
+        self.camera, self.T_world_cam = self._exact.camera, self._exact.T_world_cam
+        rng = np.random.default_rng([arrangement.seed, 10])
+        self._shares = {
+            o.number: draw_shares(o.material.material_class, rng) for o in arrangement.objects
+        }
+
+    def look(
+        self, objects: Sequence[TableObject], poses: Sequence[SE3], attempt: int, *, color: bool
+    ) -> Observation:
+        """See `TableCamera`."""
+        exact = self._exact.look([o.body for o in objects], poses)
+        measured = degrade(
+            exact.depth, exact.mask, exact.behind, materials_of(objects), self.camera,
+            rng=np.random.default_rng([self._scenery.seed, 11, attempt]),
+            shares={k: self._shares[o.number] for k, o in enumerate(objects)},
+        )  # fmt: skip
+        image = self._scenery.color(objects, poses, attempt) if color else shaded(exact)
+        return Observation(_frame(objects, image, measured, exact, self.camera, attempt), exact)
+
+
+class SimulatedCamera:
+    """The depth camera of `std-sim`: infrared pair, stereo matching, path-traced colour."""
+
+    def __init__(self, arrangement: Arrangement, *, parts_cache: Path | None = None) -> None:
+        from sensors.simulation.simulator import Simulator
+
+        self._scenery = Scenery(arrangement)
+        self._exact = ExactCamera(self._scenery.camera, self._scenery.T_world_cam)
+        self.camera, self.T_world_cam = self._exact.camera, self._exact.T_world_cam
+        self._simulator = Simulator(self._scenery.options, parts_cache=parts_cache, threads=1)
+
+    def look(
+        self,
+        objects: Sequence[TableObject],
+        poses: Sequence[SE3],
+        attempt: int,
+        *,
+        color: bool,  # noqa: ARG002 - it comes with the simulation
+    ) -> Observation:
+        """See `TableCamera`."""
+        exact = self._exact.look([o.body for o in objects], poses)
+        world = self._scenery.world(objects, poses, attempt)
+        seen = next(iter(self._simulator.frames(world)))
+        return Observation(
+            _frame(objects, seen.color, seen.depth_aligned, exact, self.camera, attempt), exact
+        )
+
+
+class Scenery:
+    """Floor and light of a round, and its objects as the simulator takes them."""
+
+    def __init__(self, arrangement: Arrangement) -> None:
+        from sensors.lighting import draw_floor, draw_lighting, environment_source
+        from sensors.simulation.options import SimulationOptions
+        from sensors.specs import load_sensor
+
+        self.seed = arrangement.seed
+        self.options = SimulationOptions(
+            views=1, width=WIDTH, height=HEIGHT, min_objects=1, quality=_QUALITY, split="test"
+        )
+        self.camera = load_sensor(self.options.sensor).color_camera(WIDTH, HEIGHT)
+        self.T_world_cam = camera_pose()
+        rng = np.random.default_rng([self.seed, 12])
+        self._floor = draw_floor(rng, split="test")
+        self._environment = environment_source(None, split="test").draw(rng)
+        self._light = draw_lighting(rng, self._environment.name)
+        self._renderer: Any = None
+
+    def world(self, objects: Sequence[TableObject], poses: Sequence[SE3], attempt: int) -> World:
+        """What is still on the table, as the simulator takes it."""
+        from sensors.simulation.draw import ObjectDraw, SceneDraw
+        from sensors.simulation.world import build_world
+
+        draw = SceneDraw(
+            seed=int(np.random.default_rng([self.seed, 13, attempt]).integers(2**31)),
+            objects=[
+                ObjectDraw(
+                    instance=k,
+                    asset=o.body.asset.id,
+                    category=o.body.asset.category,
+                    diagonal_m=o.body.diagonal_m,
+                    material=o.material,
+                )
+                for k, o in enumerate(objects, start=1)
+            ],
+            floor=self._floor,
+            light=[self._light],
+        )
+        world = build_world(
+            "round", draw, [o.body.asset for o in objects], self._environment, self.options,
+            sensor=self.options.sensor, poses=poses,
+        )  # fmt: skip
+        return replace(world, T_world_cam=(self.T_world_cam,))
+
+    def color(
+        self, objects: Sequence[TableObject], poses: Sequence[SE3], attempt: int
+    ) -> NDArray[np.uint8]:
+        """(h, w, 3) path-traced colour, few paths, denoised."""
+        from sensors.render import SIM_RENDERERS, denoise, develop
+        from sensors.simulation.quality import quality_of
+
+        if self._renderer is None:
+            self._renderer = SIM_RENDERERS.get("mitsuba")(threads=1)
+        world = self.world(objects, poses, attempt)
+        light = self._renderer.load(world.scene).color(
+            self.camera, self.T_world_cam, ambient=self._light.color_strength,
+            options=quality_of(_QUALITY).color, seed=world.draw.seed,
+        )  # fmt: skip
+        rng = np.random.default_rng([self.seed, 14, attempt])
+        return develop(denoise(light, threads=1), rng=rng)[0]
+
+
+def _frame(
+    objects: Sequence[TableObject],
+    color: NDArray[np.uint8],
+    measured: NDArray[np.float32],
+    exact: ExactView,
+    camera: Camera,
+    attempt: int,
+) -> DepthFrame:
+    kinds: Mapping[str, Material] = {m.name.lower(): m for m in Material}
+    return DepthFrame(
+        scene="table",
+        name=f"{attempt:02d}",
+        color=color,
+        depth_raw=measured,
+        depth_true=exact.depth,
+        mask=exact.mask,
+        camera=camera,
+        instances=tuple(
+            Instance(
+                mask_id=k,
+                class_id=o.body.asset.class_id,
+                material=kinds[o.material.material_class],
+                category=o.body.asset.category,
+                model=o.body.asset.id,
+            )
+            for k, o in enumerate(objects)
+        ),
+    )

@@ -1,0 +1,126 @@
+"""Training of the depth restorers: network, loss and optimization of each."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from benchmark.methods.depth.cleargrasp.cleargrasp_network import PRESETS as CLEARGRASP
+from benchmark.methods.depth.cleargrasp.cleargrasp_network import ClearGraspNetwork
+from benchmark.methods.depth.dfnet import PRESETS as DFNET
+from benchmark.methods.depth.dfnet import DFNetwork
+from benchmark.methods.depth.lidf.lidf import LIDFNetwork
+from benchmark.methods.depth.lidf.voxels import PRESETS as LIDF
+from benchmark.methods.depth.nlspn import PRESETS as NLSPN
+from benchmark.methods.depth.nlspn import NLSPNetwork
+from benchmark.methods.depth.nlspn import load_imagenet as load_resnet
+from benchmark.methods.depth.swindrnet.swindrnet import load_imagenet as load_swin
+from benchmark.methods.depth.swindrnet.swindrnet_network import PRESETS as SWINDRNET
+from benchmark.methods.depth.swindrnet.swindrnet_network import SwinDRNetwork
+from benchmark.training.catalogue import Trainable
+from benchmark.training.config import Optimization
+from benchmark.training.depth.cleargrasp_losses import ClearGraspLoss
+from benchmark.training.depth.cleargrasp_training import ClearGraspValidator, cleargrasp_step
+from benchmark.training.depth.depth_losses import DFNetLoss, NLSPNLoss, SwinDRNetLoss
+from benchmark.training.depth.lidf_training import (
+    COARSE,
+    HARD,
+    REFINE,
+    LIDFLoss,
+    lidf_depth,
+    lidf_step,
+)
+from benchmark.training.validation import DepthValidator
+
+NLSPN_TRAINING = Trainable(
+    presets=NLSPN,
+    network=NLSPNetwork,
+    loss=NLSPNLoss(),
+    optimization=Optimization(
+        optimizer="adam",
+        learning_rate=1e-3,
+        weight_decay=0.0,
+        batch_size=12,
+        epochs=20,
+        decay="steps",
+        milestones=(10 / 20, 15 / 20),
+        factor=0.2,
+        warmup_share=1 / 20,
+    ),
+    jitter=True,
+    geometry=True,
+    imagenet=load_resnet,
+)
+
+
+DFNET_TRAINING = Trainable(
+    presets=DFNET,
+    network=DFNetwork,
+    loss=DFNetLoss(),
+    optimization=Optimization(
+        learning_rate=1e-3,
+        batch_size=32,
+        epochs=40,
+        decay="steps",
+        milestones=(5 / 40, 15 / 40, 25 / 40, 35 / 40),
+        factor=0.2,
+    ),
+    geometry=False,
+)
+
+
+# Published are the lengths of the first two phases. The last one's is not; it is as long as the
+# one before.
+LIDF_TRAINING = Trainable(
+    presets=LIDF,
+    network=LIDFNetwork,
+    loss=LIDFLoss(),
+    step=lidf_step,
+    judge=partial(DepthValidator, restore=lidf_depth),
+    optimization=Optimization(
+        optimizer="adam",
+        learning_rate=1e-3,
+        weight_decay=0.0,
+        batch_size=32,
+        epochs=120,
+        decay="steps",
+        phase_epochs={COARSE: 60, REFINE: 30, HARD: 30},
+        phase_rates={HARD: 0.1},
+    ),
+    geometry=False,
+    idle=lambda config: True,  # noqa: ARG005  # one stage always rests
+)
+
+
+# Batch and epochs are not known; colour alone is what the networks see, so that it is augmented.
+CLEARGRASP_TRAINING = Trainable(
+    presets=CLEARGRASP,
+    network=ClearGraspNetwork,
+    loss=ClearGraspLoss(),
+    step=cleargrasp_step,
+    judge=ClearGraspValidator,
+    optimization=Optimization(
+        optimizer="adam",
+        learning_rate=1e-4,
+        weight_decay=0.0,
+        batch_size=32,
+        epochs=20,
+        decay="steps",
+    ),
+    colors=True,
+    geometry=False,
+    idle=lambda config: True,  # noqa: ARG005  # networks whose loss has no weight
+)
+
+
+SWINDRNET_TRAINING = Trainable(
+    presets=SWINDRNET,
+    # The preset is the network whose weights are published; trained is the paper's.
+    settings={"published": {"fusion": "paper"}},
+    network=SwinDRNetwork,
+    loss=SwinDRNetLoss(),
+    optimization=Optimization(warmup_steps=500),
+    colors=True,
+    geometry=False,
+    imagenet=load_swin,
+    idle=lambda config: config.fusion == "released",
+)

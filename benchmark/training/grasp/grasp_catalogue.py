@@ -1,0 +1,171 @@
+"""Training of GraspNet, and its validation.
+
+How GraspNet is trained.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from benchmark.methods.grasp.graspnet.cloud import PRESETS, gripper_rotations
+from benchmark.methods.grasp.graspnet.graspnet import best_of_seeds
+from benchmark.methods.grasp.graspnet.graspnet_network import GraspNetwork
+from benchmark.metrics.grasp.ap import Judged, JudgedObject, judge_grasps, precision_at
+from benchmark.metrics.grasp.force_closure import FRICTIONS
+from benchmark.metrics.grasp.grasp import Grasps
+from benchmark.training.catalogue import Trainable
+from benchmark.training.config import Optimization
+from benchmark.training.grasp.grasp_step import GraspNetLoss, grasp_step
+from benchmark.training.grasp.packed_grasps import PackedGrasps
+from benchmark.training.step import StepInfo, model_input
+from benchmark.training.validation import batches, evaluating, shown_of
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.io.images import write_color
+
+_DRAWN = 12  # grasps of a frame in the gallery
+
+
+class GraspValidator:
+    """Validation: the loss, and GraspNet's average precision of the best grasps of each frame.
+
+    No grasp is left out because it collides: what a planner does with the cloud is not the
+    network's merit.
+
+    Args:
+        frames: packed scenes.
+        chosen: those to judge by.
+        batch: frames that go through the network together.
+        loss: the method's.
+    """
+
+    def __init__(self, frames: PackedGrasps, chosen: Sequence[int], batch: int, loss: Any) -> None:
+        self.frames, self.chosen, self.batch, self.loss = frames, tuple(chosen), batch, loss
+        self._objects: dict[tuple[int, int], list[JudgedObject]] = {}
+
+    @torch.no_grad()
+    def states(
+        self,
+        network: nn.Module,
+        device: torch.device,
+        *,
+        rank: int = 0,
+        world: int = 1,
+        context: Callable[[], AbstractContextManager[Any]] = nullcontext,
+    ) -> np.ndarray:
+        """See `Judging`: frames, their losses, and the precision at each friction."""
+        total = np.zeros(2 + len(FRICTIONS))
+        frames: Any = self.frames
+        with evaluating(network):
+            for batch in batches(frames, self.chosen[rank::world], self.batch, device):
+                count = len(batch["index"])
+                with context():
+                    lost = grasp_step(network, self.loss, model_input(batch), StepInfo())
+                    found = _best(network, batch["cloud"])
+                total[:2] += count, count * float(lost.total)
+                for index, grasps in zip(batch["index"].tolist(), found, strict=True):
+                    total[2:] += precision_at(self.judged(index, grasps).friction).mean(axis=0)
+        return total
+
+    def judged(self, index: int, grasps: Grasps) -> Judged:
+        """Grasps of a frame, judged as GraspNet does."""
+        frame = self.frames.frames[index]
+        place = frame.pack, frame.number
+        if place not in self._objects:
+            self._objects[place] = [
+                JudgedObject.of_mesh(o.vertices, o.faces) for o in self.frames.objects(index)
+            ]
+        table = self.frames.T_world_cam(index).inverse()
+        return judge_grasps(grasps, self._objects[place], self.frames.poses(index), table)
+
+    def scores(self, states: np.ndarray) -> dict[str, float]:
+        """See `Judging`."""
+        frames = states[0]
+        means = states[1:] / frames if frames else np.full(len(states) - 1, math.nan)
+        by_friction = dict(zip(FRICTIONS, means[1:].tolist(), strict=True))
+        return {
+            "loss": float(means[0]),
+            "ap": float(means[1:].mean()),
+            "ap08": by_friction[0.8],
+            "ap04": by_friction[0.4],
+        }
+
+    def main_score(self, scores: dict[str, float]) -> tuple[str, float]:
+        """See `Judging`."""
+        value = 1 - scores["ap"]
+        return "1 - AP", math.inf if math.isnan(value) else value
+
+    def gallery(self, network: nn.Module, device: torch.device, path: Path) -> None:
+        """Depth of a few frames with the best grasps: green those that hold, red the others."""
+        shown = shown_of(self.chosen)
+        batch = {name: tensor.to(device) for name, tensor in self.frames[shown].items()}
+        with evaluating(network), torch.no_grad():
+            found = _best(network, batch["cloud"])
+        pictures = []
+        for index, grasps in zip(shown, found, strict=True):
+            judged = self.judged(index, grasps)
+            best, good = judged.grasps[:_DRAWN], judged.friction[:_DRAWN] > 0
+            camera = self.frames.packs[self.frames.frames[index].pack].camera
+            depth = self.frames.look(index).depth
+            pictures.append(picture(depth, camera, best, good))
+        write_color(path, np.vstack(pictures), quality=88)
+
+
+def picture(
+    depth: NDArray[np.float32], camera: Camera, grasps: Grasps, good: NDArray[np.bool_]
+) -> NDArray[np.uint8]:
+    """(h, w, 3) depth with opened jaws drawn on it."""
+    known = depth > 0
+    near, far = np.percentile(depth[known], (1, 99)) if known.any() else (0.0, 1.0)
+    shade = np.clip(255 - 200 * (depth - near) / max(far - near, 1e-6), 0, 255)
+    image = np.repeat(np.where(known, shade, 0).astype(np.uint8)[..., None], 3, axis=2)
+    for k in range(len(grasps) - 1, -1, -1):
+        half, tip = grasps.widths[k] / 2, grasps.depths[k]
+        corners = [(tip, -half), (-0.02, -half), (-0.02, 0), (-0.06, 0), (-0.02, 0)]
+        corners += [(-0.02, half), (tip, half)]
+        local = np.array([(x, y, 0.0) for x, y in corners])
+        pixels = camera.project(local @ grasps.rotations[k].T + grasps.translations[k])
+        if np.isfinite(pixels).all():
+            color = (60, 200, 60) if good[k] else (220, 60, 60)
+            line = np.rint(pixels).astype(np.int32)[:, None]
+            cv2.polylines(image, [line], False, color, 1, cv2.LINE_AA)
+    return image
+
+
+def _best(network: nn.Module, clouds: torch.Tensor) -> list[Grasps]:
+    """The grasps of the seeds on objects, of each cloud."""
+    assert isinstance(network, GraspNetwork)
+    turned = gripper_rotations(network.config.views, network.config.angles)
+    rotations = torch.from_numpy(turned).to(clouds.device, torch.float32)
+    found = best_of_seeds(network, clouds[:, : network.config.points], rotations)
+    return [f.grasps[f.on_object.numpy()] for f in found]
+
+
+GRASPNET_TRAINING = Trainable(
+    presets=PRESETS,
+    network=GraspNetwork,
+    loss=GraspNetLoss(),
+    frames=PackedGrasps,
+    images=False,
+    step=grasp_step,
+    judge=GraspValidator,
+    optimization=Optimization(
+        optimizer="adam",
+        learning_rate=1e-3,
+        weight_decay=0.0,
+        batch_size=2,
+        epochs=18,
+        decay="steps",
+        milestones=(8 / 18, 12 / 18, 16 / 18),
+        factor=0.1,
+    ),
+)

@@ -1,1 +1,0 @@
-"""Losses as published, and as the authors' programs compute them where that differs."""

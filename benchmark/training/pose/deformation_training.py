@@ -1,0 +1,180 @@
+"""Training of SPD and SGPA: objects of frames, their loss, and how good the networks are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from benchmark.methods.pose.deformation import Deformed
+from benchmark.training.packed_frames import PackedFrames
+from benchmark.training.pose.deformation_loss import (
+    Objects,
+    ObjectTruth,
+    about_y,
+    objects_of,
+    of_batches,
+)
+from benchmark.training.step import Loss, ModelInput, StepInfo, model_input
+from benchmark.training.validation import batches, evaluating, shown_of
+from std_toolkit.io.images import write_color
+
+# An error of a coordinate that a fit by RANSAC with its metric threshold can use: 2 cm of 20.
+_NEAR = 0.1
+
+
+def deformation_step(network: nn.Module, loss: Any, seen: ModelInput, step_info: StepInfo) -> Loss:  # noqa: ARG001
+    """One object of each frame through a network that deforms a prior."""
+    found = _objects(network, seen, one_each=True)
+    if found is None:
+        # Nothing can be learned of these frames; the step is there all the same.
+        nothing = sum((p.sum() * 0 for p in network.parameters()), torch.zeros(()))
+        return Loss(torch.as_tensor(nothing), {"objects": torch.zeros(())})
+    answer = _answered(network, found)
+    with torch.autocast(seen.color.device.type, enabled=False):
+        total, parts = loss(_in_full_precision(answer), found.truth)
+    return Loss(total, {**parts, "objects": torch.tensor(float(len(found.frames)))})
+
+
+class DeformationValidator:
+    """Validation by the error of coordinates, over all objects that are seen.
+
+    Args:
+        frames: packed frames.
+        chosen: those to judge by.
+        batch: frames, and objects, that go through the network together.
+        loss: the method's, which does not matter here.
+    """
+
+    def __init__(
+        self,
+        frames: PackedFrames,
+        chosen: Sequence[int],
+        batch: int,
+        loss: Any = None,  # noqa: ARG002
+    ) -> None:
+        self.frames, self.chosen, self.batch = frames, tuple(chosen), batch
+
+    @torch.no_grad()
+    def states(
+        self,
+        network: nn.Module,
+        device: torch.device,
+        *,
+        rank: int = 0,
+        world: int = 1,
+        context: Callable[[], AbstractContextManager[Any]] = nullcontext,
+    ) -> np.ndarray:
+        """(categories, 3): summed error, near points and number of objects."""
+        names = _config(network).categories
+        sums = np.zeros((len(names), 3))
+        with evaluating(network):
+            for batch in batches(self.frames, self.chosen[rank::world], self.batch, device):
+                found = _objects(network, model_input(batch), one_each=False)
+                if found is None:
+                    continue
+                for some in of_batches(found, self.batch):
+                    with context():
+                        answer = _answered(network, some)
+                    error = coordinate_errors(answer.coordinates.float(), some.truth)
+                    known = some.truth.known
+                    count = known.sum(dim=1).clamp(min=1)
+                    mean = (error.masked_fill(~known, 0.0).sum(dim=1) / count).double()
+                    near = (((error < _NEAR) & known).sum(dim=1) / count).double()
+                    row = torch.stack([mean, near, torch.ones_like(mean)], dim=1).cpu().numpy()
+                    np.add.at(sums, some.category.cpu().numpy(), row)
+        self.names: tuple[str, ...] = names
+        return sums
+
+    def scores(self, states: np.ndarray) -> dict[str, float]:
+        """`coordinates`, the mean error, and `near`, the share of points below 0.1; by category."""
+        count = states[:, 2].sum()
+        with np.errstate(invalid="ignore", divide="ignore"):
+            error, near = states[:, :2].sum(axis=0) / count
+            by_category = states[:, 0] / states[:, 2]
+        return {
+            "coordinates": float(error),
+            "near": float(near),
+            **{
+                f"coordinates_{name}": float(e)
+                for name, e in zip(self.names, by_category, strict=True)
+            },
+        }
+
+    def main_score(self, scores: dict[str, float]) -> tuple[str, float]:
+        value = scores["coordinates"]
+        return "coordinates", math.inf if math.isnan(value) else value
+
+    def gallery(self, network: nn.Module, device: torch.device, path: Path) -> None:
+        """Of a few frames their colour, their true coordinates, and those of the network's points,
+        as colours."""
+        shown = shown_of(self.chosen)
+        batch = {name: tensor.to(device) for name, tensor in self.frames[shown].items()}
+        with evaluating(network), torch.no_grad():
+            found = _objects(network, model_input(batch), one_each=False)
+            answers = [] if found is None else list(_painted(network, found, self.batch))
+        told = torch.zeros_like(batch["nocs"])
+        for frame, chosen, coordinates in answers:
+            values = (255 * (coordinates + 0.5)).round().clamp(0, 255).to(torch.uint8)
+            told[frame].view(-1, 3)[chosen] = values
+        rows = torch.cat([batch["color"], batch["nocs"], told], dim=2)
+        write_color(path, rows.flatten(0, 1).cpu().numpy(), quality=88)
+
+
+def coordinate_errors(found: Tensor, truth: ObjectTruth) -> Tensor:
+    """(b, n) distances between found and true coordinates; for round objects after the turn about y
+    that makes their squares least."""
+    a = torch.where(truth.known[..., None], found, 0.0)
+    b = truth.coordinates
+    sine = (a[..., 0] * b[..., 2] - a[..., 2] * b[..., 0]).sum(dim=1)
+    cosine = (a[..., 0] * b[..., 0] + a[..., 2] * b[..., 2]).sum(dim=1)
+    angle = torch.where(truth.turned, torch.atan2(-sine, cosine), 0.0)
+    return (found @ about_y(angle).transpose(1, 2) - b).norm(dim=2)
+
+
+def _objects(network: nn.Module, seen: ModelInput, *, one_each: bool) -> Objects | None:
+    config = _config(network)
+    depth = seen.depth[:, 0] if config.trained_on == "raw" else seen.batch["true"]
+    return objects_of(
+        seen.color,
+        depth,
+        seen.batch,
+        categories=len(config.categories),
+        side=config.side,
+        points=config.points,
+        one_each=one_each,
+        generators=_none if one_each else _same,
+    )
+
+
+def _config(network: nn.Module) -> Any:
+    return network.config
+
+
+def _none() -> None:
+    return None
+
+
+def _same() -> torch.Generator:
+    return torch.Generator().manual_seed(0)
+
+
+def _answered(network: nn.Module, found: Objects) -> Deformed:
+    crop = found.crop
+    return network(crop.color, crop.points, crop.pixels, found.category)
+
+
+def _in_full_precision(answer: Deformed) -> Deformed:
+    return Deformed(*(None if part is None else part.float() for part in answer))  # type: ignore[arg-type]
+
+
+def _painted(network: nn.Module, found: Objects, size: int) -> Any:
+    for some in of_batches(found, size):
+        answer = _answered(network, some)
+        yield from zip(some.frames, some.crop.chosen, answer.coordinates.float(), strict=True)

@@ -1,0 +1,73 @@
+"""`std-bench --task grasp`: refused input, resumed and parallel runs, the report."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from benchmark.cli.bench import main
+from benchmark.cli.report import main as report
+from benchmark.evaluation.tasks.grasp import GraspRun
+from benchmark.evaluation.tasks.grasp_table import ATTEMPTS
+
+GRASP = ["--task", "grasp", "--depth", "gt"]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--planner", "nobody"], "no such planner"),
+        (["--rounds", "0"], "at least 1"),
+        (["--seed", "-1"], "at least 0"),
+        (["--camera", "blurred"], "no such camera"),
+        (["--split", "std-catknown"], "makes its own scenes"),
+        (["--planner", "antipodal", "antipodal"], "twice"),
+        (["--planner", "oracle", "--weights", "swindrnet=x.safetensors"], "weights"),
+        (["--iou", "aabb"], "no option of --task grasp"),
+    ],
+)
+def test_wrong_input_is_one_line(tmp_path, capsys, words, told):
+    assert main([*GRASP, "--out", str(tmp_path / "out"), *words]) == 1
+    lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("error")]
+    assert len(lines) == 1
+    assert told in lines[0]
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_setting_that_a_planner_does_not_have_keeps_nothing_else(tmp_path, capsys):
+    words = ["--planner", "antipodal", "--set", "antipodal.nonsense=1", "--out", str(tmp_path)]
+    assert main([*GRASP, *words]) == 1
+    assert "nonsense" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_resumed_and_parallel_runs_give_the_same_bytes(tmp_path, capsys):
+    pytest.importorskip("mujoco")
+    pytest.importorskip("coacd")
+    words = [*GRASP, "--planner", "oracle", "--attempts", "1", "--seed", "3"]
+    split, whole = tmp_path / "split", tmp_path / "whole"
+    for rounds in ("1", "2"):
+        assert main([*words, "--rounds", rounds, "--out", str(split), "--engine", "serial"]) == 0
+    assert "2 rounds" in capsys.readouterr().err
+    assert main([*words, "--rounds", "2", "--out", str(whole), "--workers", "2"]) == 0
+    folders = [
+        GraspRun(depth="gt", planner="oracle", rounds=2, seed=3, out=out).folder
+        for out in (split, whole)
+    ]
+    first, second = (f.joinpath(ATTEMPTS).read_bytes() for f in folders)
+    assert first == second
+    table = pd.read_parquet(folders[0] / ATTEMPTS)
+    assert sorted(table["index"].unique()) == [0, 1]
+    strips = sorted(p.name for p in (folders[1] / "strips").iterdir())
+    assert strips == ["round-0000-attempt-00.png", "round-0001-attempt-00.png"]
+    # Another seed does not go into the same folder, and another number of attempts is refused.
+    assert main([*words[:-3], "2", "--seed", "3", "--rounds", "2", "--out", str(whole)]) == 1
+    assert "attempts" in capsys.readouterr().err
+    assert np.isfinite(table.loc[table["executed"], "tip_x"]).all()
+    # And std-report makes tables and a page of it.
+    assert report([str(whole), "--out", str(tmp_path / "report")]) == 0
+    page = (tmp_path / "report" / "report.html").read_text()
+    assert "Table clearing" in page and "38.78" in page and "image/jpeg" in page
+    board = pd.read_csv(tmp_path / "report" / "grasping.csv")
+    objects = table[table["kind"] == "object"]
+    assert board["objects"].tolist() == [len(objects)]
+    assert board["grasped"].tolist() == [int((objects["fate"] == "grasped").sum())]

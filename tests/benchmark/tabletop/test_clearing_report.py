@@ -1,0 +1,73 @@
+"""Table clearing in a report: what it says of restored depth, and what papers print."""
+
+from pathlib import Path
+
+import pytest
+
+from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspSetup, grasp_manifest
+from benchmark.evaluation.tasks.grasp_results import Rate
+from benchmark.evaluation.tasks.grasp_table import ATTEMPTS, GRASPED, LEFT
+from benchmark.report.parts.grasp import grasp_part, points, printed_rows, verdict
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import write_document
+from tests.benchmark.tabletop.test_clearing_rates import run_table
+
+ALL, NONE = [("transparent", GRASPED)] * 2, [("transparent", LEFT)] * 2
+
+
+def _write(out: Path, depth: str, rounds: list) -> None:
+    folder = out / "grasp" / "quick-seed0" / "antipodal" / depth
+    setup = GraspSetup(
+        seed=0, attempts=10, camera="quick", depth_model_sha256="", gripper="panda",
+        planner="antipodal", planner_preset="published", planner_settings={},
+        planner_weights_sha256="", depth=depth, depth_preset="", depth_settings={},
+        depth_weights_sha256="", precision="fp32", compile=False, device="cpu",
+    )  # fmt: skip
+    manifest = grasp_manifest(
+        setup, depth_label=depth, planner_label="antipodal", planner_weights=None,
+        depth_weights=None,
+    )  # fmt: skip
+    folder.mkdir(parents=True)
+    write_document(folder / GRASP_MANIFEST, manifest)
+    table = run_table(rounds).assign(scene="", frame="", error="", attempt=0)
+    table.to_parquet(folder / ATTEMPTS, index=False)
+
+
+def test_the_gain_over_raw_depth_is_told_with_its_interval(tmp_path):
+    won, lost = [("held", 1), ("held", 1)], [("slipped", 0)] * 3
+    _write(tmp_path, "raw", [(NONE, lost)] * 3 + [(ALL, won)])
+    _write(tmp_path, "gt", [(ALL, won)] * 4)
+    part = grasp_part([tmp_path])
+    assert "True depth with antipodal: 75.0 points [25.0, 100.0] more" in part.answer
+    assert "it helps" in part.answer
+    assert part.files["grasping.md"].count("\n") == 2 + 2 + 2
+    assert "19 / 49" in part.files["grasping.tex"]
+    assert r"\%" in part.files["grasping.tex"]
+    assert "antipodal" in part.terminal
+    page = "".join(s.html for s in part.sections)
+    assert "slipped" in page and "96.15" in page
+    # Of the tables 0 to 3, as `run_table` has their precision.
+    assert "30.0<small>[10.0, 50.0]</small>" in page and "25.0" in part.terminal
+    alone = grasp_part([tmp_path], published=False)
+    assert "96.15" not in "".join(s.html for s in alone.sections)
+
+
+def test_published_rows_are_those_that_are_printed():
+    rows = printed_rows()
+    assert [row[3] for row in rows] == ["19 / 49", "25 / 26"]
+    assert [row[4] for row in rows] == ["38.78", "96.15"]
+    assert [row[8] for row in rows] == ["40", "100"]
+
+
+def test_a_folder_without_a_finished_run_is_refused(tmp_path):
+    with pytest.raises(ToolkitError, match="no finished run"):
+        grasp_part([tmp_path])
+
+
+def test_an_interval_decides_what_may_be_said():
+    nan = float("nan")
+    assert verdict(Rate(0.3, 0.1, 0.5, 3, 10)) == "it helps"
+    assert verdict(Rate(-0.3, -0.5, -0.1, 3, 10)) == "it harms"
+    assert verdict(Rate(0.1, -0.1, 0.3, 3, 10)) == "chance may explain it"
+    assert verdict(Rate(0.1, nan, nan, 1, 1)) == "one table is too few to say"
+    assert points(Rate(-0.05, -0.2, 0.1, 0, 4)) == "5.0 points [-20.0, 10.0] fewer"
