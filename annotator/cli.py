@@ -14,7 +14,7 @@ from types import ModuleType
 
 from annotator.startup import quick_imports
 from std_toolkit import __version__
-from std_toolkit.cli.outcome import exit_status
+from std_toolkit.cli.command_line import exit_status
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import log_to_stderr
 
@@ -89,7 +89,7 @@ def build_command_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="std-annotate")
     _add_general(parser)
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    importlib.import_module("annotator.agreement.cli").add_parsers(subparsers)
+    importlib.import_module("annotator.compare.compare_cli").add_parsers(subparsers)
     return parser
 
 
@@ -144,10 +144,10 @@ def _run_scene(args: argparse.Namespace) -> int:
     if args.web is not None:
         args.token = args.token or os.environ.get(TOKEN_VARIABLE)
         needs = ("aiohttp", "pyvista", "trame", "trame_vuetify")
-        app = _front_end("annotator.web.app", "web", needs, "a browser")
+        app = _front_end("annotator.web.web_app", "web", needs, "a browser")
         return int(app.run(args))
     # What is missing is told before the display: installing it may be done without one.
-    app = _front_end("annotator.window.app", "gui", ("PySide6", "pyvista", "pyvistaqt"), "a window")
+    app = _front_end("annotator.qt.qt_app", "gui", ("PySide6", "pyvista", "pyvistaqt"), "a window")
     return int(app.run(args))
 
 

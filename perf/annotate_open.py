@@ -79,7 +79,7 @@ def peak_mib(process: str = "self") -> float:
 
 
 def open_session(scene: Path, reached: Callable[[str], None]) -> None:
-    from annotator.frames import ImageCache
+    from annotator.app.image_cache import ImageCache
     from annotator.session import Session
 
     reached("imports")
@@ -112,12 +112,12 @@ def open_bare_window(_: Path, reached: Callable[[str], None]) -> None:
 
 
 def open_window(scene: Path, reached: Callable[[str], None]) -> None:
+    from annotator.qt.qt_app import make_application
     from annotator.startup import quick_imports
-    from annotator.window.app import make_application
 
     app = make_application()
     with quick_imports():
-        from annotator.window.shell import Shell
+        from annotator.qt.main_window import Shell
     reached("imports")
     shell = Shell()
     shell.show()

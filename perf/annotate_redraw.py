@@ -86,9 +86,9 @@ class Bench:
         from PySide6.QtWidgets import QApplication, QGridLayout, QMainWindow, QWidget
         from pyvistaqt import QtInteractor
 
-        from annotator.desk.controller import Controller
-        from annotator.desk.runner import InlineRunner
-        from annotator.frames import ImageCache
+        from annotator.app.controller import Controller
+        from annotator.app.image_cache import ImageCache
+        from annotator.app.tasks import InlineRunner
         from annotator.session import Session
         from annotator.views import ViewSet
 
@@ -210,7 +210,7 @@ class Bench:
 
 def measure(args: argparse.Namespace) -> int:
     os.environ.setdefault("QT_API", "pyside6")
-    from annotator.desk.view_options import CloudSource, Mode, Style
+    from annotator.app.view_options import CloudSource, Mode, Style
 
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder) / "scene"

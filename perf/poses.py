@@ -75,8 +75,13 @@ def seconds_per_further_frame(scene: Any, work: Path) -> float:
     from std_toolkit.jobs import JobOptions
     from std_toolkit.poses import PoseOptions
     from std_toolkit.poses.colmap import quiet_colmap
-    from std_toolkit.poses.features import FeatureJob, extract_features, load_features
-    from std_toolkit.poses.matching import describe_image, train_vocabulary
+    from std_toolkit.poses.features import (
+        FeatureJob,
+        describe_image,
+        extract_features,
+        load_features,
+        train_vocabulary,
+    )
     from std_toolkit.poses.reconstruct import Reconstruction, image_id_of
     from std_toolkit.poses.register import RegistrationJob, build_index, register_frames
 
@@ -128,7 +133,7 @@ def main() -> None:
     parser.add_argument("--skip-exhaustive", action="store_true")
     args = parser.parse_args()
     from std_toolkit.poses import PoseOptions
-    from std_toolkit.poses.step import estimate_poses
+    from std_toolkit.poses.pose_step import estimate_poses
 
     K = np.array(json.loads(args.intrinsics.read_text())["K"])
     with tempfile.TemporaryDirectory() as folder:

@@ -42,8 +42,8 @@ from std_toolkit.io.exr import read_exr_depth
 from std_toolkit.io.images import read_depth, read_png
 from std_toolkit.rendering.maps import compose
 from std_toolkit.rendering.mesh import RenderMesh
-from std_toolkit.rendering.protocol import PlacedMesh
 from std_toolkit.rendering.raycast import RaycastRenderer
+from std_toolkit.rendering.renderer import PlacedMesh
 
 SENSOR = load_sensor("d415")
 CAMERA = SENSOR.infrared_camera(640, 360)

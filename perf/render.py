@@ -25,12 +25,11 @@ import trimesh
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.io.images import write_color
 from std_toolkit.jobs import JobOptions
-from std_toolkit.rendering import encoding
-from std_toolkit.rendering.choose import get_renderer
-from std_toolkit.rendering.gl_context import find_gl
+from std_toolkit.rendering import ground_truth
+from std_toolkit.rendering.choose import find_gl, get_renderer
 from std_toolkit.rendering.maps import compose, mask_of, surface_maps
 from std_toolkit.rendering.placements import frame_placements, place_meshes
-from std_toolkit.rendering.step import RenderOptions, render_ground_truth
+from std_toolkit.rendering.render_step import RenderOptions, render_ground_truth
 from std_toolkit.scene.model import (
     CameraModel,
     CameraPoses,
@@ -131,10 +130,10 @@ def measure_parts(scene: Scene, renderer_name: str, repeats: int, out: Path) -> 
             mask = mask_of(drawn.index, [p.object_id for p in placed])
             nocs, normals = surface_maps(CAMERA, placed, drawn)
         parts: dict[str, Callable[[], None]] = {
-            "depth": lambda drawn=drawn: encoding.write_depth(out / "d.exr", drawn.depth),
-            "mask": lambda mask=mask: encoding.write_mask(out / "m.png", mask),
-            "nocs": lambda nocs=nocs: encoding.write_nocs(out / "n.png", nocs),
-            "normals": lambda n=normals, m=mask: encoding.write_normals(out / "v.png", n, m),
+            "depth": lambda drawn=drawn: ground_truth.write_depth(out / "d.exr", drawn.depth),
+            "mask": lambda mask=mask: ground_truth.write_mask(out / "m.png", mask),
+            "nocs": lambda nocs=nocs: ground_truth.write_nocs(out / "n.png", nocs),
+            "normals": lambda n=normals, m=mask: ground_truth.write_normals(out / "v.png", n, m),
         }
         for name, write in parts.items():
             with start.measure(name):

@@ -23,7 +23,7 @@ from sensors.assets.scales import draw_diagonal
 from sensors.physics import PhysicalObject, convex_parts, drift, settle
 from sensors.physics.world import World
 from std_toolkit.errors import ToolkitError
-from std_toolkit.labels.support import PlacedThing, find_penetrations
+from std_toolkit.labels.support import PlacedObject, find_penetrations
 
 
 def seconds() -> float:
@@ -76,7 +76,7 @@ def print_scenes(scenes: int, shapes: int, cache: Path) -> None:
             continue
         spent = seconds() - began
         things = [
-            PlacedThing(f"{k}", o.asset.scaled(o.diagonal_m), T)
+            PlacedObject(f"{k}", o.asset.scaled(o.diagonal_m), T)
             for k, (o, T) in enumerate(zip(objects, settled.poses, strict=True))
         ]
         deep = max([0.0, *(p.depth_m for p in find_penetrations(things, tolerance_m=1e-5))])

@@ -22,13 +22,13 @@ from sensors.synthetic.shapes import default_shapes
 from sensors.synthetic.truth_scene import scene_from_truth
 from std_toolkit.geometry import SE3
 from std_toolkit.labels.support import (
-    PlacedThing,
+    PlacedObject,
     Plane,
     find_penetrations,
     find_table,
     frame_cloud,
     fuse_clouds,
-    prepare_things,
+    prepare_objects,
 )
 from std_toolkit.labels.support.penetration import TABLE
 from std_toolkit.scene import Scene
@@ -80,15 +80,15 @@ def fine(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     return mesh
 
 
-def crowded(gap_m: float, meshes: list[trimesh.Trimesh]) -> list[PlacedThing]:
+def crowded(gap_m: float, meshes: list[trimesh.Trimesh]) -> list[PlacedObject]:
     return [
-        PlacedThing(str(i), mesh, SE3(UPRIGHT, np.array([gap_m * (i % 3), gap_m * (i // 3), z])))
+        PlacedObject(str(i), mesh, SE3(UPRIGHT, np.array([gap_m * (i % 3), gap_m * (i // 3), z])))
         for i, mesh in enumerate(meshes)
         for z in [mesh.extents[1] / 2 - 0.001]
     ]
 
 
-def naive(things: list[PlacedThing]) -> None:
+def naive(things: list[PlacedObject]) -> None:
     import open3d as o3d
 
     for a, b in permutations(things, 2):
@@ -104,7 +104,7 @@ def penetration() -> None:
     meshes = [fine(shape.mesh) for shape in default_shapes()]
     ground = Plane(np.array([0.0, 0.0, 1.0]), 0.0)
     began = time.perf_counter()
-    prepare_things(crowded(0.1, meshes))
+    prepare_objects(crowded(0.1, meshes))
     row("six meshes made ready, once", 1000 * (time.perf_counter() - began), None)
     for gap in (0.13, 0.095, 0.07):
         things = crowded(gap, meshes)

@@ -16,7 +16,7 @@ PACKAGES = ("std_toolkit", "annotator", "sensors", "benchmark")
 QT = ("PySide6", "pyvistaqt")
 VTK = ("vtk", "vtkmodules", "pyvista")
 WEB = ("trame", "trame_client", "trame_server", "trame_vtk", "trame_vuetify", "wslink", "aiohttp")
-SCREENS = ("annotator.views", "annotator.window", "annotator.web")
+SCREENS = ("annotator.views", "annotator.qt", "annotator.web")
 
 # What each part must not import. A part is a package, or the modules of a folder without those of
 # its sub-packages ("annotator/*").
@@ -27,29 +27,26 @@ FORBIDDEN = {
     "annotator": ("sensors", "benchmark"),
     # All that the window and the browser share runs without either, and without a display.
     "annotator/*": (*SCREENS, *QT, *VTK, *WEB),
-    "annotator/actions": (*SCREENS, *QT, *VTK, *WEB),
-    "annotator/desk": (*SCREENS, *QT, *VTK, *WEB, "annotator.actions", "annotator.agreement"),
-    "annotator/placing": (*SCREENS, *QT, *VTK, *WEB, "annotator.actions", "annotator.agreement"),
+    "annotator/app": (*SCREENS, *QT, *VTK, *WEB, "annotator.compare"),
     "annotator/frames": (
         *SCREENS,
         *QT,
         *VTK,
         *WEB,
         "annotator.session",
-        "annotator.desk",
+        "annotator.app",
     ),
-    "annotator/agreement": (
+    "annotator/compare": (
         *SCREENS,
         *QT,
         *VTK,
         *WEB,
-        "annotator.actions",
-        "annotator.desk",
+        "annotator.app",
     ),
     "annotator/session": (*QT, *VTK, *WEB, "annotator"),
-    "annotator/views": ("annotator.window", "annotator.web", *QT, *WEB),
-    "annotator/window": ("annotator.web", *WEB),
-    "annotator/web": ("annotator.window", *QT),
+    "annotator/views": ("annotator.qt", "annotator.web", *QT, *WEB),
+    "annotator/qt": ("annotator.web", *WEB),
+    "annotator/web": ("annotator.qt", *QT),
 }
 # Of what is forbidden above, the part itself.
 ALLOWED = {"annotator/session": ("annotator.session",)}
@@ -99,11 +96,11 @@ def test_a_wrong_import_would_be_seen(tmp_path: Path) -> None:
     path = tmp_path / "module.py"
     path.write_text(
         "import annotator.web as w\nfrom annotator import views\n"
-        "def f():\n    from annotator.window.app import run\n"
+        "def f():\n    from annotator.qt.qt_app import run\n"
     )
     assert [name for _, name in imports_of(path) if within(name, SCREENS)] == [
         "annotator.web",
         "annotator.views",
-        "annotator.window.app.run",
+        "annotator.qt.qt_app.run",
     ]
     assert not within("annotator.viewpoint", SCREENS)

@@ -1,5 +1,5 @@
 """Images of a scene, read when they are needed and kept within a bound."""
 
-from annotator.frames.image_cache import FrameImage, ImageCache
+from annotator.app.image_cache import FrameImage, ImageCache
 
 __all__ = ["FrameImage", "ImageCache"]

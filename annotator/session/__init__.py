@@ -7,19 +7,18 @@ from annotator.session.edits import (
     ChangeClick,
     ChangeObject,
     ClearPose,
+    CompoundEdit,
     EnterModel,
     Move,
     PoseChange,
     RemoveObject,
     SetPoses,
     SetSymmetry,
-    Together,
 )
 from annotator.session.recovery import Recovery
 from annotator.session.saving import SaveReport
 from annotator.session.session import Change, PropagateReport, SaveConflict, Session
-from annotator.session.snapshot import Snapshot
-from annotator.session.state import AnnotationState, Click, ObjectState, Placement
+from annotator.session.state import AnnotationState, Click, ObjectState, Placement, Snapshot
 
 __all__ = [
     "AddClick",
@@ -31,6 +30,7 @@ __all__ = [
     "ChangeObject",
     "ClearPose",
     "Click",
+    "CompoundEdit",
     "EnterModel",
     "Move",
     "ObjectState",
@@ -45,5 +45,4 @@ __all__ = [
     "SetPoses",
     "SetSymmetry",
     "Snapshot",
-    "Together",
 ]

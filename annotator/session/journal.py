@@ -18,13 +18,12 @@ from typing import Literal
 import msgspec
 
 from annotator.session.edits import AnyEdit
+from annotator.session.merge import Stored
 from annotator.session.state import AnnotationState
-from annotator.session.stored import Stored
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import sync_folder, write_bytes_atomic
 from std_toolkit.io.documents import plain_number
-from std_toolkit.scene.document import Count, Document
-from std_toolkit.scene.provenance import digest_file
+from std_toolkit.scene.document import Count, Document, digest_file
 
 # What a journal belongs to: other frames make its edits meaningless, other documents are merged.
 BOUND_FILES = ("frames.json", "poses.json", "objects.json", "labels.json", "annotation.json")

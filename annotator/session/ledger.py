@@ -1,19 +1,20 @@
-"""What the entries of a journal do to the state: the same code while editing and while recovering.
+"""Undo history, and what the entries of a journal do to it: while editing and in recovery.
 
 That both go through `Ledger.plan` is what makes a recovered state equal the lost one bit for bit.
+
+Undo and redo without limit: the states an annotator went through, and where in them we are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.session.edits import EditContext
-from annotator.session.hands_on import HandsOn
-from annotator.session.history import History, Step
+from annotator.session.edits import AnyEdit, EditContext
 from annotator.session.journal import (
     AnyEntry,
     Begun,
@@ -25,7 +26,8 @@ from annotator.session.journal import (
     TakenOver,
     Undone,
 )
-from annotator.session.merging import Version, differ, merge, take_over
+from annotator.session.merge import Merged, Side, Version, _by_id, differ, merge
+from annotator.session.saving import WorkTimer
 from annotator.session.state import AnnotationState
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
@@ -53,7 +55,7 @@ class Ledger:
     def __init__(self, base: Version) -> None:
         self.base = base
         self.history = History(base.state)
-        self.hands_on = HandsOn()
+        self.hands_on = WorkTimer()
 
     @property
     def state(self) -> AnnotationState:
@@ -186,3 +188,160 @@ def _unresolved(state: AnnotationState, name: str, frame: int) -> SE3 | None:
 def _unresolved_centre(model: str) -> NDArray[np.float64]:
     del model
     raise ToolkitError("the journal holds an edit that depends on a mesh")
+
+
+@dataclass(frozen=True)
+class Step:
+    """One edit that was made.
+
+    Attributes:
+        title: what it was, for people.
+        objects: names of the objects that it touched.
+        state: the one it led to.
+        edit: the edit, resolved; None if the step is a change that was read from the scene.
+    """
+
+    title: str
+    objects: tuple[str, ...]
+    state: AnnotationState
+    edit: AnyEdit | None = None
+
+
+class History:
+    """States are immutable and share what did not change, so keeping all of them is cheap."""
+
+    def __init__(self, start: AnnotationState) -> None:
+        self._start = start
+        self._steps: list[Step] = []
+        self._done = 0
+
+    def copy(self) -> History:
+        twin = History(self._start)
+        twin._steps, twin._done = list(self._steps), self._done
+        return twin
+
+    @property
+    def state(self) -> AnnotationState:
+        return self._steps[self._done - 1].state if self._done else self._start
+
+    @property
+    def undoable(self) -> Step | None:
+        """The step that `undo` would take back."""
+        return self._steps[self._done - 1] if self._done else None
+
+    @property
+    def redoable(self) -> Step | None:
+        """The step that `redo` would make again."""
+        return self._steps[self._done] if self._done < len(self._steps) else None
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """The steps that are in force, oldest first."""
+        return tuple(self._steps[: self._done])
+
+    @property
+    def states(self) -> tuple[AnnotationState, ...]:
+        """Every state that undo and redo can lead to, oldest first."""
+        return (self._start, *(step.state for step in self._steps))
+
+    def rebase(self, change: Callable[[AnnotationState], AnnotationState]) -> None:
+        """Change every state, as if the scene had always been another one."""
+        self._start = change(self._start)
+        self._steps = [replace(step, state=change(step.state)) for step in self._steps]
+
+    def push(self, step: Step) -> None:
+        """A new step; what could be redone before it is gone."""
+        del self._steps[self._done :]
+        self._steps.append(step)
+        self._done += 1
+
+    def undo(self) -> Step:
+        """Raises ToolkitError if there is nothing to undo."""
+        step = self.undoable
+        if step is None:
+            raise ToolkitError("there is nothing to undo")
+        self._done -= 1
+        return step
+
+    def redo(self) -> Step:
+        """Raises ToolkitError if there is nothing to redo."""
+        step = self.redoable
+        if step is None:
+            raise ToolkitError("there is nothing to redo")
+        self._done += 1
+        return step
+
+
+def conflicts(base: Version, history: History, theirs: Version) -> tuple[str, ...]:
+    """What `take_over` would have to decide for one side.
+
+    Raises:
+        ToolkitError: as `take_over`.
+    """
+    renumber = _renumbering(base, history, theirs)
+    return merge(base, renumber(history.state), theirs, prefer="mine").conflicts
+
+
+def take_over(base: Version, history: History, theirs: Version, *, prefer: Side) -> Merged:
+    """Merge what the others wrote into every state of the history, as if we had started from it.
+
+    Undo therefore takes back our edits only, and never theirs. Giving up ours where both changed
+    the same is one step more, so that undo brings it back. On an error nothing has changed.
+
+    Raises:
+        ToolkitError: an object of theirs has the name of another one of ours.
+    """
+    renumber = _renumbering(base, history, theirs)
+    before = renumber(history.state)
+    merged = merge(base, before, theirs, prefer=prefer)
+
+    def change(state: AnnotationState) -> AnnotationState:
+        try:
+            return merge(base, renumber(state), theirs, prefer="mine").state
+        except ToolkitError:
+            # An older state of ours that cannot be joined with theirs: theirs must not be undone.
+            return theirs.state
+
+    history.rebase(change)
+    if prefer == "theirs" and merged.conflicts:
+        names = {o.name: None for state in (before, merged.state) for o in state.objects}
+        given_up = tuple(name for name in names if name in merged.conflicts)
+        history.push(Step("Keep what others wrote", given_up, merged.state))
+    return merged
+
+
+def _renumbering(
+    base: Version, history: History, theirs: Version
+) -> Callable[[AnnotationState], AnnotationState]:
+    """Both sides may have given one id to two new objects; ours get others, in every state."""
+    known, new = _by_id(base.state), _by_id(theirs.state)
+    named = {o.name: o.id for i, o in new.items() if i not in known}
+    used = {o.id for state in history.states for o in state.objects} | set(known) | set(new)
+    # Which object of ours is theirs, by its name, is decided in the present state.
+    change = {
+        o.id: named[o.name]
+        for o in history.state.objects
+        if o.id not in known and named.get(o.name, o.id) != o.id
+    }
+    for obj in (o for state in (history.state, *history.states) for o in state.objects):
+        if obj.id in known or obj.id in change:
+            continue
+        if obj.id in new and new[obj.id].name != obj.name:
+            change[obj.id] = _free(used)
+            used.add(change[obj.id])
+
+    def renumbered(state: AnnotationState) -> AnnotationState:
+        if not any(o.id in change for o in state.objects):
+            return state
+        objects = [msgspec.structs.replace(o, id=change.get(o.id, o.id)) for o in state.objects]
+        return msgspec.structs.replace(state, objects=sorted(objects, key=lambda o: o.id))
+
+    return renumbered
+
+
+def _free(used: Iterable[int]) -> int:
+    taken = set(used)
+    for number in range(1, 255):
+        if number not in taken:
+            return number
+    raise ToolkitError("no object id is free", hint="a scene holds 254 objects at most")

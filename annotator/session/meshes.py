@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.geometry.round_axis import round_axis
+from std_toolkit.geometry.mesh import round_axis
 from std_toolkit.scene import Model
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from annotator.session.journal import (
     scene_digests,
 )
 from annotator.session.ledger import Ledger
-from annotator.session.merging import Version
+from annotator.session.merge import Version
 from std_toolkit.errors import ToolkitError
 from std_toolkit.scene import Scene
 

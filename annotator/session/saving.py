@@ -1,18 +1,25 @@
-"""From the state to objects.json, labels.json and annotation.json."""
+"""Writes objects.json, labels.json and annotation.json; carries the labels to all frames.
+
+How long an annotator worked on each object, told from the times of the edits.
+
+Carrying the labels of a scene to all its frames.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 
-from annotator.session.hands_on import HandsOn
-from annotator.session.merging import Version, content
-from annotator.session.snapshot import object_table
-from annotator.session.state import AnnotationState, ObjectState, Placement
-from annotator.session.stored import Stored
+from annotator.session.merge import Stored, Version, content
+from annotator.session.state import AnnotationState, ObjectState, Placement, object_table
 from std_toolkit import __version__
 from std_toolkit.labels.label import annotated_label
+from std_toolkit.log import collected_warnings
 from std_toolkit.scene import (
     Annotation,
     Label,
@@ -24,7 +31,13 @@ from std_toolkit.scene import (
 )
 from std_toolkit.scene.model import ClickedPoint
 
+if TYPE_CHECKING:
+    from std_toolkit.labels.propagate import PropagateOptions
+
 TOOL = "std-annotate"
+
+# Whoever does nothing for longer may be looking, or away: more is not counted.
+LONGEST_PAUSE_S = 30.0
 
 
 @dataclass(frozen=True)
@@ -55,7 +68,7 @@ class SaveReport:
         return " ".join([text, *self.warnings])
 
 
-def documents_of(state: AnnotationState, base: Version, hands_on: HandsOn | None) -> Stored:
+def documents_of(state: AnnotationState, base: Version, hands_on: WorkTimer | None) -> Stored:
     """The documents that the state stands for; what it leaves alone stays as it is in `base`.
 
     Args:
@@ -64,18 +77,18 @@ def documents_of(state: AnnotationState, base: Version, hands_on: HandsOn | None
     """
     shown = {o.id: o for o in base.state.objects}
     labels, rows = [], []
-    for thing in state.objects:
-        old = base.stored.labels.of(thing.id)
-        if content(thing)["pose"] == content(shown.get(thing.id))["pose"]:
+    for obj in state.objects:
+        old = base.stored.labels.of(obj.id)
+        if content(obj)["pose"] == content(shown.get(obj.id))["pose"]:
             label = old
         else:
-            label = _label(thing, old, hands_on)
+            label = _label(obj, old, hands_on)
         labels += [] if label is None else [label]
-        row = _work(thing)
-        known = base.stored.annotation.of(thing.id)
-        if content(thing)["work"] == content(shown.get(thing.id))["work"]:
+        row = _work(obj)
+        known = base.stored.annotation.of(obj.id)
+        if content(obj)["work"] == content(shown.get(obj.id))["work"]:
             row = known
-        if row != ObjectAnnotation(object=thing.id) or known in base.stored.annotation.objects:
+        if row != ObjectAnnotation(object=obj.id) or known in base.stored.annotation.objects:
             rows.append(row)
     return Stored(
         objects=_kept_table(base.stored.objects, object_table(state)),
@@ -116,32 +129,32 @@ def write_documents(scene: Scene, new: Stored) -> tuple[str, ...]:
     return tuple(dict.fromkeys(written))
 
 
-def _label(thing: ObjectState, old: Label | None, hands_on: HandsOn | None) -> Label | None:
-    if not thing.placements:
+def _label(obj: ObjectState, old: Label | None, hands_on: WorkTimer | None) -> Label | None:
+    if not obj.placements:
         return None
-    frame = next(iter(thing.placements))
-    if old is not None and old.frame in thing.placements:
+    frame = next(iter(obj.placements))
+    if old is not None and old.frame in obj.placements:
         frame = old.frame
-    latest = max(thing.placements.values(), key=lambda p: p.time)
+    latest = max(obj.placements.values(), key=lambda p: p.time)
     return annotated_label(
-        thing.id,
-        {f: p.T_cam_obj for f, p in thing.placements.items()},
+        obj.id,
+        {f: p.T_cam_obj for f, p in obj.placements.items()},
         frame=frame,
         method=latest.method,
         annotator=latest.annotator,
-        provenance=_provenance(thing, latest, old, hands_on),
+        provenance=_provenance(obj, latest, old, hands_on),
     )
 
 
 def _provenance(
-    thing: ObjectState, latest: Placement, old: Label | None, hands_on: HandsOn | None
+    obj: ObjectState, latest: Placement, old: Label | None, hands_on: WorkTimer | None
 ) -> LabelProvenance | msgspec.UnsetType:
     before = old.provenance if old is not None else msgspec.UNSET
     if not latest.time:
         return before  # nobody recorded how the poses that are left came about
     seconds = before.hands_on_s if isinstance(before, LabelProvenance) else None
     if hands_on is not None:
-        seconds = round((seconds or 0.0) + hands_on.seconds(thing.id), 1)
+        seconds = round((seconds or 0.0) + hands_on.seconds(obj.id), 1)
     return LabelProvenance(
         time=latest.time,
         tool=TOOL,
@@ -151,14 +164,14 @@ def _provenance(
     )
 
 
-def _work(thing: ObjectState) -> ObjectAnnotation:
+def _work(obj: ObjectState) -> ObjectAnnotation:
     return ObjectAnnotation(
-        object=thing.id,
-        status=thing.status,
-        note=thing.note,
+        object=obj.id,
+        status=obj.status,
+        note=obj.note,
         clicks=[
             ClickedPoint(frame=frame, u=c.u, v=c.v, point=c.point)
-            for frame, clicks in sorted(thing.clicks.items())
+            for frame, clicks in sorted(obj.clicks.items())
             for c in clicks
         ],
     )
@@ -180,3 +193,70 @@ def _kept_labels(old: Labels, new: Labels) -> Labels:
 
 def _kept_rows(old: Annotation, new: Annotation) -> Annotation:
     return old if sorted(old.objects, key=lambda x: x.object) == new.objects else new
+
+
+class WorkTimer:
+    """Seconds by object id.
+
+    The time from one edit to the next belongs to the object of the latter (shared out evenly among
+    several). Pauses count with `LONGEST_PAUSE_S` at most, and what comes before the first edit not
+    at all, so the sum is a lower bound of the time spent.
+    """
+
+    def __init__(self) -> None:
+        self._last: datetime | None = None
+        self._seconds: dict[int, float] = {}
+
+    def edited(self, time: str, objects: Iterable[int]) -> None:
+        """An edit was made, undone or redone at `time` (UTC, ISO 8601)."""
+        now, numbers = datetime.fromisoformat(time), list(objects)
+        if self._last is not None:
+            gap = min(max((now - self._last).total_seconds(), 0.0), LONGEST_PAUSE_S)
+            for i in numbers:
+                self._seconds[i] = self._seconds.get(i, 0.0) + gap / len(numbers)
+        self._last = now
+
+    def saved(self, objects: Iterable[int]) -> None:
+        """The seconds of these objects were written down: counting starts anew."""
+        for i in objects:
+            self._seconds.pop(i, None)
+
+    def pause(self) -> None:
+        """The annotator left: the time until the next edit is nobody's."""
+        self._last = None
+
+    def seconds(self, object_id: int) -> float:
+        return round(self._seconds.get(object_id, 0.0), 1)
+
+
+@dataclass(frozen=True)
+class PropagationResult:
+    """What carrying labels did.
+
+    Attributes:
+        lines: one or more on each label, for people.
+        warnings: what to look at, such as a label whose refinement did not settle.
+    """
+
+    lines: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def propagate_saved_labels(
+    root: Path, options: PropagateOptions | None = None
+) -> PropagationResult:
+    """Carry the labels that are saved in a scene folder to all its frames.
+
+    Takes up to minutes, and may run in any thread. A session that has the scene open reads it again
+    afterwards; nothing may be edited in it meanwhile.
+
+    Raises:
+        ToolkitError: as `std_toolkit.labels.propagate.propagate_labels`.
+    """
+    from std_toolkit.labels.propagate import label_lines, propagate_labels
+
+    scene = Scene.open(root)
+    with collected_warnings() as warnings:
+        labels = propagate_labels(scene, options)
+    lines = tuple(line.strip() for line in label_lines(scene, labels))
+    return PropagationResult(lines, tuple(warnings))

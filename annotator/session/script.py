@@ -12,12 +12,12 @@ import msgspec
 from annotator.session.edits import (
     AddObject,
     AnyEdit,
+    CompoundEdit,
     EnterModel,
     SetSymmetry,
     SingleEdit,
-    Together,
 )
-from annotator.session.merging import Side
+from annotator.session.merge import Side
 from annotator.session.requests import AnyRequest, ImportMesh, Request
 from annotator.session.session import Session
 from std_toolkit.errors import ToolkitError
@@ -209,10 +209,10 @@ def _propagate(session: Session, step: Propagate) -> Iterator[str]:
 
 def _exported(session: Session, edit: AnyEdit) -> Iterator[Step]:
     match edit:
-        case Together() if any(isinstance(e, EnterModel) for e in edit.edits):
+        case CompoundEdit() if any(isinstance(e, EnterModel) for e in edit.edits):
             for part in edit.edits:
                 yield from _exported(session, part)
-        case Together():
+        case CompoundEdit():
             yield msgspec.structs.replace(edit, edits=[_anywhere(e) for e in edit.edits])
         case EnterModel(model=model):
             yield ImportMesh(

@@ -12,20 +12,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from annotator.session.cameras import Cameras
-from annotator.session.editing import Change, Editing
+from annotator.session.editing import Change, Editing, Recorder
 from annotator.session.journal import Reread, Resumed, Saved, TakenOver
-from annotator.session.ledger import Effect
-from annotator.session.merging import Side, Version, conflicts
-from annotator.session.propagating import carry_labels
-from annotator.session.recorder import Recorder
+from annotator.session.ledger import Effect, conflicts
+from annotator.session.merge import Side, Stored, Version, state_of
 from annotator.session.recovery import Recovery
-from annotator.session.saving import SaveReport, documents_of, write_documents
-from annotator.session.stored import Stored, state_of
+from annotator.session.saving import (
+    SaveReport,
+    documents_of,
+    propagate_saved_labels,
+    write_documents,
+)
+from annotator.session.state import Cameras
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import sweep_temporaries
+from std_toolkit.io.atomic import hold_lock, sweep_temporaries
 from std_toolkit.scene import Scene
-from std_toolkit.scene.lock import hold_lock
 
 if TYPE_CHECKING:
     from std_toolkit.labels.propagate import PropagateOptions
@@ -233,7 +234,7 @@ class Session(Editing):
             ToolkitError: as `save` and `std_toolkit.labels.propagate.propagate_labels`.
         """
         saved = self.save()
-        carried = carry_labels(self.scene.root, options)
+        carried = propagate_saved_labels(self.scene.root, options)
         self.reload("Propagate")
         return PropagateReport(saved, (*carried.lines, *carried.warnings))
 

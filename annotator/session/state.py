@@ -1,27 +1,44 @@
-"""What an annotator has made so far, as immutable documents: undo steps back to an older one."""
+"""The annotated state: immutable documents, the camera poses, and snapshots of both.
+
+Where the cameras of a scene stood, and what follows for the poses of objects.
+
+What can be asked about an annotated scene, of a session and of a snapshot alike.
+
+A session as it was at one moment, for work in another thread.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Literal
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
+from annotator.session.meshes import MeshLibrary
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
+from std_toolkit.scene import Object, ObjectTable, Scene
 from std_toolkit.scene.document import (
     Count,
     Document,
     ObjectId,
     Pose16,
     Vector3,
+    check_name,
     check_pose,
     check_unique,
     find_row,
     pose_from_list,
 )
 from std_toolkit.scene.model import Material, Model
-from std_toolkit.scene.names import check_name
+from std_toolkit.scene.scene import require_metres
+
+if TYPE_CHECKING:
+    import trimesh
 
 Status = Literal["open", "done"]
 
@@ -127,3 +144,192 @@ class AnnotationState(Document, frozen=True, kw_only=True):
         """A copy in which `model` replaces the one of its id, or joins the others."""
         kept = [m for m in self.models if m.id != model.id]
         return msgspec.structs.replace(self, models=sorted([*kept, model], key=lambda m: m.id))
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """Camera poses of a scene, where they are known in metres; immutable.
+
+    Attributes:
+        problem: why poses of objects cannot be carried from frame to frame, for people; None if
+            they can.
+        frames: ids of the frames in which a pose can be set, in recording order.
+    """
+
+    problem: str | None
+    frames: tuple[int, ...]
+    _T_world_cam: dict[int, SE3] = field(repr=False)
+
+    @staticmethod
+    def of(scene: Scene) -> Cameras:
+        """Raises ToolkitError if poses.json cannot be read."""
+        problem = _pose_problem(scene)
+        if problem is not None:
+            return Cameras(problem, tuple(f.id for f in scene.frames), {})
+        known = {f.id: T for f in scene.frames if (T := scene.T_world_cam(f.id)) is not None}
+        return Cameras(None, tuple(known), known)
+
+    @property
+    def posed(self) -> bool:
+        """One pose of an object holds in all frames."""
+        return self.problem is None
+
+    @cached_property
+    def frame_set(self) -> frozenset[int]:
+        return frozenset(self.frames)
+
+    def T_world_cam(self, frame: int) -> SE3 | None:
+        """Camera pose in metres; None if there is none."""
+        return self._T_world_cam.get(frame)
+
+    def pose(self, state: AnnotationState, name: str, frame: int) -> SE3 | None:
+        """T_cam_obj of an object in a frame; None where it has none."""
+        placements = state.object(name).placements
+        if frame in placements:
+            return placements[frame].pose
+        T_world_cam, T_world_obj = self.T_world_cam(frame), self.T_world_obj(state, name)
+        if T_world_cam is None or T_world_obj is None:
+            return None
+        return T_world_cam.inverse() @ T_world_obj
+
+    def T_world_obj(self, state: AnnotationState, name: str) -> SE3 | None:
+        """World pose of an object; None if it is not placed in a frame with a camera pose."""
+        for frame, placement in state.object(name).placements.items():
+            T_world_cam = self.T_world_cam(frame)
+            if T_world_cam is not None:
+                return T_world_cam @ placement.pose
+        return None
+
+
+def _pose_problem(scene: Scene) -> str | None:
+    if scene.poses is None or not scene.registered_frames():
+        return "The scene has no camera poses, so each frame is labelled on its own."
+    try:
+        require_metres(scene)
+    except ToolkitError:
+        return (
+            "The camera poses have no unit (no source of metres), so each frame is labelled on "
+            "its own."
+        )
+    return None
+
+
+class Queries:
+    """Base of `Session` and `Snapshot`, which provide the state, the cameras and the meshes."""
+
+    @property
+    def state(self) -> AnnotationState:
+        """Everything that was annotated; immutable."""
+        raise NotImplementedError
+
+    @property
+    def cameras(self) -> Cameras:
+        """Camera poses in metres; immutable."""
+        raise NotImplementedError
+
+    @property
+    def meshes(self) -> MeshLibrary:
+        """The meshes, read once."""
+        raise NotImplementedError
+
+    @property
+    def posed(self) -> bool:
+        """The camera poses are known in metres: one pose of an object holds in all frames."""
+        return self.cameras.posed
+
+    @property
+    def pose_problem(self) -> str | None:
+        """Why poses of objects cannot be carried from frame to frame; None if they can."""
+        return self.cameras.problem
+
+    @property
+    def frames(self) -> tuple[int, ...]:
+        """Ids of the frames in which a pose can be set, in recording order."""
+        return self.cameras.frames
+
+    def T_world_cam(self, frame: int) -> SE3 | None:
+        """Camera pose in metres; None if there is none."""
+        return self.cameras.T_world_cam(frame)
+
+    def object(self, name: str) -> ObjectState:
+        """Raises ToolkitError if there is none of this name."""
+        return self.state.object(name)
+
+    def pose(self, name: str, frame: int) -> SE3 | None:
+        """T_cam_obj of an object in a frame; None where it has no pose."""
+        return self.cameras.pose(self.state, name, frame)
+
+    def T_world_obj(self, name: str) -> SE3 | None:
+        """World pose in a scene with metric camera poses; None if not placed or no such poses."""
+        return self.cameras.T_world_obj(self.state, name)
+
+    def mesh(self, model_id: str) -> trimesh.Trimesh:
+        """Mesh of a model of the library, metres; not to be changed.
+
+        Raises:
+            ToolkitError: no such model, or its file is missing or damaged.
+        """
+        return self.meshes.mesh(self.state.model(model_id))
+
+    def centre(self, model_id: str) -> NDArray[np.float64]:
+        """(3,) centre of the bounding box of a model's mesh, mesh frame, metres; see `mesh`."""
+        return self.meshes.centre(self.state.model(model_id))
+
+
+class Snapshot(Queries):
+    """Immutable: what the session does later does not reach it.
+
+    Attributes:
+        scene: the scene with the models and objects of the state, also those that are not saved
+            yet; for cameras, images and depth. It has no labels: `pose` tells where objects are.
+        writable: files may be added to the scene folder.
+        annotator: who edits.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        state: AnnotationState,
+        cameras: Cameras,
+        meshes: MeshLibrary,
+        *,
+        writable: bool,
+        annotator: str,
+    ) -> None:
+        self.scene = scene.copy(objects=object_table(state))
+        self.writable = writable
+        self.annotator = annotator
+        self._state, self._cameras, self._meshes = state, cameras, meshes
+
+    def with_model(self, model: Model) -> Snapshot:
+        """A copy with one more model, such as the first of several meshes that are added."""
+        return Snapshot(
+            self.scene,
+            self._state.with_model(model),
+            self._cameras,
+            self._meshes,
+            writable=self.writable,
+            annotator=self.annotator,
+        )
+
+    @property
+    def state(self) -> AnnotationState:
+        return self._state
+
+    @property
+    def cameras(self) -> Cameras:
+        return self._cameras
+
+    @property
+    def meshes(self) -> MeshLibrary:
+        return self._meshes
+
+
+def object_table(state: AnnotationState) -> ObjectTable:
+    """objects.json of a state."""
+    return ObjectTable(
+        models=state.models,
+        objects=[
+            Object(id=o.id, name=o.name, model=o.model, material=o.material) for o in state.objects
+        ],
+    )

@@ -14,8 +14,7 @@ from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper
 from annotator.views.clouds import LIGHT_POINTS, Cloud
 from annotator.views.layers import Layers, fill, place
 from annotator.views.projection import ScreenCamera
-from annotator.views.strokes import Color, Strokes
-from annotator.views.surfaces import lines
+from annotator.views.triangles import Color, Strokes, lines
 from std_toolkit.geometry import SE3, Camera
 
 Array = NDArray[np.float64]

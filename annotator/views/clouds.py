@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.desk.controller import Controller
-from annotator.desk.events import Event
-from annotator.desk.view_options import CloudSource
+from annotator.app.controller import Controller
+from annotator.app.events import Event
+from annotator.app.view_options import CloudSource
 from std_toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
-    from annotator.desk.runner import Task
+    from annotator.app.tasks import Task
     from std_toolkit.scene import Scene
 
 # What software rendering draws in a fraction of a second, and what it draws while moving.
@@ -132,7 +132,7 @@ class CloudReader:
             self.clear()
 
     def _read(self, frame_id: int) -> Cloud:
-        from std_toolkit.labels.support.cloud import frame_cloud
+        from std_toolkit.rendering.point_cloud import frame_cloud
 
         scene = self._controller.session.scene
         frame = scene.frame(frame_id)
@@ -153,7 +153,7 @@ class CloudReader:
 
     def _instead(self, reason: str) -> Cloud:
         """The points of the reconstruction where there is no depth."""
-        from std_toolkit.labels.support.cloud import sparse_points
+        from std_toolkit.rendering.point_cloud import sparse_points
 
         if self._sparse is None and self._controller.session.posed:
             found = sparse_points(self._controller.session.scene)
@@ -167,7 +167,7 @@ class CloudReader:
 
 
 def _fuse(scene: Scene, task: Task) -> Cloud:
-    from std_toolkit.labels.support.cloud import fuse_clouds
+    from std_toolkit.rendering.point_cloud import fuse_clouds
 
     frames = scene.registered_frames()
     every = max(1, -(-len(frames) // MOST_FRAMES))

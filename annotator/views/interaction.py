@@ -1,11 +1,163 @@
-"""The VTK interactor of a plotter, without the habits of VTK and pyvista."""
+"""Events of a plotter, and what they do to the eye and to clicked points.
+
+What a held button does as the pointer moves.
+
+The VTK interactor of a plotter, without the habits of VTK and pyvista.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
 from vtkmodules.vtkInteractionStyle import vtkInteractorStyleUser
+
+from annotator.app.events import Event
+from annotator.app.view_options import Mode
+from annotator.session import AddClick, ChangeClick, Click
+from annotator.views.overlay import ScreenPoints, pixels
+from annotator.views.scene_view import SceneView
+
+if TYPE_CHECKING:
+    from annotator.views.scene_view import SceneView
+
+
+REACH_PX = 10.0
+
+Array = NDArray[np.float64]
+
+# The cloud turns half around as the pointer crosses the view.
+ORBIT_PER_VIEW = np.pi
+
+
+def marker_at(view: SceneView, at: ScreenPoints) -> int | None:
+    """Index of the clicked pixel under the pointer."""
+    if view.mode is not Mode.IMAGE:
+        return None
+    distance = np.linalg.norm(pixels(view) - at, axis=1)
+    if len(distance) == 0 or distance.min() > REACH_PX * view.pixel_ratio:
+        return None
+    return int(np.argmin(distance))
+
+
+def pick_point(view: SceneView, at: ScreenPoints) -> None:
+    """The pointer is on the mesh: that point waits for its pixel."""
+    controller = view.controller
+    name = controller.selected
+    if name is None:
+        controller.tell("Select an object first.", "warning")
+        return
+    picked = view.objects.pick_on(view, name, at)
+    if picked is None:
+        controller.tell(f"Click a point on the mesh of {name} first.", "warning")
+        return
+    controller.pending_point = (float(picked[0]), float(picked[1]), float(picked[2]))
+    controller.emit(Event("tool"))
+
+
+def add_pixel(view: SceneView, at: ScreenPoints) -> None:
+    """The pointer is on the pixel of the point that waits for it."""
+    controller = view.controller
+    name, point = controller.selected, controller.pending_point
+    if name is None or point is None:
+        return
+    if view.mode is not Mode.IMAGE:
+        controller.tell("Pixels are clicked in an image: press Tab.", "warning")
+        return
+    u, v = view.recorded_pixel(at)
+    camera = view.recorded_camera
+    if not (-0.5 <= u <= camera.width - 0.5 and -0.5 <= v <= camera.height - 0.5):
+        controller.tell("Click inside the image.", "warning")
+        return
+    click = Click(u=u, v=v, point=list(point))
+    controller.pending_point = None
+    controller.apply(AddClick(object=name, frame=view.frame, click=click))
+
+
+class _EyeGesture:
+    moves_view = True
+
+    def __init__(self, view: SceneView) -> None:
+        self._view = view
+        self._before = (view.eye.window, view.eye.T_eye_ref)
+        self._last = np.zeros(2)
+
+    def start(self, at: Array) -> None:
+        self._last = at
+
+    def finish(self) -> None:
+        pass
+
+    def cancel(self) -> None:
+        self._view.eye.window, self._view.eye.T_eye_ref = self._before
+
+
+class PanGesture(_EyeGesture):
+    """Shifts the image, or the eye in the cloud; the point under the pointer stays under it."""
+
+    def start(self, at: Array) -> None:
+        super().start(at)
+        self._point = self._view.point_under(at)
+
+    def to(self, at: Array) -> None:
+        view = self._view
+        (dx, dy), self._last = at - self._last, at
+        if view.mode is Mode.CLOUD:
+            screen, depth = view.screen, float(self._point[2])
+            by = np.array([dx / screen.fx, dy / screen.fy, 0.0]) * depth
+            view.eye.shift(view.T_ref_cam, by)
+        else:
+            view.eye.pan(float(dx), float(dy), view.camera, view.size)
+
+
+class OrbitGesture(_EyeGesture):
+    """Goes around the selected object, or around what was grabbed."""
+
+    def start(self, at: Array) -> None:
+        super().start(at)
+        self._pivot = self._view.pivot(at)
+
+    def to(self, at: Array) -> None:
+        view = self._view
+        (dx, dy), self._last = at - self._last, at
+        per_pixel = ORBIT_PER_VIEW / max(view.size)
+        view.eye.orbit(
+            view.T_ref_cam, self._pivot, view.up(), float(dx) * per_pixel, float(dy) * per_pixel
+        )
+
+
+class MarkerGesture:
+    """Corrects the pixel of a clicked correspondence."""
+
+    moves_view = True
+
+    def __init__(self, view: SceneView, index: int) -> None:
+        self._view, self._index = view, index
+
+    def start(self, at: Array) -> None:
+        pass
+
+    def to(self, at: Array) -> None:
+        self._view.dragged_marker = (self._index, at)
+
+    def finish(self) -> None:
+        view = self._view
+        dragged, view.dragged_marker = view.dragged_marker, None
+        name = view.controller.selected
+        if dragged is None or name is None:
+            return
+        clicks = view.controller.session.object(name).clicks.get(view.frame, [])
+        if self._index < len(clicks):
+            u, v = view.recorded_pixel(dragged[1])
+            click = msgspec.structs.replace(clicks[self._index], u=u, v=v)
+            edit = ChangeClick(object=name, frame=view.frame, index=self._index, click=click)
+            view.controller.apply(edit)
+
+    def cancel(self) -> None:
+        self._view.dragged_marker = None
 
 
 def interactor_of(plotter: Any) -> Any:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from vtkmodules.vtkCommonCore import mutable
 from vtkmodules.vtkCommonDataModel import vtkPolyData, vtkStaticCellLocator
 
-from annotator.views.surfaces import (
+from annotator.views.triangles import (
     Surface,
     lighter,
     lines,

@@ -8,16 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.desk.view_options import Style
-from annotator.views.captions import Captions
+from annotator.app.placing import front_rotation
+from annotator.app.view_options import Style
 from annotator.views.interaction import Events
-from annotator.views.layers import Drawing, Layers
+from annotator.views.layers import Captions, Drawing, Layers
 from annotator.views.meshes import Shape
 from annotator.views.projection import ScreenCamera
 from annotator.views.scene_view import repainter
-from annotator.views.solids import Look, Solid
-from annotator.views.strokes import Color, Strokes, rgba
-from annotator.views.upright import front_rotation
+from annotator.views.solids import Appearance, Solid
+from annotator.views.triangles import Color, Strokes, rgba
 from std_toolkit.geometry import SE3, so3_exp
 
 Array = NDArray[np.float64]
@@ -57,7 +56,7 @@ class ModelView:
         self._shift = np.zeros(2)
         self._up = 2
         self._solid: Solid | None = None
-        self._look = Look(color=(0.7, 0.75, 0.8), style=Style.SOLID, contour=0.0, light=False)
+        self._look = Appearance(color=(0.7, 0.75, 0.8), style=Style.SOLID, contour=0.0, light=False)
         self._points: list[Array] = []
         self._pending: Array | None = None
         self._on_click = on_click
@@ -98,7 +97,7 @@ class ModelView:
                 self._solid.close()
             self._solid = None if shape is None else Solid(self.layers, shape)
             self.fit()
-        self._look = Look(color=rgba(color)[:3], style=Style.SOLID, contour=0.0, light=False)
+        self._look = Appearance(color=rgba(color)[:3], style=Style.SOLID, contour=0.0, light=False)
 
     def set_points(
         self, points: Sequence[Sequence[float]], pending: Sequence[float] | None = None

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.desk.view_options import Mode, Style
+from annotator.app.view_options import Mode, Style
 from annotator.views.layers import Layers
 from annotator.views.meshes import ShapeStore
 from annotator.views.projection import ScreenCamera
-from annotator.views.solids import Look, Solid, front_to_back
-from annotator.views.strokes import rgba
+from annotator.views.solids import Appearance, Solid, front_to_back
+from annotator.views.triangles import rgba
 from annotator.views.viewpoint import Viewpoint
-from std_toolkit.checks.palette import object_color
+from std_toolkit.html.plots import object_color
 
 if TYPE_CHECKING:
     from std_toolkit.labels.support.penetration import Penetration
@@ -47,19 +47,19 @@ class ObjectLayer:
         state = view.controller.session.state
         ids = [o.id for o in state.objects]
         self.set_penetrations(view.controller.penetrations)
-        looks: dict[str, Look] = {}
+        looks: dict[str, Appearance] = {}
         for name in self._solids.keys() - {o.name for o in state.objects}:
             self._solids.pop(name).close()
-        for thing in state.objects:
-            solid = self._solid_of(thing.name, state.model(thing.model))
+        for obj in state.objects:
+            solid = self._solid_of(obj.name, state.model(obj.model))
             if solid is None:
                 continue
-            color = rgba(object_color(ids, thing.id))[:3]
-            look = _look(view, thing.name, color, light=light, pixel_ratio=pixel_ratio)
-            look = replace(look, red=self._painted(view, thing.name))
-            T_eye_obj = view.T_eye_obj(thing.name) if _is_shown(view, thing.name) else None
+            color = rgba(object_color(ids, obj.id))[:3]
+            look = _look(view, obj.name, color, light=light, pixel_ratio=pixel_ratio)
+            look = replace(look, red=self._painted(view, obj.name))
+            T_eye_obj = view.T_eye_obj(obj.name) if _is_shown(view, obj.name) else None
             solid.show(T_eye_obj, look, seen=not off)
-            looks[thing.name] = look
+            looks[obj.name] = look
         self._outline(view, looks)
 
     def set_penetrations(self, found: tuple[Penetration, ...]) -> None:
@@ -147,7 +147,7 @@ class ObjectLayer:
             known = self._solids[name] = Solid(self._layers, shape)
         return known
 
-    def _outline(self, view: Viewpoint, looks: dict[str, Look]) -> None:
+    def _outline(self, view: Viewpoint, looks: dict[str, Appearance]) -> None:
         by_solid = {id(self._solids[name]): look for name, look in looks.items()}
         selected = self.solid(view.controller.selected)
         order = front_to_back([self._solids[name] for name in looks], selected)
@@ -175,7 +175,7 @@ def _look(
     *,
     light: bool,
     pixel_ratio: float,
-) -> Look:
+) -> Appearance:
     controller, options = view.controller, view.controller.options
     selected = name == controller.selected
     if options.style is Style.CONTOUR or options.contour_always:
@@ -186,7 +186,7 @@ def _look(
     if selected:
         # In the cloud it shines through what lies in front.
         rim = SELECTED_PX if view.mode is Mode.IMAGE or rim else WIRE_PX
-    return Look(
+    return Appearance(
         color=color,
         style=options.style,
         contour=rim * pixel_ratio,

@@ -5,20 +5,41 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from annotator.desk.view_options import Mode
-from annotator.views.captions import FAINT, PAPER, Captions
+from annotator.app.view_options import Mode
+from annotator.session import Click
 from annotator.views.cloud_layer import draw_camera
-from annotator.views.gizmo_look import draw_gizmo
-from annotator.views.markers import draw_markers
-from annotator.views.strokes import Color, Strokes, rgba
-from std_toolkit.checks.palette import object_color
+from annotator.views.gizmo import draw_gizmo
+from annotator.views.layers import FAINT, PAPER, Captions
+from annotator.views.triangles import Color, Strokes, rgba
+from std_toolkit.html.plots import object_color
 
 if TYPE_CHECKING:
     from annotator.views.scene_view import SceneView
 
 _CAMERA: Color = (0.93, 0.86, 0.62, 0.9)
+
 _WARNING = (0.98, 0.78, 0.35)
+
+
+ScreenPoints = NDArray[np.float64]
+
+
+# Around a clicked pixel so much is left free.
+_GAP_PX = 4.0
+
+
+_PIXEL: Color = (1.0, 0.85, 0.2, 1.0)
+
+
+_POINT: Color = (0.3, 0.95, 1.0, 1.0)
+
+
+_RESIDUAL: Color = (1.0, 0.35, 0.3, 1.0)
+
+
+_SHADOW: Color = (0.0, 0.0, 0.0, 0.6)
 
 
 def draw_overlay(strokes: Strokes, captions: Captions, view: SceneView) -> None:
@@ -140,7 +161,7 @@ def _say_name(captions: Captions, view: SceneView) -> None:
 
 
 def _fused(view: SceneView) -> bool:
-    from annotator.desk.view_options import CloudSource
+    from annotator.app.view_options import CloudSource
 
     return view.controller.options.cloud is CloudSource.FUSED and view.controller.session.posed
 
@@ -159,3 +180,75 @@ def _wrapped(text: str, width: float) -> str:
     return "\n".join(
         line for part in text.split("\n") for line in textwrap.wrap(part, letters) or [""]
     )
+
+
+def clicks_of(view: SceneView) -> list[Click]:
+    """The correspondences of the selected object in the frame of the view."""
+    name = view.controller.selected
+    if name is None:
+        return []
+    return view.controller.session.object(name).clicks.get(view.frame, [])
+
+
+def pixels(view: SceneView) -> ScreenPoints:
+    """(N, 2) screen positions of the clicked pixels."""
+    clicks = clicks_of(view)
+    if not clicks:
+        return np.zeros((0, 2))
+    at = view.screen_of_recorded(np.array([[c.u, c.v] for c in clicks]))
+    if view.dragged_marker is not None:
+        index, dragged = view.dragged_marker
+        at[index] = dragged
+    return at
+
+
+def _beside(ends: ScreenPoints, gap: float) -> ScreenPoints:
+    """(N, 2) from the pixels towards the points, so far that the pixels can be seen."""
+    along = ends[:, 1] - ends[:, 0]
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    return along * np.divide(gap, length, out=np.ones_like(length), where=length > gap)
+
+
+def draw_markers(strokes: Strokes, captions: Captions, view: SceneView) -> None:
+    """The pixels, the points of the mesh as posed, and the residual between them."""
+    controller, scale = view.controller, view.pixel_ratio
+    name = controller.selected
+    if name is None or not controller.clicking:
+        return
+    at = pixels(view) if view.mode is Mode.IMAGE else np.zeros((0, 2))
+    pose = view.T_eye_obj(name)
+    if pose is not None:
+        points = np.array([c.point for c in clicks_of(view)]).reshape(-1, 3)
+        seen = view.screen.project(pose @ points)
+        if len(at):
+            ends = np.stack([at, seen], axis=1)
+            ends[:, 0] += _beside(ends, _GAP_PX * scale)
+            strokes.segments(ends, 3.4 * scale, _SHADOW)
+            strokes.segments(ends, 1.8 * scale, _RESIDUAL)
+        for point in seen:
+            strokes.disc(point, 4.6 * scale, _SHADOW)
+            strokes.disc(point, 3.2 * scale, _POINT)
+        if controller.pending_point is not None:
+            pending = view.screen.project(pose @ np.array(controller.pending_point))
+            _draw_pending(strokes, pending, scale)
+    for number, pixel in enumerate(at, start=1):
+        strokes.cross(pixel, 10 * scale, 3.4 * scale, _SHADOW)
+        strokes.cross(pixel, 10 * scale, 1.5 * scale, _PIXEL)
+        x, y = pixel
+        captions.say(
+            f"point {number}",
+            str(number),
+            (x + 8 * scale, y - 8 * scale),
+            size=10.5 * scale,
+            color=_PIXEL[:3],
+            opacity=0.5,
+            valign="bottom",
+        )
+
+
+def _draw_pending(strokes: Strokes, at: ScreenPoints, scale: float) -> None:
+    """The point that waits for its pixel."""
+    strokes.ring(at, 8.5 * scale, 3.6 * scale, _SHADOW)
+    strokes.ring(at, 8.5 * scale, 1.8 * scale, _PIXEL)
+    strokes.disc(at, 4.6 * scale, _SHADOW)
+    strokes.disc(at, 3.2 * scale, _PIXEL)

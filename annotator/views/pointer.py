@@ -12,35 +12,80 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.desk.controller import Controller
-from annotator.desk.view_options import Mode
+from annotator.app.controller import Controller
+from annotator.app.view_options import Mode
 from annotator.views.drags import Drag, PlaneDrag, TrackballDrag
-from annotator.views.gestures import (
-    Gesture,
+from annotator.views.gizmo import Handle
+from annotator.views.interaction import (
+    Array,
+    Events,
     MarkerGesture,
     OrbitGesture,
     PanGesture,
-    PoseGesture,
+    add_pixel,
+    interactor_of,
+    marker_at,
+    pick_point,
 )
-from annotator.views.gizmo import Handle
-from annotator.views.interaction import Events, interactor_of
-from annotator.views.markers import add_pixel, marker_at, pick_point
 from annotator.views.scene_view import SceneView
 from std_toolkit.geometry import SE3
 
+__all__ = ["Pointer", "interactor_of"]
+
 # Numbers of VTK's pointer shapes (vtkRenderWindow.h).
 VTK_CURSOR_DEFAULT, VTK_CURSOR_HAND, VTK_CURSOR_CROSSHAIR = 0, 9, 10
+
 # The pointer has to move so far before a press becomes a drag.
 DRAG_PX = 3.0
+
 ZOOM_STEP = 1.18
+
 # Notches of the wheel within this time make one edit.
 WHEEL_PAUSE_S = 0.4
+
 # A small object would spin under a trackball of its own size.
 SMALLEST_TRACKBALL_PX = 60.0
 
-__all__ = ["Pointer", "interactor_of"]
-
 Later = Callable[[float, Callable[[], None]], None]
+
+
+class Gesture(Protocol):
+    """A drag under way; positions are (2,) screen positions.
+
+    Attributes:
+        moves_view: it moves the eye of this view, not the objects.
+    """
+
+    moves_view: bool
+
+    def start(self, at: Array) -> None: ...
+    def to(self, at: Array) -> None: ...
+    def finish(self) -> None: ...
+    def cancel(self) -> None: ...
+
+
+class PoseGesture:
+    """Moves an object; every view follows, and letting go makes one edit."""
+
+    moves_view = False
+
+    def __init__(self, view: SceneView, name: str, drag: Drag, method: str) -> None:
+        self._view, self._name, self._drag, self._method = view, name, drag, method
+        self._frame = view.frame
+        self._T_cam_eye = view.T_eye_cam.inverse()
+
+    def start(self, at: Array) -> None:
+        pass
+
+    def to(self, at: Array) -> None:
+        T_cam_obj = self._T_cam_eye @ self._drag.to(at)
+        self._view.controller.drag_to(self._name, self._frame, T_cam_obj)
+
+    def finish(self) -> None:
+        self._view.controller.end_drag(self._method)
+
+    def cancel(self) -> None:
+        self._view.controller.cancel_drag()
 
 
 class Motion(Protocol):

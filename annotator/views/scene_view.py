@@ -1,4 +1,7 @@
-"""One drawing area: a frame of the session as image or as cloud, with the objects over it."""
+"""One drawing area: a frame of the session as image or as cloud, with the objects over it.
+
+Where on a frame's image something lands that is dropped onto a view.
+"""
 
 from __future__ import annotations
 
@@ -8,20 +11,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.desk.controller import Controller
-from annotator.desk.events import Event
-from annotator.desk.view_options import Gizmo, Mode, Style
-from annotator.views.captions import Captions
+from annotator.app.controller import Controller
+from annotator.app.events import Event
+from annotator.app.view_options import Gizmo, Mode, Style
 from annotator.views.cloud_layer import CloudLayer, TableLayer
 from annotator.views.clouds import Cloud, CloudReader
 from annotator.views.gizmo import GizmoFrame, Handle
-from annotator.views.layers import Drawing, Layers
+from annotator.views.layers import Captions, Drawing, Layers
 from annotator.views.meshes import ShapeStore
 from annotator.views.object_layer import ObjectLayer
 from annotator.views.overlay import draw_overlay
 from annotator.views.picture import Picture
 from annotator.views.solids import Solid
-from annotator.views.strokes import Strokes
+from annotator.views.triangles import Strokes
 from annotator.views.viewpoint import Viewpoint
 from std_toolkit.errors import ToolkitError
 
@@ -29,6 +31,7 @@ Array = NDArray[np.float64]
 
 # Where a table-top scene is, as long as nothing better is known.
 USUAL_DEPTH_M = 0.7
+
 # Handles: part of the drawing area, smallest and largest length of an arrow.
 GIZMO_SHARE, SMALLEST_GIZMO_PX, LARGEST_GIZMO_PX = 0.16, 38.0, 92.0
 
@@ -247,3 +250,19 @@ def repainter(plotter: Any) -> Callable[[], None]:
     # A QOpenGLWidget renders when it is painted; rendering by hand would do it twice.
     schedule: Callable[[], None] | None = getattr(plotter, "Render", None)
     return schedule if schedule is not None else plotter.render_window.Render
+
+
+def recorded_pixel_under(view: SceneView, xy: NDArray[np.float64]) -> tuple[float, float]:
+    """Pixel of the recorded image, lens distortion included, for what is under a screen position.
+
+    Args:
+        xy: (2,) physical pixels from the top left corner of the drawing area.
+    """
+    if view.mode is Mode.IMAGE:
+        return view.recorded_pixel(xy)
+    seen = view.recorded_camera.project(view.T_eye_cam.inverse() @ view.point_under(xy))
+    if not np.isfinite(seen).all():
+        # Behind the camera of the frame: the middle of its image.
+        camera = view.recorded_camera
+        return camera.width / 2, camera.height / 2
+    return float(seen[0]), float(seen[1])

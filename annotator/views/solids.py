@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from vtkmodules.vtkCommonDataModel import vtkPolyData
 from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkRenderer
 
-from annotator.desk.view_options import Style
+from annotator.app.view_options import Style
 from annotator.views.layers import Layers, fill, place
 from annotator.views.meshes import Shape
 from annotator.views.projection import ScreenCamera
-from annotator.views.strokes import Color, Strokes
-from annotator.views.surfaces import Surface
+from annotator.views.triangles import Color, Strokes, Surface
 from std_toolkit.geometry import SE3
 
 # Replacing a vertex's depth by a constant: what is drawn first hides what comes behind it.
@@ -30,7 +29,7 @@ _NEAREST_SLOT, _SLOTS = -0.95, 1.9
 
 
 @dataclass(frozen=True, kw_only=True)
-class Look:
+class Appearance:
     """How an object is drawn now.
 
     Attributes:
@@ -66,7 +65,7 @@ class Solid:
         layers.outlines.AddActor(self._rim)
         self._patch = _Patch(layers, shape)
 
-    def show(self, T_eye_obj: SE3 | None, look: Look, *, seen: bool = True) -> None:
+    def show(self, T_eye_obj: SE3 | None, look: Appearance, *, seen: bool = True) -> None:
         """Put it at a pose, or take it away; one that is not `seen` can still be picked."""
         self.T_eye_obj = T_eye_obj
         self.seen = seen and T_eye_obj is not None
@@ -90,7 +89,7 @@ class Solid:
         place(body, T_eye_obj)
 
     def outline(
-        self, camera: ScreenCamera, look: Look, slot: int, slots: int, color: Color
+        self, camera: ScreenCamera, look: Appearance, slot: int, slots: int, color: Color
     ) -> None:
         """Draw the silhouette; lower slots lie in front of higher ones and hide them."""
         if self.T_eye_obj is None:
@@ -203,7 +202,7 @@ def front_to_back(solids: Sequence[Solid], first: Solid | None) -> list[Solid]:
     return sorted(placed, key=lambda s: (s is not first, depth(s)))
 
 
-def _paint(actor: vtkActor, look: Look) -> None:
+def _paint(actor: vtkActor, look: Appearance) -> None:
     paint = actor.GetProperty()
     paint.SetColor(*look.color)
     if look.style is Style.WIREFRAME:

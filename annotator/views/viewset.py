@@ -10,9 +10,9 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from annotator.desk.controller import Controller
-from annotator.desk.events import Event
-from annotator.desk.view_options import Mode
+from annotator.app.controller import Controller
+from annotator.app.events import Event
+from annotator.app.view_options import Mode
 from annotator.views.clouds import CloudReader
 from annotator.views.meshes import ShapeStore
 from annotator.views.pointer import Pointer

@@ -7,29 +7,24 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from annotator.actions import BY_ID
-from annotator.desk.controller import Controller
-from annotator.desk.events import Event
-from annotator.desk.runner import ThreadRunner
-from annotator.desk.upkeep import Upkeep
-from annotator.frames.image_cache import ImageCache
-from annotator.placing.placement import add_object, drop_model, drop_object
+from annotator.app.action_table import ACTION_OF, BY_ID
+from annotator.app.background_updates import BackgroundUpdates
+from annotator.app.controller import Controller
+from annotator.app.dialogs import Dialogs
+from annotator.app.events import Event, Notices
+from annotator.app.image_cache import ImageCache
+from annotator.app.placing import add_object, drop_model, drop_object
+from annotator.app.pose_text import type_number
+from annotator.app.questions import Question
+from annotator.app.tasks import ThreadRunner
+from annotator.app.view_options import choose_view_frames
 from annotator.session import ChangeClick, Session
-from annotator.session.viewpoints import choose_view_frames
 from annotator.views import ViewSet
-from annotator.views.landing import recorded_pixel_under
-from annotator.web.channel import ViewChannel
-from annotator.web.dialogs import Dialogs
-from annotator.web.mesh_picker import MeshPicker
-from annotator.web.notices import Notices
-from annotator.web.page import build_page, page_constants
-from annotator.web.question import Question
-from annotator.web.sheet import ACTION_OF
-from annotator.web.shown import shown_pose, shown_state
-from annotator.web.stream import StreamedPlotter
-from annotator.web.thumbnails import Thumbnails
-from annotator.web.told import Drop, Key, Pointer
-from annotator.web.typed_number import type_number
+from annotator.views.scene_view import recorded_pixel_under
+from annotator.views.thumbnails import Thumbnails
+from annotator.web.channel import Drop, Key, Pointer, ViewChannel
+from annotator.web.page import build_page, page_constants, page_pose, page_state
+from annotator.web.stream import MeshPicker, StreamedPlotter
 from std_toolkit.log import logger
 
 # The panels follow the mouse, and the work under way, no oftener than this.
@@ -76,7 +71,7 @@ class FrontEnd:
             stream.view = view
         self._picker = MeshPicker(c, self._streams[-1], self._views.shapes, self._later)
         c.subscribe(self._on_event)
-        self._upkeep = Upkeep(c)
+        self._upkeep = BackgroundUpdates(c)
         self._thumbnails = Thumbnails(c, lambda pictures: self._set(thumbnails=pictures))
         self._tell_first()
 
@@ -135,11 +130,11 @@ class FrontEnd:
 
     def _refresh(self) -> None:
         self._refresh_planned = False
-        self._set(**shown_state(self.controller))
+        self._set(**page_state(self.controller))
 
     def _refresh_pose(self) -> None:
         self._refresh_planned = False
-        self._set(**shown_pose(self.controller))
+        self._set(**page_pose(self.controller))
 
     def _show_question(self, question: Question | None) -> None:
         if question is None:

@@ -12,7 +12,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from std_toolkit.cli.job_arguments import job_options
+from std_toolkit.cli.command_line import job_options
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
 

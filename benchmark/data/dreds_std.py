@@ -40,13 +40,13 @@ from benchmark.data.loading import (
 from benchmark.data.splits import FrameKey, SceneFiles
 from benchmark.data.true_poses import KnownBox, model_handle, model_sides
 from std_toolkit.errors import ToolkitError
-from std_toolkit.exporters.sidecar import find_sidecar
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.importers.intrinsics import read_intrinsics
-from std_toolkit.importers.std import DREDS_LAYOUT, STD_LAYOUT, Layout
+from std_toolkit.importers.std_importer import DREDS_LAYOUT, STD_LAYOUT, Layout
 from std_toolkit.importers.std_objects import MetaLine, read_meta
 from std_toolkit.io.images import read_color
 from std_toolkit.scene.model import CATEGORY_CLASS_IDS, MATERIAL_IDS
+from std_toolkit.scene.sidecar import find_sidecar
 
 COLOR = ("_color.png",)
 

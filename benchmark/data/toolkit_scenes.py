@@ -38,8 +38,7 @@ from std_toolkit.exporters.frame_maps import check_fresh
 from std_toolkit.geometry.alignment import Similarity
 from std_toolkit.geometry.mesh import nocs_frame
 from std_toolkit.importers.pairing import natural_key
-from std_toolkit.rendering.encoding import load_nocs
-from std_toolkit.rendering.ground_truth import info_path, map_paths, read_frame_truth
+from std_toolkit.rendering.ground_truth import info_path, load_nocs, map_paths, read_frame_truth
 from std_toolkit.scene.model import MATERIAL_IDS, Frame
 from std_toolkit.scene.scene import Scene
 

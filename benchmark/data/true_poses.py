@@ -33,7 +33,7 @@ from benchmark.data.frame import OTHER, DepthFrame, Instance
 from benchmark.data.splits import DepthSource
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.alignment import umeyama
-from std_toolkit.geometry.depth import unproject_depth
+from std_toolkit.geometry.camera import unproject_depth
 
 if TYPE_CHECKING:
     import trimesh

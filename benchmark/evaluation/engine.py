@@ -25,10 +25,9 @@ from benchmark.evaluation.manifest import MANIFEST, begin
 from benchmark.evaluation.results import TABLE, good_frames, join_parts, write_part
 from benchmark.methods.registry import MethodOptions, shipped_file
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import sweep_temporaries
+from std_toolkit.io.atomic import hold_lock, sweep_temporaries
 from std_toolkit.jobs import JobOptions, run_jobs
-from std_toolkit.scene.lock import hold_lock
-from std_toolkit.scene.provenance import digest_file
+from std_toolkit.scene.document import digest_file
 
 # A worker that takes the place of a dead one waits until the system has freed its lock.
 _PATIENCE_S = 30.0

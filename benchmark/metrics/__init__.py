@@ -2,7 +2,7 @@
 
 from benchmark.data.frame import nearest_indices, resize_nearest
 from benchmark.metrics.depth.accumulate import DepthMetrics
-from benchmark.metrics.depth.depth_errors import coverage, delta, depth_errors, mae, rel, rmse
+from benchmark.metrics.depth.depth_numpy import coverage, delta, depth_errors, mae, rel, rmse
 from benchmark.metrics.depth.tally import NAMES, THRESHOLDS, Errors, Missing
 
 __all__ = [

@@ -15,8 +15,7 @@ from benchmark.report.leaderboard import BOARD
 from benchmark.report.leaderboard_text import MAIN_SUBSETS
 from benchmark.report.parts import depth_sections
 from std_toolkit import __version__
-from std_toolkit.checks.markup import paragraph, section, words
-from std_toolkit.checks.style import CSS
+from std_toolkit.html.markup import CSS, paragraph, section, words
 from std_toolkit.io.atomic import write_bytes_atomic
 
 PAGE, MARKDOWN, CSV = "report.html", "table.md", "table.csv"

@@ -14,9 +14,8 @@ from pathlib import Path
 from benchmark.evaluation.manifest import GRASP_MANIFEST, MANIFEST, POSE_MANIFEST
 from benchmark.evaluation.tasks.bop import FILE as BOP_FILE
 from std_toolkit import __version__
-from std_toolkit.checks.markup import section, words
-from std_toolkit.checks.style import CSS, PLOTS_SCRIPT
 from std_toolkit.errors import ToolkitError
+from std_toolkit.html.markup import CSS, PLOTS_SCRIPT, section, words
 
 _STYLE = """
 td small, th small { display:block; color:var(--faint); font-weight:400; font-size:11.5px; }

@@ -22,9 +22,8 @@ from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.rendering.maps import compose, surface_maps
 from std_toolkit.rendering.mesh import RenderMesh
-from std_toolkit.rendering.protocol import PlacedMesh
 from std_toolkit.rendering.raycast import RaycastRenderer
-from std_toolkit.rendering.windows import image_window
+from std_toolkit.rendering.renderer import PlacedMesh, image_window
 
 if TYPE_CHECKING:
     from sensors.simulation.world import World

@@ -27,10 +27,9 @@ from benchmark.training.packed_frames import PackedFrames
 from benchmark.training.run_files import BEST, CHECKPOINT, LAST
 from benchmark.training.run_note import RUN_NOTE, AtomicCheckpoints, note_of
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import sweep_temporaries
+from std_toolkit.io.atomic import hold_lock, sweep_temporaries
 from std_toolkit.io.documents import write_document
 from std_toolkit.log import logger
-from std_toolkit.scene.lock import hold_lock
 
 _PRECISIONS: dict[str, Any] = {"fp32": "32-true", "bf16": "bf16-mixed"}
 

@@ -24,11 +24,10 @@ from benchmark.training.shards import (
     shard_path,
 )
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import atomic_path, sweep_temporaries
+from std_toolkit.io.atomic import atomic_path, hold_lock, sweep_temporaries
 from std_toolkit.io.documents import begin_folder, read_document, write_document
 from std_toolkit.jobs import JobOptions, run_jobs
-from std_toolkit.jobs.runner import error_of
-from std_toolkit.scene.lock import hold_lock
+from std_toolkit.jobs.options import error_of
 
 _WAYS = {"cubic": cv2.INTER_CUBIC, "area": cv2.INTER_AREA}
 

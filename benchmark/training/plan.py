@@ -18,7 +18,7 @@ from benchmark.training.frame_order import (
     thinned,
 )
 from std_toolkit.errors import ToolkitError
-from std_toolkit.scene.provenance import digest_file
+from std_toolkit.scene.document import digest_file
 
 # Of a training of few steps, so that killing it never costs more than a part of it.
 _CHECKPOINTS = 20

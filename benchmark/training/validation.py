@@ -13,8 +13,8 @@ import torch
 from torch import Tensor, nn
 
 from benchmark.data.frame import BACKGROUND, Material
+from benchmark.evaluation.depth_panels import strip
 from benchmark.metrics.depth.accumulate import DepthMetrics
-from benchmark.metrics.depth.depth_panels import strip
 from benchmark.training.packed_frames import PackedFrames
 from benchmark.training.step import Batch, made_of, network_depth
 from std_toolkit.io.images import write_color

@@ -61,8 +61,8 @@ def label(work: Path, truth: Truth) -> None:
     from PySide6.QtTest import QTest
     from window_hands import Hands
 
-    from annotator.window.app import make_application
-    from annotator.window.shell import Shell
+    from annotator.qt.main_window import Shell
+    from annotator.qt.qt_app import make_application
 
     make_application()
     shell = Shell(annotator="mk")

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.checks.palette import object_color
+from std_toolkit.html.plots import object_color
 from std_toolkit.io.images import write_color
 from std_toolkit.rendering.ground_truth import read_ground_truth
 from std_toolkit.scene import Scene

@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmark.metrics.depth.depth_panels import LARGEST_ERROR_M, PANELS, TRUST_PANEL
+from benchmark.evaluation.depth_panels import LARGEST_ERROR_M, PANELS, TRUST_PANEL
 from std_toolkit.io.images import read_color, write_color
 
 OUT = Path(__file__).with_suffix(".jpg")

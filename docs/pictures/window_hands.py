@@ -13,8 +13,8 @@ from PySide6.QtGui import QDragEnterEvent, QDropEvent, QImage
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QDialog, QWidget
 
-from annotator.window.library_panel import MODEL_MIME
-from annotator.window.shell import Shell
+from annotator.qt.library_panel import MODEL_MIME
+from annotator.qt.main_window import Shell
 
 LEFT, PLAIN = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
 

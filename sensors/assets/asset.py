@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.symmetry import Symmetry
+from std_toolkit.scene.document import check_name
 from std_toolkit.scene.model import CATEGORY_CLASS_IDS
-from std_toolkit.scene.names import check_name
 
 if TYPE_CHECKING:
     import trimesh

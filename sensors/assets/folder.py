@@ -22,7 +22,7 @@ from sensors.assets.meshfile import read_asset
 from sensors.assets.source import SourceOptions, in_split
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import MESH_SUFFIXES, UNITS_IN_M
-from std_toolkit.scene.names import check_name, check_relative, safe_name
+from std_toolkit.scene.document import check_name, check_relative, safe_name
 
 DOCUMENT = "assets.json"
 _SYMMETRIES = {"none": NO_SYMMETRY, "axis:y": TURN_Y, "auto": None}

@@ -15,8 +15,8 @@ from std_toolkit.geometry.mesh import LARGEST_EXTENT_M, SMALLEST_EXTENT_M, nocs_
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.geometry.symmetry import Symmetry
 from std_toolkit.io.documents import document_bytes
+from std_toolkit.scene.document import check_name
 from std_toolkit.scene.model import CATEGORY_CLASS_IDS, MATERIAL_IDS, Material
-from std_toolkit.scene.names import check_name
 
 if TYPE_CHECKING:
     import trimesh

@@ -11,9 +11,9 @@ import numpy as np
 from sensors.output.frame import SimulatedObject, SimulatedScene
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.geometry.symmetry import Symmetry
-from std_toolkit.importers.mesh_files import mesh_suffix, model_of_mesh
+from std_toolkit.importers.foreign_files import mesh_suffix, model_of_mesh
+from std_toolkit.scene.document import safe_name
 from std_toolkit.scene.model import ContinuousSymmetry, Model, SymmetryModel
-from std_toolkit.scene.names import safe_name
 
 if TYPE_CHECKING:
     import trimesh

@@ -19,8 +19,8 @@ from sensors.output.models import metric_objects
 from sensors.output.record import scene_record
 from sensors.output.toolkit_scene import frame_name, label_color
 from std_toolkit.errors import ToolkitError
-from std_toolkit.importers.mesh_files import write_mesh
-from std_toolkit.importers.staging import new_folder
+from std_toolkit.importers.foreign_files import write_mesh
+from std_toolkit.io.atomic import new_folder
 from std_toolkit.io.documents import write_document
 from std_toolkit.io.images import write_color, write_depth_png16
 from std_toolkit.scene.model import CameraModel

@@ -21,17 +21,18 @@ from sensors.output.intake import Intake
 from sensors.output.models import MetricObject, metric_objects
 from sensors.output.record import SceneRecord, scene_record
 from std_toolkit import __version__
-from std_toolkit.importers.mesh_files import write_mesh
-from std_toolkit.importers.staging import new_folder
+from std_toolkit.importers.foreign_files import write_mesh
+from std_toolkit.io.atomic import new_folder
 from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.io.exr import write_exr
 from std_toolkit.io.images import write_color, write_png
-from std_toolkit.rendering import encoding
+from std_toolkit.rendering import ground_truth
 from std_toolkit.rendering.ground_truth import FrameTruth, ObjectTruth, info_path, map_paths
-from std_toolkit.rendering.inputs import frame_inputs
+from std_toolkit.rendering.maps import mask_box, object_silhouette
 from std_toolkit.rendering.mesh import RenderMesh
+from std_toolkit.rendering.placements import frame_inputs
 from std_toolkit.rendering.raycast import RaycastRenderer
-from std_toolkit.rendering.silhouette import mask_box, object_silhouette
+from std_toolkit.scene.document import digest_file, digest_of
 from std_toolkit.scene.model import (
     CameraModel,
     CameraPoses,
@@ -44,7 +45,6 @@ from std_toolkit.scene.model import (
     ObjectTable,
     SceneInfo,
 )
-from std_toolkit.scene.provenance import digest_file, digest_of
 from std_toolkit.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -87,10 +87,10 @@ class ToolkitSceneWriter:
             return
         seen = frame.mask > 0
         paths = map_paths(folder, frame.index)
-        encoding.write_depth(paths["depth"], np.where(seen, frame.depth_exact, 0))
-        encoding.write_mask(paths["mask"], frame.mask)
-        encoding.write_nocs(paths["nocs"], frame.nocs)
-        encoding.write_normals(paths["normals"], frame.normals, frame.mask)
+        ground_truth.write_depth(paths["depth"], np.where(seen, frame.depth_exact, 0))
+        ground_truth.write_mask(paths["mask"], frame.mask)
+        ground_truth.write_nocs(paths["nocs"], frame.nocs)
+        ground_truth.write_normals(paths["normals"], frame.normals, frame.mask)
         self._rows[frame.index] = rows
 
     def finish(self) -> None:

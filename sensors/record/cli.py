@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from std_toolkit import __version__
-from std_toolkit.cli.outcome import exit_status
+from std_toolkit.cli.command_line import exit_status
 from std_toolkit.log import log_to_stderr
 
 if TYPE_CHECKING:
@@ -168,7 +168,7 @@ def _run(args: argparse.Namespace, devices: Sequence[Any] | None) -> int:
     from sensors.record.stream_choice import StreamWishes, recorded_streams, wished_streams
     from sensors.record.terminal import stopped_by_signal
     from std_toolkit.errors import ToolkitError
-    from std_toolkit.importers.staging import check_vacant
+    from std_toolkit.io.atomic import check_vacant
 
     options = _session_options(args)
     # What cannot be written is refused before a camera is touched.
@@ -263,7 +263,7 @@ def _session_options(args: argparse.Namespace) -> SessionOptions:
     from sensors.record.frame_files import FileOptions
     from sensors.record.session import SessionOptions
     from sensors.record.writer import WriterOptions
-    from std_toolkit.scene.names import check_name
+    from std_toolkit.scene.document import check_name
 
     name = args.name or args.scene.absolute().name
     check_name(name, field="--name")
@@ -331,7 +331,7 @@ def _list(devices: Sequence[Any] | None) -> int:
 
 def _recover(root: Path) -> int:
     from sensors.record.rows import recovered
-    from std_toolkit.scene.lock import scene_lock
+    from std_toolkit.io.atomic import scene_lock
     from std_toolkit.scene.scene import Scene
 
     before = len(Scene.open(root).frames)

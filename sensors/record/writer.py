@@ -18,8 +18,7 @@ from sensors.record.frame_files import FileOptions, aligned_units, write_frame
 from sensors.record.frames import Calibration, CapturedFrame
 from sensors.record.rows import GrowingTable, recovered
 from std_toolkit.errors import ToolkitError
-from std_toolkit.importers.staging import check_vacant, new_folder
-from std_toolkit.scene.lock import scene_lock
+from std_toolkit.io.atomic import check_vacant, new_folder, scene_lock
 from std_toolkit.scene.model import Frames, SceneInfo
 from std_toolkit.scene.scene import Scene
 

@@ -12,7 +12,7 @@ from sensors.render.protocol import DRAFT_COLOR, DRAFT_INFRARED, ColorLight, Ren
 from sensors.render.scene import Projector, SimScene
 from sensors.render.variant import choose_variant
 from std_toolkit.errors import ToolkitError
-from std_toolkit.rendering.protocol import check_no_distortion
+from std_toolkit.rendering.renderer import check_no_distortion
 
 if TYPE_CHECKING:
     from std_toolkit.geometry.camera import Camera

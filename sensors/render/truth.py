@@ -11,8 +11,8 @@ from sensors.render.scene import SimScene
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.rendering.maps import compose, mask_of, surface_maps
-from std_toolkit.rendering.protocol import PlacedMesh
 from std_toolkit.rendering.raycast import RaycastRenderer
+from std_toolkit.rendering.renderer import PlacedMesh
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sensors.output.dreds import BACKGROUND, DATA_SET, SPLITS
 from std_toolkit.errors import ToolkitError
-from std_toolkit.importers.masks import read_mask_source
+from std_toolkit.importers.foreign_files import read_mask_source
 from std_toolkit.importers.std_objects import read_meta
 from std_toolkit.io.exr import read_exr_depth
 from std_toolkit.scene.model import CATEGORY_CLASS_IDS, MATERIAL_IDS

@@ -11,7 +11,6 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.documents import InvalidDocument
-from std_toolkit.scene.camera_model import CameraModel
 from std_toolkit.scene.document import (
     Document,
     NonNegative,
@@ -21,6 +20,7 @@ from std_toolkit.scene.document import (
     check_pose,
     pose_from_list,
 )
+from std_toolkit.scene.pose_model import CameraModel
 
 Angles = Annotated[list[Annotated[float, msgspec.Meta(gt=1, lt=170)]],
                    msgspec.Meta(min_length=2, max_length=2)]  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from sensors.specs.model import SensorSpec
-from std_toolkit.scene.schema import DIALECT
+from std_toolkit.io.documents import DIALECT
 
 
 def schema_bytes() -> bytes:

@@ -10,7 +10,7 @@ import numpy as np
 from sensors.synthetic.recording import read_truth
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import hull_vertices, load_mesh
-from std_toolkit.geometry.pose_error import mssd, rotation_error, translation_error
+from std_toolkit.geometry.symmetry import mssd, rotation_error, translation_error
 from std_toolkit.scene.scene import Scene
 
 

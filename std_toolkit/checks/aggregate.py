@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.checks.caster import mesh_problem
-from std_toolkit.checks.consistency import Consistency, fit_consistency
+from std_toolkit.checks.contours import mesh_problem
 from std_toolkit.checks.coverage import SEEN_FRACTION, directions, measure_coverage
-from std_toolkit.checks.depth import HISTOGRAM_BIN_M, HISTOGRAM_LIMIT_M, DepthResidual, ErrorTally
+from std_toolkit.checks.edges import Consistency, fit_consistency
 from std_toolkit.checks.residuals import FrameObservation, ObjectObservation
 from std_toolkit.checks.result import (
     FrameCheck,
@@ -20,6 +19,12 @@ from std_toolkit.checks.result import (
     Number,
     ObjectCheck,
     ObjectFrameCheck,
+)
+from std_toolkit.checks.sensor_depth import (
+    HISTOGRAM_BIN_M,
+    HISTOGRAM_LIMIT_M,
+    DepthResidual,
+    ErrorTally,
 )
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.scene import Object, Scene

@@ -8,56 +8,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.checks.palette import (
+from std_toolkit.checks.result import CheckReport, MaterialDepth, ObjectCheck, ObjectFrameCheck
+from std_toolkit.html.plots import (
     BAD,
     CAMERA,
     FAINT,
     GRID,
-    INK,
     MATERIAL_COLORS,
+    base_layout,
+    figure_json,
     object_color,
     object_dash,
 )
-from std_toolkit.checks.result import CheckReport, MaterialDepth, ObjectCheck, ObjectFrameCheck
 
-FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 SKIES_PER_ROW = 4
-
-
-def base_layout(*, height: int, **more: Any) -> dict[str, Any]:
-    """The layout that all figures share."""
-    axis = {
-        "gridcolor": GRID,
-        "zeroline": False,
-        "linecolor": "#cbd2d9",
-        "ticks": "outside",
-        "tickcolor": "#cbd2d9",
-        "ticklen": 4,
-        "title": {"standoff": 10},
-        "automargin": True,
-    }
-    layout: dict[str, Any] = {
-        "height": height,
-        "margin": {"l": 64, "r": 16, "t": 16, "b": 52},
-        "font": {"family": FONT, "size": 13, "color": INK},
-        "paper_bgcolor": "rgba(0,0,0,0)",
-        "plot_bgcolor": "rgba(0,0,0,0)",
-        "hovermode": "closest",
-        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "xanchor": "left"},
-        "xaxis": dict(axis),
-        "yaxis": dict(axis),
-    }
-    for key, value in more.items():
-        layout[key] = layout.get(key, {}) | value if isinstance(value, dict) else value
-    return layout
-
-
-def figure_json(traces: Sequence[Any], layout: dict[str, Any]) -> str:
-    """JSON of a figure: validated by Plotly, without its default theme, safe inside a script."""
-    import plotly.graph_objects as go
-
-    figure = go.Figure(data=list(traces), layout={**layout, "template": go.layout.Template()})
-    return str(figure.to_json()).replace("<", "\\u003c")
 
 
 def registration_figure(report: CheckReport, *, limit_px: float) -> str | None:

@@ -75,7 +75,7 @@ def is_confirmed(item: ObjectCheck, options: CheckOptions) -> bool:
     return not is_uninformative(item) or shift_px(item, options) is not None
 
 
-def judge_gates(
+def evaluate_gates(
     summary: SceneSummary,
     objects: Sequence[ObjectCheck],
     frames: Sequence[FrameCheck],
@@ -97,7 +97,7 @@ def judge_gates(
     ]
 
 
-def judge_object(item: ObjectCheck, share: float, options: CheckOptions) -> ObjectCheck:
+def evaluate_object(item: ObjectCheck, share: float, options: CheckOptions) -> ObjectCheck:
     """The object with its verdict."""
     excess = depth_excess_mm(item, share)
     bad = (

@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from html import escape
 from math import hypot
 
-from std_toolkit.checks import figures, markup
+from std_toolkit.checks import figures
 from std_toolkit.checks.gates import depth_excess_mm, scale_share, shift_px
-from std_toolkit.checks.markup import Cell, amount, number, percent, tag, text
 from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.overlay import FramePictures
-from std_toolkit.checks.palette import object_color
 from std_toolkit.checks.result import CheckReport, ObjectCheck
+from std_toolkit.html import markup
+from std_toolkit.html.markup import Cell, amount, number, percent, tag, text
+from std_toolkit.html.plots import object_color
 
 _MEANINGS = {
     "edge distance": "from the contour of the label, along its normal, to the nearest edge of the "

@@ -6,7 +6,7 @@ switched off to look at what is underneath.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from std_toolkit.checks.contours import Contour, svg_path
 from std_toolkit.checks.options import CheckOptions
-from std_toolkit.checks.residuals import View, look, open_for_work
+from std_toolkit.checks.residuals import LabelledView, open_for_work, render_view
+from std_toolkit.html.markup import Picture
 
 CROP_MARGIN = 0.25
 SMALLEST_CROP_PX = 96
@@ -27,24 +28,6 @@ _NOTHING_RGB = (246, 247, 249)
 _DIVERGING = np.array(
     [[33, 102, 172], [146, 197, 222], [250, 250, 250], [244, 165, 130], [178, 24, 43]], float
 )
-
-
-@dataclass(frozen=True)
-class Picture:
-    """An image and outlines above it.
-
-    Attributes:
-        data: JPEG or PNG file.
-        mime: "image/jpeg" or "image/png".
-        width, height: size of the image in pixels, the unit of the outlines.
-        outlines: (object id, SVG path data).
-    """
-
-    data: bytes
-    mime: str
-    width: int
-    height: int
-    outlines: list[tuple[int, str]] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -107,7 +90,7 @@ def draw_frame(
     """
     scene, caster = open_for_work(root, fingerprint)
     frame = scene.frame(order.frame)
-    view = look(scene, caster, frame)
+    view = render_view(scene, caster, frame)
     image = scene.read_color(frame)
     wanted = set(caster.object_ids) if order.overview else set(order.closeups)
     contours = {i: c for i in sorted(wanted) if (c := view.contour(i)) is not None}
@@ -163,7 +146,7 @@ def closeup(
     )
 
 
-def depth_panel(view: View, sensor: NDArray[np.float32]) -> DepthPanel:
+def depth_panel(view: LabelledView, sensor: NDArray[np.float32]) -> DepthPanel:
     """Sensor depth, ground-truth depth and raw minus truth, coloured."""
     truth = view.truth.depth if view.truth else view.depth
     inside = truth > 0

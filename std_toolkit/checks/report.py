@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from html import escape
 
 from std_toolkit import __version__
-from std_toolkit.checks import figures, markup
+from std_toolkit.checks import figures
 from std_toolkit.checks.label_sections import labels_section, name_cell, overlays_section
-from std_toolkit.checks.markup import Cell, amount, number, percent, tag, text
 from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.overlay import FramePictures
-from std_toolkit.checks.palette import MATERIAL_COLORS
 from std_toolkit.checks.result import CheckGate, CheckReport
-from std_toolkit.checks.style import CSS, SCRIPT
+from std_toolkit.html import markup
+from std_toolkit.html.markup import CSS, SCRIPT, Cell, amount, number, percent, tag, text
+from std_toolkit.html.plots import MATERIAL_COLORS
 
 
 @dataclass(frozen=True)

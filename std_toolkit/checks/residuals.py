@@ -9,10 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.checks.caster import NOTHING, LabelCaster
-from std_toolkit.checks.consistency import shift_jacobian
-from std_toolkit.checks.contours import Contour, trace_contour
-from std_toolkit.checks.depth import DepthResidual, ErrorTally, depth_residual
+from std_toolkit.checks.contours import NOTHING, Contour, LabelCaster, trace_contour
 from std_toolkit.checks.edges import (
     EdgeDistance,
     Shift,
@@ -20,9 +17,11 @@ from std_toolkit.checks.edges import (
     edge_distance,
     noise_level,
     read_profiles,
+    shift_jacobian,
     smooth_image,
 )
 from std_toolkit.checks.options import CheckOptions
+from std_toolkit.checks.sensor_depth import DepthResidual, ErrorTally, depth_residual
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.rendering.ground_truth import (
@@ -30,8 +29,8 @@ from std_toolkit.rendering.ground_truth import (
     info_path,
     read_ground_truth,
 )
+from std_toolkit.rendering.placements import truth_is_current
 from std_toolkit.scene import Frame, Scene
-from std_toolkit.scene.freshness import truth_is_current
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 
 
@@ -79,7 +78,7 @@ class FrameObservation:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class LabelledView:
     """A frame with its labels cast: what measuring and drawing both start from.
 
     Attributes:
@@ -143,7 +142,7 @@ def open_for_work(root: Path, fingerprint: str) -> tuple[Scene, LabelCaster]:
     return scene, LabelCaster.of_scene(scene)
 
 
-def look(scene: Scene, caster: LabelCaster, frame: Frame) -> View:
+def render_view(scene: Scene, caster: LabelCaster, frame: Frame) -> LabelledView:
     """Cast the labels into a registered frame.
 
     Raises:
@@ -167,7 +166,7 @@ def look(scene: Scene, caster: LabelCaster, frame: Frame) -> View:
     if info_path(scene.root, frame.id).is_file():
         truth = read_ground_truth(scene, frame.id)
         state = "current" if truth_is_current(scene, truth.info) else "stale"
-    return View(
+    return LabelledView(
         frame,
         camera,
         T_world_cam,
@@ -194,7 +193,7 @@ def observe_frame(
     """
     scene, caster = open_for_work(root, fingerprint)
     frame = scene.frame(frame_id)
-    view = look(scene, caster, frame)
+    view = render_view(scene, caster, frame)
     image = scene.read_color(frame)
     smoothed, noise = smooth_image(image), noise_level(image)
     sensor = scene.read_depth(frame)
@@ -219,7 +218,7 @@ def observe_frame(
 
 def _observe_object(
     scene: Scene,
-    view: View,
+    view: LabelledView,
     object_id: int,
     smoothed: NDArray[np.float32],
     noise: float,

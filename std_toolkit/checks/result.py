@@ -1,15 +1,25 @@
-"""check/report.json: everything the report shows, as numbers."""
+"""check/report.json: everything the report shows, as numbers.
+
+report.csv and frames.csv: the report's numbers for a spreadsheet.
+"""
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Sequence
+from typing import Any, Literal
 
 import msgspec
 
 from std_toolkit.scene.model import Count, Document, ObjectId, ScaleReport
 
 Severity = Literal["high", "medium", "low"]
+
 Number = float | None
+
+_PARTS = {
+    "offset_mm": ("offset_x_mm", "offset_y_mm", "offset_z_mm"),
+    "elevation_deg": ("elevation_min_deg", "elevation_max_deg"),
+}
 
 
 class CheckGate(Document, frozen=True, kw_only=True):
@@ -267,3 +277,34 @@ class CheckReport(Document, frozen=True, kw_only=True):
     def failed_gates(self) -> list[CheckGate]:
         """The gates that failed, in order."""
         return [g for g in self.gates if g.status == "fail"]
+
+
+def objects_csv(report: CheckReport) -> bytes:
+    """One row per object; lists become one column per number."""
+
+    rows = [_flat(msgspec.to_builtins(item)) for item in report.objects]
+    names = [f.name for f in msgspec.structs.fields(ObjectCheck) if f.name != "frames"]
+    return _csv(rows, [part for name in names for part in _PARTS.get(name, (name,))])
+
+
+def frames_csv(report: CheckReport) -> bytes:
+    """One row per frame of the recording."""
+
+    rows = [msgspec.to_builtins(frame) for frame in report.frames]
+    return _csv(rows, [f.name for f in msgspec.structs.fields(FrameCheck)])
+
+
+def _flat(row: dict[str, Any]) -> dict[str, Any]:
+    row.pop("frames")
+    for name, parts in _PARTS.items():
+        values = row.pop(name) or [None] * len(parts)
+        row |= dict(zip(parts, values, strict=True))
+    return row
+
+
+def _csv(rows: Sequence[dict[str, Any]], columns: list[str]) -> bytes:
+    import pandas as pd
+
+    # dtype object: a column of whole numbers with a gap must not turn into floats.
+    table = pd.DataFrame(list(rows), columns=columns, dtype=object)
+    return str(table.to_csv(index=False, lineterminator="\n")).encode()

@@ -7,7 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 
 from std_toolkit.checks.options import CheckOptions
-from std_toolkit.cli.job_arguments import add_job_arguments, job_options
+from std_toolkit.cli.command_line import add_job_arguments, job_options
 
 _LIMITS = {
     "min_registered": "smallest share of frames with a camera pose",
@@ -45,7 +45,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    from std_toolkit.checks.step import report_path, run_check
+    from std_toolkit.checks.check_step import report_path, run_check
     from std_toolkit.scene import Scene
 
     options = CheckOptions(**{name: getattr(args, name) for name in (*_LIMITS, *_WORK)})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from std_toolkit.cli.job_arguments import add_job_arguments, job_options
+from std_toolkit.cli.command_line import add_job_arguments, job_options
 from std_toolkit.errors import ToolkitError
 
 

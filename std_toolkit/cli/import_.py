@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from std_toolkit.cli.job_arguments import add_job_arguments, job_options
+from std_toolkit.cli.command_line import add_job_arguments, job_options
 from std_toolkit.errors import ToolkitError
 
 
@@ -60,9 +60,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
+    from std_toolkit.cli.summary import summarise
     from std_toolkit.importers import ImportRequest, import_recording
-    from std_toolkit.scene.names import check_name, safe_name
-    from std_toolkit.scene.summary import summarise
+    from std_toolkit.scene.document import check_name, safe_name
 
     if (args.source is None) == (args.color is None):
         raise ToolkitError("give either SRC or --color", hint="see `std-curate import --help`")

@@ -18,8 +18,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
+    from std_toolkit.cli.summary import summarise
     from std_toolkit.scene.scene import Scene
-    from std_toolkit.scene.summary import summarise
 
     summary = summarise(Scene.open(args.scene))
     if args.json:

@@ -98,7 +98,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 def run(args: argparse.Namespace) -> int:
     from std_toolkit.errors import ToolkitError
     from std_toolkit.io.atomic import sweep_temporaries
-    from std_toolkit.labels.command import LabelCommand, run_label_command
+    from std_toolkit.labels.label_command import LabelCommand, run_label_command
     from std_toolkit.scene import Scene
 
     sources = [*args.pose, *args.correspondences]

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from std_toolkit.cli.job_arguments import add_job_arguments, job_options
+from std_toolkit.cli.command_line import add_job_arguments, job_options
 from std_toolkit.poses.options import Mapper, PoseOptions, Refinement
 
 
@@ -162,7 +162,7 @@ def options_of(args: argparse.Namespace) -> PoseOptions:
 
 def run(args: argparse.Namespace) -> int:
     from std_toolkit.log import logger
-    from std_toolkit.poses.step import estimate_poses, failed_gates
+    from std_toolkit.poses.pose_step import estimate_poses, failed_gates
     from std_toolkit.scene import Scene
 
     scene = Scene.open(args.scene)

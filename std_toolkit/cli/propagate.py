@@ -28,8 +28,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from std_toolkit.labels.propagate import PropagateOptions, propagate_labels
-    from std_toolkit.labels.summary import label_lines
+    from std_toolkit.labels.propagate import PropagateOptions, label_lines, propagate_labels
     from std_toolkit.scene import Scene
 
     scene = Scene.open(args.scene)

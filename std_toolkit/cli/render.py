@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from std_toolkit.cli.job_arguments import add_job_arguments, job_options
+from std_toolkit.cli.command_line import add_job_arguments, job_options
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -63,8 +63,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Render and print a summary; 1 when a frame failed."""
-    from std_toolkit.rendering.fused import FusionOptions
-    from std_toolkit.rendering.step import RenderOptions, render_ground_truth
+    from std_toolkit.rendering.occluders import FusionOptions
+    from std_toolkit.rendering.render_step import RenderOptions, render_ground_truth
     from std_toolkit.scene.scene import Scene
 
     options = RenderOptions(

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from std_toolkit.cli.job_arguments import add_job_arguments
+from std_toolkit.cli.command_line import add_job_arguments
 
 # A step whose result the next ones build on ends the run when it fails; a frame that could not
 # be rendered does not: the check tells what is missing.

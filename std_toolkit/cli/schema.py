@@ -18,7 +18,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    from std_toolkit.scene.schema import document_types, schema_bytes, write_schemas
+    from std_toolkit.cli.document_schema import document_types, schema_bytes, write_schemas
 
     if args.out is not None:
         for path in write_schemas(args.out):

@@ -1,6 +1,6 @@
 """Writing labelled scenes in the layouts that other tools read."""
 
-from std_toolkit.exporters.protocol import EXPORTERS, Exporter, ExportOptions
-from std_toolkit.exporters.run import export_scene
+from std_toolkit.exporters.export_step import export_scene
+from std_toolkit.exporters.exporter import EXPORTERS, Exporter, ExportOptions
 
 __all__ = ["EXPORTERS", "ExportOptions", "Exporter", "export_scene"]

@@ -24,11 +24,9 @@ from std_toolkit.rendering.ground_truth import (
     ObjectTruth,
     read_ground_truth,
 )
-from std_toolkit.rendering.maps import Composition, compose, mask_of, surface_maps
-from std_toolkit.rendering.placements import frame_placements, place_meshes
-from std_toolkit.rendering.silhouette import mask_box
-from std_toolkit.rendering.windows import image_window
-from std_toolkit.scene.freshness import truth_is_current
+from std_toolkit.rendering.maps import Composition, compose, mask_box, mask_of, surface_maps
+from std_toolkit.rendering.placements import frame_placements, place_meshes, truth_is_current
+from std_toolkit.rendering.renderer import image_window
 from std_toolkit.scene.model import Frame
 from std_toolkit.scene.scene import Scene
 

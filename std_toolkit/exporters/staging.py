@@ -18,11 +18,11 @@ from typing import Literal
 import msgspec
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.exporters.protocol import FrameRow
-from std_toolkit.exporters.sidecar import SIDECAR_NAME, Sidecar
+from std_toolkit.exporters.exporter import FrameRow
 from std_toolkit.io.atomic import sweep_temporaries
 from std_toolkit.io.documents import read_document, write_document
-from std_toolkit.scene.provenance import digest_file
+from std_toolkit.scene.document import digest_file
+from std_toolkit.scene.sidecar import SIDECAR_NAME, Sidecar
 
 PROGRESS = ".progress"
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
-from std_toolkit.scene.names import safe_name
+from std_toolkit.scene.document import safe_name
 
 # Words that tell what an image shows, not which frame it is.
 _ROLE_WORDS = (

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.exporters.sidecar import SIDECAR_NAME, ExportedFrame, ExportedModel, Sidecar
 from std_toolkit.geometry.mesh import load_mesh
-from std_toolkit.importers.mesh_files import mesh_suffix, model_of_mesh
-from std_toolkit.importers.protocol import Recording, SourceFile, SourceFrame, SourceModel
-from std_toolkit.scene.names import check_name, check_relative
+from std_toolkit.importers.foreign_files import mesh_suffix, model_of_mesh
+from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame, SourceModel
+from std_toolkit.scene.document import check_name, check_relative
+from std_toolkit.scene.sidecar import SIDECAR_NAME, ExportedFrame, ExportedModel, Sidecar
 
 
 def recording_from_sidecar(

@@ -12,15 +12,18 @@ import numpy as np
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.alignment import ransac_similarity
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.depth import unproject_depth
+from std_toolkit.geometry.camera import Camera, unproject_depth
 from std_toolkit.geometry.mesh import load_mesh, nocs_frame
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.importers.depth_source import read_foreign_depth
-from std_toolkit.importers.masks import read_mask_source
-from std_toolkit.importers.mesh_files import mesh_suffix, model_of_mesh
-from std_toolkit.importers.protocol import ImportRequest, SourceModel
+from std_toolkit.importers.foreign_files import (
+    mesh_suffix,
+    model_of_mesh,
+    read_foreign_depth,
+    read_mask_source,
+)
+from std_toolkit.importers.importer import ImportRequest, SourceModel
 from std_toolkit.io.images import image_size, read_png
+from std_toolkit.scene.document import check_name, safe_name
 from std_toolkit.scene.model import (
     CATEGORY_CLASS_IDS,
     MATERIAL_IDS,
@@ -29,7 +32,6 @@ from std_toolkit.scene.model import (
     Material,
     Object,
 )
-from std_toolkit.scene.names import check_name, safe_name
 
 MapsOf = Callable[[Path, str], tuple[tuple[str, Path], ...]]
 # Poses are fitted in this many frames, spread over the recording.
@@ -99,18 +101,18 @@ def read_objects(
     if not with_meta:
         return FoundObjects(notes=["no meta files: objects left out"])
     metas = {s: read_meta(folder / f"{s}_meta.txt") for s in with_meta}
-    things: dict[int, MetaLine] = {}
+    meta_lines: dict[int, MetaLine] = {}
     for lines in metas.values():
         for line in lines:
-            things.setdefault(line.mask_id, line)
-    cad = _cad_folder(request, things)
+            meta_lines.setdefault(line.mask_id, line)
+    cad = _cad_folder(request, meta_lines)
     if cad is None:
         return FoundObjects(
             notes=["no CAD models found: objects left out; give their folder with --models"]
         )
     models: dict[str, SourceModel] = {}
     objects, labels = [], []
-    for mask_id, line in sorted(things.items()):
+    for mask_id, line in sorted(meta_lines.items()):
         model = _model(cad, line)
         models.setdefault(model.model.id, model)
         thing = Object(
@@ -163,9 +165,9 @@ def _meta_line(words: list[str], path: Path, where: str, any_class: bool) -> Met
     return MetaLine(mask_id, class_id, words[2], words[3], scale, _MATERIALS[material])
 
 
-def _cad_folder(request: ImportRequest, things: dict[int, MetaLine]) -> Path | None:
+def _cad_folder(request: ImportRequest, meta_lines: dict[int, MetaLine]) -> Path | None:
     """The folder below which `<class>/<instance>/model.obj` of every object lies."""
-    if any(x.instance_folder is None for x in things.values()):
+    if any(x.instance_folder is None for x in meta_lines.values()):
         return None
     source = request.source.resolve()
     places = [request.models] if request.models is not None else []
@@ -174,10 +176,10 @@ def _cad_folder(request: ImportRequest, things: dict[int, MetaLine]) -> Path | N
         if top.is_dir():
             places += [top, *sorted(p for p in top.iterdir() if p.is_dir())]
     for place in places:
-        if all(_mesh_path(place, x).is_file() for x in things.values()):
+        if all(_mesh_path(place, x).is_file() for x in meta_lines.values()):
             return place
     if request.models is not None:
-        lost = next(x for x in things.values() if not _mesh_path(request.models, x).is_file())
+        lost = next(x for x in meta_lines.values() if not _mesh_path(request.models, x).is_file())
         raise ToolkitError("CAD model not found", path=_mesh_path(request.models, lost))
     return None
 

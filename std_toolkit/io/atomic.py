@@ -1,10 +1,19 @@
-"""Atomic writes: a file is either the old one or the complete new one, whenever the power goes."""
+"""Atomic writes of files and folders, and locks: old or complete, one writer at a time.
+
+A folder that appears complete or not at all.
+
+One writer per scene at a time, and one annotator.
+"""
 
 from __future__ import annotations
 
+import fcntl
+import getpass
 import os
 import re
 import secrets
+import shutil
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -12,6 +21,7 @@ from pathlib import Path
 from std_toolkit.errors import ToolkitError
 
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{12}\.tmp(\.[A-Za-z0-9]+)?")
+
 # Leaves room for the random part in file systems that allow 255 bytes.
 _LONGEST_STEM = 100
 
@@ -86,3 +96,160 @@ def sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+@contextmanager
+def new_folder(out: Path) -> Iterator[Path]:
+    """A staging folder beside `out`, renamed to `out` when the block ends without an error.
+
+    When the block raises, the staging folder goes, and so do the parents made for it. What a
+    killed process left is removed by the next call for the same `out`; a lock on the folder tells
+    it from the staging folder of a process that is still at work.
+
+    Raises:
+        ToolkitError: there is something at `out` already, or it cannot be written.
+    """
+    out = out.absolute()
+    check_vacant(out)
+    made = _make_parents(out.parent)
+    try:
+        _sweep(out)
+        staging = out.with_name(f".{out.name}.{secrets.token_hex(6)}.tmp")
+        staging.mkdir()
+    except OSError as error:
+        _remove_parents(made)
+        raise ToolkitError(f"cannot write here: {error.strerror}", path=out.parent) from error
+    descriptor = os.open(staging, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield staging
+        try:
+            staging.rename(out)
+        except OSError as error:
+            raise ToolkitError(
+                f"cannot put the finished folder in place: {error.strerror}", path=out
+            ) from error
+        sync_folder(out.parent)
+    except BaseException as error:
+        shutil.rmtree(staging, ignore_errors=True)
+        _remove_parents(made)
+        if isinstance(error, ToolkitError) and str(staging) in (error.path or ""):
+            # The user knows the place that was asked for, not where it was in the making.
+            raise error.relocated(staging, out) from error
+        raise
+    finally:
+        os.close(descriptor)
+
+
+def check_vacant(out: Path) -> None:
+    """Refuse an `out` that holds something.
+
+    Raises:
+        ToolkitError: a scene, a file or a folder that is not empty is there.
+    """
+    if (out / "scene.json").exists():
+        raise ToolkitError(
+            "there is a scene here already", path=out, hint="choose another --out or remove it"
+        )
+    if out.is_symlink() or (out.exists() and not out.is_dir()):
+        raise ToolkitError("there is a file here already", path=out, hint="choose another --out")
+    if out.is_dir() and any(out.iterdir()):
+        raise ToolkitError("the folder is not empty", path=out, hint="choose another --out")
+
+
+def _sweep(out: Path) -> None:
+    pattern = re.compile(rf"^\.{re.escape(out.name)}\.[0-9a-f]{{12}}\.tmp$")
+    for left in out.parent.iterdir():
+        if not (pattern.match(left.name) and left.is_dir() and not left.is_symlink()):
+            continue
+        descriptor = os.open(left, os.O_RDONLY)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(left, ignore_errors=True)
+        except BlockingIOError:
+            continue  # another import to the same place is at work; the rename decides
+        finally:
+            os.close(descriptor)
+
+
+def _make_parents(folder: Path) -> list[Path]:
+    missing = [p for p in (folder, *folder.parents) if not p.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        _remove_parents(missing)
+        raise ToolkitError(f"cannot make the folder: {error.strerror}", path=folder) from error
+    return missing
+
+
+def _remove_parents(made: list[Path]) -> None:
+    for folder in made:
+        with suppress(OSError):
+            folder.rmdir()
+
+
+@contextmanager
+def scene_lock(root: Path) -> Iterator[None]:
+    """Hold the scene's write lock; a killed holder frees it by dying.
+
+    Raises:
+        ToolkitError: another process holds it (the message names the owner), or the folder is
+            read-only.
+    """
+    with hold_lock(root, "lock", doing="writing to"):
+        yield
+
+
+@contextmanager
+def hold_lock(root: Path, name: str, *, doing: str, note: str = "") -> Iterator[None]:
+    """Hold one of a scene's locks; a killed holder frees it by dying.
+
+    Args:
+        name: of the lock's file in `.std`.
+        doing: what the holder does to the scene, for the message to others: "writing to".
+        note: more about the holder, for the same message.
+
+    Raises:
+        ToolkitError: another process holds it (the message names the owner), or the folder is
+            read-only.
+    """
+    path = root / ".std" / name
+    if path.parent.is_symlink():
+        raise ToolkitError("the scene's .std folder must not be a symbolic link", path=root)
+    try:
+        path.parent.mkdir(exist_ok=True)
+        # The owner's name is written into the file: never through a link to another file.
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+    except OSError as error:
+        raise ToolkitError(f"cannot write to the scene: {error.strerror}", path=root) from error
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            owner = os.pread(descriptor, 200, 0).decode(errors="replace").strip()
+            raise ToolkitError(
+                f"another process is {doing} this scene: {owner or 'unknown owner'}",
+                path=root,
+                hint="wait for it or end it",
+            ) from error
+        except OSError as error:
+            raise ToolkitError(
+                f"cannot lock the scene: {error.strerror}",
+                path=root,
+                hint="its file system must support locks (flock)",
+            ) from error
+        os.ftruncate(descriptor, 0)
+        holder = f"{_user()}@{socket.gethostname()} pid {os.getpid()}"
+        owner = " ".join(f"{holder}, {note}".split()) if note else holder
+        os.pwrite(descriptor, f"{owner}\n".encode(), 0)
+        yield
+        os.ftruncate(descriptor, 0)
+    finally:
+        os.close(descriptor)
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return str(os.getuid())

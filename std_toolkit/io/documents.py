@@ -15,10 +15,15 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
 
 T = TypeVar("T")
+
 # The largest real document (poses with covariances of 100,000 frames) is below 200 MB.
 LARGEST_DOCUMENT_BYTES = 512 * 1024 * 1024
+
 # Raw line breaks occur only between tokens of JSON, so this never matches inside a string.
 _NUMBER_LIST = re.compile(r"\[\n\s*((?:-?[\d.eE+-]+,\n\s*)*-?[\d.eE+-]+)\n\s*\]")
+
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
 class InvalidDocument(ToolkitError, ValueError):

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.jobs.runner import ATTEMPTS, JobOptions, Outcome, error_of, worker_died
+from std_toolkit.jobs.options import ATTEMPTS, JobOptions, Outcome, error_of, worker_died
 
 _CONNECT_SECONDS = 5.0
 

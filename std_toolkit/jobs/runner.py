@@ -2,79 +2,38 @@
 
 Steps make their items idempotent (skip what is done, write atomically), so that running a job
 again after any interruption goes on where it stopped.
+
+Items over processes of this machine. A worker that dies takes down no more than its item.
 """
 
 from __future__ import annotations
 
+import multiprocessing
 import os
-from collections.abc import Callable, Generator, Sequence
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
 from dataclasses import dataclass, field
-from typing import Any, Generic, Literal, Protocol, TypeVar
+from multiprocessing import connection
+from typing import Any, Generic, Protocol
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.jobs.options import (
+    ATTEMPTS,
+    Item,
+    JobOptions,
+    Outcome,
+    Result,
+    error_of,
+    worker_died,
+)
 from std_toolkit.log import logger
 
-Item = TypeVar("Item")
-Result = TypeVar("Result")
-Engine = Literal["local", "serial", "ray"]
-ENGINES: tuple[Engine, ...] = ("local", "serial", "ray")
-# An item whose worker dies (killed, out of memory, abort in a library) is tried this often.
-ATTEMPTS = 3
-
-
-@dataclass(frozen=True, kw_only=True)
-class JobOptions:
-    """Where and how widely work runs.
-
-    Attributes:
-        engine: "local" processes, "serial" in this process, or "ray" (extra `[cluster]`).
-        workers: number of processes or Ray tasks at a time; default: the usable cores.
-        ray_address: of a running cluster; default: start one on this machine.
-        gpus: GPUs that Ray sets aside for each task, which then sees no others; may be a share.
-        progress: show a progress bar when stderr is a terminal.
-    """
-
-    engine: Engine = "local"
-    workers: int | None = None
-    ray_address: str | None = None
-    gpus: float = 0.0
-    progress: bool = True
-
-    def __post_init__(self) -> None:
-        if self.engine not in ENGINES:
-            raise ToolkitError("unknown engine", value=self.engine, hint=f"one of {ENGINES}")
-        if self.workers is not None and self.workers < 1:
-            raise ToolkitError("must be at least 1", field="workers", value=self.workers)
-        if not self.gpus >= 0:
-            raise ToolkitError("must not be negative", field="gpus", value=self.gpus)
-
-    @property
-    def worker_count(self) -> int:
-        return self.workers or len(os.sched_getaffinity(0))
-
-
-@dataclass(frozen=True)
-class Outcome(Generic[Result]):
-    """What became of one item: a result, or the error as one line."""
-
-    result: Result | None = None
-    error: str | None = None
-
-
-def worker_died() -> Outcome[Any]:
-    """The outcome of an item that killed its worker process every time."""
-    return Outcome(
-        error=f"its worker process died {ATTEMPTS} times (killed, out of memory, or started from a "
-        'script that lacks `if __name__ == "__main__":`)'
-    )
-
-
-def error_of(error: BaseException) -> Outcome[Any]:
-    """The outcome of an item that raised `error`."""
-    if isinstance(error, ToolkitError):
-        return Outcome(error=str(error))
-    return Outcome(error=f"{type(error).__name__}: {' '.join(str(error).split())[:500]}")
+Call = Callable[[Any], Outcome[Any]]
 
 
 @dataclass
@@ -194,7 +153,6 @@ def _engine(options: JobOptions, count: int) -> EngineRunner:
         return run_on_ray
     if options.engine == "serial" or count <= 1:  # one item has no neighbours to protect
         return _run_serially
-    from std_toolkit.jobs.local import run_locally
 
     return run_locally
 
@@ -206,3 +164,107 @@ def _run_serially(
 ) -> Generator[tuple[int, Outcome[Any]]]:
     for index, item in enumerate(items):
         yield index, call(item)
+
+
+def run_locally(
+    call: Call, items: Sequence[Any], options: JobOptions
+) -> Generator[tuple[int, Outcome[Any]]]:
+    """See `runner.EngineRunner`.
+
+    After a crash, the few items that were running are suspects: each is tried again alone, which
+    tells the item that kills from its neighbours; then the work goes on at full width.
+    """
+    width = min(options.worker_count, len(items))
+    queue = iter(range(len(items)))
+    suspects: deque[int] = deque()
+    more = True
+    while more:
+        more = False
+        with closing(_pool(call, items, queue, width)) as outcomes:
+            for index, outcome in outcomes:
+                if outcome is None:
+                    suspects.append(index)
+                    more = True
+                else:
+                    yield index, outcome
+        while suspects:
+            index = suspects.popleft()
+            yield index, _alone(call, items, index)
+
+
+def _alone(call: Call, items: Sequence[Any], index: int) -> Outcome[Any]:
+    for _ in range(ATTEMPTS - 1):
+        for _, outcome in _pool(call, items, iter([index]), 1):
+            if outcome is not None:
+                return outcome
+    return worker_died()
+
+
+def _pool(
+    call: Call, items: Sequence[Any], queue: Iterator[int], width: int
+) -> Generator[tuple[int, Outcome[Any] | None]]:
+    """Outcomes from one pool until the queue is empty or a worker died.
+
+    None stands for an item that was running when a worker died.
+    """
+    # forkserver: forking a process that holds threads or a GL context may deadlock.
+    context = multiprocessing.get_context("forkserver")
+    before = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(
+        width, mp_context=context, initializer=_prepare_worker, initargs=(width,)
+    )
+    running: dict[Future[Outcome[Any]], int] = {}
+    finished = False
+    try:
+        broken = False
+        while True:
+            # Submit only what runs: lists may be long, and a crash then has few suspects.
+            while not broken and len(running) < width:
+                index = next(queue, None)
+                if index is None:
+                    break
+                try:
+                    running[pool.submit(call, items[index])] = index
+                except BrokenProcessPool:
+                    broken = True
+                    yield index, None
+            if not running:
+                break
+            done, _ = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                index = running.pop(future)
+                error = future.exception()
+                if error is None:
+                    yield index, future.result()
+                elif isinstance(error, BrokenProcessPool):
+                    broken = True
+                    yield index, None
+                else:  # the item or its result cannot be sent between processes
+                    yield index, error_of(error)
+        finished = True
+    finally:
+        if not finished:
+            # Interrupted: waiting for the running items could take minutes. They lose nothing,
+            # because every write is atomic.
+            for child in set(multiprocessing.active_children()) - before:
+                child.kill()
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _prepare_worker(width: int) -> None:
+    """Runs first in every worker process, before any heavy library is imported there."""
+    # Ctrl-C goes to the whole process group; the parent decides what becomes of its workers.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Every library would start as many threads as there are cores, in every worker.
+    threads = str(max(1, len(os.sched_getaffinity(0)) // width))
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
+        os.environ.setdefault(variable, threads)
+    threading.Thread(target=_die_with_parent, daemon=True).start()
+
+
+def _die_with_parent() -> None:
+    # A worker of a killed parent would otherwise wait for work until the machine is restarted.
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+        os._exit(1)

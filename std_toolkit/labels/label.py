@@ -12,8 +12,9 @@ import msgspec
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import load_mesh, mesh_bounds, mesh_diameter
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.labels.meshfiles import plan_mesh_copy, write_mesh_copy
+from std_toolkit.labels.mesh_copies import plan_mesh_copy, write_mesh_copy
 from std_toolkit.labels.posefile import check_in_front
+from std_toolkit.scene.document import check_name, safe_name
 from std_toolkit.scene.model import (
     CATEGORY_CLASS_IDS,
     Label,
@@ -25,8 +26,8 @@ from std_toolkit.scene.model import (
     ObjectTable,
     Pose16,
     SymmetryModel,
+    without_derived,
 )
-from std_toolkit.scene.names import check_name, safe_name
 from std_toolkit.scene.scene import Scene
 
 MATERIALS: tuple[str, ...] = get_args(Material)
@@ -177,14 +178,12 @@ def add_object(
         raise ToolkitError(
             "no such free object id", field="object_id", value=number, hint="ids are 1 to 254"
         )
-    thing = Object(id=number, name=name, model=model, material=material)  # type: ignore[arg-type]
+    obj = Object(id=number, name=name, model=model, material=material)  # type: ignore[arg-type]
     others = [o for o in table if o.id != number]
     scene.save_objects(
-        ObjectTable(
-            models=scene.objects.models, objects=sorted([*others, thing], key=lambda o: o.id)
-        )
+        ObjectTable(models=scene.objects.models, objects=sorted([*others, obj], key=lambda o: o.id))
     )
-    return thing
+    return obj
 
 
 def set_pose(
@@ -271,14 +270,6 @@ def remove_label(scene: Scene, object_name: str) -> None:
     scene.save_labels(Labels(labels=[x for x in scene.labels.labels if x.object != target.id]))
 
 
-def annotated_views(label: Label) -> dict[int, SE3]:
-    """T_cam_obj by frame id of every frame in which the object was annotated, the first first."""
-    views = {label.frame: SE3.from_matrix(label.T_cam_obj)}
-    for key, T in label.views.items():
-        views.setdefault(int(key), SE3.from_matrix(T))
-    return views
-
-
 def _free_id(root: Path, objects: ObjectTable, wanted: str, files: dict[str, bytes]) -> str:
     """`wanted`, or with a number where that is a model of another mesh."""
     table = {m.id: m for m in objects.models}
@@ -293,10 +284,3 @@ def _same_mesh(root: Path, known: Model, relative: str, files: dict[str, bytes])
         return False
     path = root / relative
     return path.is_file() and path.read_bytes() == next(iter(files.values()))
-
-
-def without_derived(label: Label) -> Label:
-    """The label as annotated: what propagation and refinement added is dropped."""
-    return msgspec.structs.replace(
-        label, T_world_obj=None, refined=False, covariance=None, weak_direction=""
-    )

@@ -1,8 +1,10 @@
-"""The border to COLMAP: its pixel origin, its camera models, its pose direction.
+"""The boundary to COLMAP: pixel origin, camera models, pose direction, operations on a model.
 
 COLMAP puts the centre of the top-left pixel at (0.5, 0.5), the toolkit at (0, 0). Everything that
 goes in gets half a pixel more, everything that comes out half a pixel less, and only here.
 COLMAP's `cam_from_world` is the toolkit's `T_cam_world`.
+
+Operations on a COLMAP model: further frames, metres and world frame, per-frame quality.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -96,3 +99,128 @@ def quiet_colmap() -> Iterator[None]:
         os.dup2(kept, 2)
         os.close(kept)
         os.close(nowhere)
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """What one registered image sees.
+
+    Attributes:
+        T_cam_world: its pose.
+        uv: (N, 2) measured pixels, centres at integers.
+        xyz: (N, 3) points, world frame.
+        camera: intrinsics of the model.
+        track_length: (N,) number of images that see each point.
+    """
+
+    T_cam_world: SE3
+    uv: NDArray[np.float64]
+    xyz: NDArray[np.float64]
+    camera: Camera
+    track_length: NDArray[np.int64]
+
+    @property
+    def points_cam(self) -> NDArray[np.float64]:
+        """(N, 3) points in the camera frame."""
+        return self.T_cam_world @ self.xyz
+
+    @property
+    def residuals(self) -> NDArray[np.float64]:
+        """(N, 2) projected minus measured pixels."""
+        return self.camera.project(self.points_cam) - self.uv
+
+
+def add_image(
+    model: Any,
+    *,
+    image_id: int,
+    name: str,
+    camera_id: int,
+    T_cam_world: SE3,
+    uv: NDArray[np.floating],
+    point_ids: NDArray[np.int64],
+) -> None:
+    """Add a registered image that sees existing points.
+
+    Args:
+        model: pycolmap.Reconstruction.
+        image_id: not yet in the model.
+        uv: (N, 2) pixels.
+        point_ids: (N,) points that they see; those no longer in the model are left out.
+    """
+    keep = np.array([model.exists_point3D(int(p)) for p in point_ids], dtype=bool)
+    image = pycolmap.Image(
+        name=name, keypoints=to_colmap_pixels(uv[keep]), camera_id=camera_id, image_id=image_id
+    )
+    model.add_image_with_trivial_frame(image, to_rigid3d(T_cam_world))
+    for i, point_id in enumerate(point_ids[keep]):
+        model.add_observation(int(point_id), pycolmap.TrackElement(image_id, i))
+
+
+def observations(model: Any, image_id: int) -> Observations:
+    """Everything that a registered image of the model sees."""
+    image = model.image(image_id)
+    points2d = image.points2D
+    points3d = model.points3D
+    indices = image.get_observation_point2D_idxs()
+    seen = [points3d[points2d[i].point3D_id] for i in indices]
+    return Observations(
+        T_cam_world=from_rigid3d(image.cam_from_world()),
+        uv=from_colmap_pixels(np.array([points2d[i].xy for i in indices]).reshape(-1, 2)),
+        xyz=np.array([p.xyz for p in seen]).reshape(-1, 3),
+        camera=from_colmap_camera(model.camera(image.camera_id)),
+        track_length=np.array([p.track.length() for p in seen], dtype=np.int64),
+    )
+
+
+def pose_covariance(seen: Observations) -> NDArray[np.float64] | None:
+    """(6, 6) covariance of `T_world_cam` for a right perturbation `T_world_cam @ SE3.exp(xi)`.
+
+    xi = (rho, phi) in the model's unit and radians. From the normal equations of the pose alone:
+    the points count as exact, the pixel variance is that of the residuals. None if the image sees
+    too little to determine its pose.
+    """
+    p = seen.points_cam
+    if len(p) < 4:
+        return None
+    r = seen.residuals.ravel()
+    x, y, z = p.T
+    zero = np.zeros_like(z)
+    fx, fy = seen.camera.fx, seen.camera.fy
+    by_point = np.stack(
+        [
+            np.stack([fx / z, zero, -fx * x / z**2], axis=-1),
+            np.stack([zero, fy / z, -fy * y / z**2], axis=-1),
+        ],
+        axis=1,
+    )
+    # p_cam = exp(-xi) p: moves by -rho - phi x p = -rho + [p]x phi.
+    cross = np.stack(
+        [
+            np.stack([zero, -z, y], axis=-1),
+            np.stack([z, zero, -x], axis=-1),
+            np.stack([-y, x, zero], axis=-1),
+        ],
+        axis=1,
+    )
+    moved = np.concatenate([np.broadcast_to(-np.eye(3), cross.shape), cross], axis=2)
+    J = (by_point @ moved).reshape(-1, 6)
+    variance = float(r @ r) / max(1, len(r) - 6)
+    try:
+        covariance = np.linalg.inv(J.T @ J) * variance
+    except np.linalg.LinAlgError:
+        return None
+    return covariance if np.isfinite(covariance).all() else None
+
+
+def place_in_world(model: Any, *, scale: float, first_image: int) -> None:
+    """Scale the model and make the camera of `first_image` its world frame; in place.
+
+    Args:
+        model: pycolmap.Reconstruction.
+        scale: metres per unit of the model.
+        first_image: image id.
+    """
+    T_cam_world = from_rigid3d(model.image(first_image).cam_from_world())
+    rotation = pycolmap.Rotation3d(T_cam_world.R)
+    model.transform(pycolmap.Sim3d(scale, rotation, scale * T_cam_world.t))

@@ -1,4 +1,9 @@
-"""SIFT features of frames, kept on disk so that a killed run does not extract them again."""
+"""Keyframes, their SIFT features (kept on disk), and which images to match.
+
+Which images to match, and descriptor matching between a frame and the map.
+
+Keyframes: few sharp frames that cover the whole path of the camera.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +17,24 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import atomic_path
 from std_toolkit.io.images import read_color
 from std_toolkit.jobs import JobOptions, run_jobs
+
+Floats = NDArray[np.float32]
+
+_WORDS = 32
+
+_SAMPLES = 20_000
+
+# Motion and sharpness are measured on images of about this width: enough for a median over some
+# hundred points, and cheap beside the feature extraction.
+SMALL_WIDTH = 400
+
+_CORNERS = 300
+
+_MIN_TRACKED_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,3 +127,181 @@ def _extractor(fine: bool, max_features: int) -> Any:
     options.sift.max_num_features = max_features
     options.sift.first_octave = -1 if fine else 0
     return pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
+
+
+def train_vocabulary(descriptors: Sequence[NDArray[np.uint8]], *, seed: int) -> Floats:
+    """(K, 128) cluster centres of a sample of the recording's own descriptors."""
+    pool = np.concatenate(descriptors)
+    rng = np.random.default_rng(seed)
+    sample = pool[rng.permutation(len(pool))[:_SAMPLES]].astype(np.float32)
+    words = min(_WORDS, max(1, len(sample) // 8))
+    cv2.setRNGSeed(seed)
+    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 12, 1.0)
+    _, _, centres = cv2.kmeans(  # type: ignore[call-overload]
+        sample, words, None, criteria, 1, cv2.KMEANS_PP_CENTERS
+    )
+    return np.asarray(centres, dtype=np.float32)
+
+
+def describe_image(descriptors: NDArray[np.uint8], vocabulary: Floats) -> Floats:
+    """One vector (K * 128,) of length 1 for a whole image.
+
+    VLAD: residuals of the descriptors to their nearest centre, summed per centre and normalised
+    per centre, so that repetitive texture does not drown the rest. Source: Jegou et al.,
+    "Aggregating local descriptors into a compact image representation", CVPR 2010; the
+    normalisation per centre: Arandjelovic and Zisserman, "All about VLAD", CVPR 2013.
+    """
+    out = np.zeros(vocabulary.shape, dtype=np.float32)
+    if len(descriptors):
+        d = descriptors.astype(np.float32)
+        distance = (vocabulary**2).sum(1)[None] - 2 * d @ vocabulary.T
+        word = distance.argmin(axis=1)
+        for k in range(len(vocabulary)):
+            members = d[word == k]
+            if len(members):
+                out[k] = members.sum(axis=0) - len(members) * vocabulary[k]
+    norms = np.linalg.norm(out, axis=1, keepdims=True)
+    out = out / np.maximum(norms, 1e-9)
+    flat = out.ravel()
+    return np.asarray(flat / max(float(np.linalg.norm(flat)), 1e-9), dtype=np.float32)
+
+
+def choose_pairs(
+    image_vectors: Sequence[Floats], *, overlap: int, loops: int
+) -> list[tuple[int, int]]:
+    """Pairs (i < j) of keyframes to match: neighbours in time, and look-alikes elsewhere.
+
+    Linear in the number of keyframes: `overlap` neighbours, doubled steps beyond them (so that a
+    slow camera still gets wide baselines) up to 8 times the overlap, and `loops` most similar
+    keyframes outside the neighbourhood.
+    """
+    count = len(image_vectors)
+    pairs: set[tuple[int, int]] = set()
+    steps = list(range(1, overlap + 1))
+    step = 2 * overlap
+    while step <= 8 * overlap:
+        steps.append(step)
+        step *= 2
+    for i in range(count):
+        pairs.update((i, i + s) for s in steps if i + s < count)
+    if loops:
+        stack = np.stack(list(image_vectors))
+        for i in range(count):
+            similarity = stack @ stack[i]
+            similarity[max(0, i - overlap) : i + overlap + 1] = -np.inf
+            for j in np.argsort(-similarity, kind="stable")[:loops]:
+                if np.isfinite(similarity[j]):
+                    pairs.add((min(i, int(j)), max(i, int(j))))
+    return sorted(pairs)
+
+
+def match_descriptors(
+    a: NDArray[np.uint8], b: NDArray[np.uint8], *, max_ratio: float = 0.85
+) -> NDArray[np.int64]:
+    """Mutual nearest neighbours that pass the ratio test: (M, 2) indices into a and b.
+
+    Descriptors are RootSIFT quantised to length 512, compared by angle as COLMAP does.
+    """
+    if len(a) == 0 or len(b) < 2:
+        return np.zeros((0, 2), dtype=np.int64)
+    products = a.astype(np.float32) @ b.astype(np.float32).T
+    best = products.argmax(axis=1)
+    rows = np.arange(len(a))
+    first = products[rows, best]
+    mutual = products.argmax(axis=0)[best] == rows
+    products[rows, best] = -np.inf
+    second = products.max(axis=1)
+    # The angle between two unit vectors, as COLMAP measures descriptor distance.
+    near, next_best = (np.arccos(np.clip(x / 512.0**2, -1, 1)) for x in (first, second))
+    good = mutual & (near < max_ratio * next_best) & (near < 0.7)
+    return np.stack([rows[good], best[good]], axis=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameMeasure:
+    """What the choice of keyframes rests on.
+
+    Attributes:
+        sharpness: variance of the Laplacian of the small image.
+        motion: image motion since the previous frame, median over tracked corners, as a share of
+            the image width; 1 where tracking failed.
+    """
+
+    sharpness: float
+    motion: float
+
+
+def measure_frames(paths: Sequence[Path]) -> list[FrameMeasure]:
+    """Measure every frame against the one before it.
+
+    Raises:
+        ToolkitError: an image that cannot be read.
+    """
+    measures: list[FrameMeasure] = []
+    previous: NDArray[np.uint8] | None = None
+    for path in paths:
+        image = _small_grey(path)
+        sharpness = float(cv2.Laplacian(image, cv2.CV_32F).var())
+        moved = 1.0 if previous is None else _motion(previous, image)
+        measures.append(FrameMeasure(sharpness=sharpness, motion=moved))
+        previous = image
+    return measures
+
+
+def choose_keyframes(measures: Sequence[FrameMeasure], *, motion: float, max_gap: int) -> list[int]:
+    """Indices of the keyframes, rising.
+
+    The path is cut where the motion since the last cut adds up to `motion` (or after `max_gap`
+    frames). Around every cut the sharpest frame of the second half of its interval is taken:
+    late enough for a new viewpoint, and never a blurred frame where a sharp one is near.
+
+    Args:
+        measures: one per frame, in recording order.
+        motion: accumulated motion between keyframes, share of the image width.
+        max_gap: most frames between keyframes.
+    """
+    if not measures:
+        return []
+    chosen = [0]
+    start, moved = 0, 0.0
+    for i in range(1, len(measures)):
+        moved += measures[i].motion
+        if moved < motion and i - start < max_gap:
+            continue
+        window = range(start + max(1, (i - start + 1) // 2), i + 1)
+        best = max(window, key=lambda k: (measures[k].sharpness, k))
+        chosen.append(best)
+        moved = sum(m.motion for m in measures[best + 1 : i + 1])
+        start = best
+    last = len(measures) - 1
+    if chosen[-1] != last:
+        # The end of the path must be inside the map, else its frames hang on extrapolation.
+        chosen.append(last)
+    return chosen
+
+
+def _small_grey(path: Path) -> NDArray[np.uint8]:
+    # JPEG decodes at a fraction of the size for a fraction of the time.
+    image = cv2.imread(str(path), cv2.IMREAD_REDUCED_GRAYSCALE_2)
+    if image is None:
+        raise ToolkitError("cannot decode the image", path=path)
+    scale = SMALL_WIDTH / image.shape[1]
+    if scale < 1:
+        image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return np.asarray(image, dtype=np.uint8)
+
+
+def _motion(previous: NDArray[np.uint8], image: NDArray[np.uint8]) -> float:
+    if previous.shape != image.shape:
+        return 1.0
+    corners = cv2.goodFeaturesToTrack(previous, _CORNERS, 0.01, 7)
+    if corners is None or len(corners) < 20:
+        return 1.0
+    moved, found, _ = cv2.calcOpticalFlowPyrLK(  # type: ignore[call-overload]
+        previous, image, corners, None, winSize=(15, 15), maxLevel=4
+    )
+    kept = found.ravel() > 0
+    if kept.mean() < _MIN_TRACKED_SHARE:
+        return 1.0
+    flow = np.linalg.norm((moved - corners).reshape(-1, 2)[kept], axis=1)
+    return float(np.median(flow) / image.shape[1])

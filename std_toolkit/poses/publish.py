@@ -1,4 +1,7 @@
-"""The reconstruction beside poses.json: a COLMAP model and a point cloud, in the same metres."""
+"""The reconstruction beside poses.json: a COLMAP model and points; both in a refined scale.
+
+Camera poses in a scale that the refinement found.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +11,20 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from std_toolkit.io.atomic import atomic_path, sweep_temporaries
+from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.poses.colmap import quiet_colmap
+from std_toolkit.scene.document import Record, digest_file, is_fresh, record_path
+from std_toolkit.scene.model import FramePose, ScaleEstimate, ScaleReport, pose_from_list
+from std_toolkit.scene.scene import Scene
 
 SPARSE = Path("poses") / "sparse"
+
 POINTS = Path("poses") / "points.ply"
+
+SOURCE = "objects"
 
 
 def publish_model(root: Path, model: Any, work: Path) -> list[Path]:
@@ -70,3 +82,62 @@ def _move(source: Path, target: Path) -> Path:
     with atomic_path(target) as temporary:
         source.replace(temporary)
     return target
+
+
+@contextmanager
+def rescaled_poses(scene: Scene, factor: float, standard_error: float) -> Iterator[None]:
+    """Multiply all camera positions and the reconstruction by `factor`; the caller holds the lock.
+
+    The scale report of poses.json gains an estimate called "objects". When the block, in which the
+    labels of the new scale are saved, ends well, the record of the step that made the poses is
+    brought up to date: a pipeline then does not take them for tampered with. A run killed before
+    that finds a record that does not fit, and recovers the poses again.
+    """
+    intact = _intact_records(scene.root)
+    poses = scene.poses
+    assert poses is not None
+    rescale_model(scene.root, factor)
+    report = poses.scale or ScaleReport(unit="metre", chosen="given")
+    before = next((e.factor for e in report.estimates if e.source == report.chosen), 1.0)
+    estimate = ScaleEstimate(
+        source=SOURCE,
+        factor=before * factor,
+        spread=standard_error,
+        standard_error=standard_error,
+        count=len(scene.labels.labels),
+        note="sizes of the labelled objects, by `propagate --refine-scale`",
+    )
+    others = [e for e in report.estimates if e.source != SOURCE]
+    scale = msgspec.structs.replace(report, chosen=SOURCE, estimates=[*others, estimate])
+    frames = [_rescaled(f, factor) for f in poses.frames]
+    scene.save_poses(msgspec.structs.replace(poses, frames=frames, scale=scale))
+    yield
+    for path, record in intact:
+        outputs = {name: digest_file(scene.root / name) for name in record.outputs}
+        write_document(path, msgspec.structs.replace(record, outputs=outputs))
+
+
+def _intact_records(root: Path) -> list[tuple[Path, Record]]:
+    """Records of steps that wrote poses.json and whose outputs nobody changed since."""
+    found = []
+    for path in sorted(record_path(root, "x").parent.glob("*.json")):
+        record = read_document(path, Record)
+        if "poses.json" in record.outputs and is_fresh(root, path.stem, record.digest):
+            found.append((path, record))
+    return found
+
+
+def _rescaled(frame: FramePose, factor: float) -> FramePose:
+    if frame.T_world_cam is None:
+        return frame
+    T = pose_from_list(frame.T_world_cam)
+    pose = T.flat()
+    for i in range(3):
+        pose[4 * i + 3] *= factor
+    covariance = None
+    if frame.covariance is not None:
+        size = [factor] * 3 + [1.0] * 3
+        covariance = [
+            frame.covariance[6 * i + j] * size[i] * size[j] for i in range(6) for j in range(6)
+        ]
+    return msgspec.structs.replace(frame, T_world_cam=pose, covariance=covariance)

@@ -17,12 +17,19 @@ from std_toolkit.geometry import Camera
 from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.jobs import JobOptions
 from std_toolkit.log import logger
-from std_toolkit.poses.colmap import from_colmap_camera, quiet_colmap
-from std_toolkit.poses.features import FeatureJob, extract_features, feature_path, load_features
-from std_toolkit.poses.keyframes import choose_keyframes, measure_frames
+from std_toolkit.poses.colmap import add_image, from_colmap_camera, quiet_colmap
+from std_toolkit.poses.features import (
+    FeatureJob,
+    choose_keyframes,
+    choose_pairs,
+    describe_image,
+    extract_features,
+    feature_path,
+    load_features,
+    measure_frames,
+    train_vocabulary,
+)
 from std_toolkit.poses.mapping import MappingImage, adjust, map_keyframes
-from std_toolkit.poses.matching import choose_pairs, describe_image, train_vocabulary
-from std_toolkit.poses.model import add_image
 from std_toolkit.poses.options import PoseOptions
 from std_toolkit.poses.register import (
     Registration,
@@ -31,8 +38,8 @@ from std_toolkit.poses.register import (
     register_frames,
 )
 from std_toolkit.scene import CameraModel, Frame, Scene
+from std_toolkit.scene.document import digest_file, digest_of
 from std_toolkit.scene.model import Document
-from std_toolkit.scene.provenance import digest_file, digest_of
 
 # Options that change the model; the rest only judges or scales it.
 _MODEL_OPTIONS = (

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.io.atomic import atomic_path
 from std_toolkit.jobs import JobOptions, JobReport, run_jobs
-from std_toolkit.poses.features import load_features
-from std_toolkit.poses.matching import describe_image, match_descriptors
+from std_toolkit.poses.features import describe_image, load_features, match_descriptors
 
 # Keyframes that a frame is matched with: nearest in time, and most alike.
 NEAR_KEYFRAMES = 4

@@ -1,20 +1,33 @@
-"""Which renderer to use: the one asked for, or the ray caster where GL or the camera forbid it."""
+"""Which renderer to use, and which off-screen GL works here (probed in a process of its own).
+
+Which off-screen GL can be used here, found out without risk to the process that asks.
+
+A broken GL driver may abort the process that makes a context, so the probe renders a triangle in
+a child process. Its answer is kept for the process and, through an environment variable, for the
+worker processes it starts.
+"""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Iterable
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
-from std_toolkit.rendering.gl_context import find_gl
-from std_toolkit.rendering.protocol import RENDERERS, Renderer
+from std_toolkit.rendering.renderer import RENDERERS, Renderer
 
 if TYPE_CHECKING:
     from std_toolkit.geometry.camera import Camera
 
 DEFAULT_RENDERER = "pyrender"
+
+PLATFORMS = ("egl", "osmesa")
+
+ANSWER_VARIABLE = "STD_TOOLKIT_GL"
 
 
 def choose_renderer(name: str = DEFAULT_RENDERER, *, cameras: Iterable[Camera] = ()) -> str:
@@ -53,3 +66,78 @@ def get_renderer(name: str = DEFAULT_RENDERER) -> Renderer:
     if not isinstance(renderer, Renderer):
         raise ToolkitError("plug-in is not a renderer (name, handles_distortion, draw)", value=name)
     return renderer
+
+
+"""Holds `egl`, `osmesa` or `none`: set it to skip the probe."""
+
+_PROBE_SECONDS = 60
+
+_PROBE = """
+import numpy as np
+from std_toolkit.rendering.mesh import RenderMesh
+from std_toolkit.rendering.pyrender_renderer import GlCanvas
+corners = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]])
+mesh = RenderMesh.from_arrays(corners, np.array([[0, 1, 2]]))
+pose = np.eye(4)
+pose[2, 3] = 2
+raster = GlCanvas("{platform}").draw(mesh, pose, 32.0, 32.0, 16.0, 16.0, 32, 32, 1.0, 3.0)
+assert abs(float(raster.depth[16, 16]) - 2) < 1e-3, raster.depth[16, 16]
+print("gl-works")
+"""
+
+
+@lru_cache(maxsize=1)
+def find_gl() -> tuple[str | None, str]:
+    """Return the GL platform that works here (`egl`, `osmesa` or None) and why.
+
+    A platform named in PYOPENGL_PLATFORM is the only one tried; a process that has loaded OpenGL
+    for something else already cannot change it any more.
+    """
+    answered = os.environ.get(ANSWER_VARIABLE)
+    if answered in (*PLATFORMS, "none"):
+        return (None, "as found before") if answered == "none" else (answered, "as found before")
+    wished = os.environ.get("PYOPENGL_PLATFORM")
+    candidates = PLATFORMS if wished is None else tuple(p for p in PLATFORMS if p == wished)
+    loaded = loaded_platform()
+    if loaded is not None:
+        candidates = tuple(p for p in candidates if p == loaded)
+    reasons = [] if candidates else [f"OpenGL is set to {loaded or wished!r} in this process"]
+    for platform in candidates:
+        problem = _probe(platform)
+        if problem is None:
+            os.environ[ANSWER_VARIABLE] = platform
+            return platform, "rendered a test triangle"
+        reasons.append(f"{platform}: {problem}")
+    os.environ[ANSWER_VARIABLE] = "none"
+    return None, "; ".join(reasons)
+
+
+def loaded_platform() -> str | None:
+    """Name of the platform PyOpenGL is bound to in this process; None when not loaded."""
+    module = sys.modules.get("OpenGL.platform")
+    bound = getattr(module, "PLATFORM", None)
+    if bound is None:
+        return None
+    return type(bound).__name__.removesuffix("Platform").lower()
+
+
+def _probe(platform: str) -> str | None:
+    """None when a triangle could be drawn, else what went wrong in one line."""
+    environment = {**os.environ, "PYOPENGL_PLATFORM": platform}
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", _PROBE.format(platform=platform)],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=_PROBE_SECONDS,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return f"the probe did not end ({type(error).__name__})"
+    if done.returncode == 0 and "gl-works" in done.stdout:
+        return None
+    lines = [line for line in done.stderr.strip().splitlines() if line.strip()]
+    problem = lines[-1] if lines else f"exit status {done.returncode}"
+    logger.debug("GL probe %s: %s", platform, done.stderr.strip())
+    return problem

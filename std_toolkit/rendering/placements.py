@@ -1,12 +1,28 @@
-"""Which objects are where in a frame: propagated labels, or the frame's own annotation."""
+"""Which objects are where in a frame, and whether rendered ground truth still matches them.
+
+What ground truth is made from besides poses: camera, meshes, scale of the depth.
+
+Whether rendered ground truth still belongs to the labels and camera poses.
+"""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+import numpy as np
+
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.se3 import SE3
-from std_toolkit.rendering.protocol import PlacedMesh
+from std_toolkit.geometry.se3 import SE3, rotation_angle
+from std_toolkit.rendering.renderer import PlacedMesh
+from std_toolkit.scene.document import digest_of
 from std_toolkit.scene.model import pose_from_list
 from std_toolkit.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from std_toolkit.rendering.ground_truth import FrameTruth
+
+# Far below what a label is good to, far above what a decimal number loses.
+_SAME_M, _SAME_RAD = 1e-6, 1e-6
 
 
 def frame_placements(scene: Scene, frame_id: int) -> dict[int, SE3]:
@@ -49,3 +65,34 @@ def place_meshes(scene: Scene, placements: dict[int, SE3]) -> list[PlacedMesh]:
         PlacedMesh(object_id, scene.mesh(scene.objects.object(object_id).model), pose)
         for object_id, pose in placements.items()
     ]
+
+
+def frame_inputs(scene: Scene, frame_id: int) -> str:
+    """Digest of the inputs; it tells stale ground truth, whatever toolkit or option made it."""
+    camera = scene.camera(scene.frame(frame_id))
+    meshes = {
+        str(i): scene.mesh_digest(scene.objects.object(i).model)
+        for i in frame_placements(scene, frame_id)
+    }
+    return digest_of(
+        [camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy],
+        list(camera.distortion),
+        meshes,
+        [scene.info.depth_scale, scene.info.depth_correction],
+        versioned=False,
+    )
+
+
+def truth_is_current(scene: Scene, truth: FrameTruth) -> bool:
+    """Whether a frame was rendered with the poses, camera and meshes that it has now."""
+    # Imported here: the rendering package builds on this one.
+
+    now = frame_placements(scene, truth.frame)
+    then = {row.object: row.pose for row in truth.objects}
+    if set(now) != set(then) or truth.inputs != frame_inputs(scene, truth.frame):
+        return False
+    return all(
+        np.abs(now[i].t - then[i].t).max() <= _SAME_M
+        and rotation_angle(now[i].R.T @ then[i].R) <= _SAME_RAD
+        for i in now
+    )

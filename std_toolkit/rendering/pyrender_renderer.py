@@ -24,10 +24,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.rendering.gl_context import find_gl, loaded_platform
+from std_toolkit.rendering.choose import find_gl, loaded_platform
 from std_toolkit.rendering.mesh import RenderMesh
-from std_toolkit.rendering.protocol import NEAR_M, Raster, Window, check_no_distortion
-from std_toolkit.rendering.windows import depth_range
+from std_toolkit.rendering.renderer import NEAR_M, Raster, Window, check_no_distortion, depth_range
 
 if TYPE_CHECKING:
     from std_toolkit.geometry.camera import Camera

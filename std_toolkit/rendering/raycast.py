@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from std_toolkit.rendering.mesh import RenderMesh
-from std_toolkit.rendering.protocol import NEAR_M, Raster, Window
-from std_toolkit.rendering.windows import normalised_rays
+from std_toolkit.rendering.renderer import NEAR_M, Raster, Window, normalised_rays
 
 if TYPE_CHECKING:
     from std_toolkit.geometry.camera import Camera

@@ -13,14 +13,8 @@ from typing import Annotated, Literal
 import msgspec
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.se3 import SE3
 from std_toolkit.geometry.symmetry import Symmetry
-from std_toolkit.scene.annotation_model import (
-    Annotation,
-    ClickedPoint,
-    LabelProvenance,
-    ObjectAnnotation,
-)
-from std_toolkit.scene.camera_model import CameraModel
 from std_toolkit.scene.document import (
     Count,
     Covariance36,
@@ -30,16 +24,22 @@ from std_toolkit.scene.document import (
     Pose16,
     Positive,
     Vector3,
+    check_name,
     check_pose,
+    check_relative,
     check_unique,
     find_row,
     pose_from_list,
 )
-from std_toolkit.scene.names import check_name, check_relative
 from std_toolkit.scene.pose_model import (
+    Annotation,
+    CameraModel,
     CameraPoses,
+    ClickedPoint,
     FramePose,
     Gate,
+    LabelProvenance,
+    ObjectAnnotation,
     ScaleEstimate,
     ScaleReport,
 )
@@ -93,10 +93,13 @@ CATEGORY_CLASS_IDS = {
     "mug": 6,
     "aeroplane": 7,
 }
+
 # Material ids of the STD and DREDS meta files.
 MATERIAL_IDS: dict[str, int] = {"raw": 0, "diffuse": 1, "transparent": 2, "specular": 3}
+
 # A frame id without leading zeros, so that no frame has two keys.
 _FRAME_KEY = re.compile(r"0|[1-9][0-9]{0,17}")
+
 # Materials that an active stereo sensor measures rightly.
 DIFFUSE_MATERIALS = ("raw", "diffuse")
 
@@ -316,3 +319,18 @@ class Labels(Document, frozen=True, kw_only=True):
         """A copy in which `label` replaces or joins the others, sorted by object id."""
         others = [x for x in self.labels if x.object != label.object]
         return Labels(labels=sorted([*others, label], key=lambda x: x.object))
+
+
+def annotated_views(label: Label) -> dict[int, SE3]:
+    """T_cam_obj by frame id of every frame in which the object was annotated, the first first."""
+    views = {label.frame: SE3.from_matrix(label.T_cam_obj)}
+    for key, T in label.views.items():
+        views.setdefault(int(key), SE3.from_matrix(T))
+    return views
+
+
+def without_derived(label: Label) -> Label:
+    """The label as annotated: what propagation and refinement added is dropped."""
+    return msgspec.structs.replace(
+        label, T_world_obj=None, refined=False, covariance=None, weak_direction=""
+    )

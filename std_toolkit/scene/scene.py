@@ -1,4 +1,7 @@
-"""A scene folder: documents read once and validated, images read when asked for."""
+"""A scene folder: documents read once and validated, images read when asked for.
+
+Metres or not: poses of unknown unit must never meet anything metric.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.camera import Camera, check_depth_unit
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.io.atomic import scene_lock
 from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.io.images import read_color, read_depth
-from std_toolkit.scene.lock import scene_lock
+from std_toolkit.scene.document import digest_file
 from std_toolkit.scene.model import (
     Annotation,
     CameraPoses,
@@ -30,15 +34,9 @@ from std_toolkit.scene.model import (
     SceneInfo,
     pose_from_list,
 )
-from std_toolkit.scene.provenance import digest_file
 
 if TYPE_CHECKING:
     import trimesh
-
-
-# What a camera in front of a table or in a room can see.
-SMALLEST_MEDIAN_DEPTH_M = 0.03
-LARGEST_MEDIAN_DEPTH_M = 30.0
 
 
 class Scene:
@@ -295,7 +293,7 @@ class Scene:
             return None
         path = self.root / frame.depth
         depth = read_depth(path, scale=self.info.depth_scale, size=self.camera(frame).size)
-        _check_depth_unit(path, depth, self.info.depth_scale)
+        check_depth_unit(path, depth, self.info.depth_scale)
         return depth * np.float32(self.info.depth_correction)
 
     # --- geometry --------------------------------------------------------------------------
@@ -359,17 +357,19 @@ def _check_cameras(root: Path, info: SceneInfo, frames: Frames) -> None:
             )
 
 
-def _check_depth_unit(path: Path, depth: NDArray[np.float32], scale: float | None) -> None:
-    # A robust middle: sensors see single pixels at 60 m, a table-top scene is never there.
-    measured = depth[::4, ::4]
-    measured = measured[measured > 0]
-    if len(measured) < 100:
-        return
-    middle = float(np.median(measured))
-    if not SMALLEST_MEDIAN_DEPTH_M <= middle <= LARGEST_MEDIAN_DEPTH_M:
+def require_metres(scene: Scene) -> None:
+    """Refuse poses of unknown unit; for every step that mixes poses with metric things.
+
+    Raises:
+        ToolkitError: the scene's poses come from a run without any source of metres.
+    """
+    poses = scene.poses
+    if poses is not None and poses.scale is not None and poses.scale.unit != "metre":
         raise ToolkitError(
-            "the median depth is implausible in metres",
-            path=path,
-            value=f"{middle:.4g} m",
-            hint=f"is the unit right? depth_scale in scene.json is {scale}",
+            "the unit of these camera poses is unknown",
+            path=scene.root / "poses.json",
+            field="scale.unit",
+            value=poses.scale.unit,
+            hint="run `std-curate poses` with a scale source (sensor depth, --board FILE, or an "
+            "object annotated in two or more frames)",
         )

@@ -7,10 +7,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from annotator.desk.controller import Controller
-from annotator.desk.events import Event
-from annotator.desk.runner import ThreadRunner
-from annotator.frames import ImageCache
+from annotator.app.controller import Controller
+from annotator.app.events import Event
+from annotator.app.image_cache import ImageCache
+from annotator.app.tasks import ThreadRunner
 from annotator.session import Session
 
 

@@ -23,8 +23,8 @@ from sensors.synthetic.recording import TrueObject, Truth, read_truth
 from sensors.synthetic.truth_scene import scene_from_truth
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import hull_vertices, load_mesh
-from std_toolkit.geometry.pose_error import mssd, rotation_error
 from std_toolkit.geometry.se3 import SE3, so3_exp
+from std_toolkit.geometry.symmetry import mssd, rotation_error
 from std_toolkit.io.documents import write_document
 from std_toolkit.labels.refine.caster import WorldCaster
 from std_toolkit.labels.refine.problem import RefineObject

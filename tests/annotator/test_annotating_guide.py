@@ -11,8 +11,7 @@ import pytest
 import trimesh
 from scene_on_disk import write_scene
 
-from annotator.actions import ACTIONS
-from annotator.actions.key_table import key_table, with_key_table
+from annotator.app.action_table import ACTIONS, key_table, with_key_table
 from annotator.cli import main
 from annotator.session import Session
 from std_toolkit.scene import Scene
@@ -30,7 +29,7 @@ def block(mark: str) -> str:
 
 def test_its_keys_are_those_of_the_actions() -> None:
     assert with_key_table(TEXT) == TEXT, (
-        "run: python -m annotator.actions.key_table docs/annotating.md"
+        "run: python -m annotator.app.action_table docs/annotating.md"
     )
     for action in ACTIONS:
         for key in action.keys:

@@ -19,7 +19,7 @@ from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.geometry.se3 import SE3, so3_exp
 from std_toolkit.poses.options import PoseOptions
-from std_toolkit.poses.step import estimate_poses
+from std_toolkit.poses.pose_step import estimate_poses
 from std_toolkit.scene import CameraModel, Frame, Frames, Scene, SceneInfo
 
 pytestmark = [pytest.mark.slow, pytest.mark.real, pytest.mark.timeout(1800)]

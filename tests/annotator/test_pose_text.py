@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from annotator.pose_text import (
+from annotator.app.pose_text import (
     RotationForm,
     matrix_text,
     parse_matrix,

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import msgspec
 
-from annotator.session.edits.base import Edit, EditContext
-from annotator.session.edits.clicks import AddClick, ChangeClick
-from annotator.session.edits.library import (
+from annotator.session.edits.object_edits import (
     AddObject,
     ChangeObject,
+    Edit,
+    EditContext,
     EnterModel,
     RemoveObject,
     SetSymmetry,
 )
-from annotator.session.edits.poses import (
+from annotator.session.edits.pose_edits import (
+    AddClick,
     Axes,
+    ChangeClick,
     ClearPose,
     Move,
     PoseChange,
@@ -38,7 +40,7 @@ SingleEdit = (
 )
 
 
-class Together(Edit, frozen=True, kw_only=True, tag="together"):
+class CompoundEdit(Edit, frozen=True, kw_only=True, tag="together"):
     """Several edits as one step of undo: all of them are made, or none."""
 
     edits: list[SingleEdit]
@@ -56,7 +58,7 @@ class Together(Edit, frozen=True, kw_only=True, tag="together"):
     def objects(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(name for edit in self.edits for name in edit.objects))
 
-    def resolved(self, state: AnnotationState, context: EditContext) -> Together:
+    def resolved(self, state: AnnotationState, context: EditContext) -> CompoundEdit:
         done: list[SingleEdit] = []
         for edit in self.edits:
             step: SingleEdit = edit.resolved(state, context)  # type: ignore[assignment]
@@ -70,7 +72,7 @@ class Together(Edit, frozen=True, kw_only=True, tag="together"):
         return state
 
 
-AnyEdit = SingleEdit | Together
+AnyEdit = SingleEdit | CompoundEdit
 
 __all__ = [
     "AddClick",
@@ -80,6 +82,7 @@ __all__ = [
     "ChangeClick",
     "ChangeObject",
     "ClearPose",
+    "CompoundEdit",
     "Edit",
     "EditContext",
     "EnterModel",
@@ -89,6 +92,5 @@ __all__ = [
     "SetPoses",
     "SetSymmetry",
     "SingleEdit",
-    "Together",
     "moved_pose",
 ]

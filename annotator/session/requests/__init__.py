@@ -1,17 +1,15 @@
 """Computations that end in an edit: what needs files, images or a solver."""
 
-from annotator.session.requests.base import (
+from annotator.session.requests.mesh_requests import (
     Cancelled,
+    ImportMesh,
     Outcome,
     Progress,
     Request,
     RequestCancelled,
     Watch,
 )
-from annotator.session.requests.library import ImportMesh
-from annotator.session.requests.points import SolvePnP
-from annotator.session.requests.refine import Refine
-from annotator.session.requests.support import SnapToTable
+from annotator.session.requests.pose_requests import Refine, SnapToTable, SolvePnP
 
 AnyRequest = ImportMesh | SolvePnP | Refine | SnapToTable
 

@@ -48,7 +48,7 @@ from benchmark.metrics.protocols.score import score_frame
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.exr import write_exr
 from std_toolkit.jobs import JobOptions
-from std_toolkit.jobs.runner import error_of
+from std_toolkit.jobs.options import error_of
 
 Loaded = DepthFrame | str  # the frame, or why there is none
 

@@ -9,10 +9,10 @@ import msgspec
 import numpy as np
 import pandas as pd
 
+from benchmark.evaluation.depth_panels import LARGEST_ERROR_M, depth_scale, strip
 from benchmark.evaluation.results import ERROR, INDEX, TABLE, read_table
 from benchmark.evaluation.tasks.depth import Run, chosen_frames, frame_view, source_of
 from benchmark.methods.registry import make_restorer
-from benchmark.metrics.depth.depth_panels import LARGEST_ERROR_M, depth_scale, strip
 from benchmark.metrics.protocols.protocol import get_protocol
 from std_toolkit.io.documents import write_document
 from std_toolkit.io.images import write_color

@@ -165,7 +165,7 @@ def summarise(
     Raises:
         ToolkitError: a column is missing.
 
-    >>> from benchmark.metrics.depth.depth_errors import depth_errors
+    >>> from benchmark.metrics.depth.depth_numpy import depth_errors
     >>> images = [depth_errors(np.full(2, x), np.ones(2)).as_dict() for x in (1.0, 1.5)]
     >>> table = summarise(pd.DataFrame([{"method": "raw", **image} for image in images]))
     >>> table[["method", "frames", "mae"]].to_numpy().tolist()

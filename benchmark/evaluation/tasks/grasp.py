@@ -35,7 +35,7 @@ from benchmark.tabletop.sense import CAMERAS, CameraKind, Observation, camera_po
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import write_color
 from std_toolkit.jobs import JobOptions
-from std_toolkit.scene.provenance import digest_file
+from std_toolkit.scene.document import digest_file
 
 GRASP_FOLDER, STRIPS = "grasp", "strips"
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.metrics.depth.depth_panels import DepthScale, depth_picture
+from benchmark.evaluation.depth_panels import DepthScale, depth_picture
 from benchmark.metrics.grasp.gripper import PANDA, Gripper
 from benchmark.tabletop.grasp import Stage
 from benchmark.tabletop.round import Attempt
@@ -19,8 +19,8 @@ from sensors.physics import PhysicalObject
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.rendering.maps import compose, surface_maps
 from std_toolkit.rendering.mesh import RenderMesh
-from std_toolkit.rendering.protocol import PlacedMesh
 from std_toolkit.rendering.raycast import RaycastRenderer
+from std_toolkit.rendering.renderer import PlacedMesh
 
 Image = NDArray[np.uint8]
 PANELS = ("seen", "depth given", "pre-grasp", "closed", "lifted")

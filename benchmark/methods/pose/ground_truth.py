@@ -17,7 +17,7 @@ from benchmark.methods.protocol import Estimated, PoseView
 from benchmark.methods.registry import MethodOptions, configured
 from benchmark.metrics.pose.pose_frames import PosePrediction
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.depth import unproject_depth
+from std_toolkit.geometry.camera import unproject_depth
 
 _FEWEST_POINTS = 4
 

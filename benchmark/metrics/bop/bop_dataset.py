@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.exporters.bop_documents import TARGET_VISIBLE
+from std_toolkit.exporters.bop_metadata import TARGET_VISIBLE
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.mesh import hull_vertices, load_mesh, mesh_diameter
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.geometry.symmetry import Symmetry
 from std_toolkit.importers.bop_documents import MM, BopScene, ModelInfo, named, read_bop_scene
-from std_toolkit.importers.bop_models import symmetry_of
-from std_toolkit.importers.depth_source import read_foreign_depth
+from std_toolkit.importers.bop_objects import symmetry_of
+from std_toolkit.importers.foreign_files import read_foreign_depth
 from std_toolkit.io.documents import read_document
 from std_toolkit.io.images import image_size
 from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh

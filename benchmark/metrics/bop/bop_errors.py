@@ -19,8 +19,13 @@ from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.geometry.symmetry import Symmetry
 from std_toolkit.rendering.mesh import RenderMesh
-from std_toolkit.rendering.protocol import Renderer, Window
-from std_toolkit.rendering.windows import image_window, normalised_rays, object_window
+from std_toolkit.rendering.renderer import (
+    Renderer,
+    Window,
+    image_window,
+    normalised_rays,
+    object_window,
+)
 
 DELTA_M = 0.015
 

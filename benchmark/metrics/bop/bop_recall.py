@@ -18,9 +18,9 @@ from benchmark.metrics.bop.bop_errors import TAUS, mspd, see, vsd
 from benchmark.metrics.bop.bop_file import BopEstimate
 from benchmark.metrics.pose.matching import greedy
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.pose_error import mssd
+from std_toolkit.geometry.symmetry import mssd
 from std_toolkit.rendering.choose import get_renderer
-from std_toolkit.rendering.protocol import Renderer
+from std_toolkit.rendering.renderer import Renderer
 
 Floats = NDArray[np.float64]
 

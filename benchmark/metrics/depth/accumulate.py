@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.metrics.depth.depth_errors import check_shapes, depth_errors
+from benchmark.metrics.depth.depth_numpy import check_shapes, depth_errors
 from benchmark.metrics.depth.tally import Errors, Missing, check_reportable
 from std_toolkit.errors import ToolkitError
 

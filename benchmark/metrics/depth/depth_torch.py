@@ -1,6 +1,6 @@
 """Depth metrics of batches of images in torch, one number per image, on the tensors' device.
 
-The figures are those of `benchmark.metrics.depth.depth_errors`: ratios in the precision of the
+The figures are those of `benchmark.metrics.depth.depth_numpy`: ratios in the precision of the
 depths, sums in float64. Nothing here waits for the device; nothing carries gradients.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from benchmark.metrics.depth.depth_errors import check_shapes
+from benchmark.metrics.depth.depth_numpy import check_shapes
 from benchmark.metrics.depth.tally import NAMES, THRESHOLDS, Missing, check_reportable
 from std_toolkit.errors import ToolkitError
 

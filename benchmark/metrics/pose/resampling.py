@@ -40,7 +40,7 @@ def resampled_scores(matches: PoseMatches, weights: ArrayLike) -> Floats:
     >>> from benchmark.metrics.pose.scores import match_poses
     >>> truth = PoseTruth([3], np.eye(4)[None], np.ones((1, 3)))
     >>> found = [PosePrediction([3], truth.RT, truth.sizes, [1.0]), PosePrediction([], [], [], [])]
-    >>> figures_of_draws(match_poses([truth] * 2, found), [[1, 1], [2, 0]])[:, 0].tolist()
+    >>> resampled_scores(match_poses([truth] * 2, found), [[1, 1], [2, 0]])[:, 0].tolist()
     [0.5, 1.0]
     """
     w = np.asarray(weights, dtype=np.float64)
@@ -82,7 +82,7 @@ def side_by_side(first: PoseMatches, second: PoseMatches) -> PoseMatches:
     >>> right = PosePrediction([1], [np.eye(4)], [[1, 1, 1]], [1.0])
     >>> wrong = PosePrediction([1], [np.diag([9, 9, 9, 1])], [[1, 1, 1]], [1.0])
     >>> both = side_by_side(match_poses([truth], [right]), match_poses([truth], [wrong]))
-    >>> figures_of_draws(both, [[1, 0], [0, 1]])[:, 2].tolist()
+    >>> resampled_scores(both, [[1, 0], [0, 1]])[:, 2].tolist()
     [1.0, 0.0]
     """
     if first.frames != second.frames or first.protocol.columns != second.protocol.columns:

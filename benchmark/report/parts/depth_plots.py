@@ -9,8 +9,7 @@ import numpy as np
 import pandas as pd
 
 from benchmark.report.leaderboard import MEASURED, METRICS, PUBLISHED, Board, Column, one_of_each
-from std_toolkit.checks.figures import base_layout, figure_json
-from std_toolkit.checks.palette import FAINT, INK, OBJECT_COLORS
+from std_toolkit.html.plots import FAINT, INK, OBJECT_COLORS, base_layout, figure_json
 
 RMSE = METRICS[0]
 DEPTH_PREFIX = "depth:"

@@ -9,9 +9,9 @@ from html import escape
 import numpy as np
 import pandas as pd
 
+from benchmark.evaluation.depth_panels import PANELS, TRUST_PANEL
 from benchmark.evaluation.tasks.depth_pictures import FOLDER, INDEX_FILE, Gallery
 from benchmark.evaluation.tasks.depth_results import RunResult
-from benchmark.metrics.depth.depth_panels import PANELS, TRUST_PANEL
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.report.leaderboard import (
     BOARD,
@@ -33,7 +33,7 @@ from benchmark.report.parts.depth_plots import (
     radar,
     speed_against_error,
 )
-from std_toolkit.checks.markup import Cell, paragraph, plot, table, words
+from std_toolkit.html.markup import Cell, paragraph, plot, table, words
 from std_toolkit.io.documents import read_document
 
 RMSE = METRICS[0]

@@ -31,7 +31,7 @@ from benchmark.evaluation.tasks.grasp_results import (
 from benchmark.evaluation.tasks.grasp_table import ATTEMPT, KIND, scene_name
 from benchmark.published.load import published_rows
 from benchmark.report.page import PageSection, ReportPart
-from std_toolkit.checks.markup import Cell, paragraph, table, text, words
+from std_toolkit.html.markup import Cell, paragraph, table, text, words
 from std_toolkit.io.images import read_color
 
 _HEADS = ("planner", "depth", "camera", "seed", "tables", "how", "weights", "ran on", "tool")

@@ -33,7 +33,7 @@ from benchmark.report.parts.pose_board import (
     PoseBoard,
     make_pose_board,
 )
-from std_toolkit.checks.markup import Cell, amount, number, paragraph, percent, table, words
+from std_toolkit.html.markup import Cell, amount, number, paragraph, percent, table, words
 
 # Columns that the table of differences shows.
 SHOWN = ("iou50", "iou75", "5deg2cm", "5deg5cm", "10deg5cm")

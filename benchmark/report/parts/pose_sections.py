@@ -19,9 +19,8 @@ from benchmark.evaluation.tasks.pose_pictures import PICTURES_FILE, POSE_GALLERY
 from benchmark.evaluation.tasks.pose_results import ALL, HARD, PoseResult, RunName, heading
 from benchmark.report.leaderboard import MEASURED, PAPERS_PROTOCOL, PUBLISHED
 from benchmark.report.parts.pose_board import DETAILS, FIGURES, MAIN, PoseBoard
-from std_toolkit.checks.figures import base_layout, figure_json
-from std_toolkit.checks.markup import Cell, paragraph, plot, table, words
-from std_toolkit.checks.palette import FAINT, OBJECT_COLORS
+from std_toolkit.html.markup import Cell, paragraph, plot, table, words
+from std_toolkit.html.plots import FAINT, OBJECT_COLORS, base_layout, figure_json
 from std_toolkit.io.documents import read_document
 
 _RAW_COLOR, _TRUE_COLOR = FAINT, "#2b7a4b"

@@ -13,10 +13,10 @@ from torch import Tensor, nn
 from torch.nn.functional import normalize
 
 from benchmark.data.frame import Material
+from benchmark.evaluation.depth_panels import strip
 from benchmark.methods.depth.cleargrasp.cleargrasp import DepthOfMaps
 from benchmark.methods.depth.cleargrasp.cleargrasp_network import ClearGraspNetwork
 from benchmark.methods.depth.full_size import view_of
-from benchmark.metrics.depth.depth_panels import strip
 from benchmark.training.depth.cleargrasp_losses import (
     CONTACT,
     NONE,

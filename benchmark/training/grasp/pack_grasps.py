@@ -34,10 +34,9 @@ from benchmark.training.grasp.tabletop import (
 )
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.io.atomic import atomic_path, sweep_temporaries
+from std_toolkit.io.atomic import atomic_path, hold_lock, sweep_temporaries
 from std_toolkit.io.documents import begin_folder, read_document, write_document
 from std_toolkit.jobs import JobOptions, run_jobs
-from std_toolkit.scene.lock import hold_lock
 
 # A point on an object has the grasps of the labelled point that is nearest, unless that is
 # farther than so many spacings.

@@ -169,8 +169,8 @@ def _rendered(
 ) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
     from std_toolkit.rendering.maps import compose
     from std_toolkit.rendering.mesh import RenderMesh
-    from std_toolkit.rendering.protocol import PlacedMesh
     from std_toolkit.rendering.raycast import RaycastRenderer
+    from std_toolkit.rendering.renderer import PlacedMesh
 
     T_cam_world = T_world_cam.inverse()
     table = table_depth(camera, T_world_cam)

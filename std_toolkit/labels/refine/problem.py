@@ -1,7 +1,13 @@
-"""What a refinement works on: images with known camera poses, and meshes with poses to adjust."""
+"""Input and result of a refinement: views, objects, options, progress, the weakest direction.
+
+How much of a computation is done, told while it is under way.
+
+Says in words which direction of a pose is least determined.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -11,13 +17,18 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, undistort_image
-from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry.se3 import SE3, skew
 from std_toolkit.geometry.symmetry import Symmetry
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 
 if TYPE_CHECKING:
-    from std_toolkit.labels.refine.appearance import SurfaceColors
-    from std_toolkit.labels.refine.object_surface import ObjectSurface
+    from std_toolkit.labels.refine.object_surface import ObjectSurface, SurfaceColors
+
+# Told the fraction done, 0 to 1, never less than before. What it raises ends the computation: so
+# a computation is cancelled.
+Progress = Callable[[float], None]
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,3 +213,63 @@ class RefineResult:
     scale_std: float = 0.0
     depth_factor: float = 1.0
     depth_factor_std: float = 0.0
+
+
+def no_progress(_: float) -> None:
+    """Nobody asks."""
+
+
+def sub_progress(whole: Progress, start: float, end: float) -> Progress:
+    """For a step of a computation that takes it from `start` to `end`."""
+    return lambda fraction: whole(start + (end - start) * min(max(fraction, 0.0), 1.0))
+
+
+def covariance_at(covariance: NDArray[np.floating], point: NDArray[np.floating]) -> Array:
+    """The 6x6 covariance of a right perturbation, with its translation taken at `point`.
+
+    A rotation about the mesh origin moves an object whose origin lies elsewhere: shifts and turns
+    are only told apart about its centre.
+
+    Args:
+        point: (3,) in the mesh frame.
+    """
+    move = np.eye(6)
+    move[:3, 3:] = -skew(point)
+    return np.asarray(move @ covariance @ move.T, dtype=np.float64)
+
+
+def weakest_direction(
+    covariance: NDArray[np.floating],
+    centre: NDArray[np.floating],
+    radius: float,
+    symmetry: Symmetry,
+) -> str:
+    """One sentence on the direction in which the surface may be off the most.
+
+    Args:
+        covariance: (6, 6) of a right perturbation, metres and radians.
+        centre: (3,) of the object, mesh frame.
+        radius: metres; turns count with what they move at this distance.
+        symmetry: turns about its axes do not count: they change nothing.
+    """
+    C = covariance_at(covariance, centre)
+    size = np.array([1.0] * 3 + [radius] * 3)
+    C = C * np.outer(size, size)
+    for axis, _ in symmetry.continuous:
+        free = np.concatenate([np.zeros(3), axis])
+        P = np.eye(6) - np.outer(free, free)
+        C = P @ C @ P
+    values, vectors = np.linalg.eigh(C)
+    v, std = vectors[:, -1], float(np.sqrt(max(values[-1], 0)))
+    shift, turn = np.linalg.norm(v[:3]), np.linalg.norm(v[3:])
+    if shift >= turn:
+        direction, what = v[:3] / shift, "shift along"
+        amount = f"{1000 * std:.2f} mm"
+    else:
+        direction, what = v[3:] / turn, "turn about"
+        amount = f"{np.rad2deg(std / radius):.2f} deg"
+    # The sign of an eigenvector is chance; a fixed one keeps files reproducible.
+    if direction[int(np.argmax(np.abs(direction)))] < 0:
+        direction = -direction
+    axis_text = ", ".join(f"{x + 0.0:.2f}" for x in np.round(direction, 2))
+    return f"least determined: {what} object axis ({axis_text}), standard deviation {amount}"

@@ -1,29 +1,28 @@
 """What guides an object whose depth is missing or wrong: the table, its neighbours, the cloud."""
 
-from std_toolkit.labels.support.cloud import (
+from std_toolkit.labels.support.penetration import (
+    TABLE,
+    Penetration,
+    find_penetrations,
+    prepare_objects,
+)
+from std_toolkit.labels.support.plane import Plane, TablePlane, TableSearch, snap_to_plane
+from std_toolkit.labels.support.solid import PlacedObject
+from std_toolkit.labels.support.table import find_table, search_table
+from std_toolkit.rendering.point_cloud import (
     FusedCloud,
     FusionCancelled,
     frame_cloud,
     fuse_clouds,
     sparse_points,
 )
-from std_toolkit.labels.support.penetration import (
-    TABLE,
-    Penetration,
-    find_penetrations,
-    prepare_things,
-)
-from std_toolkit.labels.support.plane import Plane, TablePlane, TableSearch, find_table
-from std_toolkit.labels.support.snap import snap_to_plane
-from std_toolkit.labels.support.solid import PlacedThing
-from std_toolkit.labels.support.table import search_table
 
 __all__ = [
     "TABLE",
     "FusedCloud",
     "FusionCancelled",
     "Penetration",
-    "PlacedThing",
+    "PlacedObject",
     "Plane",
     "TablePlane",
     "TableSearch",
@@ -31,7 +30,7 @@ __all__ = [
     "find_table",
     "frame_cloud",
     "fuse_clouds",
-    "prepare_things",
+    "prepare_objects",
     "search_table",
     "snap_to_plane",
     "sparse_points",

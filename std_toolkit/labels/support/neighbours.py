@@ -1,4 +1,7 @@
-"""The table as placed objects tell it: the plane on which most of them stand."""
+"""The table as placed objects tell it: the plane on which most of them stand.
+
+Which of several planes carries the objects: a table, not a wall, the floor or a box's side.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +11,37 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.labels.support.judge import Cameras, judge
-from std_toolkit.labels.support.solid import PlacedThing
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.support.solid import PlacedObject
 
 Array = NDArray[np.float64]
+
 # How exactly hand-made labels stand: standard deviations of height and slope.
 _UNEVEN_M = 0.006
+
 _SLANT = np.radians(6.0)
+
 # An object stands on the plane if it is likely by this much, relative to an exact fit.
 _LIKELY = 0.2
+
 _CUT_M = 0.015
+
 _TOUCHES_M = 0.0015
+
 # Below this spread the contacts do not fix the plane's slope by themselves.
 _WIDE_M = 0.03
+
+# An object stands on a plane that its lowest point meets to within this, plus what a sensor's bias
+# may shift the plane by.
+_MEETS_M = 0.015
+
+_SENSOR_BIAS = 0.02
+
+# Cosine between the normal and the image's upward direction: above, a table; below, a wall.
+_UPRIGHT, _SIDEWAYS = 0.15, -0.15
+
+# Sine of the angle at which a camera looks down on it: nobody records a table edge-on.
+_EDGE_ON = 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,48 +63,48 @@ class CommonSupport:
     upright: float
 
 
-def common_support(things: Sequence[PlacedThing], cameras: Cameras) -> CommonSupport | None:
+def common_support(objects: Sequence[PlacedObject], cameras: Cameras) -> CommonSupport | None:
     """The plane on which most objects stand level; None if no camera looks at one from above."""
-    best: tuple[float, Array, list[PlacedThing]] | None = None
-    for thing in things:
-        faces = thing.solid.resting
+    best: tuple[float, Array, list[PlacedObject]] | None = None
+    for obj in objects:
+        faces = obj.solid.resting
         for down, steady in zip(faces.down, faces.steady, strict=True):
-            normal = -(thing.T_frame_obj.R @ down)
-            hull = thing.T_frame_obj @ thing.solid.hull
+            normal = -(obj.T_frame_obj.R @ down)
+            hull = obj.T_frame_obj @ obj.solid.hull
             offset = -float((hull @ normal).min())
             foot = hull[(hull @ normal).argmin()]
-            view = judge(normal, offset, 1.0, foot, cameras, ())
+            view = score_support(normal, offset, 1.0, foot, cameras, ())
             if view.score == 0 or view.normal @ normal < 0:
                 continue
-            likely, cut = _standing(things, normal, offset)
+            likely, cut = _standing(objects, normal, offset)
             # Among planes with as many objects the one that the cameras see from above, then the
             # one on which the object stands more firmly.
             merit = float(likely.sum()) - 2 * cut + 0.6 * view.score + 0.3 * min(float(steady), 1.0)
             if best is None or merit > best[0]:
-                standing = [t for t, p in zip(things, likely, strict=True) if p > _LIKELY]
+                standing = [t for t, p in zip(objects, likely, strict=True) if p > _LIKELY]
                 best = merit, normal, standing
     if best is None or not best[2]:
         return None
     return _fitted(best[1], best[2], cameras)
 
 
-def _standing(things: Sequence[PlacedThing], normal: Array, offset: float) -> tuple[Array, int]:
+def _standing(objects: Sequence[PlacedObject], normal: Array, offset: float) -> tuple[Array, int]:
     """How likely each object stands level on a plane, 0 to 1, and how many the plane cuts."""
-    likely, cut = np.zeros(len(things)), 0
-    for i, thing in enumerate(things):
-        low = float((thing.T_frame_obj @ thing.solid.hull @ normal + offset).min())
-        _, tilt = thing.solid.resting.nearest(-thing.T_frame_obj.R.T @ normal)
+    likely, cut = np.zeros(len(objects)), 0
+    for i, obj in enumerate(objects):
+        low = float((obj.T_frame_obj @ obj.solid.hull @ normal + offset).min())
+        _, tilt = obj.solid.resting.nearest(-obj.T_frame_obj.R.T @ normal)
         likely[i] = np.exp(-0.5 * ((low / _UNEVEN_M) ** 2 + (tilt / _SLANT) ** 2))
         cut += low < -_CUT_M
     return likely, cut
 
 
-def _fitted(normal: Array, standing: Sequence[PlacedThing], cameras: Cameras) -> CommonSupport:
+def _fitted(normal: Array, standing: Sequence[PlacedObject], cameras: Cameras) -> CommonSupport:
     contacts, levels = [], []
-    for thing in standing:
-        hull = thing.T_frame_obj @ thing.solid.hull
-        down, _ = thing.solid.resting.nearest(-thing.T_frame_obj.R.T @ normal)
-        own = -(thing.T_frame_obj.R @ down)
+    for obj in standing:
+        hull = obj.T_frame_obj @ obj.solid.hull
+        down, _ = obj.solid.resting.nearest(-obj.T_frame_obj.R.T @ normal)
+        own = -(obj.T_frame_obj.R @ down)
         levels.append(own)
         along = hull @ own
         contacts.append(hull[along <= along.min() + _TOUCHES_M])
@@ -104,3 +125,74 @@ def _fitted(normal: Array, standing: Sequence[PlacedThing], cameras: Cameras) ->
     names = tuple(t.name for t in standing)
     upright = float((cameras.up @ level).mean())
     return CommonSupport(level, offset, points, names, rms, upright)
+
+
+@dataclass(frozen=True, eq=False)
+class Cameras:
+    """Where the cameras stand in the common frame.
+
+    Attributes:
+        centres: (M, 3) metres.
+        up: (M, 3) the upward direction of each image.
+    """
+
+    centres: Array
+    up: Array
+
+    @staticmethod
+    def of(poses: Sequence[SE3]) -> Cameras:
+        """From T_frame_cam of each."""
+        return Cameras(np.array([T.t for T in poses]), np.array([-T.R[:, 1] for T in poses]))
+
+
+@dataclass(frozen=True, eq=False)
+class SupportScore:
+    """A plane `normal . p + offset = 0` as a support.
+
+    Attributes:
+        normal, offset: turned towards the cameras.
+        score: 0 if it cannot be a support.
+        upright: mean cosine between the normal and the images' upward direction.
+        height_m: median height of the cameras above it.
+        carried: names of the objects that stand on it.
+    """
+
+    normal: Array
+    offset: float
+    score: float
+    upright: float
+    height_m: float
+    carried: tuple[str, ...]
+
+
+def score_support(
+    normal: Array,
+    offset: float,
+    weight: float,
+    middle: Array,
+    cameras: Cameras,
+    objects: Sequence[PlacedObject],
+) -> SupportScore:
+    """How well a plane may be what the objects stand on.
+
+    Args:
+        weight: share of the points that lie in it.
+        middle: (3,) middle of these points.
+    """
+    heights = cameras.centres @ normal + offset
+    if np.median(heights) < 0:
+        normal, offset, heights = -normal, -offset, -heights
+    height = float(np.median(heights))
+    upright = float((cameras.up @ normal).mean())
+    # Every camera looks at the table from above.
+    score = weight if (heights > 0.02).all() else 0.0
+    if upright < _UPRIGHT:
+        score *= 0.7 if upright > _SIDEWAYS else 0.3
+    sight = np.linalg.norm(cameras.centres - middle, axis=1)
+    if float(np.median(heights / np.maximum(sight, 1e-6))) < _EDGE_ON:
+        score *= 0.3
+    lows = {t.name: float((t.T_frame_obj @ t.solid.hull @ normal + offset).min()) for t in objects}
+    carried = tuple(n for n, low in lows.items() if abs(low) <= _MEETS_M + _SENSOR_BIAS * height)
+    if objects:
+        score *= 0.1 + len(carried) / len(objects)
+    return SupportScore(normal, offset, score, upright, height, carried)

@@ -3,8 +3,10 @@
 Points all over the surface of one object are asked whether they lie inside the other, by rays
 (`Solid.inside`). Objects inside the hollow of another, such as a spoon in a mug, lie in air and
 count for nothing. Scans have holes: how many of the rays agree is part of the answer. A mesh that
-is open widely, such as a cup one triangle thick, has no inside: things that poke through it are
+is open widely, such as a cup one triangle thick, has no inside: objects that poke through it are
 found by the part of it that lies inside them.
+
+The shortest way found to pull two solids apart.
 """
 
 from __future__ import annotations
@@ -19,19 +21,34 @@ from numpy.typing import NDArray
 
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.support.plane import Plane
-from std_toolkit.labels.support.separation import separate
-from std_toolkit.labels.support.solid import PlacedThing, Samples, Solid
+from std_toolkit.labels.support.solid import PlacedObject, Samples, Solid, sphere_directions
 
 Array = NDArray[np.float64]
+
 TABLE = "table"
+
 # So many points of one object are asked about another one; the first of them are spread evenly.
 _MOST_ASKED = 800
+
 # Of these, those that may be deepest are measured.
 _MOST_MEASURED = 96
+
 # Further points, for the picture only, take the answer of the nearest one.
 _MOST_PAINTED = 3000
+
 # Between these shares of rays that say inside a point is uncertain.
 _SURE = 0.9
+
+# Directions are compared by so many points each.
+_ASKED = 200
+
+_DIRECTIONS = 24
+
+# The most promising directions are followed to their end.
+_TRIED = 5
+
+# Beyond the surface by this much, so that the next look finds them apart.
+_CLEARANCE_M = 0.0001
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +68,7 @@ class Surface:
 
 @dataclass(frozen=True, eq=False)
 class Penetration:
-    """Two things that occupy the same place.
+    """Two objects that occupy the same place.
 
     Attributes:
         first, second: names; `second` may be the table (`TABLE`).
@@ -83,14 +100,14 @@ class Penetration:
 
 
 def find_penetrations(
-    things: Sequence[PlacedThing], *, plane: Plane | None = None, tolerance_m: float = 0.0005
+    objects: Sequence[PlacedObject], *, plane: Plane | None = None, tolerance_m: float = 0.0005
 ) -> list[Penetration]:
-    """All pairs that run into each other by more than a tolerance, and things in the table.
+    """All pairs that run into each other by more than a tolerance, and objects in the table.
 
-    What needs to be known of a mesh is made on first use and kept (`prepare_things`).
+    What needs to be known of a mesh is made on first use and kept (`prepare_objects`).
 
     Args:
-        things: meshes at their poses in one frame; names should differ.
+        objects: meshes at their poses in one frame; names should differ.
         plane: the table in the same frame, its normal up; None to leave it out.
         tolerance_m: contacts are never exact; what is not deeper than this is none.
 
@@ -98,31 +115,31 @@ def find_penetrations(
         The deepest first.
     """
     found = []
-    for a, b in combinations(things, 2):
+    for a, b in combinations(objects, 2):
         if not _spheres_meet(a, b):
             continue
         pair = _pair(a, b, plane, tolerance_m)
         if pair is not None:
             found.append(pair)
     if plane is not None:
-        found += [p for t in things if (p := _in_table(t, plane, tolerance_m)) is not None]
+        found += [p for t in objects if (p := _in_table(t, plane, tolerance_m)) is not None]
     return sorted(found, key=lambda p: -p.depth_m)
 
 
-def prepare_things(things: Sequence[PlacedThing]) -> None:
+def prepare_objects(objects: Sequence[PlacedObject]) -> None:
     """Make what `find_penetrations` needs of the meshes: a fraction of a second for each."""
-    for thing in things:
-        thing.solid.prepare()
+    for obj in objects:
+        obj.solid.prepare()
 
 
-def _spheres_meet(a: PlacedThing, b: PlacedThing) -> bool:
+def _spheres_meet(a: PlacedObject, b: PlacedObject) -> bool:
     middles = [t.T_frame_obj @ (t.solid.centre + (t.solid.low + t.solid.high) / 2) for t in (a, b)]
     reach = sum(float(np.linalg.norm(t.solid.high - t.solid.low)) / 2 for t in (a, b))
     return float(np.linalg.norm(middles[0] - middles[1])) < reach
 
 
 def _pair(
-    a: PlacedThing, b: PlacedThing, plane: Plane | None, tolerance_m: float
+    a: PlacedObject, b: PlacedObject, plane: Plane | None, tolerance_m: float
 ) -> Penetration | None:
     T_b_a = _centred(b).inverse() @ _centred(a)
     of_a = _inside(a.solid, b.solid, T_b_a, tolerance_m)
@@ -223,34 +240,34 @@ def _deepest(solid: Solid, points: Array) -> float:
     return deepest
 
 
-def _surface(thing: PlacedThing, inside: NDArray[np.int64]) -> Surface:
-    samples: Samples = thing.solid.samples
+def _surface(obj: PlacedObject, inside: NDArray[np.int64]) -> Surface:
+    samples: Samples = obj.solid.samples
     vertices = samples.vertex[inside]
     vertices = np.sort(vertices[vertices >= 0])
-    marked = np.zeros(len(thing.solid.mesh.vertices), dtype=bool)
+    marked = np.zeros(len(obj.solid.mesh.vertices), dtype=bool)
     marked[vertices] = True
-    touched = thing.solid.faces_with(marked)
+    touched = obj.solid.faces_with(marked)
     touched[samples.face[inside]] = True
-    points = thing.T_frame_obj @ (samples.points[inside] + thing.solid.centre)
+    points = obj.T_frame_obj @ (samples.points[inside] + obj.solid.centre)
     return Surface(vertices, np.flatnonzero(touched), points)
 
 
-def _in_table(thing: PlacedThing, plane: Plane, tolerance_m: float) -> Penetration | None:
+def _in_table(obj: PlacedObject, plane: Plane, tolerance_m: float) -> Penetration | None:
     # In the mesh frame: one normal instead of all vertices is turned.
-    local = plane.moved(_centred(thing).inverse(), "mesh")
-    mesh = thing.solid.mesh
-    lowest = float(local.signed_distance(thing.solid.hull - thing.solid.centre).min())
+    local = plane.moved(_centred(obj).inverse(), "mesh")
+    mesh = obj.solid.mesh
+    lowest = float(local.signed_distance(obj.solid.hull - obj.solid.centre).min())
     if lowest >= -tolerance_m:
         return None
     below = local.signed_distance(mesh.vertices) < -tolerance_m
     used = np.zeros(len(mesh.vertices), dtype=bool)
-    faces = np.flatnonzero(thing.solid.faces_with(below))
+    faces = np.flatnonzero(obj.solid.faces_with(below))
     used[mesh.faces[faces].reshape(-1)] = True
     vertices = np.flatnonzero(below & used)
-    points = _centred(thing) @ mesh.vertices[vertices]
+    points = _centred(obj) @ mesh.vertices[vertices]
     nothing = Surface(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)))
     return Penetration(
-        thing.name,
+        obj.name,
         TABLE,
         -lowest,
         Surface(vertices, faces, points),
@@ -260,7 +277,90 @@ def _in_table(thing: PlacedThing, plane: Plane, tolerance_m: float) -> Penetrati
     )
 
 
-def _centred(thing: PlacedThing) -> SE3:
+def _centred(obj: PlacedObject) -> SE3:
     """Pose of the centred mesh."""
-    T = thing.T_frame_obj
-    return SE3(T.R, T.R @ thing.solid.centre + T.t)
+    T = obj.T_frame_obj
+    return SE3(T.R, T.R @ obj.solid.centre + T.t)
+
+
+def separate(
+    a: Solid,
+    b: Solid,
+    T_b_a: SE3,
+    points_a: Array,
+    points_b: Array,
+    *,
+    up: Array | None = None,
+) -> Array:
+    """Translation (3,) of solid a, in b's centred frame, after which it lies outside b.
+
+    Along each of several directions the points inside the other solid need some way to come out,
+    and with them the points that run into it on the way; the direction that needs least is taken.
+    Pulling the convex hulls apart bounds the way: for hooked or nested solids it is the answer.
+
+    Args:
+        a, b: the solids.
+        T_b_a: between their centred frames.
+        points_a: (N, 3) points of a's surface inside b, b's centred frame.
+        points_b: (M, 3) points of b's surface inside a, a's centred frame.
+        up: (3,) direction against which a must not go, b's centred frame: the table's normal.
+    """
+    inner_a, inner_b = points_a[:_ASKED], points_b[:_ASKED]
+    directions = _directions(b, T_b_a, inner_a)
+    if up is not None:
+        directions = directions[directions @ up > -0.02]
+    hull_a, hull_b = T_b_a @ (a.hull - a.centre), b.hull - b.centre
+    apart = (hull_b @ directions.T).max(axis=0) - (hull_a @ directions.T).min(axis=0)
+    best = int(apart.argmin())
+    length, direction = float(apart[best]), directions[best]
+    ways = np.array([_way(a, b, T_b_a, inner_a, inner_b, d) for d in directions])
+    for i in np.argsort(ways)[:_TRIED]:
+        way = _followed(a, b, T_b_a, directions[i], float(ways[i]), length)
+        if way < length:
+            length, direction = way, directions[i]
+    return (length + _CLEARANCE_M) * direction
+
+
+def _followed(a: Solid, b: Solid, T_b_a: SE3, d: Array, way: float, limit: float) -> float:
+    """Length of the way along d after which nothing is inside any more; inf beyond the limit."""
+    while way < limit:
+        moved = SE3(T_b_a.R, T_b_a.t + (way + _CLEARANCE_M) * d)
+        still_a = _still_inside(a, b, moved)
+        still_b = _still_inside(b, a, moved.inverse())
+        if len(still_a) + len(still_b) == 0:
+            return way
+        way += max(_way(a, b, moved, still_a, still_b, d), _CLEARANCE_M)
+    return np.inf
+
+
+def _directions(b: Solid, T_b_a: SE3, inner_a: Array) -> Array:
+    """(K, 3) unit directions worth trying: to the nearest surface, the meshes' axes, all around."""
+    axes = np.vstack([np.eye(3), T_b_a.R.T])
+    apart = T_b_a.t / max(float(np.linalg.norm(T_b_a.t)), 1e-9)
+    tried = [*axes, *-axes, apart, *sphere_directions(_DIRECTIONS)]
+    if len(inner_a):
+        surface, distance = b.nearest(inner_a[:50])
+        outward = surface - inner_a[:50]
+        # The mean is weighted by depth; the deepest point's own direction is that of flat faces.
+        tried += [outward.sum(axis=0), outward[int(distance.argmax())]]
+    directions = np.array(tried)
+    length = np.linalg.norm(directions, axis=1)
+    return directions[length > 1e-9] / length[length > 1e-9, None]
+
+
+def _way(a: Solid, b: Solid, T_b_a: SE3, inner_a: Array, inner_b: Array, d: Array) -> float:
+    """How far a must go along d until these points have left the other solid."""
+    way = 0.0
+    if len(inner_a):
+        way = float(b.exit_distance(inner_a, d).max())
+    if len(inner_b):
+        # b's points leave a in the opposite direction.
+        way = max(way, float(a.exit_distance(inner_b, -T_b_a.R.T @ d).max()))
+    return way
+
+
+def _still_inside(of: Solid, within: Solid, T_within_of: SE3) -> Array:
+    """(N, 3) some samples of one solid inside another, in the other's centred frame."""
+    points = T_within_of @ of.samples.points[:8000].astype(np.float64)
+    boxed = points[((points > within.low) & (points < within.high)).all(axis=1)][:_ASKED]
+    return boxed[within.inside(boxed)[0]]

@@ -271,7 +271,7 @@ class Solid:
 
 
 @dataclass(frozen=True, eq=False)
-class PlacedThing:
+class PlacedObject:
     """A mesh at a pose, such as an object that was labelled already.
 
     Attributes:

@@ -4,21 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.plane_fit import PlaneFit, connected_patch, find_planes
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.labels.support.bias import Correction, correction_by_heights, correction_by_points
 from std_toolkit.labels.support.evidence import (
+    Correction,
     Points,
     View,
+    correction_by_heights,
+    correction_by_points,
     depth_points,
-    placed_things,
+    placed_objects,
     reconstructed_points,
 )
-from std_toolkit.labels.support.judge import Cameras, Judgement, judge
-from std_toolkit.labels.support.neighbours import common_support
+from std_toolkit.labels.support.neighbours import (
+    Cameras,
+    SupportScore,
+    common_support,
+    score_support,
+)
 from std_toolkit.labels.support.plane import (
     WORLD,
     Plane,
@@ -26,21 +34,32 @@ from std_toolkit.labels.support.plane import (
     TableSearch,
     camera_frame_name,
 )
-from std_toolkit.labels.support.planefit import PlaneFit, connected_patch, find_planes
-from std_toolkit.labels.support.solid import PlacedThing
-from std_toolkit.scene.metres import require_metres
-from std_toolkit.scene.scene import Frame, Scene
+from std_toolkit.labels.support.solid import PlacedObject
+from std_toolkit.scene.scene import Frame, Scene, require_metres
+
+if TYPE_CHECKING:
+    from std_toolkit.labels.support.solid import PlacedObject
+    from std_toolkit.scene.scene import Frame, Scene
 
 MOST_FRAMES = 12
+
 _PLANES = 4
+
 _FEWEST_POINTS = 60
+
 # A sensor that nobody calibrated reads up to this share too far or too near.
 UNKNOWN_BIAS = 0.02
+
 _CALIBRATED_BIAS = 0.005
+
 _SMALL_SHARE = 0.1
+
 _RIVAL = 0.6
+
 _SMALL_M = 0.08
+
 _ROUGH = 0.01
+
 # Of the distance: gaps in a table that do not part it.
 _GAP = 0.04
 
@@ -52,7 +71,7 @@ class _Place:
     scene: Scene
     views: list[View]
     cameras: Cameras
-    things: Sequence[PlacedThing]
+    objects: Sequence[PlacedObject]
     frame: str
 
 
@@ -60,7 +79,7 @@ def search_table(
     scene: Scene,
     *,
     frames: Sequence[Frame] | None = None,
-    objects: Sequence[PlacedThing] | None = None,
+    objects: Sequence[PlacedObject] | None = None,
     camera_frame: int | None = None,
 ) -> TableSearch:
     """Find the plane on which the objects of a scene stand, or say why there is none.
@@ -85,8 +104,8 @@ def search_table(
     else:
         views = [View(scene.frame(camera_frame), SE3.identity())]
         name = camera_frame_name(camera_frame)
-    things = placed_things(scene, camera_frame) if objects is None else objects
-    place = _Place(scene, views, Cameras.of([v.T_frame_cam for v in views]), things, name)
+    objects = placed_objects(scene, camera_frame) if objects is None else objects
+    place = _Place(scene, views, Cameras.of([v.T_frame_cam for v in views]), objects, name)
     reasons = []
     for look in (_from_depth, _from_reconstruction, _from_objects):
         found = look(place)
@@ -115,7 +134,7 @@ def _world_views(scene: Scene, frames: Sequence[Frame] | None) -> tuple[list[Vie
 
 
 def _from_depth(place: _Place) -> TablePlane | str:
-    points = depth_points(place.scene, place.views, place.things)
+    points = depth_points(place.scene, place.views, place.objects)
     if points is None:
         return "no sensor depth outside the objects"
     found = _support(points, place)
@@ -126,7 +145,7 @@ def _from_depth(place: _Place) -> TablePlane | str:
     bias = _CALIBRATED_BIAS if place.scene.info.depth_correction != 1 else UNKNOWN_BIAS
     correction = None
     if place.frame == WORLD:
-        sparse = reconstructed_points(place.scene, place.cameras.centres, place.things)
+        sparse = reconstructed_points(place.scene, place.cameras.centres, place.objects)
         if sparse is not None:
             correction = correction_by_points(
                 table.plane, sparse.xyz, height, table.centre, table.radius_m
@@ -153,7 +172,7 @@ def _metres_of_the_sensor(scene: Scene) -> bool:
 def _from_reconstruction(place: _Place) -> TablePlane | str:
     if place.frame != WORLD:
         return "one frame has no reconstructed points"
-    points = reconstructed_points(place.scene, place.cameras.centres, place.things)
+    points = reconstructed_points(place.scene, place.cameras.centres, place.objects)
     if points is None:
         return "no reconstructed points outside the objects"
     found = _support(points, place)
@@ -165,9 +184,9 @@ def _from_reconstruction(place: _Place) -> TablePlane | str:
 
 
 def _from_objects(place: _Place) -> TablePlane | str:
-    if not place.things:
+    if not place.objects:
         return "no object is placed yet"
-    found = common_support(place.things, place.cameras)
+    found = common_support(place.objects, place.cameras)
     if found is None:
         return "the cameras see no placed object from above"
     plane = Plane(found.normal, found.offset, place.frame)
@@ -176,7 +195,7 @@ def _from_objects(place: _Place) -> TablePlane | str:
     doubts = []
     if len(found.standing) < 2:
         doubts.append("only one object tells where the table is")
-    elif 2 * len(found.standing) <= len(place.things):
+    elif 2 * len(found.standing) <= len(place.objects):
         doubts.append("half of the objects or more stand elsewhere")
     if found.rms_m > 0.003:
         doubts.append(f"the objects stand {1000 * found.rms_m:.0f} mm unevenly")
@@ -196,7 +215,7 @@ def _from_objects(place: _Place) -> TablePlane | str:
     )
 
 
-def _support(points: Points, place: _Place) -> tuple[PlaneFit, Judgement, str] | str:
+def _support(points: Points, place: _Place) -> tuple[PlaneFit, SupportScore, str] | str:
     """The best support among the planes in points, and a doubt about it; or what was seen."""
     if len(points.xyz) < _FEWEST_POINTS:
         return "too few points"
@@ -209,8 +228,8 @@ def _support(points: Points, place: _Place) -> tuple[PlaneFit, Judgement, str] |
         cell = _GAP * float(np.median(sight[whole.inliers]))
         p = connected_patch(points.xyz, points.weight, whole, points.sigma, cell_m=cell)
         middle = points.xyz[p.inliers].mean(axis=0)
-        args = (p.normal, p.offset, p.weight, middle, place.cameras, place.things)
-        judged.append((p, judge(*args)))
+        args = (p.normal, p.offset, p.weight, middle, place.cameras, place.objects)
+        judged.append((p, score_support(*args)))
     judged.sort(key=lambda pair: -pair[1].score)
     best, verdict = judged[0]
     if verdict.score == 0:
@@ -221,7 +240,7 @@ def _support(points: Points, place: _Place) -> tuple[PlaneFit, Judgement, str] |
 
 
 def _described(
-    points: Points, fit: PlaneFit, verdict: Judgement, doubt: str, place: _Place
+    points: Points, fit: PlaneFit, verdict: SupportScore, doubt: str, place: _Place
 ) -> TablePlane:
     plane = Plane(verdict.normal, verdict.offset, place.frame)
     inside = points.xyz[fit.inliers]
@@ -237,7 +256,7 @@ def _described(
         doubts.append(f"it is small: {200 * radius:.0f} cm across")
     if fit.rms_m > _ROUGH:
         doubts.append(f"the points scatter by {1000 * fit.rms_m:.0f} mm")
-    if place.things and not verdict.carried:
+    if place.objects and not verdict.carried:
         doubts.append("no placed object stands on it")
     seen = points.view[fit.inliers]
     return TablePlane(
@@ -264,3 +283,18 @@ def _corrected(table: TablePlane, correction: Correction) -> TablePlane:
         depth_factor=correction.depth_factor,
         notes=(*table.notes, correction.note),
     )
+
+
+def find_table(
+    scene: Scene,
+    *,
+    frames: Sequence[Frame] | None = None,
+    objects: Sequence[PlacedObject] | None = None,
+    camera_frame: int | None = None,
+) -> TablePlane | None:
+    """The table of a scene, or None; `table.search_table` also says why there is none.
+
+    See `search_table` for the arguments and errors.
+    """
+
+    return search_table(scene, frames=frames, objects=objects, camera_frame=camera_frame).table

@@ -25,9 +25,9 @@ from annotator.session import Move, Session
 from annotator.session.journal import history_folder, journal_path
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, so3_exp
+from std_toolkit.io.atomic import scene_lock
 from std_toolkit.labels.label import set_pose as set_label
 from std_toolkit.scene import Scene
-from std_toolkit.scene.lock import scene_lock
 
 # From linux/prctl.h and linux/capability.h.
 PR_CAPBSET_DROP, CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH = 24, 1, 2

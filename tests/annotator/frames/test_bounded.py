@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from annotator.frames.bounded import BoundedStore
+from annotator.app.image_cache import BoundedStore
 
 MAX_BYTES = 100
 SIZES = st.lists(st.integers(0, 130), min_size=12, max_size=12)

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scene_on_disk import CAMERA, write_scene
 
-from annotator.frames import ImageCache
+from annotator.app.image_cache import ImageCache
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import read_color
 from std_toolkit.scene import Scene

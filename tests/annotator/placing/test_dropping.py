@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from annotator.placing.dropping import USUAL_DISTANCE_M, USUAL_UP, dropped_pose, upright_rotation
+from annotator.app.placing import USUAL_DISTANCE_M, USUAL_UP, dropped_pose, upright_rotation
 from std_toolkit.geometry import Camera, so3_exp
-from std_toolkit.geometry.round_axis import round_axis
+from std_toolkit.geometry.mesh import round_axis
 from std_toolkit.labels.support.plane import Plane
 
 CAMERA = Camera(640, 480, 600.0, 590.0, 321.0, 238.0, (-0.1, 0.02, 0.001, -0.002))

@@ -5,11 +5,10 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from annotator.session.history import History, Step
-from annotator.session.merging import Version, conflicts, differ, merge, take_over
+from annotator.session.ledger import History, Step, conflicts, take_over
+from annotator.session.merge import Stored, Version, differ, merge
 from annotator.session.saving import documents_of
 from annotator.session.state import AnnotationState, Click, ObjectState, Placement
-from annotator.session.stored import Stored
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.scene import Annotation, Labels, Model, ObjectTable

@@ -17,6 +17,7 @@ from annotator.session import (
     ChangeObject,
     ClearPose,
     Click,
+    CompoundEdit,
     EnterModel,
     Move,
     PoseChange,
@@ -24,7 +25,6 @@ from annotator.session import (
     Session,
     SetPoses,
     SetSymmetry,
-    Together,
 )
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
@@ -155,7 +155,7 @@ class TestObjects:
 
     def test_all_ids_taken_is_told(self, session: Session) -> None:
         edits = [AddObject(object=f"b{i}", model="box") for i in range(2, 255)]
-        session.apply(Together(edits=edits))  # type: ignore[arg-type]
+        session.apply(CompoundEdit(edits=edits))  # type: ignore[arg-type]
         with pytest.raises(ToolkitError, match="no object id is free"):
             session.apply(AddObject(object="one_more", model="box"))
 
@@ -229,7 +229,7 @@ class TestUndo:
             ChangeClick(object="renamed", frame=0, index=0),
             ClearPose(object="renamed", frame=0),
             RemoveObject(object="box_1"),
-            Together(edits=[AddObject(object="x", model="box"), RemoveObject(object="x")]),
+            CompoundEdit(edits=[AddObject(object="x", model="box"), RemoveObject(object="x")]),
         ]  # fmt: skip
         states = [session.state]
         for edit in edits:
@@ -268,10 +268,10 @@ class TestUndo:
         before = session.state
         good = AddObject(object="x", model="box")
         with pytest.raises(ToolkitError, match="no such object"):
-            session.apply(Together(edits=[good, RemoveObject(object="missing")]))
+            session.apply(CompoundEdit(edits=[good, RemoveObject(object="missing")]))
         assert session.state is before
         session.apply(
-            Together(edits=[good, SetPoses.one("x", 0, POSE, method="drop")], label="Drop x")
+            CompoundEdit(edits=[good, SetPoses.one("x", 0, POSE, method="drop")], label="Drop x")
         )
         assert [s.title for s in session.steps] == ["Drop x"]
         session.undo()

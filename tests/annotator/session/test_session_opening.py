@@ -21,7 +21,7 @@ from annotator.session import ChangeObject, Move, Session, SetPoses
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.mesh import hull_vertices
-from std_toolkit.geometry.pose_error import mssd
+from std_toolkit.geometry.symmetry import mssd
 from std_toolkit.scene import CameraPoses, FramePose, Frames, Label, Labels, Scene
 from std_toolkit.scene.model import Frame, ScaleReport
 

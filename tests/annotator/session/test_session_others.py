@@ -17,10 +17,10 @@ from annotator.session import (
     Session,
     SetPoses,
 )
-from annotator.session.merging import differ
+from annotator.session.merge import differ
 from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import scene_lock
 from std_toolkit.scene import Scene
-from std_toolkit.scene.lock import scene_lock
 
 
 class TestOthers:

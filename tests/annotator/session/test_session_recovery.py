@@ -26,14 +26,14 @@ from annotator.session import (
     ChangeObject,
     ClearPose,
     Click,
+    CompoundEdit,
     Move,
     RemoveObject,
     Session,
     SetPoses,
-    Together,
 )
 from annotator.session.journal import history_folder, journal_path, read_journal
-from annotator.session.merging import differ
+from annotator.session.merge import differ
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.labels.label import add_object, set_pose
@@ -80,7 +80,7 @@ ACTION = st.one_of(
     SINGLE,
     SINGLE,
     SINGLE,
-    st.builds(Together, edits=st.lists(SINGLE, min_size=1, max_size=3)),
+    st.builds(CompoundEdit, edits=st.lists(SINGLE, min_size=1, max_size=3)),
     st.sampled_from(["undo", "undo", "redo", "save", "save mine", "propagate", "others"]),
 )
 

@@ -19,7 +19,7 @@ from sensors.synthetic import RecordingOptions, make_recording
 from sensors.synthetic.truth_scene import scene_from_truth
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
-from std_toolkit.geometry.pose_error import mssd
+from std_toolkit.geometry.symmetry import mssd
 from std_toolkit.scene import LabelProvenance, Scene
 
 

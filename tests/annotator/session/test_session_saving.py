@@ -23,7 +23,7 @@ from annotator.session import (
     Session,
     SetPoses,
 )
-from annotator.session.merging import differ
+from annotator.session.merge import differ
 from std_toolkit import __version__
 from std_toolkit.geometry import SE3
 from std_toolkit.scene import LabelProvenance, Scene

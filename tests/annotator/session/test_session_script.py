@@ -17,14 +17,14 @@ from annotator.cli import main
 from annotator.session import (
     AddObject,
     ChangeObject,
+    CompoundEdit,
     EnterModel,
     Move,
     Session,
     SetPoses,
     SetSymmetry,
-    Together,
 )
-from annotator.session.merging import content
+from annotator.session.merge import content
 from annotator.session.requests import ImportMesh
 from annotator.session.script import known_steps, read_script, script_schema
 from std_toolkit.errors import ToolkitError
@@ -215,7 +215,7 @@ class TestExport:
             around_z = SymmetryModel(continuous=[ContinuousSymmetry(axis=[0, 0, 1])])
             session.apply(SetSymmetry(model="tin", symmetry=around_z))
             session.apply(
-                Together(
+                CompoundEdit(
                     edits=[
                         AddObject(object="tin_1", model="tin"),
                         SetPoses.one("tin_1", 2, POSE, method="drop"),
@@ -246,7 +246,7 @@ class TestExport:
         with Session.open(root) as session:
             model = session.state.model("box")
             session.apply(
-                Together(edits=[EnterModel(model=model), AddObject(object="x", model="box")])
+                CompoundEdit(edits=[EnterModel(model=model), AddObject(object="x", model="box")])
             )
             session.export_edits(tmp_path / "e.json")
         kinds = [step["edit"] for step in json.loads((tmp_path / "e.json").read_text())]

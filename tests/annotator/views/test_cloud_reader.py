@@ -12,10 +12,10 @@ import pytest
 from desk_without_window import Desk
 from scene_on_disk import camera_pose, camera_poses, write_scene
 
-from annotator.desk.view_options import CloudSource
+from annotator.app.view_options import CloudSource
 from annotator.views.clouds import Cloud, CloudReader
 from std_toolkit.geometry import SE3
-from std_toolkit.labels.support import cloud as support
+from std_toolkit.rendering import point_cloud as support
 from std_toolkit.scene import Scene
 
 FUSED, FRAME = CloudSource.FUSED, CloudSource.FRAME

@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from annotator.desk.view_options import Gizmo
+from annotator.app.view_options import Gizmo
 from annotator.views.drags import PlaneDrag, TrackballDrag
 from annotator.views.gizmo import (
     DEPTH_GAIN,

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from views_desk import Desk, write_scene
 
-from annotator.desk.view_options import Gizmo, Mode, Style
+from annotator.app.view_options import Gizmo, Mode, Style
 from annotator.views import viewset
 from std_toolkit.geometry import SE3
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from views_desk import Desk, edits, pixel_middle
 
-from annotator.desk.view_options import Gizmo, Mode
+from annotator.app.view_options import Gizmo, Mode
 from annotator.views.gizmo import Handle, Part
 from std_toolkit.geometry import SE3, rotation_angle
 
@@ -207,22 +207,22 @@ class TestLooking:
         assert edits(desk) == []
 
     def test_the_whole_image_comes_back_with_the_key(self, desk: Desk) -> None:
-        from annotator.desk import alignment
+        from annotator.app import operations
 
         desk.event("MouseWheelForward", (320, 240))
         desk.event("MouseWheelForward", (100, 80), view=1)
-        alignment.fit_view(desk.controller)
+        operations.fit_view(desk.controller)
         assert desk.main.eye.window is None
         assert desk.views.views[1].eye.window is not None
         desk.controller.activate_view(1)
-        alignment.fit_view(desk.controller)  # the view in hand, too
+        operations.fit_view(desk.controller)  # the view in hand, too
         assert desk.views.views[1].eye.window is None
 
     def test_zooming_to_the_object_brings_it_to_the_middle_of_every_view(self, desk: Desk) -> None:
-        from annotator.desk import alignment
+        from annotator.app import operations
 
         desk.controller.select("box_1")
-        alignment.zoom_to_object(desk.controller)
+        operations.zoom_to_object(desk.controller)
         for view in desk.views.views:
             pose = view.T_eye_obj("box_1")
             assert pose is not None
@@ -292,11 +292,11 @@ class TestCloud:
         assert len(edits(cloud)) == 1
 
     def test_home_goes_back_to_the_camera_of_the_frame(self, cloud: Desk) -> None:
-        from annotator.desk import alignment
+        from annotator.app import operations
 
         cloud.drag((8, 470), (80, 30))
         assert cloud.main.eye.T_eye_ref is not None
-        alignment.fit_view(cloud.controller)
+        operations.fit_view(cloud.controller)
         assert cloud.main.T_eye_cam.matrix() == pytest.approx(np.eye(4))
 
 

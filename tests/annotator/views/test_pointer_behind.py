@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from views_desk import Desk, edits, pixel_middle
 
-from annotator.desk.view_options import Gizmo
+from annotator.app.view_options import Gizmo
 from std_toolkit.geometry import SE3
 
 # In the middle of the ring's body, mesh frame.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from views_desk import Desk, edits
 
-from annotator.actions import BY_ID
+from annotator.app.action_table import BY_ID
 
 
 @pytest.mark.parametrize(("key", "step_mm"), [("ctrl", 1.0), ("shift", 0.1)])

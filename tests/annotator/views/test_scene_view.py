@@ -12,10 +12,10 @@ import trimesh
 from numpy.typing import NDArray
 from views_desk import CAMERA, GREY, Desk
 
-from annotator.desk.view_options import CloudSource, Gizmo, Mode, Style
+from annotator.app.view_options import CloudSource, Gizmo, Mode, Style
 from annotator.session import AddClick, AddObject, ClearPose, Click, RemoveObject, SetPoses
 from annotator.session.requests import ImportMesh
-from annotator.views.captions import Captions
+from annotator.views.layers import Captions
 from std_toolkit.geometry import SE3
 from std_toolkit.labels.support.plane import Plane, TablePlane
 
@@ -128,7 +128,7 @@ class TestEditing:
 
     def test_penetration_is_painted_red(self, desk: Desk) -> None:
         from std_toolkit.labels.support.penetration import find_penetrations
-        from std_toolkit.labels.support.solid import PlacedThing
+        from std_toolkit.labels.support.solid import PlacedObject
 
         pose = desk.pose("ring_1")
         desk.controller.drag_to("box_1", 0, pose)
@@ -137,7 +137,7 @@ class TestEditing:
         red = (237, 20, 26)
         assert share(desk.main.screenshot(), red) < NOTHING
         things = [
-            PlacedThing(o.name, desk.session.mesh(o.model), desk.pose(o.name))
+            PlacedObject(o.name, desk.session.mesh(o.model), desk.pose(o.name))
             for o in desk.session.state.objects
         ]
         desk.controller.penetrations = tuple(find_penetrations(things))
@@ -150,7 +150,7 @@ class TestEditing:
     ) -> None:
         """Without camera poses each frame has poses of its own."""
         from std_toolkit.labels.support.penetration import find_penetrations
-        from std_toolkit.labels.support.solid import PlacedThing
+        from std_toolkit.labels.support.solid import PlacedObject
 
         desk = open_desk({"posed": False})
         pose, red = desk.pose("ring_1"), (237, 20, 26)
@@ -159,7 +159,7 @@ class TestEditing:
                 desk.session.apply(SetPoses.one(name, frame, pose, method="typed"))
         desk.settle()
         things = [
-            PlacedThing(o.name, desk.session.mesh(o.model), pose)
+            PlacedObject(o.name, desk.session.mesh(o.model), pose)
             for o in desk.session.state.objects
         ]
         side = desk.views.views[1]

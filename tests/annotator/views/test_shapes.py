@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from vtkmodules.util.numpy_support import vtk_to_numpy
 
+from annotator.app.placing import front_rotation
 from annotator.views import meshes
 from annotator.views.meshes import LIGHT_FACES, Shape, ShapeStore
-from annotator.views.surfaces import SECTIONS
-from annotator.views.upright import front_rotation
+from annotator.views.triangles import SECTIONS
 from std_toolkit.errors import ToolkitError
 from std_toolkit.scene import Model
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from views_desk import Desk
 
-from annotator.desk.view_options import Gizmo
+from annotator.app.view_options import Gizmo
 from annotator.views.gizmo import PlaneDrag
 from annotator.views.projection import ScreenCamera
 from std_toolkit.geometry import SE3

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from scene_on_disk import write_scene
 
-from annotator.placing.standing import standing_axis
+from annotator.app.placing import standing_axis
 from annotator.session import Session
 from annotator.session.requests import ImportMesh
 from annotator.views import thumbnails as module

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from views_desk import CAMERA, LENS, Desk, meshes
 
-from annotator.desk.view_options import Gizmo, Mode, Style
+from annotator.app.view_options import Gizmo, Mode, Style
 from annotator.session import ClearPose
 from annotator.views.projection import ImageWindow
 from std_toolkit.rendering.mesh import prepare_mesh
-from std_toolkit.rendering.protocol import Window
 from std_toolkit.rendering.raycast import RaycastRenderer
+from std_toolkit.rendering.renderer import Window
 
 TOLERANCE_PX = 0.05
 

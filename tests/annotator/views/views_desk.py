@@ -12,10 +12,10 @@ import pyvista
 import trimesh
 from numpy.typing import NDArray
 
-from annotator.desk.controller import Controller
-from annotator.desk.events import Event
-from annotator.desk.runner import InlineRunner
-from annotator.frames import ImageCache
+from annotator.app.controller import Controller
+from annotator.app.events import Event
+from annotator.app.image_cache import ImageCache
+from annotator.app.tasks import InlineRunner
 from annotator.session import Session
 from annotator.views import SceneView, ViewSet
 from annotator.views.pointer import interactor_of

@@ -29,7 +29,7 @@ from pages import (
 from scene_on_disk import CAMERA
 from serving import Served
 
-from annotator.actions import ACTIONS
+from annotator.app.action_table import ACTIONS
 from std_toolkit.geometry import SE3
 from std_toolkit.scene import Scene
 

@@ -10,8 +10,7 @@ from typing import Any
 from aiohttp import ClientSession, ClientWebSocketResponse, WSMsgType, web
 from aiohttp.test_utils import TestServer
 
-from annotator.web.channel import UNDER_WAY, ViewChannel
-from annotator.web.told import Drop, Key, Pointer
+from annotator.web.channel import UNDER_WAY, Drop, Key, Pointer, ViewChannel
 
 WAIT_S = 30.0
 

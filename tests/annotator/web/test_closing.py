@@ -13,8 +13,8 @@ pytest.importorskip("trame")
 
 from trame.app import get_server
 
-from annotator.desk import alignment
-from annotator.desk.runner import ThreadRunner
+from annotator.app import operations
+from annotator.app.tasks import ThreadRunner
 from annotator.session import Session
 from annotator.web.front_end import FrontEnd
 from std_toolkit.errors import ToolkitError
@@ -45,7 +45,7 @@ def test_the_scene_is_nobody_else_s_before_its_labels_are_propagated(
 
     async def work(session: Session) -> None:
         front_end = FrontEnd(get_server("closing", client_type="vue3"), session)
-        alignment.propagate(front_end.controller)
+        operations.propagate(front_end.controller)
         while not began.is_set():
             await asyncio.sleep(0.01)
         closing.set()

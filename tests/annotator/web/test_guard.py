@@ -10,7 +10,7 @@ import pytest
 from aiohttp import ClientSession, CookieJar, web
 from aiohttp.test_utils import TestServer
 
-from annotator.web.guard import check_address, guard, is_loopback
+from annotator.web.web_app import check_address, guard, is_loopback
 from std_toolkit.errors import ToolkitError
 
 TOKEN = "0123456789abcdef"

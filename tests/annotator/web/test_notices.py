@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from annotator.web.notices import INFO_S, Notices
+from annotator.app.events import INFO_S, Notices
 
 
 class Clock:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scene_on_disk import write_scene
 
-from annotator.desk.controller import Controller
-from annotator.desk.runner import InlineRunner
-from annotator.frames import ImageCache
+from annotator.app.controller import Controller
+from annotator.app.image_cache import ImageCache
+from annotator.app.tasks import InlineRunner
 from annotator.session import Session
 
 pytest.importorskip("pyvista")

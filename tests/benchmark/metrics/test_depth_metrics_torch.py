@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmark.metrics import Missing
-from benchmark.metrics.depth.depth_errors import depth_errors
+from benchmark.metrics.depth.depth_numpy import depth_errors
 from std_toolkit.errors import ToolkitError
 
 torch = pytest.importorskip("torch")

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from benchmark.evaluation.tasks.depth import run_method
-from benchmark.evaluation.tasks.depth_pictures import FOLDER, gallery_frames, make_gallery
-from benchmark.metrics.depth.depth_panels import (
+from benchmark.evaluation.depth_panels import (
     LARGEST_ERROR_M,
     PANELS,
     DepthScale,
     depth_picture,
     error_picture,
 )
+from benchmark.evaluation.tasks.depth import run_method
+from benchmark.evaluation.tasks.depth_pictures import FOLDER, gallery_frames, make_gallery
 from std_toolkit.io.images import read_color
 from std_toolkit.jobs import JobOptions
 from tests.benchmark.running.bench_set import a_run, write_split

@@ -17,7 +17,7 @@ from training_set import HERE, TINY, packed, same, trained, wishes, write_scenes
 from benchmark.training.callbacks import CHECKPOINT, Watch
 from benchmark.training.module import RestorerTraining
 from benchmark.training.run_note import AtomicCheckpoints
-from std_toolkit.cli.outcome import exit_status
+from std_toolkit.cli.command_line import exit_status
 from std_toolkit.errors import ToolkitError
 
 
@@ -199,7 +199,7 @@ def test_gradients_that_are_not_numbers_stop_too(pack, tmp_path, monkeypatch):
 
 
 def test_one_training_per_folder(pack, tmp_path):
-    from std_toolkit.scene.lock import hold_lock
+    from std_toolkit.io.atomic import hold_lock
 
     (tmp_path / "run").mkdir()
     with (

@@ -19,8 +19,8 @@ from sensors.viewpoints import (
 from std_toolkit.geometry import SE3, Camera, so3_exp
 from std_toolkit.geometry.mesh import nocs_frame
 from std_toolkit.rendering.maps import render_scene_maps
-from std_toolkit.rendering.protocol import PlacedMesh
 from std_toolkit.rendering.raycast import RaycastRenderer
+from std_toolkit.rendering.renderer import PlacedMesh
 from std_toolkit.scene.model import CATEGORY_CLASS_IDS
 
 # Not the focal length nor the middle that loaders assume.

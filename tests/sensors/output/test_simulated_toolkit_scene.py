@@ -22,16 +22,16 @@ from simulated_views import (
 from sensors.output import read_simulation, toolkit_scene
 from sensors.output.models import metric_objects, metric_symmetry
 from sensors.viewpoints import TrajectoryOptions, smooth_trajectory
-from std_toolkit.checks.step import run_check
+from std_toolkit.checks.check_step import run_check
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters import export_scene
 from std_toolkit.geometry import SE3, Symmetry, so3_exp
 from std_toolkit.io.exr import read_exr_depth
 from std_toolkit.jobs import JobOptions
 from std_toolkit.rendering.ground_truth import read_ground_truth, rendered_frames
-from std_toolkit.rendering.step import RenderOptions, render_ground_truth
+from std_toolkit.rendering.placements import truth_is_current
+from std_toolkit.rendering.render_step import RenderOptions, render_ground_truth
 from std_toolkit.scene import Labels, Scene
-from std_toolkit.scene.freshness import truth_is_current
 
 SERIAL = JobOptions(engine="serial", progress=False)
 

@@ -13,7 +13,7 @@ from sensors.assets.procedural.library import CATEGORIES, make
 from sensors.assets.scales import draw_diagonal
 from sensors.physics import PhysicalObject, convex_parts, drift
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.labels.support import PlacedThing, find_penetrations
+from std_toolkit.labels.support import PlacedObject, find_penetrations
 
 DEEPEST_M = 0.001
 
@@ -51,7 +51,7 @@ def procedural_objects(seed: int, cache: Path, *, variety: int = 1) -> list[Phys
 def check_settled(objects: Sequence[PhysicalObject], poses: Sequence[SE3]) -> None:
     """Nothing overlaps by a millimetre, hovers or moves on; judged on the visual meshes."""
     placed = [
-        PlacedThing(f"{k} {o.asset.id}", o.asset.scaled(o.diagonal_m), T)
+        PlacedObject(f"{k} {o.asset.id}", o.asset.scaled(o.diagonal_m), T)
         for k, (o, T) in enumerate(zip(objects, poses, strict=True))
     ]
     deep = [

@@ -7,8 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from toy_balls import CAMERA, CENTRES, DISTANCE_M, RADIUS_M, arc_pose, ball_mesh, draw_balls
 
-from std_toolkit.checks.caster import LabelCaster
-from std_toolkit.checks.contours import Contour, svg_path, trace_contour
+from std_toolkit.checks.contours import Contour, LabelCaster, svg_path, trace_contour
 from std_toolkit.checks.edges import (
     best_shift,
     edge_distance,

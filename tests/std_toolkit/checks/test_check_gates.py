@@ -5,9 +5,9 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from std_toolkit.checks.findings import find_warnings
-from std_toolkit.checks.gates import judge_gates, judge_object, scale_share
+from std_toolkit.checks.gates import evaluate_gates, evaluate_object, scale_share
 from std_toolkit.checks.options import CheckOptions
+from std_toolkit.checks.report_warnings import find_warnings
 from std_toolkit.checks.result import CheckGate, FrameCheck, ObjectCheck, SceneSummary
 from std_toolkit.errors import ToolkitError
 from std_toolkit.scene.model import ScaleEstimate, ScaleReport
@@ -49,7 +49,7 @@ FRAMES = [FrameCheck(frame=i, name=f"{i:06d}", status="registered") for i in ran
 
 
 def gates(item: ObjectCheck = GOOD, summary: SceneSummary = SUMMARY) -> dict[str, CheckGate]:
-    found = judge_gates(summary, [item], FRAMES, None, OPTIONS)
+    found = evaluate_gates(summary, [item], FRAMES, None, OPTIONS)
     return {g.key: g for g in found}
 
 
@@ -63,7 +63,7 @@ def scale(disagreement: float, *, error: float = 0.001) -> ScaleReport:
 
 def test_a_good_scene_fails_nothing() -> None:
     assert [g.key for g in gates().values() if g.status == "fail"] == []
-    assert judge_object(GOOD, 0.0, OPTIONS).verdict == "good"
+    assert evaluate_object(GOOD, 0.0, OPTIONS).verdict == "good"
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_a_bad_label_fails_its_gate(change: dict[str, object], key: str) -> None
     assert failed[key].advice
     assert "mug" in failed[key].detail
     if key in ("edges", "shift", "depth", "drift", "covariance"):
-        assert judge_object(item, 0.0, OPTIONS).verdict == "bad"
+        assert evaluate_object(item, 0.0, OPTIONS).verdict == "bad"
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_bad_camera_poses_fail_their_gate(change: dict[str, object], key: str) -
 def test_the_limit_itself_passes() -> None:
     item = msgspec.structs.replace(GOOD, edge_px=3.0, edge_chance_px=9.0, depth_mm=5.0)
     summary = msgspec.structs.replace(SUMMARY, registered=18, scale=scale(0.005))
-    found = judge_gates(summary, [item], FRAMES, None, OPTIONS)
+    found = evaluate_gates(summary, [item], FRAMES, None, OPTIONS)
     assert all(g.status != "fail" for g in found)
 
 
@@ -115,7 +115,7 @@ def test_glass_without_edges_warns_but_does_not_fail() -> None:
         GOOD, material="transparent", edge_support=0.1, depth_mm=None, distance_m=None
     )
     assert all(g.status != "fail" for g in gates(glass).values())
-    assert judge_object(glass, 0.0, OPTIONS).verdict == "doubtful"
+    assert evaluate_object(glass, 0.0, OPTIONS).verdict == "doubtful"
     warnings = find_warnings(SUMMARY, [], [glass], FRAMES, [], OPTIONS)
     assert any("hardly confirms" in w.problem for w in warnings)
 

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from scene_factory import SERIAL, make_scene
 
+from std_toolkit.cli.summary import summarise
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters import EXPORTERS, ExportOptions, export_scene
-from std_toolkit.exporters.std import StdExporter
+from std_toolkit.exporters.std_exporter import StdExporter
 from std_toolkit.geometry import SE3
 from std_toolkit.jobs import JobOptions
 from std_toolkit.scene import Labels, Scene
-from std_toolkit.scene.summary import summarise
 
 FORMATS = ["std", "bop", "nocs"]
 
@@ -168,8 +168,10 @@ def test_the_sidecar_tells_what_the_layouts_cannot(scene, tmp_path):
 
 
 def test_a_third_party_exporter_is_found_by_its_path(scene, tmp_path):
-    assert EXPORTERS.get("std_toolkit.exporters.std:STD") is not None
-    sidecar = export_scene(scene, "std_toolkit.exporters.std:STD", tmp_path / "x", jobs=SERIAL)
-    assert sidecar.layout == "std_toolkit.exporters.std:STD"
+    assert EXPORTERS.get("std_toolkit.exporters.std_exporter:STD") is not None
+    sidecar = export_scene(
+        scene, "std_toolkit.exporters.std_exporter:STD", tmp_path / "x", jobs=SERIAL
+    )
+    assert sidecar.layout == "std_toolkit.exporters.std_exporter:STD"
     with pytest.raises(ToolkitError, match="known: std, bop, nocs"):
         export_scene(scene, "coco", tmp_path / "y")

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import Camera, undistort_image
-from std_toolkit.geometry.depth import unproject_depth, z_to_distance
+from std_toolkit.geometry.camera import unproject_depth, z_to_distance
 
 PINHOLE = Camera(1280, 720, 912.3, 910.1, 645.2, 355.9)
 DISTORTIONS = {

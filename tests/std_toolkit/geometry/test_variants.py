@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from std_toolkit.geometry import SE3, Symmetry, mssd
-from std_toolkit.geometry.variants import common_symmetry, fixed_point, nearest_variant
+from std_toolkit.geometry.symmetry import common_symmetry, fixed_point, nearest_variant
 
 HALF_TURN_Z = (-1.0, 0, 0, 0, 0, -1.0, 0, 0, 0, 0, 1.0, 0, 0, 0, 0, 1.0)
 HALF_TURN_X = (1.0, 0, 0, 0, 0, -1.0, 0, 0, 0, 0, -1.0, 0, 0, 0, 0, 1.0)

@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
+from std_toolkit.cli.summary import summarise
 from std_toolkit.errors import ToolkitError
 from std_toolkit.importers import ImportRequest, import_recording
 from std_toolkit.io.exr import write_exr
 from std_toolkit.io.images import write_color, write_depth_png16
 from std_toolkit.scene import Scene
-from std_toolkit.scene.summary import summarise
 
 SIZE = (64, 48)
 K = "70,71,31.5,23.5"
@@ -289,7 +289,7 @@ class Upside:
         return source is None
 
     def read(self, asked):
-        from std_toolkit.importers.folder import FOLDER
+        from std_toolkit.importers.folder_importer import FOLDER
 
         return FOLDER.read(asked)
 

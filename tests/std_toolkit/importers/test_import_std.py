@@ -16,7 +16,7 @@ from std_toolkit.importers.std_objects import read_meta
 from std_toolkit.io.exr import write_exr
 from std_toolkit.rendering.choose import get_renderer
 from std_toolkit.rendering.maps import render_scene_maps
-from std_toolkit.rendering.protocol import PlacedMesh
+from std_toolkit.rendering.renderer import PlacedMesh
 from std_toolkit.scene.model import pose_from_list
 
 POSES = {
@@ -125,7 +125,7 @@ def test_downloads_become_scenes(layout, tmp_path):
 
 def test_half_float_masks_are_rounded_not_truncated(tmp_path):
     """The public loader truncates: with half floats 131 of 255 ids come out one too small."""
-    from std_toolkit.importers.masks import read_mask_source
+    from std_toolkit.importers.foreign_files import read_mask_source
 
     ids = np.arange(256, dtype=np.uint8).reshape(16, 16)
     values = (ids / 255).astype(np.float16)

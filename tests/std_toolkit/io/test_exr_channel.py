@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.exr import COMPRESSIONS, read_exr, read_exr_channel, write_exr
-from std_toolkit.io.exr_header import read_exr_header
+from std_toolkit.io.exr import COMPRESSIONS, read_exr, read_exr_channel, read_exr_header, write_exr
 
 RAMP = np.repeat(np.arange(37, dtype=np.float32)[:, None], 50, axis=1)
 

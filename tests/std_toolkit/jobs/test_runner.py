@@ -127,8 +127,7 @@ class CountedItems(Sequence[int]):
 
 
 def test_items_are_taken_only_when_a_worker_is_free() -> None:
-    from std_toolkit.jobs.local import run_locally
-    from std_toolkit.jobs.runner import _Guarded
+    from std_toolkit.jobs.runner import _Guarded, run_locally
 
     items = CountedItems(1_000_000)
     stream: Iterator = run_locally(_Guarded(job_items.square), items, LOCAL)
@@ -195,8 +194,7 @@ def test_workers_of_a_killed_run_end_with_it(tmp_path: Path) -> None:
 def test_a_run_can_be_interrupted_from_within_the_loop() -> None:
     """As when Ctrl-C arrives while the progress bar is drawn."""
     before = threading.active_count()
-    from std_toolkit.jobs.local import run_locally
-    from std_toolkit.jobs.runner import _Guarded
+    from std_toolkit.jobs.runner import _Guarded, run_locally
 
     stream = run_locally(_Guarded(job_items.process_id), range(100), LOCAL)
     worker = next(stream)[1].result

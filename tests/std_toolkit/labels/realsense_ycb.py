@@ -15,9 +15,9 @@ from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.images import read_color, read_depth
-from std_toolkit.labels.refine.appearance import SurfaceColors
-from std_toolkit.labels.refine.background import fit_background, plane_depth
 from std_toolkit.labels.refine.caster import WorldCaster
+from std_toolkit.labels.refine.depth.observed import fit_background, plane_depth
+from std_toolkit.labels.refine.object_surface import SurfaceColors
 from std_toolkit.labels.refine.problem import RefineObject, RefineView
 from std_toolkit.labels.symmetry_argument import parse_symmetry
 

@@ -13,10 +13,11 @@ from std_toolkit.cli import label
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.labels.correspondences import read_correspondences
-from std_toolkit.labels.label import add_model, add_object, annotated_views, set_pose
+from std_toolkit.labels.label import add_model, add_object, set_pose
+from std_toolkit.labels.pnp import read_correspondences
 from std_toolkit.labels.symmetry_argument import parse_symmetry
 from std_toolkit.scene import Scene
+from std_toolkit.scene.model import annotated_views
 
 POSE = SE3.exp(np.array([0.0, 0.0, 0.7, 0.3, 0.2, 0.1]))
 

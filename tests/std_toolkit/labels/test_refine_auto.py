@@ -14,14 +14,14 @@ from depth_picture import CAMERA, bottle_mesh, mesh_object, off, photograph
 from tiny_camera import camera_pose
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.pose_error import mssd
 from std_toolkit.geometry.se3 import SE3, so3_exp
+from std_toolkit.geometry.symmetry import mssd
 from std_toolkit.io.images import write_color, write_depth_png16
+from std_toolkit.labels import auto_refine
+from std_toolkit.labels.auto_refine import RefineCancelled, RefinedPose, refine_objects
 from std_toolkit.labels.label import add_model, add_object
-from std_toolkit.labels.refine import auto
-from std_toolkit.labels.refine.auto import RefineCancelled, RefinedPose, refine_objects
-from std_toolkit.labels.refine.auto_report import UNSETTLED
 from std_toolkit.labels.refine.problem import RefineOptions
+from std_toolkit.labels.refine_inputs import NOT_CONVERGED
 from std_toolkit.scene import (
     CameraModel,
     CameraPoses,
@@ -249,11 +249,11 @@ def test_progress_goes_on_to_the_end(stage: Stage) -> None:
 def test_what_does_not_settle_is_told(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
     poses = stage.rough(10, 6)
     settled = refine_objects(stage.scene, poses, [1], method="multiview").objects[1]
-    assert UNSETTLED not in settled.warnings
+    assert NOT_CONVERGED not in settled.warnings
     # One step at the finest level, from wherever the search ends.
-    monkeypatch.setattr(auto, "RefineOptions", partial(RefineOptions, iterations=-3))
+    monkeypatch.setattr(auto_refine, "RefineOptions", partial(RefineOptions, iterations=-3))
     stopped = refine_objects(stage.scene, poses, [1], method="multiview").objects[1]
-    assert UNSETTLED in stopped.warnings
+    assert NOT_CONVERGED in stopped.warnings
 
 
 def test_meshes_at_hand_are_not_read_again(stage: Stage) -> None:

@@ -11,16 +11,13 @@ from depth_picture import CAMERA, bottle_mesh, mesh_object, off, photograph, tab
 from tiny_camera import camera_pose
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.pose_error import mssd
 from std_toolkit.geometry.se3 import SE3, so3_exp
-from std_toolkit.geometry.symmetry import Symmetry
-from std_toolkit.labels.refine.appearance import SurfaceColors
-from std_toolkit.labels.refine.background import fit_background, plane_depth
-from std_toolkit.labels.refine.depth_fit import measure_depth
-from std_toolkit.labels.refine.icp import DepthFitOptions, refine_on_depth
-from std_toolkit.labels.refine.object_surface import surface_of
-from std_toolkit.labels.refine.observed import observe
-from std_toolkit.labels.refine.pose_cost import DepthCost
+from std_toolkit.geometry.symmetry import Symmetry, mssd
+from std_toolkit.labels.refine.depth.depth_steps import measure_depth
+from std_toolkit.labels.refine.depth.icp import DepthFitOptions, refine_on_depth
+from std_toolkit.labels.refine.depth.observed import fit_background, observe, plane_depth
+from std_toolkit.labels.refine.depth.pose_search import DepthCost
+from std_toolkit.labels.refine.object_surface import SurfaceColors, surface_of
 from std_toolkit.labels.refine.problem import RefineObject
 
 BOX = mesh_object(

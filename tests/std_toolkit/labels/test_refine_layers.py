@@ -9,8 +9,7 @@ from depth_picture import CAMERA, bottle_mesh, mesh_object
 from tiny_camera import camera_pose
 
 from std_toolkit.geometry.se3 import SE3, so3_exp
-from std_toolkit.labels.refine.caster import WorldCaster, cast_patch
-from std_toolkit.labels.refine.layers import LayerStore, image_box
+from std_toolkit.labels.refine.caster import LayerStore, WorldCaster, cast_patch, image_box
 from std_toolkit.labels.refine.object_surface import surface_of
 from std_toolkit.labels.refine.problem import RefineObject
 
@@ -80,7 +79,7 @@ def test_what_reaches_beside_the_camera_is_cast_in_the_whole_image() -> None:
 def test_layers_that_were_not_used_for_longest_are_dropped(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("std_toolkit.labels.refine.layers._MOST_BYTES", 1_500_000)
+    monkeypatch.setattr("std_toolkit.labels.refine.caster._MOST_BYTES", 1_500_000)
     layers, surface = LayerStore(), surface_of(things()[0])
     poses = [SE3(BACK.R, BACK.t + np.array([0.0002 * k, 0, 0])) for k in range(40)]
     kept = [layers.layer(surface, T, CAMERA, VIEW) for T in poses]

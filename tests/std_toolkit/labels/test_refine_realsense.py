@@ -11,9 +11,9 @@ import pytest
 from depth_picture import off
 from realsense_ycb import YcbFrame, depth_residuals_mm, load_frame
 
-from std_toolkit.geometry.pose_error import rotation_error
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.labels.refine.icp import DepthFit, refine_on_depth
+from std_toolkit.geometry.symmetry import rotation_error
+from std_toolkit.labels.refine.depth.icp import DepthFit, refine_on_depth
 from std_toolkit.labels.refine.problem import RefineObject
 
 pytestmark = [pytest.mark.real, pytest.mark.slow]

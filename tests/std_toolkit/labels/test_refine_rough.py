@@ -9,18 +9,26 @@ import pytest
 import trimesh
 from depth_picture import CAMERA, bottle_mesh, mesh_object, off, photograph
 
-from std_toolkit.geometry.pose_error import mssd
 from std_toolkit.geometry.se3 import SE3, so3_exp
-from std_toolkit.geometry.symmetry import Symmetry
+from std_toolkit.geometry.symmetry import Symmetry, mssd
 from std_toolkit.labels.refine.caster import WorldCaster, cast_patch
-from std_toolkit.labels.refine.contour import trace_contour
-from std_toolkit.labels.refine.edge_map import DIRECTIONS, EdgeMap, edge_direction
-from std_toolkit.labels.refine.edge_score import EdgeScore, ScoreLevel
-from std_toolkit.labels.refine.edge_search import search_edges, spread_views
-from std_toolkit.labels.refine.near_symmetry import near_symmetry
-from std_toolkit.labels.refine.outlines import OutlineCaster, Window
+from std_toolkit.labels.refine.edges.approach import near_symmetry
+from std_toolkit.labels.refine.edges.contour import trace_contour
+from std_toolkit.labels.refine.edges.edge_search import (
+    EdgeScore,
+    ScoreLevel,
+    search_edges,
+    spread_views,
+)
+from std_toolkit.labels.refine.edges.outlines import (
+    DIRECTIONS,
+    EdgeMap,
+    OutlineCaster,
+    Window,
+    edge_direction,
+)
+from std_toolkit.labels.refine.edges.solver import refine_poses
 from std_toolkit.labels.refine.problem import RefineObject
-from std_toolkit.labels.refine.solver import refine_poses
 
 ANGLES = (-0.9, 0.1, 1.0)
 TRUTH = SE3(so3_exp([0.0, 0.0, 0.4]), np.array([-0.02, 0.01, 0.05]))

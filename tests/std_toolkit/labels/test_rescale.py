@@ -9,11 +9,10 @@ import pytest
 from std_toolkit.errors import ToolkitError
 from std_toolkit.labels.label import add_model, add_object, set_pose
 from std_toolkit.labels.propagate import propagate_labels
-from std_toolkit.labels.refine.rescale import rescaled_poses
-from std_toolkit.poses.publish import SPARSE, publish_model, work_folder
+from std_toolkit.poses.publish import SPARSE, publish_model, rescaled_poses, work_folder
 from std_toolkit.scene import Scene
+from std_toolkit.scene.document import is_fresh, write_record
 from std_toolkit.scene.model import ScaleReport
-from std_toolkit.scene.provenance import is_fresh, write_record
 
 FACTOR = 0.98
 

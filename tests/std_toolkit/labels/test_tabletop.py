@@ -15,12 +15,12 @@ from std_toolkit.labels.label import add_model, add_object, set_pose
 from std_toolkit.labels.pnp import solve_pnp
 from std_toolkit.labels.propagate import PropagateOptions, propagate_labels
 from std_toolkit.labels.refine.caster import WorldCaster, cast_patch
-from std_toolkit.labels.refine.contour import Kind, contour_image, trace_contour
-from std_toolkit.labels.refine.evidence import colour_odds, measure_edges
-from std_toolkit.labels.refine.step import load_views, scene_object
-from std_toolkit.labels.support.plane import find_table
+from std_toolkit.labels.refine.edges.contour import Kind, contour_image, trace_contour
+from std_toolkit.labels.refine.edges.evidence import colour_odds, measure_edges
+from std_toolkit.labels.refine_step import load_views, scene_object
+from std_toolkit.labels.support.table import find_table
 from std_toolkit.poses.options import PoseOptions
-from std_toolkit.poses.step import estimate_poses
+from std_toolkit.poses.pose_step import estimate_poses
 from std_toolkit.scene import CameraModel, Frame, Frames, Scene, SceneInfo
 
 pytestmark = [pytest.mark.slow, pytest.mark.real]

@@ -11,7 +11,7 @@ import pytest
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import write_color
-from std_toolkit.poses.scale.board import Board, detect_board
+from std_toolkit.poses.board_scale import Board, detect_board
 
 
 def tag_image(ids: list[int], size: int = 120, gap: int = 40) -> tuple[np.ndarray, dict]:

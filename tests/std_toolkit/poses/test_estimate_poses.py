@@ -17,9 +17,9 @@ from std_toolkit.cli.main import main
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Similarity, rotation_angle, umeyama
 from std_toolkit.poses import PoseOptions
-from std_toolkit.poses.step import estimate_poses, failed_gates
+from std_toolkit.poses.pose_step import estimate_poses, failed_gates
 from std_toolkit.scene import Label, Labels, Model, Object, ObjectTable, Scene
-from std_toolkit.scene.metres import require_metres
+from std_toolkit.scene.scene import require_metres
 
 SERIAL = PoseOptions(threads=1)
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from std_toolkit.poses.keyframes import FrameMeasure, choose_keyframes, measure_frames
-from std_toolkit.poses.matching import (
+from std_toolkit.poses.features import (
+    FrameMeasure,
+    choose_keyframes,
     choose_pairs,
     describe_image,
     match_descriptors,
+    measure_frames,
     train_vocabulary,
 )
 

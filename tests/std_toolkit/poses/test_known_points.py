@@ -7,7 +7,7 @@ import pytest
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
-from std_toolkit.poses.scale.known_points import KnownView, fit_body, scale_from_known_points
+from std_toolkit.poses.known_points import KnownView, fit_body, scale_from_known_points
 
 CAMERA = Camera(640, 480, 600.0, 600.0, 320.0, 240.0, (-0.04, 0.03, 0.0, 0.001))
 UNIT = 0.25

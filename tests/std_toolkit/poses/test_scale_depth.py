@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from std_toolkit.geometry import SE3, Camera
-from std_toolkit.poses.model import Observations
-from std_toolkit.poses.scale.depth import z_ratios
-from std_toolkit.poses.scale.source import summarise, weighted_median
+from std_toolkit.poses.colmap import Observations
+from std_toolkit.poses.scale_sources import summarise, weighted_median, z_ratios
 
 CAMERA = Camera(640, 480, 600.0, 600.0, 320.0, 240.0)
 UNIT = 0.37  # metres per unit of the model

@@ -8,9 +8,8 @@ import pytest
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.plugins import Registry
-from std_toolkit.poses.scale import resolve
-from std_toolkit.poses.scale.resolve import resolve_scale
-from std_toolkit.poses.scale.source import ScaleContext
+from std_toolkit.poses import scale_sources
+from std_toolkit.poses.scale_sources import ScaleContext, resolve_scale
 from std_toolkit.scene.model import ScaleEstimate
 
 
@@ -59,7 +58,7 @@ def context() -> ScaleContext:
 def use(monkeypatch: pytest.MonkeyPatch, *sources: type) -> None:
     module = Fixed.__module__
     known = {s.name: f"{module}:{s.__name__}" for s in sources}
-    monkeypatch.setattr(resolve, "SOURCES", Registry("std_toolkit.test_sources", known))
+    monkeypatch.setattr(scale_sources, "SOURCES", Registry("std_toolkit.test_sources", known))
 
 
 def test_agreeing_sources_are_all_reported_and_the_board_is_trusted(monkeypatch, context) -> None:

@@ -12,10 +12,9 @@ import trimesh
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.mesh import mesh_diameter, mesh_extents
 from std_toolkit.io.images import write_color, write_depth_png16
-from std_toolkit.rendering.choose import get_renderer
-from std_toolkit.rendering.gl_context import find_gl
+from std_toolkit.rendering.choose import find_gl, get_renderer
 from std_toolkit.rendering.maps import render_scene_maps
-from std_toolkit.rendering.protocol import PlacedMesh, Renderer
+from std_toolkit.rendering.renderer import PlacedMesh, Renderer
 from std_toolkit.scene.model import (
     CameraModel,
     CameraPoses,

@@ -9,10 +9,9 @@ import pytest
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import Camera
-from std_toolkit.rendering import gl_context
-from std_toolkit.rendering.choose import choose_renderer, get_renderer
-from std_toolkit.rendering.gl_context import ANSWER_VARIABLE, find_gl
-from std_toolkit.rendering.protocol import Renderer
+from std_toolkit.rendering import choose
+from std_toolkit.rendering.choose import ANSWER_VARIABLE, choose_renderer, find_gl, get_renderer
+from std_toolkit.rendering.renderer import Renderer
 
 PINHOLE = Camera(640, 480, 600.0, 600.0, 320.0, 240.0)
 LENS = Camera(640, 480, 600.0, 600.0, 320.0, 240.0, (0.1, 0.0, 0.0, 0.0))
@@ -52,8 +51,8 @@ def test_no_gl_gives_the_ray_caster_with_a_notice(
 def test_a_probe_that_crashes_harms_nobody(
     fresh_probe: pytest.MonkeyPatch, notices: list[str]
 ) -> None:
-    fresh_probe.setattr(gl_context, "_PROBE", "import os; os.abort()")
-    fresh_probe.setattr(gl_context, "loaded_platform", lambda: None)
+    fresh_probe.setattr(choose, "_PROBE", "import os; os.abort()")
+    fresh_probe.setattr(choose, "loaded_platform", lambda: None)
     fresh_probe.delenv("PYOPENGL_PLATFORM", raising=False)
     platform, reason = find_gl()
     assert platform is None
@@ -63,9 +62,9 @@ def test_a_probe_that_crashes_harms_nobody(
 
 
 def test_a_platform_that_cannot_be_used_is_not_tried(fresh_probe: pytest.MonkeyPatch) -> None:
-    fresh_probe.setattr(gl_context, "loaded_platform", lambda: None)
+    fresh_probe.setattr(choose, "loaded_platform", lambda: None)
     fresh_probe.setenv("PYOPENGL_PLATFORM", "glx")
-    fresh_probe.setattr(gl_context, "_probe", lambda _: pytest.fail("was tried"))
+    fresh_probe.setattr(choose, "_probe", lambda _: pytest.fail("was tried"))
     platform, reason = find_gl()
     assert platform is None
     assert "glx" in reason

@@ -9,7 +9,7 @@ import pytest
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import write_png
-from std_toolkit.rendering import encoding
+from std_toolkit.rendering import ground_truth
 
 SIZE = (57, 43)
 
@@ -22,8 +22,8 @@ def random() -> np.random.Generator:
 def test_depth_is_lossless(tmp_path: Path, random: np.random.Generator) -> None:
     depth = random.uniform(0, 3, (43, 57)).astype(np.float32)
     depth[:20] = 0
-    encoding.write_depth(tmp_path / "d.exr", depth)
-    assert np.array_equal(encoding.load_depth(tmp_path / "d.exr", SIZE), depth)
+    ground_truth.write_depth(tmp_path / "d.exr", depth)
+    assert np.array_equal(ground_truth.load_depth(tmp_path / "d.exr", SIZE), depth)
 
 
 def test_nocs_keeps_five_micrometres_of_a_third_of_a_metre(
@@ -31,8 +31,8 @@ def test_nocs_keeps_five_micrometres_of_a_third_of_a_metre(
 ) -> None:
     nocs = random.uniform(0, 1, (43, 57, 3)).astype(np.float32)
     nocs[:20] = 0
-    encoding.write_nocs(tmp_path / "n.png", nocs)
-    back = encoding.load_nocs(tmp_path / "n.png", SIZE)
+    ground_truth.write_nocs(tmp_path / "n.png", nocs)
+    back = ground_truth.load_nocs(tmp_path / "n.png", SIZE)
     assert np.abs(back - nocs).max() <= 0.5 / 65535 + 1e-7
     assert not back[:20].any()
 
@@ -43,8 +43,8 @@ def test_normals_keep_a_thousandth_of_a_degree(tmp_path: Path, random: np.random
     mask = np.ones((43, 57), np.uint8)
     mask[:20] = 0
     normals[:20] = 0
-    encoding.write_normals(tmp_path / "v.png", normals.astype(np.float32), mask)
-    back = encoding.load_normals(tmp_path / "v.png", SIZE)
+    ground_truth.write_normals(tmp_path / "v.png", normals.astype(np.float32), mask)
+    back = ground_truth.load_normals(tmp_path / "v.png", SIZE)
     assert not back[:20].any()
     sine = np.linalg.norm(np.cross(back[20:], normals[20:]), axis=2)
     assert np.rad2deg(sine).max() < 0.002
@@ -53,7 +53,7 @@ def test_normals_keep_a_thousandth_of_a_degree(tmp_path: Path, random: np.random
 def test_files_are_byte_deterministic(tmp_path: Path, random: np.random.Generator) -> None:
     depth = random.uniform(0, 3, (43, 57)).astype(np.float32)
     for name in ("a.exr", "b.exr"):
-        encoding.write_depth(tmp_path / name, depth)
+        ground_truth.write_depth(tmp_path / name, depth)
     assert (tmp_path / "a.exr").read_bytes() == (tmp_path / "b.exr").read_bytes()
 
 
@@ -61,6 +61,6 @@ def test_wrong_files_are_told(tmp_path: Path) -> None:
     path = tmp_path / "n.png"
     write_png(path, np.zeros((43, 57, 3), np.uint8))
     with pytest.raises(ToolkitError, match="16-bit RGB"):
-        encoding.load_nocs(path, SIZE)
+        ground_truth.load_nocs(path, SIZE)
     with pytest.raises(ToolkitError, match="57x44"):
-        encoding.load_nocs(path, (57, 44))
+        ground_truth.load_nocs(path, (57, 44))

@@ -12,7 +12,7 @@ from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.io.images import read_depth
 from std_toolkit.rendering.maps import Maps, render_scene_maps
-from std_toolkit.rendering.protocol import PlacedMesh, Renderer
+from std_toolkit.rendering.renderer import PlacedMesh, Renderer
 
 CAMERA = Camera(640, 480, 618.0172729492188, 618.0033569335938, 312.376953125, 232.37530517578125)
 # Boxes, cans, bowl, mug and bottles; the others are thin or have poses that are off.

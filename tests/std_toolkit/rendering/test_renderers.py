@@ -10,13 +10,11 @@ import trimesh
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
-from std_toolkit.rendering.choose import get_renderer
-from std_toolkit.rendering.gl_context import find_gl
+from std_toolkit.rendering.choose import find_gl, get_renderer
 from std_toolkit.rendering.maps import Maps, render_scene_maps
 from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
-from std_toolkit.rendering.protocol import PlacedMesh, Raster, Renderer, Window
 from std_toolkit.rendering.raycast import RaycastRenderer
-from std_toolkit.rendering.windows import image_window
+from std_toolkit.rendering.renderer import PlacedMesh, Raster, Renderer, Window, image_window
 
 CAMERA = Camera(640, 480, 600.0, 605.0, 322.3, 236.8)
 BALL_CENTRE = np.array([-0.06, 0.02, 0.7])

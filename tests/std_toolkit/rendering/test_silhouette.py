@@ -9,9 +9,8 @@ import trimesh
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.rendering.choose import get_renderer
-from std_toolkit.rendering.maps import render_scene_maps
-from std_toolkit.rendering.protocol import PlacedMesh, Renderer
-from std_toolkit.rendering.silhouette import mask_box, object_silhouette
+from std_toolkit.rendering.maps import mask_box, object_silhouette, render_scene_maps
+from std_toolkit.rendering.renderer import PlacedMesh, Renderer
 
 CAMERA = Camera(320, 240, 300.0, 300.0, 159.5, 119.5)
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.scene.names import check_name, check_relative, safe_name
+from std_toolkit.scene.document import check_name, check_relative, safe_name
 
 HOSTILE = [
     "",

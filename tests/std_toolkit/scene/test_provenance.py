@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from std_toolkit.io.atomic import write_bytes_atomic
-from std_toolkit.scene import provenance
-from std_toolkit.scene.provenance import (
+from std_toolkit.scene import document
+from std_toolkit.scene.document import (
     digest_file,
     digest_of,
     is_fresh,
@@ -52,7 +52,7 @@ def test_a_changed_output_makes_it_stale(tmp_path: Path, digest: str, change: st
 def test_another_version_of_the_toolkit_makes_it_stale(
     digest: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(provenance, "__version__", "99.0")
+    monkeypatch.setattr(document, "__version__", "99.0")
     assert digest_of("step", {"threshold": 0.1}) != digest
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from std_toolkit.scene.schema import document_schema, document_types, schema_bytes
+from std_toolkit.cli.document_schema import document_schema, document_types, schema_bytes
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 sys.path.insert(0, str(REPOSITORY / "tests/std_toolkit/exporters"))
@@ -38,11 +38,11 @@ def written(tmp_path_factory) -> dict[str, Path]:
     """One real document of every kind."""
     from scene_factory import SERIAL, make_scene
 
+    from std_toolkit.checks.check_step import run_check
     from std_toolkit.checks.options import CheckOptions
-    from std_toolkit.checks.step import run_check
     from std_toolkit.exporters import export_scene
     from std_toolkit.scene import Annotation, ObjectAnnotation
-    from std_toolkit.scene.provenance import write_record
+    from std_toolkit.scene.document import write_record
 
     folder = tmp_path_factory.mktemp("documents")
     scene = make_scene(folder / "scene", frames=2, unregistered=[1], size=(64, 48))

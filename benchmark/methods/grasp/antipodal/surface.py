@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from benchmark.methods.protocol import GraspView
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.depth import unproject_depth
+from std_toolkit.geometry.camera import Camera, unproject_depth
 from std_toolkit.geometry.se3 import SE3
 
 Floats = NDArray[np.float64]

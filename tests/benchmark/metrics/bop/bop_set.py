@@ -12,7 +12,7 @@ from std_toolkit.geometry import SE3, Camera, so3_exp
 from std_toolkit.io.images import write_png
 from std_toolkit.rendering.mesh import prepare_mesh
 from std_toolkit.rendering.raycast import RaycastRenderer
-from std_toolkit.rendering.windows import image_window
+from std_toolkit.rendering.renderer import image_window
 
 CAMERA = Camera(320, 240, 300, 300, 159.5, 119.5)
 CAN, BRICK = 1, 5

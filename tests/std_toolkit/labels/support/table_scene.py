@@ -11,8 +11,8 @@ from scene_on_disk import camera_poses, write_frames, write_models
 from sensors.synthetic.trajectory import look_at
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.rendering.maps import compose
-from std_toolkit.rendering.protocol import PlacedMesh
 from std_toolkit.rendering.raycast import RaycastRenderer
+from std_toolkit.rendering.renderer import PlacedMesh
 from std_toolkit.scene import (
     CameraModel,
     Label,

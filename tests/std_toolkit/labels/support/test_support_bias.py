@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from std_toolkit.labels.support.bias import correction_by_points
+from std_toolkit.labels.support.evidence import correction_by_points
 from std_toolkit.labels.support.plane import WORLD, Plane
 
 HEIGHT_M = 0.6

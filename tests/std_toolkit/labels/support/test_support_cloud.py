@@ -19,13 +19,14 @@ from table_scene import (
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import write_depth_png16
-from std_toolkit.labels.support.cloud import (
+from std_toolkit.rendering.point_cloud import (
     FusionCancelled,
+    MultiViewCells,
+    VoxelGrid,
     frame_cloud,
     fuse_clouds,
     sparse_points,
 )
-from std_toolkit.labels.support.voxels import SeenTwice, VoxelGrid
 from std_toolkit.scene import Frame, Scene
 
 
@@ -170,7 +171,7 @@ def test_points_of_the_reconstruction(scene: Scene, tmp_path: Path) -> None:
 
 
 def test_voxels_average_over_frames_and_remember_who_saw_them() -> None:
-    grid, twice = VoxelGrid(0.1, limit=10), SeenTwice(0.1)
+    grid, twice = VoxelGrid(0.1, limit=10), MultiViewCells(0.1)
     first = np.array([[0.01, 0.01, 0.01], [0.03, 0.01, 0.01], [0.55, 0.5, 0.5]])
     twice.add(grid.add(first, np.array([[10, 0, 0], [20, 0, 0], [7, 7, 7]], np.uint8)))
     assert not twice.holds(grid.points).any()

@@ -17,10 +17,10 @@ from std_toolkit.labels.support.penetration import (
     TABLE,
     Penetration,
     find_penetrations,
-    prepare_things,
+    prepare_objects,
 )
 from std_toolkit.labels.support.plane import Plane
-from std_toolkit.labels.support.solid import PlacedThing, solid_of
+from std_toolkit.labels.support.solid import PlacedObject, solid_of
 
 GROUND = Plane(np.array([0.0, 0.0, 1.0]), 0.0)
 BALL = trimesh.creation.icosphere(5, 0.04)
@@ -29,12 +29,12 @@ BOWL, MUG, CAN = bowl(0.068, 0.055), mug(0.042, 0.095), can(0.034, 0.102)
 UPRIGHT = so3_exp([np.pi / 2, 0, 0])  # shapes have y up
 
 
-def at(name: str, mesh: trimesh.Trimesh, *t: float, R: np.ndarray | None = None) -> PlacedThing:
-    return PlacedThing(name, mesh, SE3(np.eye(3) if R is None else R, np.array(t)))
+def at(name: str, mesh: trimesh.Trimesh, *t: float, R: np.ndarray | None = None) -> PlacedObject:
+    return PlacedObject(name, mesh, SE3(np.eye(3) if R is None else R, np.array(t)))
 
 
-def pulled_apart(a: PlacedThing, b: PlacedThing, found: Penetration) -> list[Penetration]:
-    moved = PlacedThing(a.name, a.mesh, SE3(a.T_frame_obj.R, a.T_frame_obj.t + found.separation))
+def pulled_apart(a: PlacedObject, b: PlacedObject, found: Penetration) -> list[Penetration]:
+    moved = PlacedObject(a.name, a.mesh, SE3(a.T_frame_obj.R, a.T_frame_obj.t + found.separation))
     return find_penetrations([moved, b])
 
 
@@ -177,7 +177,7 @@ def test_moving_everything_together_changes_nothing(motion: list[float], turn: f
         at("can", CAN, 0.07, 0.0, 0.049, R=UPRIGHT),
         at("bowl", BOWL, 0.0, 0.1, 0.0275, R=UPRIGHT),
     ]
-    moved = [PlacedThing(t.name, t.mesh, G @ t.T_frame_obj) for t in things]
+    moved = [PlacedObject(t.name, t.mesh, G @ t.T_frame_obj) for t in things]
     here = find_penetrations(things, plane=GROUND)
     there = find_penetrations(moved, plane=GROUND.moved(G, "elsewhere"))
     assert [{p.first, p.second} for p in here] == [{p.first, p.second} for p in there]
@@ -218,7 +218,7 @@ def test_six_fine_meshes_are_checked_while_a_person_drags() -> None:
         at(str(i), m, 0.095 * (i % 3), 0.095 * (i // 3), 0.03, R=UPRIGHT)
         for i, m in enumerate(meshes)
     ]
-    prepare_things(things)
+    prepare_objects(things)
     assert 1 <= len([p for p in find_penetrations(things, plane=GROUND) if p.second != TABLE]) <= 5
     best = np.inf
     for _ in range(15):

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
+from std_toolkit.geometry.plane_fit import connected_patch, find_planes, refine_plane
 from std_toolkit.labels.support.plane import Plane
-from std_toolkit.labels.support.planefit import connected_patch, find_planes, refine_plane
 
 TWISTS = st.lists(st.floats(-2, 2), min_size=6, max_size=6)
 

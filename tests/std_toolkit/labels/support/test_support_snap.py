@@ -12,8 +12,7 @@ from sensors.synthetic.shapes import bottle, bowl, can, default_shapes, mug
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, mssd, rotation_angle, so3_exp
 from std_toolkit.geometry.mesh import load_mesh
-from std_toolkit.labels.support.plane import Plane
-from std_toolkit.labels.support.snap import snap_to_plane
+from std_toolkit.labels.support.plane import Plane, snap_to_plane
 from std_toolkit.labels.support.solid import solid_of
 
 GROUND = Plane(np.array([0.0, 0.0, 1.0]), 0.0)

@@ -11,13 +11,13 @@ from table_scene import BOX, CAMERA, T_WORLD_BOX, T_WORLD_TABLE, camera_pose, wr
 
 from std_toolkit.geometry import SE3
 from std_toolkit.io.images import write_depth_png16
-from std_toolkit.labels.support.judge import Cameras, judge
-from std_toolkit.labels.support.plane import Plane, find_table
-from std_toolkit.labels.support.solid import PlacedThing
-from std_toolkit.labels.support.table import search_table
+from std_toolkit.labels.support.neighbours import Cameras, score_support
+from std_toolkit.labels.support.plane import Plane
+from std_toolkit.labels.support.solid import PlacedObject
+from std_toolkit.labels.support.table import find_table, search_table
 from std_toolkit.rendering.maps import compose
-from std_toolkit.rendering.protocol import PlacedMesh
 from std_toolkit.rendering.raycast import RaycastRenderer
+from std_toolkit.rendering.renderer import PlacedMesh
 
 TRUE_NORMAL = T_WORLD_TABLE.R[:, 2]
 
@@ -84,7 +84,7 @@ def test_depth_inside_placed_objects_plays_no_part(tmp_path: Path) -> None:
     scene = write_table_scene(tmp_path / "s", labelled=False)
     T_cam_world = camera_pose(0, 8).inverse()
     lid = trimesh.creation.box((0.34, 0.34, 0.02))
-    crate = PlacedThing("crate", lid, T_WORLD_TABLE @ SE3(np.eye(3), np.array([0, 0, 0.09])))
+    crate = PlacedObject("crate", lid, T_WORLD_TABLE @ SE3(np.eye(3), np.array([0, 0, 0.09])))
     depth = scene.read_depth(scene.frames[0])
     assert depth is not None
     drawn = compose(
@@ -130,7 +130,7 @@ def test_without_depth_the_reconstruction_shows_the_table(tmp_path: Path) -> Non
     assert abs(height) < 1000 * table.uncertainty_m
 
 
-def standing_boxes() -> list[PlacedThing]:
+def standing_boxes() -> list[PlacedObject]:
     """Three boxes with label errors of a millimetre and half a degree."""
     rng = np.random.default_rng(5)
     places = [(0.05, 0.02, 0.0), (-0.2, 0.1, 1.0), (0.1, -0.25, 2.0)]
@@ -139,7 +139,7 @@ def standing_boxes() -> list[PlacedThing]:
         upright = SE3.exp([0, 0, 0, 0, 0, turn])
         T = T_WORLD_TABLE @ SE3(upright.R, np.array([x, y, 0.05]))
         error = SE3.exp([*rng.normal(0, 0.001, 3), *rng.normal(0, np.radians(0.5), 3)])
-        things.append(PlacedThing(f"box {i}", BOX, T @ error))
+        things.append(PlacedObject(f"box {i}", BOX, T @ error))
     return things
 
 
@@ -157,7 +157,7 @@ def test_a_lifted_object_does_not_lift_the_table(tmp_path: Path) -> None:
     things = standing_boxes()
     stacked = T_WORLD_BOX @ SE3(np.eye(3), np.array([0.0, 0.0, 0.1]))
     scene = write_table_scene(tmp_path / "s", depth=False, labelled=False)
-    table = find_table(scene, objects=[*things, PlacedThing("on top", BOX, stacked)])
+    table = find_table(scene, objects=[*things, PlacedObject("on top", BOX, stacked)])
     assert table is not None
     assert abs(off(table.plane)[1]) < 1.5
     assert "on top" not in table.notes[0]
@@ -184,7 +184,7 @@ def test_a_wall_is_told_from_a_table() -> None:
     """The camera looks down on a table; a wall it sees straight on, or from below when it nods."""
     ahead, middle = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0])
     verdicts = [
-        judge(ahead, 1.0, 0.5, middle, Cameras.of([SE3.exp([0, 0, 0, nod, 0, 0])]), ())
+        score_support(ahead, 1.0, 0.5, middle, Cameras.of([SE3.exp([0, 0, 0, nod, 0, 0])]), ())
         for nod in np.radians([45, 0, -30])
     ]
     assert [round(v.upright, 2) for v in verdicts] == [0.71, 0.0, -0.5]

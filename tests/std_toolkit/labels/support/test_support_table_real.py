@@ -13,10 +13,9 @@ from sensors.synthetic.truth_scene import scene_from_truth
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.labels.support.penetration import find_penetrations
-from std_toolkit.labels.support.plane import Plane, find_table
-from std_toolkit.labels.support.snap import snap_to_plane
-from std_toolkit.labels.support.solid import PlacedThing
-from std_toolkit.labels.support.table import search_table
+from std_toolkit.labels.support.plane import Plane, snap_to_plane
+from std_toolkit.labels.support.solid import PlacedObject
+from std_toolkit.labels.support.table import find_table, search_table
 from std_toolkit.scene import (
     CameraModel,
     CameraPoses,
@@ -67,7 +66,7 @@ def test_objects_snapped_to_the_table_of_the_recording_are_where_they_belong(
         T = snap_to_plane(recording.mesh(row.model), wrong, table.plane, mode="rest")
         assert slope_deg(T.R[:, 1], truth.R[:, 1]) < 0.2
         assert T.t[2] == pytest.approx(truth.t[2], abs=0.001)
-        things.append(PlacedThing(row.name, recording.mesh(row.model), truth))
+        things.append(PlacedObject(row.name, recording.mesh(row.model), truth))
     # Where they truly stand they touch neither each other nor the true table.
     assert find_penetrations(things, plane=Plane(np.array([0, 0, 1.0]), 0.0)) == []
 
@@ -95,14 +94,14 @@ def ycb_frames(test_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Sce
     return Scene.create(root, info, Frames(frames=frames))
 
 
-def reference_things(data: Path, index: int) -> list[PlacedThing]:
+def reference_things(data: Path, index: int) -> list[PlacedObject]:
     meshes = data / "ycb_meshes"
     names = sorted(p.name for p in meshes.iterdir() if p.is_dir() and p.name != "051_large_clamp")
     found = scipy.io.loadmat(
         str(data / "realsense_ycb_frames" / "reference_poses" / f"{index:06d}-color.png.mat")
     )
     return [
-        PlacedThing(
+        PlacedObject(
             names[int(cls) - 1],
             load_mesh(meshes / names[int(cls) - 1] / "textured.obj"),
             SE3.from_quat(pose[:4], pose[4:7]),

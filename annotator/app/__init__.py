@@ -1,0 +1,1 @@
+"""The application without a front end: controller, actions, questions, background work."""

@@ -1,0 +1,132 @@
+"""One action of the user; mouse gestures for the shortcut sheet.
+
+What the mouse does in the views, for the shortcut sheet of every front end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from annotator.app.controller import Controller
+
+
+@dataclass(frozen=True)
+class Action:
+    """One named thing to do.
+
+    Attributes:
+        id: stable name, as scripts of the window and tests use it.
+        menu: menu it stands in.
+        title: text of the menu entry.
+        keys: shortcuts, as Qt writes them; the first is shown.
+        tip: what it does, in one sentence.
+        run: does it.
+        checked: for switches: whether it is on.
+        enabled: whether it makes sense now.
+        repeats: a key held down does it again and again.
+        group: entries of one group stand together in the menu; those of a group that starts with
+            a capital letter stand in a submenu of that name.
+        label: the title as it is now, such as "Undo Move mug"; default: always `title`.
+        asks: name of the dialog that it opens; a front end that has no such dialog leaves it out.
+    """
+
+    id: str
+    menu: str
+    title: str
+    keys: tuple[str, ...]
+    tip: str
+    run: Callable[[Controller], Any]
+    checked: Callable[[Controller], bool] | None = None
+    enabled: Callable[[Controller], bool] = lambda _: True
+    repeats: bool = False
+    group: str = ""
+    label: Callable[[Controller], str] | None = None
+    asks: str = ""
+
+    @property
+    def submenu(self) -> str:
+        """Name of the submenu that it stands in, or ""."""
+        return self.group if self.group[:1].isupper() else ""
+
+
+def dialog_action(
+    dialog: str,
+    id: str,
+    menu: str,
+    title: str,
+    keys: tuple[str, ...],
+    tip: str,
+    *,
+    enabled: Callable[[Controller], bool] = lambda _: True,
+    group: str = "",
+) -> Action:
+    """An action that opens a dialog of the front end."""
+    return Action(
+        id,
+        menu,
+        title,
+        keys,
+        tip,
+        lambda c: c.ask(dialog),
+        enabled=enabled,
+        group=group,
+        asks=dialog,
+    )
+
+
+def has_selected(c: Controller) -> bool:
+    """An object is selected, and may be edited."""
+    return c.selected is not None and c.session.writable
+
+
+def has_placed(c: Controller) -> bool:
+    """The selected object has a pose in the frame of the view in hand."""
+    return has_selected(c) and c.session.pose(str(c.selected), c.active_frame) is not None
+
+
+def is_idle(c: Controller) -> bool:
+    """No computation is under way."""
+    return c.task is None
+
+
+def can_compute(c: Controller) -> bool:
+    """The selected object has a pose, and no computation is under way."""
+    return has_placed(c) and is_idle(c)
+
+
+@dataclass(frozen=True)
+class MouseGesture:
+    """One thing that the mouse does.
+
+    Attributes:
+        gesture: what the hand does.
+        effect: what comes of it.
+    """
+
+    gesture: str
+    effect: str
+
+
+MOUSE = (
+    MouseGesture(
+        "Drag an object",
+        "Move it across the view; also in the side views. The selected one is taken even where it "
+        "is behind another",
+    ),
+    MouseGesture("Ctrl + drag an object", "Slide it along the table"),
+    MouseGesture("Shift + drag an object", "Turn it like a ball"),
+    MouseGesture("Drag a handle", "Move along an arrow, or turn along a ring"),
+    MouseGesture("Ctrl + wheel", "Selected object farther or nearer by one step"),
+    MouseGesture("Shift + wheel", "The same by a tenth of a step"),
+    MouseGesture("Wheel", "Zoom at the pointer"),
+    MouseGesture("Drag the background", "Move the image; in the cloud: go around"),
+    MouseGesture("Middle or right drag", "Move the image or the cloud"),
+    MouseGesture("Click an object", "Select it: of several the foremost"),
+    MouseGesture("Double-click a side view", "Its frame into the main view"),
+    MouseGesture("Drag a mesh from the library", "Place it on the image"),
+    MouseGesture("Points: click mesh, then image", "Add a correspondence"),
+    MouseGesture("Points: drag a cross", "Correct its pixel"),
+)

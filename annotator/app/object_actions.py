@@ -1,0 +1,313 @@
+"""Actions on objects: select, move by hand, refine, snap, points.
+
+Letting the computer align: refine, table, points.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from annotator.app import operations
+from annotator.app.action import (
+    Action,
+    can_compute,
+    dialog_action,
+    has_placed,
+    has_selected,
+    is_idle,
+)
+from annotator.app.view_options import Gizmo
+from annotator.session import ChangeObject, RemoveObject
+from std_toolkit.scene.model import Material
+
+if TYPE_CHECKING:
+    from annotator.app.controller import Controller
+
+
+def _step(
+    id: str, title: str, keys: tuple[str, ...], tip: str, **amount: tuple[float, float, float]
+) -> Action:
+    return Action(
+        id,
+        "Object",
+        title,
+        keys,
+        tip,
+        lambda c: c.nudge(**amount),
+        enabled=has_placed,
+        repeats=True,
+        group="Step",
+    )
+
+
+def _next_gizmo(c: Controller) -> None:
+    order = list(Gizmo)
+    c.set_tool(gizmo=order[(order.index(c.gizmo) + 1) % len(order)])
+
+
+def _set_step(size: float, title: str, key: str) -> Action:
+    return Action(
+        f"step_{title}",
+        "Object",
+        f"Steps of {size:g} mm and {size:g} deg",
+        (key,),
+        "How far one press of a key moves or turns the selected object.",
+        lambda c: c.set_tool(step=size),
+        lambda c: c.step == size,
+        group="Step size and axes",
+    )
+
+
+def _set_gizmo(gizmo: Gizmo, title: str, key: str, tip: str) -> Action:
+    return Action(
+        f"gizmo_{gizmo}",
+        "Object",
+        title,
+        (key,),
+        tip,
+        lambda c: c.set_tool(gizmo=gizmo),
+        lambda c: c.gizmo is gizmo,
+        group="Handles",
+    )
+
+
+def _set_material(material: Material, tip: str) -> Action:
+    return Action(
+        f"material_{material}",
+        "Object",
+        material.capitalize(),
+        (),
+        tip,
+        lambda c: c.apply(ChangeObject(object=str(c.selected), material=material)),
+        lambda c: c.selected is not None and c.session.object(c.selected).material == material,
+        has_selected,
+        group="Material",
+    )
+
+
+OBJECT_ACTIONS: tuple[Action, ...] = (
+    Action(
+        "next_object",
+        "Object",
+        "Next object",
+        ("N",),
+        "Select the next object of the list.",
+        lambda c: c.select_next(1),
+        group="select",
+    ),
+    Action(
+        "previous_object",
+        "Object",
+        "Previous object",
+        ("P",),
+        "Select the object before in the list.",
+        lambda c: c.select_next(-1),
+        group="select",
+    ),
+    _step("left", "Move left", ("Left",), "One step along -x.", shift=(-1, 0, 0)),
+    _step("right", "Move right", ("Right",), "One step along x.", shift=(1, 0, 0)),
+    _step("up", "Move up", ("Up",), "One step along -y.", shift=(0, -1, 0)),
+    _step("down", "Move down", ("Down",), "One step along y.", shift=(0, 1, 0)),
+    _step("away", "Move away", ("PgUp",), "One step along z: farther away.", shift=(0, 0, 1)),
+    _step("nearer", "Move nearer", ("PgDown",), "One step along -z: nearer.", shift=(0, 0, -1)),
+    _step("turn_y_minus", "Turn about -y", ("Shift+Left",), "One step about -y.", turn=(0, -1, 0)),
+    _step("turn_y", "Turn about y", ("Shift+Right",), "One step about y.", turn=(0, 1, 0)),
+    _step("turn_x", "Turn about x", ("Shift+Up",), "One step about x.", turn=(1, 0, 0)),
+    _step("turn_x_minus", "Turn about -x", ("Shift+Down",), "One step about -x.", turn=(-1, 0, 0)),
+    _step("turn_z", "Turn about z", ("Shift+PgUp",), "One step about z.", turn=(0, 0, 1)),
+    _step(
+        "turn_z_minus", "Turn about -z", ("Shift+PgDown",), "One step about -z.", turn=(0, 0, -1)
+    ),
+    _set_step(10.0, "coarse", "7"),
+    _set_step(1.0, "middle", "8"),
+    _set_step(0.1, "fine", "9"),
+    Action(
+        "axes",
+        "Object",
+        "Steps along the object's axes",
+        ("A",),
+        "Keyboard steps and handles follow the object's own axes instead of the camera's.",
+        lambda c: c.set_tool(axes="camera" if c.axes == "object" else "object"),
+        lambda c: c.axes == "object",
+        group="Step size and axes",
+    ),
+    _set_gizmo(Gizmo.MOVE, "Handles to move", "W", "Arrows and a disc on the object: pull them."),
+    _set_gizmo(Gizmo.TURN, "Handles to turn", "E", "Rings around the object: pull them."),
+    _set_gizmo(Gizmo.OFF, "No handles", "Q", "Leave the handles out; the object can be dragged."),
+    Action(
+        "gizmo",
+        "Object",
+        "Next handles",
+        ("G",),
+        "Change the handles on the selected object: move, turn, none.",
+        _next_gizmo,
+        group="Handles",
+    ),
+    *(
+        Action(
+            f"flip_{axis}",
+            "Object",
+            f"Flip about {axis}",
+            (f"Shift+{axis.upper()}",),
+            f"Turn the object by 180 degrees about its own {axis} axis, such as a mug whose handle "
+            "is on the wrong side.",
+            lambda c, i=i: c.flip(i),  # type: ignore[misc]
+            enabled=has_placed,
+            group="Flip",
+        )
+        for i, axis in enumerate("xyz")
+    ),
+    *(
+        Action(
+            f"quarter_{axis}",
+            "Object",
+            f"Quarter turn about {axis}",
+            (f"Alt+{axis.upper()}",),
+            f"Turn the object by 90 degrees about its own {axis} axis, such as one that was "
+            "dropped lying instead of standing.",
+            lambda c, i=i: c.flip(i, 90.0),  # type: ignore[misc]
+            enabled=has_placed,
+            group="Flip",
+        )
+        for i, axis in enumerate("xyz")
+    ),
+    Action(
+        "done",
+        "Object",
+        "Done",
+        ("D",),
+        "Mark the selected object as done, or as open again.",
+        operations.toggle_done,
+        lambda c: c.selected is not None and c.session.object(c.selected).status == "done",
+        has_placed,
+        group="state",
+    ),
+    _set_material("raw", "The object's own, diffuse surface: the depth sensor is trusted on it."),
+    _set_material("diffuse", "Sprayed or painted matt: the depth sensor is trusted on it."),
+    _set_material("specular", "Shiny: the depth sensor is not trusted on it."),
+    _set_material("transparent", "Clear: the depth sensor is not trusted on it."),
+    dialog_action(
+        "rename",
+        "rename",
+        "Object",
+        "Rename...",
+        ("F2",),
+        "Give the selected object another name.",
+        enabled=has_selected,
+        group="state",
+    ),
+    dialog_action(
+        "note",
+        "note",
+        "Object",
+        "Note...",
+        ("F3",),
+        "Write down what is to be looked at again.",
+        enabled=has_selected,
+        group="state",
+    ),
+    dialog_action(
+        "symmetry",
+        "symmetry",
+        "Object",
+        "Symmetry...",
+        ("F4",),
+        "Tell which turns of the mesh look the same: refining and comparing take it into account.",
+        enabled=has_selected,
+        group="state",
+    ),
+    Action(
+        "unplace",
+        "Object",
+        "Remove the pose",
+        ("Del",),
+        "Take the object's pose away; the object stays in the list.",
+        operations.unplace,
+        enabled=has_placed,
+        group="remove",
+    ),
+    Action(
+        "remove_object",
+        "Object",
+        "Remove the object",
+        ("Shift+Del",),
+        "Take the object off the list, with its pose and points; the mesh stays in the library.",
+        lambda c: c.apply(RemoveObject(object=str(c.selected))),
+        enabled=has_selected,
+        group="remove",
+    ),
+)
+
+
+def _has_points(c: Controller) -> bool:
+    """Points of the selected object are clicked in the view in hand."""
+    return bool(c.session.object(str(c.selected)).clicks.get(c.active_frame))
+
+
+ALIGN_ACTIONS: tuple[Action, ...] = (
+    Action(
+        "refine",
+        "Align",
+        "Refine",
+        ("R",),
+        "Fit the selected object: to the sensor depth and the image edges where it is opaque, to "
+        "the edges in several frames where the sensor cannot see it.",
+        operations.refine,
+        enabled=can_compute,
+    ),
+    Action(
+        "refine_all",
+        "Align",
+        "Refine all objects",
+        ("Ctrl+R",),
+        "Fit all placed objects together.",
+        lambda c: operations.refine(c, all_objects=True),
+        enabled=lambda c: c.session.writable and is_idle(c) and bool(c.session.state.objects),
+    ),
+    Action(
+        "drop",
+        "Align",
+        "Drop onto the table",
+        ("S",),
+        "Move the object along the table's normal until it touches the table.",
+        lambda c: operations.snap(c, "drop"),
+        enabled=can_compute,
+    ),
+    Action(
+        "rest",
+        "Align",
+        "Lay onto the table",
+        ("Shift+S",),
+        "Turn the object so that it rests on its nearest side, and drop it onto the table.",
+        lambda c: operations.snap(c, "rest"),
+        enabled=can_compute,
+    ),
+    Action(
+        "clicking",
+        "Align",
+        "Click points",
+        ("C",),
+        "Click a point on the mesh, then the same point in the image; four or more give a pose.",
+        lambda c: c.set_tool(clicking=not c.clicking),
+        lambda c: c.clicking,
+        has_selected,
+    ),
+    Action(
+        "solve_points",
+        "Align",
+        "Pose from the points",
+        ("Return",),
+        "Compute the pose from the clicked points (PnP) and show each point's residual.",
+        operations.solve_points,
+        enabled=lambda c: has_selected(c) and is_idle(c) and (c.clicking or _has_points(c)),
+    ),
+    Action(
+        "residuals",
+        "Align",
+        "Measure residuals",
+        ("M",),
+        "Compare the selected object with the image edges and the depth in the shown frames.",
+        operations.measure_residuals,
+        enabled=can_compute,
+    ),
+)

@@ -1,0 +1,270 @@
+"""The state of the work on each object in one line, and a hint at the next step.
+
+How far clicked points lie from where the pose puts them.
+
+What to do next, in one sentence: for the status line of every front end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import median
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from annotator.app.controller import Controller
+from annotator.session.state import ObjectState, Placement
+
+if TYPE_CHECKING:
+    from annotator.session.residuals import FrameResidual
+
+State = Literal["not placed", "placed", "refined", "done"]
+
+Grade = Literal["good", "fair", "poor", "unknown"]
+
+# A contour closer to the image edges than this, in pixels, is as good as hands and refinement
+# make it; one farther off than the second is visibly off.
+EDGE_PX = (1.5, 3.0)
+
+# The same for the depth of a diffuse object, mm: sensors of this kind read up to 2 % wrong, which
+# is 14 mm at 0.7 m, so that edges tell more where there are any.
+DEPTH_MM = (15.0, 30.0)
+
+# An edge distance says something only when it is clearly below what chance gives.
+CHANCE_SHARE = 0.6
+
+# A pose from points needs four that do not lie in one line.
+POINTS_FOR_A_POSE = 4
+
+
+@dataclass(frozen=True)
+class ObjectSummary:
+    """One object of the list.
+
+    Attributes:
+        state: how far the work is.
+        badge: residual in a word, such as "0.8 px"; "" if not measured.
+        grade: of the residual.
+        alarm: what it runs into, such as "3 mm into mug"; "" if it is free.
+        noted: somebody wrote down what is to be looked at again.
+        explanation: both in sentences.
+    """
+
+    id: int
+    name: str
+    model: str
+    material: str
+    state: State
+    badge: str
+    grade: Grade
+    alarm: str
+    noted: bool
+    explanation: str
+
+
+def summarize(c: Controller) -> list[ObjectSummary]:
+    """Every object in the order of the list."""
+    return [_summary(c, obj) for obj in c.session.state.objects]
+
+
+def progress(c: Controller) -> str:
+    """How many objects are done, such as "2 of 5 done"; "" if there are none."""
+    objects = c.session.state.objects
+    done = sum(o.status == "done" for o in objects)
+    return f"{done} of {len(objects)} done" if objects else ""
+
+
+def work_state(obj: ObjectState) -> State:
+    """How far the work on an object is."""
+    if obj.status == "done":
+        return "done"
+    if not obj.placements:
+        return "not placed"
+    return "refined" if any(is_refined(p) for p in obj.placements.values()) else "placed"
+
+
+def is_refined(placement: Placement) -> bool:
+    """The pose was fitted to images or depth; being put onto the table is not that."""
+    return bool(placement.refinement) and placement.method != "snap"
+
+
+def grade_row(row: FrameResidual) -> Grade:
+    """How good one object is in one frame, by what was measured there."""
+    grades = [g for g in (edge_grade(row), depth_grade(row)) if g is not None]
+    order: list[Grade] = ["poor", "fair", "good"]
+    return min(grades, key=order.index) if grades else "unknown"
+
+
+def edge_grade(row: FrameResidual) -> Grade | None:
+    """None where the edges tell nothing: not measured, or no nearer than chance."""
+    if row.edge_px is None:
+        return None
+    if row.edge_chance_px is not None and row.edge_px > CHANCE_SHARE * row.edge_chance_px:
+        return None
+    return _graded(row.edge_px, EDGE_PX)
+
+
+def depth_grade(row: FrameResidual) -> Grade | None:
+    """None where the depth was not measured or is not trusted."""
+    return None if row.depth_mm is None else _graded(abs(row.depth_mm), DEPTH_MM)
+
+
+def _graded(value: float, limits: tuple[float, float]) -> Grade:
+    return "good" if value <= limits[0] else "fair" if value <= limits[1] else "poor"
+
+
+def _summary(c: Controller, obj: ObjectState) -> ObjectSummary:
+    state = work_state(obj)
+    badge, grade, told = _residual(c.residuals.get(obj.name, ()))
+    parts = [f"{obj.name}: {obj.material} {obj.model}, {state}."]
+    if state == "placed":
+        parts.append(
+            "Not refined yet: bring it close (Ctrl + drag: along the table), then press R."
+        )
+    elif state == "not placed":
+        parts.append("Drag it onto the image.")
+    if obj.note:
+        parts.append(f"Note: {obj.note}")
+    alarm = _alarm(c, obj.name)
+    if alarm:
+        parts.append(f"It runs {alarm}: red in the views.")
+    parts.append(told)
+    explanation = "\n".join(p for p in parts if p)
+    return ObjectSummary(
+        obj.id,
+        obj.name,
+        obj.model,
+        obj.material,
+        state,
+        badge,
+        grade,
+        alarm,
+        bool(obj.note),
+        explanation,
+    )
+
+
+def _alarm(c: Controller, name: str) -> str:
+    """The deepest penetration of an object."""
+    for found in c.penetrations_in(c.frame):
+        if name in (found.first, found.second):
+            other = found.second if name == found.first else found.first
+            other = "the table" if other == "table" else other
+            return f"{1000 * found.depth_m:.1f} mm into {other}"
+    return ""
+
+
+def _residual(rows: Sequence[FrameResidual]) -> tuple[str, Grade, str]:
+    """Badge, grade and a sentence; the middle frame decides, so that one hidden view does not."""
+    if not rows:
+        return "", "unknown", ""
+    edges = [r.edge_px for r in rows if edge_grade(r) is not None and r.edge_px is not None]
+    depths = [abs(r.depth_mm) for r in rows if r.depth_mm is not None]
+    if edges:
+        value = median(edges)
+        told = f"Contour {value:.1f} px from the image edges, median of {len(edges)} frames."
+        return f"{value:.1f} px", _graded(value, EDGE_PX), told
+    if depths:
+        value = median(depths)
+        told = (
+            f"Surface {value:.0f} mm from the sensor depth, median of {len(depths)} frames; edges "
+            "tell nothing here, so judge the contour by eye."
+        )
+        return f"{value:.0f} mm", _graded(value, DEPTH_MM), told
+    return "?", "unknown", "No edge and no depth told its place apart from chance: judge by eye."
+
+
+@dataclass(frozen=True)
+class ClickRow:
+    """One clicked point.
+
+    Attributes:
+        frame: in which it was clicked.
+        number: its place among the points of the object in this frame, from 0.
+        u, v: pixel in the recorded image.
+        residual_px: distance to its point on the mesh at the object's pose now; None without a
+            pose, or behind the camera.
+    """
+
+    frame: int
+    number: int
+    u: float
+    v: float
+    residual_px: float | None
+
+
+def click_rows(c: Controller, name: str) -> list[ClickRow]:
+    """All clicked points of an object, those of the view in hand first."""
+    obj = c.session.object(name)
+    scene = c.session.scene
+    rows = []
+    for frame in sorted(obj.clicks, key=lambda f: (f != c.active_frame, f)):
+        T = c.pose(name, frame)
+        camera = scene.camera(scene.frame(frame))
+        for number, click in enumerate(obj.clicks[frame]):
+            residual = None
+            if T is not None:
+                seen = camera.project(T @ np.asarray(click.point))
+                distance = float(np.hypot(*(seen - [click.u, click.v])))
+                residual = distance if np.isfinite(distance) else None
+            rows.append(ClickRow(frame, number, click.u, click.v, residual))
+    return rows
+
+
+def next_hint(c: Controller) -> str:
+    """What a person would do next, as the controller is now."""
+    state = c.session.state
+    if c.dragging is not None:
+        return f"Moving {c.dragging}: let go to keep it, Esc to put it back."
+    if c.task is not None and c.task.alone:
+        return f"{c.task.title} is under way: look around; nothing can be changed until it is done."
+    if c.task is not None and not c.clicking:
+        return f"{c.task.title} is under way: go on meanwhile, or press Esc to cancel it."
+    if not c.session.writable:
+        return "This scene is open for looking only: nothing can be changed."
+    if not state.models:
+        return "Add the CAD mesh of an object with File > Add mesh (Ctrl+M)."
+    if not state.objects:
+        return "Drag a mesh from the library onto the image, or double-click it."
+    if c.selected is None:
+        return "Click an object in the list or in a view to select it."
+    obj = state.object(c.selected)
+    if c.clicking:
+        return _clicking_hint(c)
+    if c.session.pose(obj.name, c.active_frame) is None:
+        if c.active_frame not in c.session.frames:
+            return "This frame has no camera pose: choose one that has, below the image."
+        return f"Drag {obj.name} onto the image, or press C and click points."
+    if obj.status == "done":
+        left = [o.name for o in state.objects if o.status != "done"]
+        if left:
+            return f"{obj.name} is done. Next: {left[0]} (N)."
+        if c.session.posed:
+            return "All objects are done: save and propagate with Ctrl+P."
+        return "All objects are done: save with Ctrl+S." if c.session.unsaved else "All is done."
+    placement = obj.placements.get(c.active_frame) or next(iter(obj.placements.values()))
+    if not is_refined(placement):
+        return (
+            f"Move {obj.name} close to its image (Ctrl + drag: along the table), then press R "
+            "to refine."
+        )
+    row = next(r for r in summarize(c) if r.name == obj.name)
+    if row.grade == "poor":
+        return f"{obj.name} is {row.badge} off: bring it closer, then press R again."
+    if row.alarm:
+        return f"{obj.name} is {row.alarm}: check it in every view."
+    return f"Check {obj.name} in every view; press D if it fits."
+
+
+def _clicking_hint(c: Controller) -> str:
+    name = str(c.selected)
+    if c.pending_point is not None:
+        return f"Now click the same point of {name} in the image. Esc: take another point."
+    count = len(c.session.object(name).clicks.get(c.active_frame, []))
+    if count < POINTS_FOR_A_POSE:
+        left = POINTS_FOR_A_POSE - count
+        more = f"{left} more point{'s' if left > 1 else ''}" if count else "Four points"
+        return f"{more} to go: click a point on the mesh of {name}, then in the image."
+    return f"{count} points: press Return for the pose of {name}, or click more."

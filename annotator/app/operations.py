@@ -1,0 +1,263 @@
+"""The computations that a user starts: refine, snap, solve, save, propagate, import.
+
+Each takes a snapshot, computes aside, and comes back with one edit. An object that was edited
+meanwhile keeps the hand's pose: the person is told, and nothing is overwritten.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal
+
+from annotator.app.controller import Controller
+from annotator.app.events import Event
+from annotator.app.tasks import Task
+from annotator.session import ClearPose
+from annotator.session.saving import PropagationResult, propagate_saved_labels
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from annotator.session.merge import Side
+    from annotator.session.requests import Outcome, Request
+    from std_toolkit.labels.propagate import PropagateOptions
+
+Unit = Literal["m", "cm", "mm"]
+# A message of more lines would hide the view.
+MOST_LINES = 8
+# What the residuals of objects that are not selected are measured under.
+OTHER_RESIDUALS = "Residuals of the others"
+
+
+def refine(controller: Controller, *, all_objects: bool = False) -> None:
+    """Fit the selected object, or all placed ones together, to the images and the depth."""
+    from annotator.session.requests import Refine
+
+    session, frame = controller.session, controller.active_frame
+    if all_objects:
+        names = [o.name for o in session.state.objects if session.pose(o.name, frame) is not None]
+    else:
+        names = [n for n in (controller.selected,) if n is not None]
+    if not names:
+        controller.tell("Place an object first: there is nothing to refine.", "warning")
+        return
+    perform(controller, f"Refine {_listed(names)}", Refine(objects=names, frame=frame), names)
+
+
+def snap(controller: Controller, mode: Literal["drop", "rest"]) -> None:
+    """Put the selected object onto the table."""
+    from annotator.session.requests import SnapToTable
+
+    name = controller.selected
+    if name is not None:
+        request = SnapToTable(object=name, frame=controller.active_frame, mode=mode)
+        perform(controller, f"Put {name} onto the table", request, [name])
+
+
+def solve_points(controller: Controller) -> None:
+    """Pose of the selected object from the points clicked in the view in hand."""
+    from annotator.session.requests import SolvePnP
+
+    name = controller.selected
+    if name is not None:
+        request = SolvePnP(object=name, frame=controller.active_frame)
+        perform(controller, f"Pose of {name} from points", request, [name])
+
+
+def perform(
+    controller: Controller, title: str, request: Request, names: Sequence[str]
+) -> Task | None:
+    """Resolve a request aside and apply its edit, unless its objects were edited meanwhile."""
+    session = controller.session
+    snapshot = session.snapshot()
+    before = {n: session.object(n).placements for n in names}
+
+    def work(task: Task) -> Outcome:
+        return request.resolve(snapshot, progress=task.progress, cancelled=lambda: task.cancelled)
+
+    def finish(outcome: Outcome) -> None:
+        known = {o.name: o.placements for o in session.state.objects}
+        moved = [n for n in names if known.get(n) != before[n]]
+        if moved:
+            controller.tell(
+                f"{title}: {_listed(moved)} was edited meanwhile, so the result was dropped. "
+                "Try again when you are ready.",
+                "warning",
+            )
+            return
+        session.apply(outcome.edit)
+        controller.weak_directions.update(outcome.weak_directions)
+        for line in outcome.warnings:
+            controller.tell(line, "warning")
+        if outcome.report:
+            controller.tell("\n".join(outcome.report))
+
+    return controller.start(title, work, finish)
+
+
+def measure_residuals(controller: Controller, *, delay: float = 0.0) -> None:
+    """Measure the selected object against the edges and the depth of the frames in the views.
+
+    Others whose poses changed follow, in the background: refining all changes all.
+
+    Args:
+        delay: seconds to wait first, as when it moves with every key.
+    """
+    name = controller.selected
+    if name is None or not controller.session.object(name).placements:
+        _measure_others(controller, delay=delay)
+    else:
+        _measure(controller, "Residuals", [name], _measure_others, delay=delay)
+
+
+def _measure_others(controller: Controller, *, delay: float = 0.0) -> None:
+    state = controller.session.state
+    names = [o.name for o in state.objects if o.name in controller.unmeasured and o.placements]
+    if names:
+        _measure(controller, OTHER_RESIDUALS, names, lambda _: None, delay=delay)
+
+
+def _measure(
+    controller: Controller,
+    key: str,
+    names: Sequence[str],
+    then: Callable[[Controller], None],
+    *,
+    delay: float,
+) -> None:
+    """Measure objects, and `then` go on."""
+    from annotator.session.residuals import FrameResidual, measure_residuals
+
+    snapshot = controller.session.snapshot()
+    frames = list(dict.fromkeys(controller.view_frames))
+    to_measure = [snapshot.object(n) for n in names]
+
+    def work(task: Task) -> dict[int, list[FrameResidual]]:
+        return measure_residuals(
+            snapshot.scene,
+            {o.id: partial(snapshot.pose, o.name) for o in snapshot.state.objects},
+            {o.id: o.material for o in to_measure},
+            {o.id: snapshot.mesh(o.model) for o in snapshot.state.objects if o.placements},
+            frames,
+            cancelled=lambda: task.cancelled,
+        )
+
+    def finish(rows: dict[int, list[FrameResidual]]) -> None:
+        now = {o.name: o.placements for o in controller.session.state.objects}
+        measured = [o for o in to_measure if now.get(o.name) == o.placements]
+        for obj in measured:
+            controller.residuals[obj.name] = rows[obj.id]
+            controller.unmeasured.discard(obj.name)
+        if measured:
+            controller.emit(Event("residuals", objects=tuple(o.name for o in measured)))
+        then(controller)
+
+    controller.start_aside(key, work, finish, delay=delay)
+
+
+def toggle_done(controller: Controller) -> None:
+    """Mark the selected object as done, or as open again."""
+    if controller.selected is not None:
+        now = controller.session.object(controller.selected).status
+        controller.mark("open" if now == "done" else "done")
+
+
+def unplace(controller: Controller) -> None:
+    """Take the selected object's pose away."""
+    if controller.selected is not None:
+        controller.apply(ClearPose(object=controller.selected, frame=controller.active_frame))
+
+
+def save(controller: Controller, *, on_conflict: Side | None = None) -> bool:
+    """Write the labels into the scene; False, and a question or a message, if it did not work.
+
+    Args:
+        on_conflict: whose version to keep where others changed the same objects; default: the
+            front end's dialog "conflict" asks.
+    """
+    from annotator.session.session import SaveConflict
+
+    report: list[Any] = []
+
+    def write() -> None:
+        try:
+            report.append(controller.session.save(on_conflict=on_conflict))
+        except SaveConflict as conflict:
+            if "conflict" not in controller.dialogs:
+                raise
+            controller.conflict = str(conflict.value)
+            controller.ask("conflict")
+
+    controller.cancel_drag()
+    if controller.attempt(write) and report:
+        controller.tell(str(report[0]))
+    return not controller.session.unsaved
+
+
+def propagate(controller: Controller, options: PropagateOptions | None = None) -> None:
+    """Save, then carry every label to all frames; nothing can be edited meanwhile."""
+    session = controller.session
+    if not save(controller):
+        return
+
+    def finish(carried: PropagationResult) -> None:
+        session.reload("Propagate")
+        for line in carried.warnings:
+            controller.tell(f"{line}.", "warning")
+        lines = "; ".join(carried.lines)
+        controller.tell(f"Carried to {len(session.frames)} frames: {lines}.")
+
+    root = session.scene.root
+    controller.start(
+        "Propagate", lambda _: propagate_saved_labels(root, options), finish, alone=True
+    )
+
+
+def import_meshes(controller: Controller, files: Sequence[tuple[Path, Unit]]) -> None:
+    """Copy mesh files into the scene's library, as one edit.
+
+    Args:
+        files: each with the unit of its numbers.
+    """
+    from annotator.session.edits import CompoundEdit, EnterModel, SingleEdit
+    from annotator.session.requests import ImportMesh
+
+    start = controller.session.snapshot()
+    names = _listed([path.name for path, _ in files])
+
+    def work(task: Task) -> tuple[list[SingleEdit], list[str]]:
+        edits: list[SingleEdit] = []
+        report: list[str] = []
+        snapshot = start
+        for place, (path, unit) in enumerate(files):
+            outcome = ImportMesh(mesh=str(path), unit=unit).resolve(snapshot)
+            assert isinstance(outcome.edit, EnterModel)
+            edits.append(outcome.edit)
+            # Two files of one name must not become one model.
+            snapshot = snapshot.with_model(outcome.edit.model)
+            report += outcome.report
+            task.progress((place + 1) / len(files))
+            if task.cancelled:
+                break
+        return edits, report
+
+    def finish(found: tuple[list[SingleEdit], list[str]]) -> None:
+        edits, report = found
+        controller.session.apply(CompoundEdit(edits=edits, label=f"Add {names}"))
+        between = "\n" if len(report) <= MOST_LINES else "; "
+        controller.tell(f"Added {between.join(report)}")
+
+    controller.start(f"Add {names}", work, finish)
+
+
+def fit_view(controller: Controller) -> None:
+    controller.emit(Event("look", text="fit"))
+
+
+def zoom_to_object(controller: Controller) -> None:
+    controller.emit(Event("look", text="object"))
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:3]) + (" and others" if len(names) > 3 else "")

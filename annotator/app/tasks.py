@@ -1,0 +1,285 @@
+"""Long computations: where they run, and which of them are under way.
+
+The computations of a controller: what a person started, and what runs beside it.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from annotator.app.events import Event
+from std_toolkit.errors import ToolkitError
+
+WorkFunction = Callable[[], Any]
+
+Done = Callable[[Any, Exception | None], None]
+
+
+class Task:
+    """A computation under way; it looks at `cancelled` now and then and reports its progress.
+
+    Attributes:
+        title: for people.
+        fraction: done so far, 0 to 1, or None where it cannot be told.
+        alone: nothing may be edited meanwhile, and it cannot be stopped halfway.
+    """
+
+    def __init__(self, title: str, *, alone: bool = False) -> None:
+        self.title = title
+        self.alone = alone
+        self.fraction: float | None = None
+        self._stop = threading.Event()
+
+    def cancel(self) -> None:
+        if not self.alone:
+            self._stop.set()
+
+    @property
+    def cancelled(self) -> bool:
+        return self._stop.is_set()
+
+    def progress(self, fraction: float) -> None:
+        self.fraction = fraction
+
+
+class Runner(Protocol):
+    """Runs work away from the front end's thread and calls `done` back in that thread."""
+
+    def submit(self, task: Task, work: WorkFunction, done: Done) -> None:
+        """What a person started."""
+
+    def submit_aside(
+        self, key: str, task: Task, work: WorkFunction, done: Done, *, delay: float = 0.0
+    ) -> None:
+        """What keeps the panels up to date: it never holds up what a person started.
+
+        Newer work of the same key replaces older: what waits is dropped, what runs is cancelled,
+        and its result with it.
+
+        Args:
+            delay: seconds to wait first, so that a burst of edits is worked off once.
+        """
+
+
+class InlineRunner:
+    """Runs at once, in the caller's thread: for scripts and tests."""
+
+    def submit(self, task: Task, work: WorkFunction, done: Done) -> None:
+        done(*_outcome(task, work))
+
+    def submit_aside(  # nothing waits here, so that nothing is replaced
+        self,
+        key: str,  # noqa: ARG002
+        task: Task,
+        work: WorkFunction,
+        done: Done,
+        *,
+        delay: float = 0.0,  # noqa: ARG002
+    ) -> None:
+        self.submit(task, work, done)
+
+
+class ThreadRunner:
+    """Two threads, one for each kind of work, started when first needed.
+
+    Args:
+        deliver: has a function called in the front end's thread, soon; may be called from any
+            thread, such as `loop.call_soon_threadsafe`.
+    """
+
+    def __init__(self, deliver: Callable[[Callable[[], None]], None]) -> None:
+        self._deliver = deliver
+        self._lanes = [_Lane("annotator-work"), _Lane("annotator-aside")]
+        self._aside: dict[str, Task] = {}
+        self._count = 0
+        self._closed = False
+
+    def submit(self, task: Task, work: WorkFunction, done: Done) -> None:
+        self._count += 1
+        self._lanes[0].put(f"{self._count}", 0.0, lambda: self._run(task, work, done))
+
+    def submit_aside(
+        self, key: str, task: Task, work: WorkFunction, done: Done, *, delay: float = 0.0
+    ) -> None:
+        older = self._aside.get(key)
+        if older is not None:
+            older.cancel()
+        self._aside[key] = task
+
+        def finished(result: Any, error: Exception | None) -> None:
+            if self._aside.get(key) is task:
+                del self._aside[key]
+                done(result, error)
+
+        self._lanes[1].put(key, delay, lambda: self._run(task, work, finished))
+
+    def close(self, timeout: float = 5.0) -> bool:
+        """Deliver nothing any more and wait for the threads; False if one has not ended in time.
+
+        The tasks under way are the caller's to cancel.
+        """
+        self._closed = True
+        for task in self._aside.values():
+            task.cancel()
+        deadline = time.monotonic() + timeout
+        closed = [lane.close(deadline - time.monotonic()) for lane in self._lanes]
+        return all(closed)
+
+    def _run(self, task: Task, work: WorkFunction, done: Done) -> None:
+        result, error = _outcome(task, work)
+        if not self._closed:
+            self._deliver(lambda: None if self._closed else done(result, error))
+
+
+def _outcome(task: Task, work: WorkFunction) -> tuple[Any, Exception | None]:
+    try:
+        return (None if task.cancelled else work()), None
+    except Exception as error:  # handed on to the front end's thread
+        return None, error
+
+
+class _Lane:
+    """One worker thread; of one key at most one job waits."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._jobs: dict[str, tuple[float, Callable[[], None]]] = {}
+        self._changed = threading.Condition()
+        self._open = True
+        self._thread: threading.Thread | None = None
+
+    def put(self, key: str, delay: float, job: Callable[[], None]) -> None:
+        with self._changed:
+            if not self._open:
+                return
+            self._jobs[key] = (time.monotonic() + delay, job)
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._work, name=self._name, daemon=True)
+                self._thread.start()
+            self._changed.notify()
+
+    def close(self, timeout: float) -> bool:
+        with self._changed:
+            self._open = False
+            self._jobs.clear()
+            self._changed.notify()
+        if self._thread is None:
+            return True
+        self._thread.join(max(timeout, 0.0))
+        return not self._thread.is_alive()
+
+    def _work(self) -> None:
+        while (job := self._next()) is not None:
+            job()
+
+    def _next(self) -> Callable[[], None] | None:
+        with self._changed:
+            while self._open:
+                key = min(self._jobs, key=lambda k: self._jobs[k][0], default=None)
+                wait = None if key is None else self._jobs[key][0] - time.monotonic()
+                if key is not None and wait is not None and wait <= 0:
+                    return self._jobs.pop(key)[1]
+                self._changed.wait(wait)
+        return None
+
+
+class Work:
+    """Starts computations and tells how they end.
+
+    Attributes:
+        task: what a person started and is under way, or None.
+    """
+
+    def __init__(self, runner: Runner, emit: Callable[[Event], None]) -> None:
+        self.task: Task | None = None
+        self._runner = runner
+        self._emit = emit
+        self._told: dict[str, str] = {}
+        self._aside: dict[str, Task] = {}
+
+    def start(
+        self,
+        title: str,
+        work: Callable[[Task], Any],
+        finish: Callable[[Any], None],
+        *,
+        alone: bool = False,
+    ) -> Task | None:
+        """Run `work(task)` aside, then `finish(result)` here; one computation at a time.
+
+        Args:
+            alone: nothing may be edited meanwhile; see `Task`.
+        """
+        if self.task is not None:
+            self._tell(f"{self.task.title} is still running.", "warning")
+            return None
+        task = self.task = Task(title, alone=alone)
+        self._emit(Event("busy", text=title))
+
+        def done(result: Any, error: Exception | None) -> None:
+            self.task = None
+            self._emit(Event("busy"))
+            if task.cancelled:
+                self._tell(f"{title}: cancelled, nothing was changed.")
+            elif isinstance(error, ToolkitError):
+                self._tell(str(error), "error")
+            elif error is not None:
+                self._tell(f"{title} failed: {type(error).__name__}: {error}", "error")
+            else:
+                self._finish(finish, result)
+
+        self._runner.submit(task, lambda: work(task), done)
+        return task
+
+    def start_aside(
+        self,
+        key: str,
+        work: Callable[[Task], Any],
+        finish: Callable[[Any], None],
+        *,
+        delay: float = 0.0,
+    ) -> None:
+        """Run `work(task)` beside everything else, then `finish(result)` here.
+
+        Newer work of the same key replaces older, so panels may ask for it after every edit.
+
+        Args:
+            key: what it is, for people.
+            delay: seconds to wait first: a burst of edits is worked off once.
+        """
+        task = self._aside[key] = Task(key)
+
+        def done(result: Any, error: Exception | None) -> None:
+            if self._aside.get(key) is task:
+                del self._aside[key]
+            if task.cancelled:
+                return
+            if error is not None:
+                text = str(error) if isinstance(error, ToolkitError) else repr(error)
+                # Once: the same trouble comes after every edit.
+                if self._told.get(key) != text:
+                    self._told[key] = text
+                    self._tell(f"{key}: {text}", "warning")
+            else:
+                self._told.pop(key, None)
+                self._finish(finish, result)
+
+        self._runner.submit_aside(key, task, lambda: work(task), done, delay=delay)
+
+    def cancel_aside(self, *keys: str) -> None:
+        """What runs beside under these keys is not wanted any more."""
+        for key in keys:
+            if key in self._aside:
+                self._aside[key].cancel()
+
+    def _finish(self, finish: Callable[[Any], None], result: Any) -> None:
+        try:
+            finish(result)
+        except ToolkitError as error:
+            self._tell(str(error), "error")
+
+    def _tell(self, text: str, level: Any = "info") -> None:
+        self._emit(Event("message", text=text, level=level))

@@ -1,0 +1,308 @@
+"""Actions on the scene and the views: save, undo, frames, how the scene is drawn.
+
+Saving, undo, and which frame is shown.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from annotator.app import operations
+from annotator.app.action import Action, dialog_action, has_placed, is_idle
+from annotator.app.view_options import CloudSource, Mode, Style
+
+if TYPE_CHECKING:
+    from annotator.app.controller import Controller
+
+
+def _style(style: Style, key: str, tip: str) -> Action:
+    return Action(
+        f"style_{style}",
+        "View",
+        style.value.capitalize(),
+        (key,),
+        tip,
+        lambda c: c.set_options(style=style),
+        lambda c: c.options.style is style,
+        group="style",
+    )
+
+
+def _switch(id: str, title: str, key: str, tip: str, field: str, group: str) -> Action:
+    return Action(
+        id,
+        "View",
+        title,
+        (key,) if key else (),
+        tip,
+        lambda c: c.set_options(**{field: not getattr(c.options, field)}),
+        lambda c: bool(getattr(c.options, field)),
+        group=group,
+    )
+
+
+def _mode(mode: Mode, title: str, tip: str) -> Action:
+    return Action(
+        f"mode_{mode}",
+        "View",
+        title,
+        (),
+        tip,
+        lambda c: c.set_mode(mode),
+        lambda c: c.mode is mode,
+        group="mode",
+    )
+
+
+def _toggle_mode(c: Controller) -> None:
+    c.set_mode(Mode.CLOUD if c.mode is Mode.IMAGE else Mode.IMAGE)
+
+
+def _toggle_table(c: Controller) -> None:
+    c.set_options(table=not c.options.table)
+    if c.options.table and c.table is None:
+        c.tell(f"The table is not known: {c.table_problem or 'it is still searched for'}.")
+
+
+def _opacity(c: Controller, by: float) -> None:
+    c.set_options(opacity=round(min(max(c.options.opacity + by, 0.1), 1.0), 2))
+
+
+VIEW_ACTIONS: tuple[Action, ...] = (
+    _mode(Mode.IMAGE, "Image", "Show the frame's image in the main view."),
+    _mode(Mode.CLOUD, "Cloud", "Show the 3D point cloud in the main view."),
+    Action(
+        "toggle_mode",
+        "View",
+        "Image or point cloud",
+        ("Tab",),
+        "Switch the main view between the 2D image and the 3D point cloud.",
+        _toggle_mode,
+        group="mode",
+    ),
+    _style(Style.SOLID, "1", "Meshes as shaded surfaces over the image."),
+    _style(Style.WIREFRAME, "2", "Meshes as wireframes."),
+    _style(Style.CONTOUR, "3", "Only the silhouette: compare it with the edges in the image."),
+    Action(
+        "more_opaque",
+        "View",
+        "More opaque",
+        ("]",),
+        "Less of the image shines through the meshes.",
+        lambda c: _opacity(c, 0.1),
+        repeats=True,
+        group="opacity",
+    ),
+    Action(
+        "less_opaque",
+        "View",
+        "More transparent",
+        ("[",),
+        "More of the image shines through the meshes.",
+        lambda c: _opacity(c, -0.1),
+        repeats=True,
+        group="opacity",
+    ),
+    _switch("blink", "Blink", "B", "Let the meshes come and go over the image.", "blink", "what"),
+    _switch("hide", "Hide meshes", "H", "Show the bare image or cloud.", "hidden", "what"),
+    _switch(
+        "only_selected",
+        "Only the selected object",
+        "I",
+        "Leave the other objects out of the views.",
+        "only_selected",
+        "what",
+    ),
+    _switch(
+        "contour_always",
+        "Contour over every style",
+        "K",
+        "Draw the silhouette over solid and wireframe meshes, too.",
+        "contour_always",
+        "style",
+    ),
+    Action(
+        "fused_cloud",
+        "View",
+        "Cloud of many frames",
+        ("U",),
+        "Show the points of many frames together instead of those of one.",
+        lambda c: c.set_options(
+            cloud=CloudSource.FRAME if c.options.cloud is CloudSource.FUSED else CloudSource.FUSED
+        ),
+        lambda c: c.options.cloud is CloudSource.FUSED,
+        lambda c: c.session.posed,
+        group="cloud",
+    ),
+    Action(
+        "table",
+        "View",
+        "Table plane",
+        ("T",),
+        "Draw the table plane in the cloud.",
+        _toggle_table,
+        lambda c: c.options.table,
+        group="cloud",
+    ),
+    _switch(
+        "penetration",
+        "Show penetration",
+        "",
+        "Paint red where objects run into each other or into the table.",
+        "penetration",
+        "what",
+    ),
+    Action(
+        "fit_view",
+        "View",
+        "Whole image",
+        ("Home",),
+        "Undo zooming and panning in the main view.",
+        operations.fit_view,
+        group="look",
+    ),
+    Action(
+        "zoom_object",
+        "View",
+        "Zoom to the object",
+        ("Space",),
+        "Bring the selected object close in every view.",
+        operations.zoom_to_object,
+        enabled=has_placed,
+        group="look",
+    ),
+)
+
+
+def _undo_label(c: Controller) -> str:
+    if c.dragging is not None or c.session.undoable is None:
+        return "Undo"
+    return f"Undo {c.session.undoable.title}"
+
+
+def _redo_label(c: Controller) -> str:
+    return "Redo" if c.session.redoable is None else f"Redo {c.session.redoable.title}"
+
+
+def _swap(view: int) -> Action:
+    return Action(
+        f"swap_{view}",
+        "Frame",
+        f"Side view {view} into the main view",
+        (f"Ctrl+{view}",),
+        "Look at the frame of a side view in the main view; the main one goes to the side.",
+        lambda c: c.swap_into_main(view),
+        enabled=lambda c: view < len(c.view_frames),
+        group="swap",
+    )
+
+
+SCENE_ACTIONS: tuple[Action, ...] = (
+    dialog_action(
+        "open",
+        "open",
+        "File",
+        "Open scene...",
+        ("Ctrl+O",),
+        "Open another scene folder.",
+        group="open",
+    ),
+    dialog_action(
+        "add_mesh",
+        "add_mesh",
+        "File",
+        "Add mesh...",
+        ("Ctrl+M",),
+        "Copy a CAD mesh (OBJ, PLY, GLB, STL, OFF) into the scene's mesh library.",
+        enabled=lambda c: c.session.writable,
+        group="mesh",
+    ),
+    Action(
+        "save",
+        "File",
+        "Save",
+        ("Ctrl+S",),
+        "Write the labels into the scene. Edits are journalled all the time: a crash loses none.",
+        operations.save,
+        enabled=lambda c: c.session.writable,
+        group="save",
+    ),
+    dialog_action(
+        "propagate",
+        "propagate",
+        "File",
+        "Save and propagate...",
+        ("Ctrl+P",),
+        "Save, then carry every label to all frames.",
+        enabled=lambda c: c.session.writable and c.session.posed and is_idle(c),
+        group="save",
+    ),
+    dialog_action(
+        "close", "close", "File", "Close", ("Ctrl+Q",), "Leave; no edit is lost.", group="close"
+    ),
+    Action(
+        "undo",
+        "Edit",
+        "Undo",
+        ("Ctrl+Z",),
+        "Take the last edit back; there is no limit.",
+        lambda c: c.undo(),
+        enabled=lambda c: c.can_undo,
+        label=_undo_label,
+    ),
+    Action(
+        "redo",
+        "Edit",
+        "Redo",
+        ("Ctrl+Shift+Z", "Ctrl+Y"),
+        "Make the edit again that was taken back.",
+        lambda c: c.redo(),
+        enabled=lambda c: c.session.redoable is not None,
+        label=_redo_label,
+    ),
+    Action(
+        "cancel",
+        "Edit",
+        "Cancel",
+        ("Esc",),
+        "Stop a drag or a computation; what it would have changed stays as it was.",
+        lambda c: c.cancel(),
+        group="cancel",
+    ),
+    Action(
+        "next_frame",
+        "Frame",
+        "Next frame",
+        ("Ctrl+Right",),
+        "Show the next frame in the main view.",
+        lambda c: c.step_frame(1),
+        repeats=True,
+    ),
+    Action(
+        "previous_frame",
+        "Frame",
+        "Previous frame",
+        ("Ctrl+Left",),
+        "Show the frame before in the main view.",
+        lambda c: c.step_frame(-1),
+        repeats=True,
+    ),
+    Action(
+        "first_frame",
+        "Frame",
+        "First frame",
+        ("Ctrl+Home",),
+        "Show the first frame in the main view.",
+        lambda c: c.show_frame(c.session.scene.frames[0].id),
+    ),
+    *(_swap(view) for view in (1, 2, 3)),
+    dialog_action(
+        "shortcuts",
+        "shortcuts",
+        "Help",
+        "Keys and mouse",
+        ("F1",),
+        "All keys and what the mouse does in the views.",
+    ),
+    dialog_action("about", "about", "Help", "About", (), "Version, and where the guide is."),
+)

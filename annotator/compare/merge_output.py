@@ -1,0 +1,163 @@
+"""Writes a merge: a new scene folder, or labels into an existing scene."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from annotator.compare.annotated_scene import same_shape
+from annotator.compare.merge_labels import Merge
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import new_folder, sweep_temporaries
+from std_toolkit.labels.mesh_copies import plan_mesh_copy, write_mesh_copy
+from std_toolkit.scene import Annotation, Labels, ObjectAnnotation, ObjectTable, Scene
+from std_toolkit.scene.document import digest_file, record_path
+
+# Of the recording and what was recovered from it; labels and what follows from them stay behind.
+_FOLDERS = ("reference", "poses")
+_BOARD = "board.json"
+
+
+def write_scene(merge: Merge, out: Path) -> Scene:
+    """Make a new scene of the merge: the recording, the camera poses, the merged labels.
+
+    Everything is copied, so that no later change in one folder reaches another. The folder appears
+    when everything is in it.
+
+    Raises:
+        ToolkitError: something is at `out`, or a file is missing or cannot be written.
+    """
+    for annotated in merge.annotators:
+        if out.resolve().is_relative_to(annotated.scene.root.resolve()):
+            raise ToolkitError(
+                "the merged scene cannot lie inside a scene", path=out, field="--out"
+            )
+    source = merge.target.scene
+    with new_folder(out) as staging:
+        for name in _recording_files(source):
+            _copy(source.root / name, staging / name)
+        scene = Scene.create(staging, source.info, source.frame_table, _table(merge, staging))
+        if source.poses is not None:
+            scene.save_poses(source.poses)
+        _save(scene, merge)
+        checked = Scene.open(staging)
+        _ = checked.labels, checked.annotation
+    return Scene.open(out)
+
+
+def write_into(merge: Merge, *, overwrite: bool = False) -> Scene:
+    """Write the merged labels into the merge's target scene, under its lock.
+
+    Raises:
+        ToolkitError: the target is one of the merged scenes, has labels already and `overwrite` is
+            not set, has changed since the merge, or is locked.
+    """
+    scene = merge.target.scene
+    check_target(scene.root, [a.scene.root for a in merge.annotators])
+    before = (scene.objects, scene.poses, scene.labels)
+    with scene.lock():
+        sweep_temporaries(scene.root)
+        if (scene.objects, scene.poses, scene.labels) != before:
+            raise ToolkitError(
+                "the scene was changed meanwhile", path=scene.root, hint="merge again"
+            )
+        if scene.labels.labels and not overwrite:
+            raise ToolkitError(
+                "the scene has labels already",
+                path=scene.root,
+                hint="--overwrite replaces them all, or choose another scene",
+            )
+        worked = scene.annotation
+        scene.save_objects(_table(merge, scene.root))
+        _save(scene, merge, worked=worked)
+    return scene
+
+
+def check_target(target: Path, annotators: Sequence[Path]) -> None:
+    """Refuse to write into the scene of one of the annotators.
+
+    Raises:
+        ToolkitError: the target is one of them.
+    """
+    if target.resolve() in [path.resolve() for path in annotators]:
+        raise ToolkitError(
+            "the merged labels cannot replace those of one of the annotators",
+            path=target,
+            field="--into",
+            hint="give another scene of the recording, or --out for a new one",
+        )
+
+
+def _save(scene: Scene, merge: Merge, *, worked: Annotation | None = None) -> None:
+    labels = [x.label for x in merge.objects if x.label is not None]
+    scene.save_labels(Labels(labels=sorted(labels, key=lambda x: x.object)))
+    scene.save_annotation(_joined(merge.annotation(), worked or Annotation()))
+
+
+def _joined(merged: Annotation, worked: Annotation) -> Annotation:
+    """What the merge says of each object, with the clicks and notes that the scene had before."""
+    rows = {row.object: row for row in merged.objects}
+    for old in worked.objects:
+        row = rows.get(old.object, ObjectAnnotation(object=old.object))
+        notes = [row.note] if old.note in row.note else [old.note, *filter(None, [row.note])]
+        rows[old.object] = msgspec.structs.replace(row, clicks=old.clicks, note="; ".join(notes))
+    return Annotation(objects=[rows[i] for i in sorted(rows)])
+
+
+def _table(merge: Merge, root: Path) -> ObjectTable:
+    """objects.json of the merge; meshes that the target lacks are copied to `root`."""
+    scene = merge.target.scene
+    models = {m.id: m for m in scene.objects.models}
+    objects = {o.id: o for o in scene.objects.objects}
+    # Whose mesh stands behind each model id.
+    sources = {m.id: (scene, m) for m in scene.objects.models}
+    for merged in merge.objects:
+        if merged.object.id in objects:
+            continue
+        x = merged.labelled[0]
+        source, model_id = x.owner.scene, x.model.id
+        while model_id in sources and not same_shape(*sources[model_id], source, x.model):
+            model_id = f"{model_id}_{x.owner.name}"
+        if model_id not in sources:
+            files = plan_mesh_copy(source.mesh_path(x.model), unit="m")
+            path = write_mesh_copy(root / "models" / model_id, files)
+            mesh = path.relative_to(root).as_posix()
+            models[model_id] = msgspec.structs.replace(x.model, id=model_id, mesh=mesh)
+            sources[model_id] = (source, x.model)
+        objects[merged.object.id] = msgspec.structs.replace(merged.object, model=model_id)
+    return ObjectTable(
+        models=sorted(models.values(), key=lambda m: m.id),
+        objects=sorted(objects.values(), key=lambda o: o.id),
+    )
+
+
+def _recording_files(scene: Scene) -> list[str]:
+    """Scene-relative paths of what a copy of the unlabelled scene holds."""
+    names = [f.color for f in scene.frames]
+    names += [f.depth for f in scene.frames if f.depth is not None]
+    for model in scene.objects.models:
+        folder = scene.mesh_path(model).parent
+        # Materials and textures lie beside the mesh.
+        beside = sorted(folder.iterdir()) if folder.parent.name == "models" else []
+        files = [p for p in beside if p.is_file() and not p.name.startswith(".")]
+        names += [p.relative_to(scene.root).as_posix() for p in files] or [model.mesh]
+    for folder_name in _FOLDERS:
+        found = sorted(p for p in (scene.root / folder_name).rglob("*") if p.is_file())
+        names += [p.relative_to(scene.root).as_posix() for p in found]
+    # With the record the step that made the poses knows that they are up to date.
+    for path in (scene.root / _BOARD, record_path(scene.root, "poses")):
+        if path.is_file():
+            names.append(path.relative_to(scene.root).as_posix())
+    return list(dict.fromkeys(names))
+
+
+def _copy(source: Path, target: Path) -> None:
+    digest_file(source)  # a regular file that can be read, or an error that names it
+    target.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(source, target)
+    with target.open("rb") as file:
+        os.fsync(file.fileno())

@@ -1,0 +1,158 @@
+"""How two poses of one object differ, in the terms in which annotators err."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.geometry import SE3, Symmetry, mssd, rotation_error, so3_log
+from std_toolkit.geometry.symmetry import fixed_point, nearest_variant
+
+if TYPE_CHECKING:
+    from std_toolkit.geometry import Camera
+
+Array = NDArray[np.float64]
+
+# A turn this near to half or a quarter of a full one is a wrong choice, not a lack of care.
+_CHOICE_DEG = 25.0
+# What contributes less than this share of the largest part is not worth a word.
+_WORTH_TELLING = 0.5
+# Within this angle a turn is said to be about an axis of the mesh.
+_NEAR_AXIS_DEG = 15.0
+
+
+@dataclass(frozen=True, eq=False)
+class PoseDifference:
+    """Two poses of one object in one camera. Symmetric variants count as the same pose.
+
+    Attributes:
+        mssd_m: largest distance between corresponding surface points, metres.
+        rotation_rad: angle between the orientations.
+        translation_m: distance between the object's centres.
+        along_ray_m: part of it along the viewing ray; positive where the second pose is farther.
+        sideways_m: part of it across the viewing ray.
+        shift_px: largest distance between the images of corresponding surface points; NaN where
+            nothing is in front of the camera.
+        turn: (3,) rotation vector from the first to the second pose, mesh frame, radians.
+        turn_m: how far that turn alone moves the surface.
+    """
+
+    mssd_m: float
+    rotation_rad: float
+    translation_m: float
+    along_ray_m: float
+    sideways_m: float
+    shift_px: float
+    turn: Array
+    turn_m: float
+
+
+def pose_difference(
+    T_a: SE3,
+    T_b: SE3,
+    points: NDArray[np.floating],
+    symmetry: Symmetry,
+    *,
+    cameras: tuple[Camera, Camera] | None = None,
+) -> PoseDifference:
+    """Compare two poses of one object; exchanging them changes signs and nothing else.
+
+    Args:
+        T_a, T_b: mesh frame to the camera, metres.
+        points: (P, 3) hull vertices of the mesh, mesh frame, metres.
+        symmetry: of the object, mesh frame.
+        cameras: intrinsics that each was annotated with; none gives no `shift_px`.
+    """
+    X = np.asarray(points, dtype=np.float64)
+    centre = fixed_point(symmetry, (X.min(axis=0) + X.max(axis=0)) / 2)
+    at_a, at_b = T_a @ centre, T_b @ centre
+    # The ray to the middle of both, so that neither of the two is the measure of the other.
+    ray = (at_a + at_b) / 2
+    ray = ray / max(float(np.linalg.norm(ray)), 1e-12)
+    along = float((at_b - at_a) @ ray)
+    variant = nearest_variant(T_a, T_b, X, symmetry)
+    relative = variant.R.T @ T_b.R
+    return PoseDifference(
+        mssd_m=surface_distance(T_a, T_b, X, symmetry),
+        rotation_rad=rotation_error(T_a, T_b, symmetry),
+        translation_m=float(np.linalg.norm(at_b - at_a)),
+        along_ray_m=along,
+        sideways_m=float(np.linalg.norm(at_b - at_a - along * ray)),
+        shift_px=_shift_px(T_a, T_b, X, symmetry, cameras),
+        turn=so3_log(relative),
+        turn_m=float(np.linalg.norm((X - centre) @ (relative - np.eye(3)).T, axis=1).max()),
+    )
+
+
+def surface_distance(
+    T_a: SE3, T_b: SE3, points: NDArray[np.floating], symmetry: Symmetry, *, steps: int = 72
+) -> float:
+    """MSSD in metres, the same whichever of the two poses comes first.
+
+    A mesh is never exactly as symmetric as its object: between T_a and T_b the nearest vertices
+    differ a little from those between T_b and T_a. The larger of the two counts.
+    """
+    forth = mssd(T_a, T_b, points, symmetry, steps=steps)
+    if symmetry.is_trivial:
+        return forth
+    return max(forth, mssd(T_b, T_a, points, symmetry, steps=steps))
+
+
+def what_differs(difference: PoseDifference, names: tuple[str, str] = ("A", "B")) -> str:
+    """What two poses mostly differ in, in a few words for the one who looks at them again.
+
+    Args:
+        names: of those who made the first and the second pose.
+    """
+    degrees = float(np.rad2deg(np.linalg.norm(difference.turn)))
+    axis = _axis_name(difference.turn)
+    if degrees >= 180 - _CHOICE_DEG:
+        return f"{degrees:.0f} deg about {axis}: flip?"
+    if abs(degrees - 90) <= _CHOICE_DEG:
+        return f"{degrees:.0f} deg about {axis}: a quarter turn?"
+    along = difference.along_ray_m
+    parts = [
+        (
+            abs(along),
+            f"{1000 * abs(along):.1f} mm along the viewing ray ({names[along > 0]} is farther)",
+        ),
+        (difference.sideways_m, f"{1000 * difference.sideways_m:.1f} mm sideways"),
+        (
+            difference.turn_m,
+            f"{degrees:.1f} deg about {axis} (moves the surface {1000 * difference.turn_m:.1f} mm)",
+        ),
+    ]
+    parts.sort(key=lambda part: -part[0])
+    told = [text for size, text in parts if size >= _WORTH_TELLING * parts[0][0] and size > 0]
+    return ", ".join(told[:2])
+
+
+def _shift_px(
+    T_a: SE3, T_b: SE3, X: Array, symmetry: Symmetry, cameras: tuple[Camera, Camera] | None
+) -> float:
+    if cameras is None:
+        return float("nan")
+    camera_a, camera_b = cameras
+    shifts = []
+    for first, second in (
+        (nearest_variant(T_a, T_b, X, symmetry), T_b),
+        (T_a, nearest_variant(T_b, T_a, X, symmetry)),
+    ):
+        apart = camera_a.project(first @ X) - camera_b.project(second @ X)
+        shifts.append(np.linalg.norm(apart, axis=1))
+    seen = np.concatenate(shifts)
+    return float(np.nanmax(seen)) if np.isfinite(seen).any() else float("nan")
+
+
+def _axis_name(turn: Array) -> str:
+    length = float(np.linalg.norm(turn))
+    if length < 1e-12:
+        return "no axis"
+    axis = turn / length
+    index = int(np.abs(axis).argmax())
+    if abs(axis[index]) >= np.cos(np.deg2rad(_NEAR_AXIS_DEG)):
+        return "xyz"[index]
+    return "(" + " ".join(f"{x:.2f}" for x in axis) + ")"

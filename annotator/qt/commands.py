@@ -1,0 +1,288 @@
+"""The table of actions as Qt's: menus, tool bar and keys, kept up to date with the controller.
+
+The tool bar: the actions used most, in the order of the work.
+"""
+
+from __future__ import annotations
+
+from PySide6.QtCore import QEvent, QObject, QSize, Qt, QTimer
+from PySide6.QtGui import QAction, QActionGroup, QKeyEvent, QKeySequence, QResizeEvent
+from PySide6.QtWidgets import (
+    QAbstractSpinBox,
+    QApplication,
+    QHBoxLayout,
+    QLineEdit,
+    QMainWindow,
+    QMenu,
+    QPlainTextEdit,
+    QSlider,
+    QTextEdit,
+    QToolBar,
+    QToolButton,
+    QWidget,
+)
+
+from annotator.app.action import Action
+from annotator.app.action_table import ACTIONS, MENUS
+from annotator.app.controller import Controller
+from annotator.app.events import Event
+from annotator.qt.number_field import NumberField
+from annotator.qt.theme import icon
+
+TEXT_FIELDS = (QLineEdit, QAbstractSpinBox, QPlainTextEdit, QTextEdit)
+
+# None is a line between groups; "opacity" is the slider.
+ITEMS = (
+    *("open", "save", None, "undo", "redo", None),
+    *("mode_image", "mode_cloud", None),
+    *("style_solid", "style_wireframe", "style_contour", "opacity", "blink", None),
+    *("gizmo_move", "gizmo_turn", "gizmo_off", "axes", None),
+    *("clicking", "refine", "drop", "residuals", None, "done"),
+)
+
+# These have their name beside the icon: they are what the window is for.
+LABELLED = {
+    "mode_image": "Image",
+    "mode_cloud": "Cloud",
+    "clicking": "Points",
+    "refine": "Refine",
+    "drop": "Table",
+    "residuals": "Measure",
+    "done": "Done",
+}
+
+
+class Commands(QObject):
+    """Every action as a `QAction` of one window.
+
+    Attributes:
+        actions: by the action's id.
+        menus: by name, submenus as "Object/Flip".
+    """
+
+    def __init__(self, window: QMainWindow, controller: Controller) -> None:
+        super().__init__(window)
+        self._controller = controller
+        self._window = window
+        self._items = {a.id: a for a in ACTIONS}
+        self.actions: dict[str, QAction] = {a.id: self._made(a) for a in ACTIONS}
+        self.menus: dict[str, QMenu] = {}
+        self._moving = False
+        self._soon = QTimer(self, singleShot=True, interval=0)
+        self._soon.timeout.connect(self.update)
+        self._unsubscribe = controller.subscribe(self._on_event)
+        self.update()
+
+    def close(self) -> None:
+        self._unsubscribe()
+        self._soon.stop()
+        for action in self.actions.values():
+            self._window.removeAction(action)
+
+    def update(self) -> None:
+        """Enable, check and name every action as the controller is now."""
+        for id, action in self.actions.items():
+            item = self._items[id]
+            action.setEnabled(item.enabled(self._controller))
+            if item.checked is not None:
+                action.setChecked(item.checked(self._controller))
+            if item.label is not None:
+                action.setText(item.label(self._controller))
+
+    def run(self, id: str) -> None:
+        """Do it, if it makes sense now: what the menu shows may be a moment old."""
+        item = self._items[id]
+        if item.enabled(self._controller):
+            self._controller.attempt(lambda: item.run(self._controller))
+        # A checkable action changes its mark by itself, whatever came of it.
+        self._soon.start()
+
+    def fill_menu_bar(self) -> None:
+        """The menus of the window; entries of a group stand together."""
+        bar = self._window.menuBar()
+        bar.clear()
+        for name in MENUS:
+            menu = bar.addMenu(name)
+            self.menus[name] = menu
+            self._fill_menu(menu, [a for a in ACTIONS if a.menu == name])
+
+    def _fill_menu(self, menu: QMenu, items: list[Action]) -> None:
+        menu.setToolTipsVisible(True)
+        for group in dict.fromkeys(a.group for a in items):
+            members = [self.actions[a.id] for a in items if a.group == group]
+            if group[:1].isupper():
+                submenu = self.menus[f"{menu.title()}/{group}"] = menu.addMenu(group)
+                submenu.setToolTipsVisible(True)
+                submenu.addActions(members)
+            else:
+                if not menu.isEmpty():
+                    menu.addSeparator()
+                menu.addActions(members)
+
+    def _made(self, item: Action) -> QAction:
+        action = QAction(icon(item.id), item.title, self._window)
+        action.setShortcuts([QKeySequence(key) for key in item.keys])
+        # The views, the panels and whatever else has the focus: keys reach all of the window.
+        action.setShortcutContext(Qt.ShortcutContext.WindowShortcut)
+        action.setAutoRepeat(item.repeats)
+        keys = " or ".join(QKeySequence(k).toString(_NATIVE) for k in item.keys)
+        action.setToolTip(f"<b>{item.title}</b>{f' &nbsp;{keys}' if keys else ''}<br>{item.tip}")
+        action.setStatusTip(item.tip)
+        action.setCheckable(item.checked is not None)
+        action.setMenuRole(QAction.MenuRole.NoRole)
+        action.triggered.connect(lambda _=False, id=item.id: self.run(id))
+        self._window.addAction(action)
+        return action
+
+    def _on_event(self, event: Event) -> None:
+        moving = self._controller.dragging is not None
+        # What is being moved can be undone; how far it moved changes nothing.
+        begins_or_ends = event.kind == "preview" and moving != self._moving
+        self._moving = moving
+        if begins_or_ends or event.kind not in ("preview", "message", "look"):
+            self._soon.start()
+
+
+_NATIVE = QKeySequence.SequenceFormat.NativeText
+
+
+class TypingGuard(QObject):
+    """Keys typed into a field stay there: they move no object and switch no view.
+
+    Qt asks whoever has the focus whether it wants a key before it looks for shortcuts; fields
+    claim letters but neither page keys nor Tab, which would then reach the window.
+    """
+
+    def __init__(self, app: QApplication) -> None:
+        super().__init__(app)
+        app.focusChanged.connect(self._on_focus)
+
+    def _on_focus(self, old: QWidget | None, new: QWidget | None) -> None:
+        if isinstance(old, TEXT_FIELDS):
+            old.removeEventFilter(self)
+        if isinstance(new, TEXT_FIELDS):
+            new.installEventFilter(self)
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        if event.type() == QEvent.Type.ShortcutOverride and isinstance(event, QKeyEvent):
+            if not _is_command(event):
+                event.accept()
+                return True
+            if isinstance(watched, NumberField) and not watched.edited:
+                # Nothing was typed since: undo means the edit, not the text.
+                event.ignore()
+                return True
+        return super().eventFilter(watched, event)
+
+
+def _is_command(event: QKeyEvent) -> bool:
+    """Keys with Ctrl or Alt, and function keys, are commands wherever they are pressed."""
+    if Qt.Key.Key_F1 <= event.key() <= Qt.Key.Key_F12:
+        return True
+    strong = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.AltModifier
+    return bool(event.modifiers() & strong)
+
+
+def exclusive(parent: QWidget, actions: list[QAction]) -> QActionGroup:
+    """Buttons of which one is down."""
+    group = QActionGroup(parent)
+    for action in actions:
+        group.addAction(action)
+    return group
+
+
+class OpacitySlider(QWidget):
+    """How much of the image shines through the meshes."""
+
+    def __init__(self, controller: Controller) -> None:
+        super().__init__()
+        self._controller = controller
+        self.slider = QSlider(Qt.Orientation.Horizontal)
+        self.slider.setRange(10, 100)
+        self.slider.setFixedWidth(72)
+        self.setFixedWidth(80)
+        self.slider.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.slider.setToolTip(
+            "<b>Opacity</b> [ and ]<br>How much of the image shines through solid meshes."
+        )
+        self.slider.valueChanged.connect(self._set)
+        row = QHBoxLayout(self)
+        row.setContentsMargins(4, 0, 4, 0)
+        row.addWidget(self.slider)
+        self._unsubscribe = controller.subscribe(self._on_event)
+        self._show()
+
+    def close_panel(self) -> None:
+        self._unsubscribe()
+
+    def _set(self, percent: int) -> None:
+        if percent != round(100 * self._controller.options.opacity):
+            self._controller.set_options(opacity=percent / 100)
+
+    def _show(self) -> None:
+        self.slider.setValue(round(100 * self._controller.options.opacity))
+
+    def _on_event(self, event: Event) -> None:
+        if event.kind == "view":
+            self._show()
+
+
+class ActionBar(QToolBar):
+    """Made from the table of actions."""
+
+    def __init__(self, window: QMainWindow, controller: Controller, commands: Commands) -> None:
+        super().__init__("Tools", window)
+        self.setMovable(False)
+        self.setFloatable(False)
+        self.setIconSize(QSize(20, 20))
+        self.toggleViewAction().setEnabled(False)
+        self.setContextMenuPolicy(Qt.ContextMenuPolicy.PreventContextMenu)
+        self.opacity = OpacitySlider(controller)
+        self._labelled: list[QToolButton] = []
+        for item in ITEMS:
+            if item is None:
+                self.addWidget(_line())
+            elif item == "opacity":
+                self.addWidget(self.opacity)
+            else:
+                self.addWidget(self._button(commands, item))
+        self._needed = self.sizeHint().width()
+
+    def close_panel(self) -> None:
+        self.opacity.close_panel()
+
+    def _button(self, commands: Commands, id: str) -> QToolButton:
+        button = QToolButton()
+        button.setIconSize(QSize(20, 20))
+        button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        action = commands.actions[id]
+        if id in LABELLED:
+            button.setObjectName("labelled")
+            button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+            action.setIconText(LABELLED[id])
+            self._labelled.append(button)
+        button.setDefaultAction(action)
+        return button
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Where the names do not fit, the icons must."""
+        style = Qt.ToolButtonStyle
+        wanted = style.ToolButtonTextBesideIcon
+        if self.width() < self._needed:
+            wanted = style.ToolButtonIconOnly
+        for button in self._labelled:
+            button.setToolButtonStyle(wanted)
+        super().resizeEvent(event)
+
+
+def _line() -> QWidget:
+    """A thin line between groups of buttons."""
+    line = QWidget()
+    line.setObjectName("line")
+    line.setAttribute(Qt.WidgetAttribute.WA_StyledBackground)
+    line.setFixedSize(1, 20)
+    around = QWidget()
+    row = QHBoxLayout(around)
+    row.setContentsMargins(5, 0, 5, 0)
+    row.addWidget(line)
+    return around

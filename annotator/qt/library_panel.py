@@ -1,0 +1,202 @@
+"""The mesh library: thumbnails to drag onto an image."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PySide6.QtCore import QMimeData, QSize, Qt, Signal
+from PySide6.QtGui import QDragEnterEvent, QDragMoveEvent, QDropEvent, QIcon, QImage, QPixmap
+from PySide6.QtWidgets import (
+    QHBoxLayout,
+    QLabel,
+    QListWidget,
+    QListWidgetItem,
+    QSizePolicy,
+    QStackedLayout,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from annotator.app.controller import Controller
+from annotator.app.events import Event
+from annotator.app.placing import add_object
+from annotator.app.questions import symmetry_summary
+from annotator.app.tasks import Task
+from annotator.qt.commands import Commands
+from annotator.qt.theme import pixmap
+from annotator.session.meshes import Version
+from std_toolkit.geometry.mesh import MESH_SUFFIXES
+from std_toolkit.scene import Model
+
+MODEL_MIME = "application/x-std-annotate-model"
+THUMBNAIL = 60
+_EMPTY = "No meshes yet: drop mesh files here."
+
+
+class LibraryPanel(QWidget):
+    """Meshes of the scene.
+
+    Signals:
+        files_dropped: mesh files (list of Path) that were dropped onto the library.
+    """
+
+    files_dropped = Signal(list)
+
+    def __init__(self, controller: Controller, commands: Commands) -> None:
+        super().__init__()
+        self._controller = controller
+        # By id, with the meshes that there were: how boxes stand is told by the others.
+        self._pictures: dict[str, tuple[Version, QIcon]] = {}
+        self._asked_for: frozenset[Version] = frozenset()
+        self.list = _Meshes()
+        self.list.itemDoubleClicked.connect(
+            lambda item: add_object(controller, item.data(Qt.ItemDataRole.UserRole))
+        )
+        heading = QLabel("Mesh library")
+        heading.setObjectName("heading")
+        add = QToolButton()
+        add.setObjectName("labelled")
+        add.setDefaultAction(commands.actions["add_mesh"])
+        add.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+        add.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        top = QHBoxLayout()
+        top.addWidget(heading)
+        top.addStretch(1)
+        top.addWidget(add)
+
+        empty = QLabel(_EMPTY)
+        empty.setObjectName("empty")
+        empty.setWordWrap(True)
+        empty.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        empty.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)
+        self.stack = QStackedLayout()
+        self.stack.addWidget(self.list)
+        self.stack.addWidget(empty)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(6, 4, 6, 4)
+        layout.setSpacing(4)
+        layout.addLayout(top)
+        layout.addLayout(self.stack, 1)
+        self.setAcceptDrops(True)
+        self._unsubscribe = controller.subscribe(self._on_event)
+        self.refresh()
+
+    def close_panel(self) -> None:
+        self._unsubscribe()
+
+    def refresh(self) -> None:
+        """Show the meshes that the session has now."""
+        models = self._controller.session.state.models
+        shown = [self.list.item(i).text() for i in range(self.list.count())]
+        if shown != [m.id for m in models]:
+            self.list.clear()
+            for model in models:
+                item = QListWidgetItem(model.id)
+                # All alike, or long names would crowd the others.
+                item.setSizeHint(self.list.gridSize())
+                item.setData(Qt.ItemDataRole.UserRole, model.id)
+                self.list.addItem(item)
+        for i, model in enumerate(models):
+            self.list.item(i).setToolTip(_described(model))
+            self.list.item(i).setIcon(self._picture(model))
+        self.stack.setCurrentIndex(0 if models else 1)
+
+    def draw_pictures(self) -> None:
+        """Draw the thumbnails that are missing, beside the work."""
+        snapshot = self._controller.session.snapshot()
+        models = snapshot.state.models
+        versions = {m.id: snapshot.meshes.version(m) for m in models}
+        wanted = frozenset(versions.values())
+        size = round(THUMBNAIL * self.devicePixelRatioF())
+        if wanted <= self._asked_for:
+            return
+        self._asked_for = wanted
+
+        def draw(_: Task) -> list[NDArray[np.uint8] | None]:
+            from annotator.views import model_picture
+
+            return [model_picture(snapshot, m, size) for m in models]
+
+        def finish(pictures: list[NDArray[np.uint8] | None]) -> None:
+            for model, picture in zip(models, pictures, strict=True):
+                self._pictures[model.id] = versions[model.id], _as_icon(picture)
+            self.refresh()
+
+        self._controller.start_aside("Thumbnails", draw, finish)
+
+    def _picture(self, model: Model) -> QIcon:
+        version, picture = self._pictures.get(model.id, (None, None))
+        if picture is None or version != self._controller.session.meshes.version(model):
+            return QIcon(pixmap("style_wireframe", 32))
+        return picture
+
+    def _on_event(self, event: Event) -> None:
+        if event.kind == "edited":
+            self.refresh()
+            self.draw_pictures()
+
+    # --- mesh files from the desktop -------------------------------------------------------------
+
+    def dragEnterEvent(self, event: QDragEnterEvent) -> None:
+        if mesh_files(event.mimeData()) and self._controller.session.writable:
+            event.acceptProposedAction()
+
+    def dragMoveEvent(self, event: QDragMoveEvent) -> None:
+        event.acceptProposedAction()
+
+    def dropEvent(self, event: QDropEvent) -> None:
+        files = mesh_files(event.mimeData())
+        if files:
+            event.acceptProposedAction()
+            self.files_dropped.emit(files)
+
+
+class _Meshes(QListWidget):
+    def __init__(self) -> None:
+        super().__init__()
+        self.setViewMode(QListWidget.ViewMode.IconMode)
+        self.setIconSize(QSize(THUMBNAIL, THUMBNAIL))
+        line = self.fontMetrics().height()
+        self.setGridSize(QSize(THUMBNAIL + 26, THUMBNAIL + line + 10))
+        self.setMinimumHeight(THUMBNAIL + line + 18)
+        self.setResizeMode(QListWidget.ResizeMode.Adjust)
+        self.setMovement(QListWidget.Movement.Static)
+        self.setDragEnabled(True)
+        self.setTextElideMode(Qt.TextElideMode.ElideMiddle)
+        self.setVerticalScrollMode(QListWidget.ScrollMode.ScrollPerPixel)
+        self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+
+    def mimeTypes(self) -> list[str]:
+        return [MODEL_MIME]
+
+    def mimeData(self, items: list[QListWidgetItem]) -> QMimeData:  # type: ignore[override]
+        data = QMimeData()
+        data.setData(MODEL_MIME, items[0].data(Qt.ItemDataRole.UserRole).encode())
+        return data
+
+
+def _as_icon(rgb: NDArray[np.uint8] | None) -> QIcon:
+    if rgb is None:
+        return QIcon(pixmap("error", 32))
+    pixels = np.ascontiguousarray(rgb)
+    height, width = pixels.shape[:2]
+    image = QImage(pixels.data, width, height, 3 * width, QImage.Format.Format_RGB888)
+    return QIcon(QPixmap.fromImage(image.copy()))
+
+
+def mesh_files(data: QMimeData) -> list[Path]:
+    """Mesh files among what is dragged."""
+    paths = [Path(url.toLocalFile()) for url in data.urls() if url.isLocalFile()]
+    return [p for p in paths if p.suffix.lower() in MESH_SUFFIXES]
+
+
+def _described(model: Model) -> str:
+    size = " x ".join(f"{1000 * x:.0f}" for x in model.size_m)
+    turns = symmetry_summary(model.symmetry)
+    return (
+        f"<b>{model.id}</b><br>{size} mm, category {model.category}, {turns}<br>"
+        "Drag it onto an image, or double-click."
+    )

@@ -1,0 +1,244 @@
+"""The main window: the start page, or a scene with everything around it.
+
+Threads whose results come back into Qt's event loop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from PySide6.QtCore import QEventLoop, QObject, Qt, QTimer, Signal, Slot
+from PySide6.QtGui import QCloseEvent
+from PySide6.QtWidgets import QApplication, QFileDialog, QMainWindow
+
+from annotator.app.controller import Controller
+from annotator.app.events import Event
+from annotator.app.image_cache import ImageCache
+from annotator.app.tasks import ThreadRunner
+from annotator.app.view_options import choose_view_frames
+from annotator.qt.commands import TypingGuard
+from annotator.qt.graphics import prepare_window
+from annotator.qt.question_dialog import closing_question, recovery_question
+from annotator.qt.settings import remember_scene, restore_window
+from annotator.qt.start_page import OpeningPage, StartPage
+from annotator.session import Session
+from annotator.startup import quick_imports
+from std_toolkit.errors import ToolkitError
+
+if TYPE_CHECKING:
+    from annotator.qt.window_dialogs import WindowDialogs
+    from annotator.qt.workspace import Workspace
+
+Recover = Literal["ask", "yes", "no"]
+
+SMALLEST = (960, 600)
+
+USUAL = (1440, 900)
+
+
+class Shell(QMainWindow):
+    """One window, one scene at a time.
+
+    Args:
+        annotator: who edits; default: the user of this computer.
+    """
+
+    def __init__(self, *, annotator: str | None = None) -> None:
+        super().__init__()
+        self._annotator = annotator
+        self.workspace: Workspace | None = None
+        self.controller: Controller | None = None
+        self.start_page: StartPage | None = None
+        self._runner: QtRunner | None = None
+        self._asking: WindowDialogs | None = None
+        prepare_window(self)
+        self.setMinimumSize(*SMALLEST)
+        if not restore_window(self):
+            screen = QApplication.primaryScreen().availableSize()
+            self.resize(min(USUAL[0], screen.width()), min(USUAL[1], screen.height()))
+        app = QApplication.instance()
+        assert isinstance(app, QApplication)
+        self._typing = TypingGuard(app)
+        self.show_start_page()
+
+    # --- opening ---------------------------------------------------------------------------------
+
+    def open_scene(
+        self, root: Path | str, *, read_only: bool = False, recover: Recover = "ask"
+    ) -> bool:
+        """Open a scene in place of what is shown; False if it was not opened.
+
+        What goes wrong is told on the start page.
+        """
+        if not self.leave_scene():
+            return False
+        root = Path(root)
+        try:
+            session = Session.open(
+                root, annotator=self._annotator, recover=recover, read_only=read_only
+            )
+            try:
+                if session.recovery is not None and not self._decide_recovery(session):
+                    session.close()
+                    self.show_start_page()
+                    return False
+                self._show_scene(session)
+            except BaseException:
+                session.close()
+                raise
+        except ToolkitError as error:
+            self.show_start_page(error, root)
+            return False
+        if session.writable:
+            remember_scene(root)
+        return True
+
+    def browse(self) -> None:
+        """Let the person look for a scene folder."""
+        folder = QFileDialog.getExistingDirectory(self, "Open scene folder")
+        if folder:
+            self.open_scene(folder)
+
+    def show_start_page(
+        self, problem: ToolkitError | None = None, tried: Path | None = None
+    ) -> None:
+        """What is shown without a scene."""
+        if self.start_page is None:
+            self.start_page = StartPage()
+            self.start_page.browse.connect(self.browse)
+            self.start_page.chosen.connect(
+                lambda root, read_only: self.open_scene(root, read_only=read_only)
+            )
+            self.setCentralWidget(self.start_page)
+        self.menuBar().clear()
+        self.setWindowTitle("std-annotate")
+        self.start_page.refresh(problem, tried)
+
+    def _decide_recovery(self, session: Session) -> bool:
+        """Ask about edits that were not saved; False to leave the scene alone for now."""
+        assert session.recovery is not None
+        answer = recovery_question(self, session.recovery).ask()
+        if answer == "recover":
+            session.recover()
+        elif answer == "discard":
+            session.discard_recovery()
+        return answer != "close"
+
+    def _show_scene(self, session: Session) -> None:
+        frames = choose_view_frames(session.scene, session)
+        images = ImageCache(session.scene)
+        self._show_first_image(session, images, frames[0])
+        images.prefetch(frames[1:])  # decoded while the window is built
+        # What draws in three dimensions is loaded after the first image is seen.
+        with quick_imports():
+            from annotator.qt.window_dialogs import WindowDialogs
+            from annotator.qt.workspace import Workspace
+
+        self._runner = QtRunner()
+        self.controller = Controller(session, images, runner=self._runner, view_frames=frames)
+        objects = session.state.objects
+        if objects:
+            self.controller.select(objects[0].name)
+        self.workspace = Workspace(self, self.controller)
+        self.setCentralWidget(self.workspace)
+        self._asking = WindowDialogs(self, self.workspace, self.controller)
+        who = f" · {session.annotator}" if session.annotator else ""
+        how = "" if session.writable else " · read-only"
+        self.setWindowTitle(f"{session.scene.info.name}{who}{how} · std-annotate[*]")
+        self.controller.subscribe(self._on_event)
+        self.workspace.start()
+        for warning in session.warnings:
+            self.controller.tell(warning, "warning")
+        if session.pose_problem is not None:
+            self.controller.tell(session.pose_problem, "warning")
+        if not session.writable:
+            self.controller.tell("This scene is open for looking only: nothing can be changed.")
+
+    def _show_first_image(self, session: Session, images: ImageCache, frame: int) -> None:
+        try:
+            rgb = images.image(frame).rgb
+        except ToolkitError:
+            rgb = None  # told in the view
+        self.start_page = None
+        self.setCentralWidget(OpeningPage(session.scene.info.name, rgb))
+        QApplication.processEvents(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)
+
+    def _on_event(self, event: Event) -> None:
+        if event.kind in ("edited", "saved") and self.controller is not None:
+            self.setWindowModified(self.controller.session.unsaved)
+
+    # --- closing ---------------------------------------------------------------------------------
+
+    def leave_scene(self) -> bool:
+        """Close the scene that is open; False if the person would rather stay.
+
+        No edit is lost either way: what is not saved stays in the journal.
+        """
+        if self.controller is None or self.workspace is None:
+            return True
+        controller, session = self.controller, self.controller.session
+        if controller.task is not None and controller.task.alone:
+            controller.tell(f"{controller.task.title}: wait until it is done.", "warning")
+            return False
+        controller.cancel_drag()
+        if session.writable and session.unsaved:
+            assert self._asking is not None
+            answer = closing_question(self, len(session.steps)).ask()
+            if answer == "cancel" or (answer == "save" and not self._asking.save()):
+                return False
+        if controller.task is not None:
+            controller.task.cancel()
+        workspace = self.workspace
+        workspace.close_panel()
+        if self._runner is not None:
+            self._runner.close(timeout=2.0)
+        controller.images.close()
+        session.close()
+        self.workspace = self.controller = self._runner = self._asking = None
+        self.takeCentralWidget()
+        workspace.deleteLater()
+        return True
+
+    def closeEvent(self, event: QCloseEvent) -> None:
+        if self.leave_scene():
+            event.accept()
+        else:
+            event.ignore()
+
+    def tell_trouble(self, text: str) -> None:
+        """An error that nobody foresaw, where the person looks."""
+        if self.controller is not None:
+            self.controller.tell(text, "error")
+        elif self.start_page is not None:
+            self.start_page.refresh(ToolkitError(text))
+
+    def close_soon(self) -> None:
+        """Close after what is being handled now, such as the menu that asked for it."""
+        QTimer.singleShot(0, self, self.close)
+
+
+class _Postman(QObject):
+    """Calls functions in the thread it was made in; they may be handed in from any thread."""
+
+    _handed_in = Signal(object)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._handed_in.connect(self._call, Qt.ConnectionType.QueuedConnection)
+
+    @Slot(object)
+    def _call(self, call: Callable[[], None]) -> None:
+        call()
+
+    def deliver(self, call: Callable[[], None]) -> None:
+        self._handed_in.emit(call)
+
+
+class QtRunner(ThreadRunner):
+    """Results are delivered in the thread that makes it, while its event loop runs."""
+
+    def __init__(self) -> None:
+        self._postman = _Postman()
+        super().__init__(self._postman.deliver)

@@ -1,0 +1,221 @@
+"""The line below: what to do next, what is being computed, what is saved.
+
+Messages over the views: they tell, and do not stop the work.
+"""
+
+from __future__ import annotations
+
+from PySide6.QtCore import QEvent, QObject, QSize, Qt, QTimer
+from PySide6.QtWidgets import (
+    QFrame,
+    QHBoxLayout,
+    QLabel,
+    QProgressBar,
+    QSizePolicy,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from annotator.app.controller import Controller
+from annotator.app.events import Event, Level
+from annotator.app.object_summary import next_hint
+from annotator.qt import theme
+from annotator.qt.theme import icon, pixmap
+
+# Long enough to read; errors stay until they are closed or newer messages replace them.
+SHOWN_MS: dict[Level, int] = {"info": 8000, "warning": 20_000}
+
+MOST = 3
+
+WIDEST = 680
+
+MARGIN = 10
+
+_INK: dict[Level, str] = {"info": theme.ACCENT, "warning": theme.WARNING, "error": theme.BAD}
+
+
+class StatusLine(QWidget):
+    """Hint, progress and saved state."""
+
+    def __init__(self, controller: Controller) -> None:
+        super().__init__()
+        self._controller = controller
+        self._moving = False
+        self.hint = QLabel()
+        self.hint.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        self.busy = QLabel()
+        self.progress = QProgressBar()
+        self.progress.setFixedWidth(120)
+        self.progress.setTextVisible(False)
+        self.cancel = QToolButton()
+        self.cancel.setIcon(icon("close"))
+        self.cancel.setIconSize(QSize(12, 12))
+        self.cancel.setToolTip("<b>Cancel</b> Esc<br>Stop; nothing is changed.")
+        self.cancel.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.cancel.clicked.connect(controller.cancel)
+        self.saved = QLabel()
+        row = QHBoxLayout(self)
+        row.setContentsMargins(8, 2, 8, 2)
+        row.setSpacing(6)
+        row.addWidget(self.hint, 1)
+        row.addWidget(self.busy)
+        row.addWidget(self.progress)
+        row.addWidget(self.cancel)
+        row.addSpacing(8)
+        row.addWidget(self.saved)
+        # What comes and goes in it must not change the size of the views above.
+        self.setFixedHeight(self.cancel.sizeHint().height() + 4)
+        self._soon = QTimer(self, singleShot=True, interval=0)
+        self._soon.timeout.connect(self.refresh)
+        self._watch = QTimer(self, interval=150)
+        self._watch.timeout.connect(self._show_progress)
+        self._unsubscribe = controller.subscribe(self._on_event)
+        self.refresh()
+
+    def close_panel(self) -> None:
+        self._unsubscribe()
+        self._soon.stop()
+        self._watch.stop()
+
+    def refresh(self) -> None:
+        c = self._controller
+        hint = next_hint(c)
+        if hint != self.hint.text():
+            self.hint.setText(hint)
+            self.hint.setToolTip(hint)
+        self._show_progress()
+        if c.task is not None and not self._watch.isActive():
+            self._watch.start()
+        session = c.session
+        if not session.writable:
+            text, ink, tip = "read-only", theme.WARNING, "Nothing of this scene can be changed."
+        elif session.unsaved:
+            text, ink = "● not saved, journalled", theme.WARNING
+            tip = (
+                "Every edit stands in the scene's journal already: a crash loses none. "
+                "Save (Ctrl+S) writes the labels."
+            )
+        else:
+            text, ink, tip = "saved", theme.MUTED, "The labels in the scene are up to date."
+        if text != self.saved.text():
+            self.saved.setText(text)
+            self.saved.setStyleSheet(f"color: {ink}")
+            self.saved.setToolTip(tip)
+
+    def _show_progress(self) -> None:
+        task = self._controller.task
+        # What nothing may be edited beside cannot be stopped halfway.
+        shown = {self.busy: task, self.progress: task}
+        shown[self.cancel] = None if task is None or task.alone else task
+        for widget, reason in shown.items():
+            if widget.isHidden() != (reason is None):
+                widget.setVisible(reason is not None)
+        if task is None:
+            self._watch.stop()
+            return
+        self.busy.setText("Stopping ..." if task.cancelled else f"{task.title} ...")
+        if task.fraction is None:
+            self.progress.setRange(0, 0)
+        else:
+            self.progress.setRange(0, 1000)
+            self.progress.setValue(round(1000 * task.fraction))
+
+    def _on_event(self, event: Event) -> None:
+        if event.kind == "preview" and self._moving == (self._controller.dragging is not None):
+            return  # only how far it moved is new
+        self._moving = self._controller.dragging is not None
+        if event.kind not in ("message", "look") and not self._soon.isActive():
+            self._soon.start()
+
+
+class Banner(QWidget):
+    """The latest messages, newest below; hidden while there are none.
+
+    It floats over the foot of a widget: the views keep their place and size.
+    """
+
+    def __init__(self, over: QWidget) -> None:
+        super().__init__(over)
+        self._over = over
+        over.installEventFilter(self)
+        self._layout = QVBoxLayout(self)
+        self._layout.setContentsMargins(0, 0, 0, 0)
+        self._layout.setSpacing(2)
+        self.messages: list[Message] = []
+        self.hide()
+
+    def tell(self, text: str, level: Level = "info") -> None:
+        """Show a message; the same one again is not shown twice."""
+        for old in list(self.messages):
+            # News of success and progress replace each other.
+            if old.text == text or (old.level == "info" and level == "info"):
+                self._remove(old)
+        message = Message(text, level)
+        message.close_button.clicked.connect(lambda: self._remove(message))
+        if level in SHOWN_MS:
+            QTimer.singleShot(SHOWN_MS[level], message, lambda: self._remove(message))
+        self.messages.append(message)
+        self._layout.addWidget(message)
+        # Until it is shown the layout has no room for it.
+        message.show()
+        while len(self.messages) > MOST:
+            self._remove(self.messages[0])
+        self._arrange()
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        if watched is self._over and event.type() == QEvent.Type.Resize:
+            self._arrange()
+        return super().eventFilter(watched, event)
+
+    def _arrange(self) -> None:
+        """At the foot, as wide as is easy to read."""
+        self.setVisible(bool(self.messages))
+        if self.messages:
+            width = min(self._over.width() - 2 * MARGIN, WIDEST)
+            self.setFixedWidth(max(width, 200))
+            self.adjustSize()
+            height = self._layout.totalHeightForWidth(self.width())
+            self.resize(self.width(), height if height > 0 else self.sizeHint().height())
+            self.move(MARGIN, self._over.height() - self.height() - MARGIN)
+            self.raise_()
+
+    def clear(self) -> None:
+        for message in list(self.messages):
+            self._remove(message)
+
+    def _remove(self, message: Message) -> None:
+        if message in self.messages:
+            self.messages.remove(message)
+            self._layout.removeWidget(message)
+            message.hide()
+            message.deleteLater()
+        self._arrange()
+
+
+class Message(QFrame):
+    """One message: what it is by a coloured edge and an icon."""
+
+    def __init__(self, text: str, level: Level) -> None:
+        super().__init__()
+        self.text, self.level = text, level
+        self.setObjectName("message")
+        self.setStyleSheet(
+            f"QFrame#message {{ background: {theme.RAISED}; border: 1px solid {theme.BORDER};"
+            f" border-left: 3px solid {_INK[level]}; }}"
+        )
+        sign = QLabel()
+        sign.setPixmap(pixmap(level, 16, _INK[level], self.devicePixelRatioF()))
+        label = QLabel(text)
+        label.setTextFormat(Qt.TextFormat.PlainText)
+        label.setWordWrap(True)
+        label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.close_button = QToolButton()
+        self.close_button.setIcon(icon("close", theme.MUTED))
+        self.close_button.setToolTip("Close this message")
+        self.close_button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        row = QHBoxLayout(self)
+        row.setContentsMargins(8, 4, 4, 4)
+        row.addWidget(sign, 0, Qt.AlignmentFlag.AlignTop)
+        row.addWidget(label, 1)
+        row.addWidget(self.close_button, 0, Qt.AlignmentFlag.AlignTop)

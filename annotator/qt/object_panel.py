@@ -1,0 +1,321 @@
+"""The objects of the scene, and what there is to set of the selected one.
+
+The list of objects: colour, name, what it is made of, how far the work is, how well it fits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from PySide6.QtCore import (
+    QAbstractListModel,
+    QItemSelectionModel,
+    QMimeData,
+    QModelIndex,
+    QPersistentModelIndex,
+    QPoint,
+    QRect,
+    QRectF,
+    QSize,
+    Qt,
+)
+from PySide6.QtGui import QColor, QFont, QFontMetrics, QPainter
+from PySide6.QtWidgets import (
+    QComboBox,
+    QHBoxLayout,
+    QLabel,
+    QListView,
+    QMenu,
+    QSizePolicy,
+    QStackedLayout,
+    QStyle,
+    QStyledItemDelegate,
+    QStyleOptionViewItem,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from annotator.app.controller import Controller
+from annotator.app.events import Event
+from annotator.app.object_summary import ObjectSummary, progress, summarize
+from annotator.qt import theme
+from annotator.qt.commands import Commands
+from annotator.qt.theme import icon, pixmap
+from annotator.session import ChangeObject
+from std_toolkit.html.plots import object_color
+from std_toolkit.labels.label import MATERIALS
+
+_MENU = (
+    ("done", "zoom_object"),
+    ("rename", "note", "symmetry"),
+    ("flip_x", "flip_y", "flip_z"),
+    ("quarter_x", "quarter_y", "quarter_z"),
+    ("unplace", "remove_object"),
+)
+
+# What to do about it stands in the view and in the status line.
+_EMPTY = "No objects yet."
+
+Index = QModelIndex | QPersistentModelIndex
+
+OBJECT_MIME = "application/x-std-annotate-object"
+
+_GRADE_INK = {
+    "good": theme.GOOD,
+    "fair": theme.WARNING,
+    "poor": theme.BAD,
+    "unknown": theme.MUTED,
+}
+
+_STATE_INK = {
+    "not placed": theme.FAINT,
+    "placed": theme.WARNING,
+    "refined": theme.ACCENT,
+    "done": theme.GOOD,
+}
+
+_ROLE = Qt.ItemDataRole
+
+
+class ObjectPanel(QWidget):
+    """List, material and the most used commands."""
+
+    def __init__(self, controller: Controller, commands: Commands) -> None:
+        super().__init__()
+        self._controller = controller
+        self._commands = commands
+        self.model = ObjectListModel()
+        self.list = ObjectList(self.model)
+        self.list.selectionModel().currentChanged.connect(self._on_current)
+        self.list.customContextMenuRequested.connect(self._show_menu)
+        self.list.doubleClicked.connect(lambda: commands.run("zoom_object"))
+
+        heading = QLabel("Objects")
+        heading.setObjectName("heading")
+        self.count = QLabel()
+        self.count.setObjectName("muted")
+        top = QHBoxLayout()
+        top.addWidget(heading)
+        top.addStretch(1)
+        top.addWidget(self.count)
+
+        empty = QLabel(_EMPTY)
+        empty.setObjectName("empty")
+        empty.setWordWrap(True)
+        empty.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        empty.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)
+        self.list.setMinimumHeight(round(8.7 * self.fontMetrics().height()))
+        self.stack = QStackedLayout()
+        self.stack.addWidget(self.list)
+        self.stack.addWidget(empty)
+
+        self.material = QComboBox()
+        self.material.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
+        for name in MATERIALS:
+            self.material.addItem(icon(name), name)
+            tip = commands.actions[f"material_{name}"].statusTip()
+            self.material.setItemData(self.material.count() - 1, tip, Qt.ItemDataRole.ToolTipRole)
+        self.material.setToolTip(
+            "<b>Material</b><br>Decides which evidence is trusted: the depth sensor is right on "
+            "raw and diffuse surfaces only."
+        )
+        self.material.activated.connect(self._set_material)
+        below = QHBoxLayout()
+        below.addWidget(self.material, 1)
+        for id in ("done", "note", "unplace", "remove_object"):
+            button = QToolButton()
+            button.setDefaultAction(commands.actions[id])
+            button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonIconOnly)
+            button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+            below.addWidget(button)
+
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(6, 4, 6, 4)
+        layout.setSpacing(4)
+        layout.addLayout(top)
+        layout.addLayout(self.stack, 1)
+        layout.addLayout(below)
+        self._unsubscribe = controller.subscribe(self._on_event)
+        self.refresh()
+
+    def close_panel(self) -> None:
+        self._unsubscribe()
+
+    def refresh(self) -> None:
+        c = self._controller
+        self.model.show_rows(summarize(c))
+        self.count.setText(progress(c))
+        self.stack.setCurrentIndex(0 if self.model.rows else 1)
+        names = [r.name for r in self.model.rows]
+        selection = self.list.selectionModel()
+        if c.selected in names:
+            index = self.model.index(names.index(c.selected))
+            if index != selection.currentIndex():
+                flag = QItemSelectionModel.SelectionFlag.ClearAndSelect
+                selection.setCurrentIndex(index, flag)
+                self.list.scrollTo(index)
+            self.material.setCurrentText(c.session.object(c.selected).material)
+        else:
+            selection.clear()
+            self.material.setCurrentIndex(-1)
+        self.material.setEnabled(c.selected in names and c.session.writable)
+
+    def _on_current(self) -> None:
+        index = self.list.selectionModel().currentIndex()
+        if index.isValid():
+            name = self.model.rows[index.row()].name
+            self._controller.attempt(lambda: self._controller.select(name))
+
+    def _set_material(self) -> None:
+        c = self._controller
+        material = self.material.currentText()
+        if c.selected is not None and c.session.object(c.selected).material != material:
+            c.apply(ChangeObject(object=c.selected, material=material))  # type: ignore[arg-type]
+
+    def _show_menu(self, place: QPoint) -> None:
+        if not self.list.indexAt(place).isValid():
+            return
+        menu = QMenu(self)
+        menu.setToolTipsVisible(True)
+        for group in _MENU:
+            menu.addActions([self._commands.actions[id] for id in group])
+            menu.addSeparator()
+        materials = menu.addMenu("Material")
+        materials.addActions([self._commands.actions[f"material_{m}"] for m in MATERIALS])
+        menu.popup(self.list.viewport().mapToGlobal(place))
+
+    def _on_event(self, event: Event) -> None:
+        if event.kind in ("edited", "selected", "residuals", "penetration", "saved"):
+            self.refresh()
+
+
+class ObjectListModel(QAbstractListModel):
+    """The objects as summarized last."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.rows: list[ObjectSummary] = []
+
+    def show_rows(self, rows: list[ObjectSummary]) -> None:
+        """Rows that stay keep their place, selection and scroll position."""
+        if [r.id for r in rows] != [r.id for r in self.rows]:
+            self.beginResetModel()
+            self.rows = rows
+            self.endResetModel()
+        elif rows != self.rows:
+            self.rows = rows
+            self.dataChanged.emit(self.index(0), self.index(len(rows) - 1))
+
+    def rowCount(self, parent: Index = QModelIndex()) -> int:  # noqa: B008
+        return 0 if parent.isValid() else len(self.rows)
+
+    def data(self, index: Index, role: int = _ROLE.DisplayRole) -> object:
+        row = self.rows[index.row()]
+        if role == _ROLE.DisplayRole:
+            return row.name
+        if role == _ROLE.ToolTipRole:
+            return row.explanation
+        if role == _ROLE.UserRole:
+            return row
+        return None
+
+    def color(self, row: ObjectSummary) -> str:
+        return object_color([r.id for r in self.rows], row.id)
+
+    def flags(self, index: Index) -> Qt.ItemFlag:
+        return super().flags(index) | Qt.ItemFlag.ItemIsDragEnabled
+
+    def mimeTypes(self) -> list[str]:
+        return [OBJECT_MIME]
+
+    def mimeData(self, indexes: Sequence[QModelIndex]) -> QMimeData:
+        data = QMimeData()
+        data.setData(OBJECT_MIME, self.rows[indexes[0].row()].name.encode())
+        return data
+
+
+class ObjectDelegate(QStyledItemDelegate):
+    """Two lines to an object."""
+
+    def sizeHint(self, option: QStyleOptionViewItem, index: Index) -> QSize:  # noqa: ARG002
+        return QSize(160, round(2.9 * QFontMetrics(option.font).height()))
+
+    def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: Index) -> None:
+        row: ObjectSummary = index.data(_ROLE.UserRole)
+        model = index.model()
+        assert isinstance(model, ObjectListModel)
+        selected = bool(option.state & QStyle.StateFlag.State_Selected)
+        hovered = bool(option.state & QStyle.StateFlag.State_MouseOver)
+        painter.save()
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        box: QRect = option.rect
+        if selected or hovered:
+            painter.fillRect(box, QColor(theme.ACCENT_DEEP if selected else theme.RAISED))
+        # The object's colour, as in the views.
+        color = QRectF(box.left() + 6, box.top() + 6, 6, box.height() - 12)
+        painter.setPen(Qt.PenStyle.NoPen)
+        painter.setBrush(QColor(model.color(row)))
+        painter.drawRoundedRect(color, 2, 2)
+
+        bold = QFont(option.font)
+        bold.setWeight(QFont.Weight.DemiBold)
+        small = QFont(option.font)
+        small.setPointSizeF(0.88 * option.font.pointSizeF())
+        half = box.height() // 2
+        top = QRect(box.left() + 20, box.top() + 3, box.width() - 28, half - 2)
+        bottom = QRect(top.left(), box.top() + half, top.width(), half - 3)
+        right, left = Qt.AlignmentFlag.AlignRight, Qt.AlignmentFlag.AlignLeft
+        middle = Qt.AlignmentFlag.AlignVCenter
+
+        painter.setFont(small)
+        used = 0
+        if row.badge:
+            painter.setPen(QColor(theme.TEXT if selected else _GRADE_INK[row.grade]))
+            painter.drawText(bottom, right | middle, row.badge)
+            used = QFontMetrics(small).horizontalAdvance(row.badge) + 8
+        painter.setPen(QColor(theme.TEXT if selected else _STATE_INK[row.state]))
+        painter.drawText(top, right | middle, row.state)
+        word = QFontMetrics(small).horizontalAdvance(row.state) + 8
+
+        painter.setPen(QColor(theme.TEXT if selected else theme.MUTED))
+        sign = pixmap(row.material, 12, theme.TEXT if selected else theme.MUTED, 2.0)
+        place = QRect(bottom.left(), bottom.center().y() - 5, 12, 12)
+        painter.drawPixmap(place, sign)
+        described = row.alarm or f"{row.material} · {row.model}"
+        if row.alarm and not selected:
+            painter.setPen(QColor(theme.BAD))
+        free = bottom.adjusted(17, 0, -used, 0)
+        metrics = QFontMetrics(small)
+        painter.drawText(
+            free,
+            left | middle,
+            metrics.elidedText(described, Qt.TextElideMode.ElideRight, free.width()),
+        )
+        painter.setFont(bold)
+        painter.setPen(QColor(theme.TEXT if row.state != "not placed" or selected else theme.MUTED))
+        free = top.adjusted(0, 0, -word - (18 if row.noted else 0), 0)
+        name = QFontMetrics(bold).elidedText(row.name, Qt.TextElideMode.ElideRight, free.width())
+        painter.drawText(free, left | middle, name)
+        if row.noted:
+            at = top.left() + QFontMetrics(bold).horizontalAdvance(name) + 6
+            sign = pixmap("note", 12, theme.TEXT if selected else theme.WARNING, 2.0)
+            painter.drawPixmap(QRect(at, top.center().y() - 6, 12, 12), sign)
+        painter.restore()
+
+
+class ObjectList(QListView):
+    """The view of the list; objects can be dragged from it onto an image."""
+
+    def __init__(self, model: ObjectListModel, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setModel(model)
+        self.setItemDelegate(ObjectDelegate(self))
+        self.setUniformItemSizes(True)
+        self.setMouseTracking(True)
+        self.setDragEnabled(True)
+        self.setVerticalScrollMode(QListView.ScrollMode.ScrollPerPixel)
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
+        # Keys belong to the views: the arrows move the object, N and P go through the list.
+        self.setFocusPolicy(Qt.FocusPolicy.NoFocus)

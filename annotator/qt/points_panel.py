@@ -1,0 +1,266 @@
+"""2D-3D correspondences: the mesh to click on, and the list of clicked points.
+
+The selected object's mesh by itself, to click points on it that the image hides.
+"""
+
+from __future__ import annotations
+
+from PySide6.QtCore import Qt, QTimer
+from PySide6.QtGui import QColor
+from PySide6.QtWidgets import (
+    QAbstractItemView,
+    QHBoxLayout,
+    QHeaderView,
+    QLabel,
+    QPushButton,
+    QStackedLayout,
+    QTableWidget,
+    QTableWidgetItem,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from annotator.app.controller import Controller
+from annotator.app.events import Event
+from annotator.app.object_summary import ClickRow, click_rows
+from annotator.app.placing import standing_axis
+from annotator.qt import theme
+from annotator.qt.commands import Commands
+from annotator.qt.theme import icon
+from annotator.qt.view_area import ViewWidget
+from annotator.session import ChangeClick, Click
+from annotator.views import ModelView
+from annotator.views.meshes import ShapeStore
+from std_toolkit.html.plots import object_color
+
+# Clicks of a careful hand are about a pixel off; a point much farther was clicked wrongly.
+GOOD_PX, BAD_PX = 2.0, 5.0
+
+_EMPTY = (
+    "No points yet.\n\nClick a point on the mesh above, then the same point in the image. "
+    "Four or more points give the pose; spread them over the object."
+)
+
+_POLL_MS = 60
+
+
+class PointsPanel(QWidget):
+    """Clicked points of the selected object, with what each is off after PnP."""
+
+    def __init__(self, controller: Controller, commands: Commands) -> None:
+        super().__init__()
+        self._controller = controller
+        self.rows: list[ClickRow] = []
+        self._filling = False
+        self.table = QTableWidget(0, 5)
+        self.table.setHorizontalHeaderLabels(["#", "frame", "u", "v", "residual"])
+        self.table.verticalHeader().setVisible(False)
+        self.table.setShowGrid(False)
+        header = self.table.horizontalHeader()
+        header.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
+        header.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
+        header.setHighlightSections(False)
+        self.table.verticalHeader().setDefaultSectionSize(22)
+        self.table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        self.table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
+        self.table.setEditTriggers(QAbstractItemView.EditTrigger.DoubleClicked)
+        self.table.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
+        self.table.itemChanged.connect(self._on_typed)
+        self.table.itemSelectionChanged.connect(self._update_buttons)
+        self.table.setToolTip(
+            "Pixels of the recorded image; the residual is what the pose misses.<br>Drag a cross "
+            "in the image to correct it, or double-click a number here."
+        )
+
+        empty = QLabel(_EMPTY)
+        empty.setObjectName("empty")
+        empty.setWordWrap(True)
+        empty.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        below = QWidget()
+        self.stack = QStackedLayout(below)
+        self.stack.addWidget(self.table)
+        self.stack.addWidget(empty)
+
+        self.remove_button = QPushButton(icon("remove"), "Delete point")
+        self.remove_button.setToolTip("Take the chosen point of the list away.")
+        self.remove_button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.remove_button.clicked.connect(self.remove)
+        buttons = QHBoxLayout()
+        for id in ("clicking", "solve_points"):
+            button = QToolButton()
+            button.setObjectName("labelled")
+            button.setDefaultAction(commands.actions[id])
+            button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+            button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+            buttons.addWidget(button)
+        buttons.addStretch(1)
+        edit = QHBoxLayout()
+        edit.addWidget(self.remove_button)
+        edit.addStretch(1)
+
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(6, 6, 6, 4)
+        layout.setSpacing(4)
+        layout.addLayout(buttons)
+        self.picker = MeshPicker(controller)
+        layout.addWidget(self.picker, 3)
+        layout.addWidget(below, 2)
+        layout.addLayout(edit)
+        self._unsubscribe = controller.subscribe(self._on_event)
+        self.refresh()
+
+    def close_panel(self) -> None:
+        self._unsubscribe()
+        self.picker.close_panel()
+
+    def selected_row(self) -> ClickRow | None:
+        chosen = self.table.selectionModel().selectedRows()
+        return self.rows[chosen[0].row()] if chosen else None
+
+    def correct(self, row: ClickRow, column: int, text: str) -> None:
+        """A pixel coordinate was typed."""
+        name = self._controller.selected
+        try:
+            value = float(text.replace(",", "."))
+        except ValueError:
+            self._controller.tell(f"{text!r} is not a pixel coordinate.", "warning")
+            self.refresh()
+            return
+        if name is not None and (
+            (column == 1 and value != row.u) or (column == 2 and value != row.v)
+        ):
+            old = self._controller.session.object(name).clicks[row.frame][row.number]
+            u, v = (value, row.v) if column == 2 else (row.u, value)
+            click = Click(u=u, v=v, point=old.point)
+            edit = ChangeClick(object=name, frame=row.frame, index=row.number, click=click)
+            if not self._controller.apply(edit):
+                self.refresh()
+
+    def _on_typed(self, item: QTableWidgetItem) -> None:
+        if not self._filling and item.column() in (2, 3):
+            self.correct(self.rows[item.row()], item.column(), item.text())
+
+    def remove(self) -> None:
+        """Take the selected point away."""
+        row, name = self.selected_row(), self._controller.selected
+        if row is not None and name is not None:
+            edit = ChangeClick(object=name, frame=row.frame, index=row.number, click=None)
+            self._controller.apply(edit)
+
+    def refresh(self) -> None:
+        c = self._controller
+        self.rows = [] if c.selected is None else click_rows(c, c.selected)
+        self._filling = True
+        self.table.setRowCount(len(self.rows))
+        for i, row in enumerate(self.rows):
+            residual = "" if row.residual_px is None else f"{row.residual_px:.1f} px"
+            for column, text in enumerate(
+                (str(row.number + 1), str(row.frame), f"{row.u:.1f}", f"{row.v:.1f}", residual)
+            ):
+                item = QTableWidgetItem(text)
+                item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+                if column == 4 and row.residual_px is not None:
+                    item.setForeground(QColor(_ink(row.residual_px)))
+                if column not in (2, 3) or not c.session.writable:
+                    item.setFlags(item.flags() & ~Qt.ItemFlag.ItemIsEditable)
+                self.table.setItem(i, column, item)
+        self._filling = False
+        self.stack.setCurrentIndex(0 if self.rows else 1)
+        self._update_buttons()
+
+    def _update_buttons(self) -> None:
+        c = self._controller
+        usable = self.selected_row() is not None and c.session.writable
+        self.remove_button.setEnabled(usable)
+
+    def _on_event(self, event: Event) -> None:
+        if event.kind in ("edited", "selected", "frames", "tool"):
+            self.refresh()
+
+
+def _ink(residual_px: float) -> str:
+    if residual_px <= GOOD_PX:
+        return theme.GOOD
+    return theme.WARNING if residual_px <= BAD_PX else theme.BAD
+
+
+class MeshPicker(QWidget):
+    """Built when it is first seen: most objects are labelled without it."""
+
+    def __init__(self, controller: Controller) -> None:
+        super().__init__()
+        self._controller = controller
+        self._shapes: ShapeStore | None = None
+        self.widget: ViewWidget | None = None
+        self.view: ModelView | None = None
+        self._layout = QVBoxLayout(self)
+        self._layout.setContentsMargins(0, 0, 0, 0)
+        self.setMinimumHeight(120)
+        self.setToolTip("Drag to turn the mesh, wheel to come closer, click to choose a point.")
+        self._again = QTimer(self, singleShot=True, interval=_POLL_MS)
+        self._again.timeout.connect(self.refresh)
+        self._unsubscribe = controller.subscribe(self._on_event)
+
+    def start(self, shapes: ShapeStore) -> None:
+        """From now on meshes can be had."""
+        self._shapes = shapes
+        if self.isVisible():
+            self._build()
+
+    def close_panel(self) -> None:
+        self._unsubscribe()
+        self._again.stop()
+        if self.view is not None:
+            self.view.close()
+        if self.widget is not None:
+            self.widget.close()
+
+    def showEvent(self, event: object) -> None:
+        super().showEvent(event)  # type: ignore[arg-type]
+        self._build()
+
+    def refresh(self) -> None:
+        """Show the selected object's mesh with its points in the view in hand."""
+        c = self._controller
+        if self.view is None or self._shapes is None or not self.isVisible():
+            return
+        if c.selected is None:
+            self.view.show(None)
+            self.view.set_points([])
+        else:
+            obj = c.session.object(c.selected)
+            model = c.session.state.model(obj.model)
+            shape = self._shapes.get(model)
+            if shape is None and self._shapes.pending:
+                self._again.start()
+            ids = [o.id for o in c.session.state.objects]
+            # Where there is no shape its mesh may be what cannot be read.
+            up = 2 if shape is None else standing_axis(c.session, model)
+            self.view.show(shape, object_color(ids, obj.id), up=up)
+            clicks = obj.clicks.get(c.active_frame, [])
+            self.view.set_points([x.point for x in clicks], c.pending_point)
+        self.view.draw()
+
+    def _build(self) -> None:
+        if self.view is None and self._shapes is not None:
+            self.widget = ViewWidget(self)
+            self.widget.setAcceptDrops(False)
+            self._layout.addWidget(self.widget)
+            self.view = ModelView(
+                self.widget, on_click=self._clicked, pixel_ratio=self.devicePixelRatioF()
+            )
+        self.refresh()
+
+    def _clicked(self, point: tuple[float, float, float]) -> None:
+        c = self._controller
+        if c.selected is None or not c.session.writable:
+            return
+        if not c.clicking:
+            c.set_tool(clicking=True)
+        c.pending_point = point
+        c.emit(Event("tool"))
+
+    def _on_event(self, event: Event) -> None:
+        if event.kind in ("edited", "selected", "tool", "frames"):
+            self.refresh()

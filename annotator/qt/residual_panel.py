@@ -1,0 +1,157 @@
+"""How well the selected object fits what the shown frames show."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QColor
+from PySide6.QtWidgets import (
+    QAbstractItemView,
+    QHeaderView,
+    QLabel,
+    QScrollArea,
+    QTableWidget,
+    QTableWidgetItem,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from annotator.app.controller import Controller
+from annotator.app.events import Event
+from annotator.app.object_summary import (
+    CHANCE_SHARE,
+    DEPTH_MM,
+    EDGE_PX,
+    depth_grade,
+    edge_grade,
+    grade_row,
+)
+from annotator.qt import theme
+from annotator.qt.commands import Commands
+from annotator.session.residuals import FrameResidual
+
+_INK = {
+    "good": theme.GOOD,
+    "fair": theme.WARNING,
+    "poor": theme.BAD,
+    "unknown": theme.MUTED,
+}
+_LEGEND = (
+    "<b>Edges</b>: median distance of the drawn contour to the nearest image edge. Up to "
+    f"{EDGE_PX[0]:g} px is good, above {EDGE_PX[1]:g} px something is off.<br>"
+    "<b>Chance</b>: what a contour at a random place nearby would have. Edges that are not below "
+    f"{CHANCE_SHARE:.0%} of it say nothing: judge by eye there.<br>"
+    "<b>Depth</b>: median of the drawn surface minus the sensor's, positive if the object lies "
+    f"behind. Sensors read up to 2 % wrong, so up to {DEPTH_MM[0]:g} mm may well be the sensor's. "
+    "Only on raw and diffuse objects: on others it is wrong."
+)
+
+
+class ResidualPanel(QWidget):
+    """One row to each shown frame."""
+
+    def __init__(self, controller: Controller, commands: Commands) -> None:
+        super().__init__()
+        self._controller = controller
+        self.table = QTableWidget(0, 4)
+        self.table.setHorizontalHeaderLabels(["frame", "edges", "chance", "depth"])
+        self.table.verticalHeader().setVisible(False)
+        self.table.verticalHeader().setDefaultSectionSize(22)
+        # The main view and three beside it.
+        self.table.setMinimumHeight(4 * 22 + self.table.horizontalHeader().sizeHint().height() + 4)
+        self.table.setShowGrid(False)
+        header = self.table.horizontalHeader()
+        header.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
+        header.setHighlightSections(False)
+        self.table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        self.table.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
+        self.table.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.table.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.summary = QLabel()
+        self.summary.setWordWrap(True)
+        self.weak = QLabel()
+        self.weak.setWordWrap(True)
+        self.weak.setStyleSheet(f"color: {theme.WARNING}")
+        legend = QLabel(_LEGEND)
+        legend.setObjectName("muted")
+        legend.setWordWrap(True)
+        legend.setAlignment(Qt.AlignmentFlag.AlignTop)
+        scroll = QScrollArea()
+        scroll.setWidget(legend)
+        scroll.setWidgetResizable(True)
+        scroll.setFrameShape(QScrollArea.Shape.NoFrame)
+        scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        measure = QToolButton()
+        measure.setObjectName("labelled")
+        measure.setDefaultAction(commands.actions["residuals"])
+        measure.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+        measure.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(6, 6, 6, 4)
+        layout.setSpacing(4)
+        layout.addWidget(measure)
+        layout.addWidget(self.summary)
+        layout.addWidget(self.table, 3)
+        layout.addWidget(self.weak)
+        layout.addWidget(scroll, 2)
+        self._unsubscribe = controller.subscribe(self._on_event)
+        self.refresh()
+
+    def close_panel(self) -> None:
+        self._unsubscribe()
+
+    def refresh(self) -> None:
+        c = self._controller
+        rows = c.residuals.get(c.selected, []) if c.selected is not None else []
+        self.table.setRowCount(len(rows))
+        for i, row in enumerate(rows):
+            self._fill(i, row)
+        self.table.setVisible(bool(rows))
+        self.summary.setText(_sentence(c, rows))
+        weak = "" if c.selected is None else c.weak_directions.get(c.selected, "")
+        self.weak.setText(f"{weak[:1].upper()}{weak[1:]}." if weak else "")
+        self.weak.setVisible(bool(weak))
+
+    def _fill(self, i: int, row: FrameResidual) -> None:
+        cells = [
+            str(row.frame),
+            "none" if row.edge_px is None else f"{row.edge_px:.1f} px",
+            "" if row.edge_chance_px is None else f"{row.edge_chance_px:.1f} px",
+            ""
+            if row.depth_mm is None
+            else f"{row.depth_mm:+.{0 if abs(row.depth_mm) > 99 else 1}f} mm",
+        ]
+        if row.problem:
+            cells[1:] = [row.problem, "", ""]
+        # Each number by what it tells itself: edges at the level of chance are grey.
+        edges, depth = edge_grade(row) or "unknown", depth_grade(row) or "unknown"
+        inks = (theme.TEXT, _INK[edges], theme.MUTED, _INK[depth])
+        for column, text in enumerate(cells):
+            item = QTableWidgetItem(text)
+            item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+            item.setForeground(QColor(inks[column]))
+            if row.problem:
+                item.setToolTip(row.problem)
+            self.table.setItem(i, column, item)
+
+    def _on_event(self, event: Event) -> None:
+        if event.kind in ("edited", "selected", "residuals"):
+            self.refresh()
+
+
+def _sentence(c: Controller, rows: list[FrameResidual]) -> str:
+    if c.selected is None:
+        return "Select an object to see how well it fits."
+    if c.session.pose(c.selected, c.active_frame) is None:
+        return f"{c.selected} has no pose yet."
+    if not rows:
+        return f"Not measured since {c.selected} moved."
+    grades = [grade_row(r) for r in rows if not r.problem]
+    if not grades or all(g == "unknown" for g in grades):
+        return "Nothing in these frames tells its place apart from chance: judge by eye."
+    worst = [r.frame for r in rows if grade_row(r) == "poor"]
+    if worst:
+        return f"Off in frame {', '.join(map(str, worst))}: look there."
+    if all(edge_grade(r) is None for r in rows):
+        return "The depth agrees, but the edges tell nothing here: judge the contour by eye."
+    return "It fits in every frame where it could be measured."

@@ -1,0 +1,198 @@
+"""What is shown while no scene is open: recent scenes, and why one could not be opened.
+
+The first image of a scene, while the rest of the window is being built.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PySide6.QtCore import QRectF, Qt, Signal
+from PySide6.QtGui import QColor, QDragEnterEvent, QDropEvent, QImage, QPainter, QPaintEvent
+from PySide6.QtWidgets import (
+    QFrame,
+    QHBoxLayout,
+    QLabel,
+    QListWidget,
+    QListWidgetItem,
+    QPushButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from annotator.qt import theme
+from annotator.qt.settings import recent_scenes
+from annotator.qt.theme import icon, pixmap
+from std_toolkit.errors import ToolkitError
+
+_HOW = (
+    "A scene is a folder that <code>std-curate import</code> makes of a recording; "
+    "<code>std-curate poses</code> adds the camera poses."
+)
+
+
+class StartPage(QWidget):
+    """Choose a scene.
+
+    Signals:
+        chosen: folder of the scene (Path), and whether to look only.
+        browse: the person wants to look for a folder.
+    """
+
+    chosen = Signal(object, bool)
+    browse = Signal()
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setAcceptDrops(True)
+        title = QLabel("std-annotate")
+        title.setObjectName("title")
+        what = QLabel("Align the CAD meshes of objects to a recorded scene.")
+        what.setObjectName("muted")
+        self.problem = ProblemCard()
+        self.problem.again.clicked.connect(lambda: self._retry(False))
+        self.problem.look.clicked.connect(lambda: self._retry(True))
+
+        self.open_button = QPushButton(icon("open"), "Open scene folder...")
+        self.open_button.setObjectName("primary")
+        self.open_button.clicked.connect(self.browse)
+        how = QLabel(_HOW)
+        how.setObjectName("muted")
+        how.setWordWrap(True)
+
+        self.heading = QLabel("Recent scenes")
+        self.heading.setObjectName("heading")
+        self.recent = QListWidget()
+        self.recent.setObjectName("roomy")
+        self.recent.itemActivated.connect(self._choose)
+        self.recent.itemClicked.connect(self._choose)
+        self.empty = QLabel("No scenes yet. Open a folder, or drop one here.")
+        self.empty.setObjectName("empty")
+
+        column = QVBoxLayout()
+        column.setSpacing(10)
+        column.addStretch(1)
+        column.addWidget(title)
+        column.addWidget(what)
+        column.addSpacing(6)
+        column.addWidget(self.problem)
+        buttons = QHBoxLayout()
+        buttons.addWidget(self.open_button)
+        buttons.addStretch(1)
+        column.addLayout(buttons)
+        column.addWidget(how)
+        column.addSpacing(10)
+        column.addWidget(self.heading)
+        column.addWidget(self.recent, 4)
+        column.addWidget(self.empty)
+        column.addStretch(1)
+        middle = QWidget()
+        middle.setLayout(column)
+        middle.setMaximumWidth(720)
+        row = QHBoxLayout(self)
+        row.addStretch(1)
+        row.addWidget(middle, 6)
+        row.addStretch(1)
+        self._tried: Path | None = None
+        self.refresh()
+
+    def refresh(self, problem: ToolkitError | None = None, tried: Path | None = None) -> None:
+        """Show the recent scenes, and what went wrong with the one that was tried."""
+        self._tried = tried
+        self.problem.show_problem(problem)
+        self.recent.clear()
+        for path in recent_scenes():
+            item = QListWidgetItem(icon("folder", theme.MUTED), f"{path.name}\n{path.parent}")
+            item.setData(Qt.ItemDataRole.UserRole, str(path))
+            self.recent.addItem(item)
+        self.recent.setVisible(self.recent.count() > 0)
+        self.empty.setVisible(self.recent.count() == 0)
+
+    def _choose(self, item: QListWidgetItem) -> None:
+        self.chosen.emit(Path(item.data(Qt.ItemDataRole.UserRole)), False)
+
+    def _retry(self, read_only: bool) -> None:
+        if self._tried is not None:
+            self.chosen.emit(self._tried, read_only)
+
+    def dragEnterEvent(self, event: QDragEnterEvent) -> None:
+        if any(Path(u.toLocalFile()).is_dir() for u in event.mimeData().urls()):
+            event.acceptProposedAction()
+
+    def dropEvent(self, event: QDropEvent) -> None:
+        folders = [Path(u.toLocalFile()) for u in event.mimeData().urls()]
+        folder = next((f for f in folders if f.is_dir()), None)
+        if folder is not None:
+            event.acceptProposedAction()
+            self.chosen.emit(folder, False)
+
+
+class ProblemCard(QFrame):
+    """Why a scene could not be opened, and what can be done."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setObjectName("card")
+        sign = QLabel()
+        sign.setPixmap(pixmap("error", 20, theme.BAD, self.devicePixelRatioF()))
+        self.text = QLabel()
+        self.text.setTextFormat(Qt.TextFormat.PlainText)
+        self.text.setWordWrap(True)
+        self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.again = QPushButton("Try again")
+        self.look = QPushButton("Open for looking only")
+        self.look.setToolTip("Nothing can be changed, and the other session is not disturbed.")
+        top = QHBoxLayout()
+        top.addWidget(sign, 0, Qt.AlignmentFlag.AlignTop)
+        top.addWidget(self.text, 1)
+        buttons = QHBoxLayout()
+        buttons.addStretch(1)
+        buttons.addWidget(self.look)
+        buttons.addWidget(self.again)
+        layout = QVBoxLayout(self)
+        layout.addLayout(top)
+        layout.addLayout(buttons)
+
+    def show_problem(self, problem: ToolkitError | None) -> None:
+        self.setVisible(problem is not None)
+        if problem is not None:
+            self.text.setText(describe_problem(problem))
+            # Such a scene can be read; only writing is refused.
+            self.look.setVisible("read-only" in (problem.hint or ""))
+
+
+def describe_problem(problem: ToolkitError) -> str:
+    """An error in lines that are easier to read than its one line."""
+    text = problem.problem[:1].upper() + problem.problem[1:] + "."
+    if problem.value is not None:
+        text += f"\n{problem.field or 'Value'}: {problem.value}"
+    if problem.path:
+        text += f"\n{problem.path}"
+    return text
+
+
+class OpeningPage(QWidget):
+    """Loading what draws in three dimensions takes a second; the image is there at once."""
+
+    def __init__(self, name: str, rgb: NDArray[np.uint8] | None) -> None:
+        super().__init__()
+        self._text = f"Opening {name} ..."
+        self._rgb = rgb
+
+    def paintEvent(self, _: QPaintEvent) -> None:
+        painter = QPainter(self)
+        painter.fillRect(self.rect(), QColor(theme.BASE))
+        if self._rgb is not None:
+            height, width = self._rgb.shape[:2]
+            stride = self._rgb.strides[0]
+            image = QImage(self._rgb.data, width, height, stride, QImage.Format.Format_RGB888)
+            scale = min(self.width() / width, self.height() / height)
+            w, h = width * scale, height * scale
+            place = QRectF((self.width() - w) / 2, (self.height() - h) / 2, w, h)
+            painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform)
+            painter.drawImage(place, image)
+        painter.setPen(QColor(theme.MUTED))
+        margin = self.rect().adjusted(12, 8, -12, -8)
+        painter.drawText(margin, Qt.AlignmentFlag.AlignBottom, self._text)

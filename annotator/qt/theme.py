@@ -1,0 +1,260 @@
+"""Colours of the window: neutral greys, so that nothing tints the judgement of an image.
+
+Icons as strokes on a grid of 24, drawn in the colours of the theme at any resolution.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+from PySide6.QtCore import QByteArray, QRectF, QSize, Qt
+from PySide6.QtGui import QColor, QIcon, QPainter, QPalette, QPixmap
+from PySide6.QtSvg import QSvgRenderer
+from PySide6.QtWidgets import QApplication, QStyleFactory
+
+BASE = "#1f1f1f"
+
+WINDOW = "#2a2a2a"
+
+RAISED = "#353535"
+
+HOVER = "#414141"
+
+BORDER = "#464646"
+
+TEXT = "#e4e4e4"
+
+MUTED = "#a0a0a0"
+
+FAINT = "#747474"
+
+ACCENT = "#6ea8dc"
+
+ACCENT_DEEP = "#3d6d99"
+
+GOOD, WARNING, BAD = "#6fbf84", "#e0b050", "#e8776a"
+
+_STYLE = f"""
+QToolTip {{ color: {TEXT}; background: {RAISED}; border: 1px solid {BORDER}; padding: 4px 6px; }}
+QMenuBar {{ background: {WINDOW}; padding: 1px 4px; }}
+QMenuBar::item {{ padding: 3px 8px; border-radius: 3px; }}
+QMenuBar::item:selected {{ background: {HOVER}; }}
+QMenu {{ background: {RAISED}; border: 1px solid {BORDER}; padding: 4px; }}
+QMenu::item {{ padding: 4px 22px 4px 24px; border-radius: 3px; }}
+QMenu::item:selected {{ background: {ACCENT_DEEP}; }}
+QMenu::item:disabled {{ color: {FAINT}; }}
+QMenu::separator {{ height: 1px; background: {BORDER}; margin: 4px 6px; }}
+QMenu::indicator {{ width: 14px; height: 14px; margin-left: 5px; }}
+QToolBar {{ background: {WINDOW}; border: 0; border-bottom: 1px solid {BORDER};
+  spacing: 1px; padding: 2px 4px; }}
+QWidget#line {{ background: {BORDER}; }}
+QToolButton {{ border: 1px solid transparent; border-radius: 4px; padding: 3px; }}
+QToolButton:hover {{ background: {HOVER}; }}
+QToolButton:checked {{ background: {ACCENT_DEEP}; border-color: {ACCENT}; }}
+QToolButton:disabled {{ color: {FAINT}; }}
+QToolButton#labelled {{ padding: 3px 7px 3px 5px; }}
+QPushButton {{ background: {RAISED}; border: 1px solid {BORDER}; border-radius: 4px;
+  padding: 4px 10px; }}
+QPushButton:hover {{ background: {HOVER}; }}
+QPushButton:pressed {{ background: {BASE}; }}
+QPushButton:disabled {{ color: {FAINT}; background: {WINDOW}; }}
+QPushButton:default, QPushButton#primary {{ background: {ACCENT_DEEP}; border-color: {ACCENT}; }}
+QPushButton:default:disabled, QPushButton#primary:disabled {{ background: {WINDOW};
+  border-color: {BORDER}; }}
+QPushButton:focus {{ border-color: {ACCENT}; }}
+QLineEdit, QPlainTextEdit {{ background: {BASE};
+  border: 1px solid {BORDER}; border-radius: 3px; padding: 2px 4px;
+  selection-background-color: {ACCENT_DEEP}; }}
+QAbstractSpinBox QLineEdit {{ border: 0; padding: 0; background: transparent; }}
+QLineEdit:focus, QPlainTextEdit:focus {{ border-color: {ACCENT}; }}
+QLineEdit:disabled {{ color: {FAINT}; background: {WINDOW}; }}
+QComboBox QAbstractItemView {{ background: {RAISED}; border: 1px solid {BORDER};
+  selection-background-color: {ACCENT_DEEP}; }}
+QAbstractItemView {{ background: {BASE}; border: 1px solid {BORDER}; border-radius: 3px;
+  outline: 0; }}
+QHeaderView::section {{ background: {WINDOW}; color: {MUTED}; border: 0;
+  border-bottom: 1px solid {BORDER}; padding: 2px 4px; }}
+QTableView {{ gridline-color: {WINDOW}; selection-background-color: {ACCENT_DEEP}; }}
+QRadioButton::indicator, QCheckBox::indicator {{ width: 12px; height: 12px;
+  border: 1px solid {FAINT}; background: {BASE}; }}
+QRadioButton::indicator {{ border-radius: 7px; }}
+QCheckBox::indicator {{ border-radius: 3px; }}
+QRadioButton::indicator:hover, QCheckBox::indicator:hover {{ border-color: {ACCENT}; }}
+QRadioButton::indicator:checked, QCheckBox::indicator:checked {{ border-color: {ACCENT};
+  background: qradialgradient(cx:0.5, cy:0.5, radius:0.5, fx:0.5, fy:0.5, stop:0 {TEXT},
+  stop:0.55 {TEXT}, stop:0.65 {ACCENT_DEEP}, stop:1 {ACCENT_DEEP}); }}
+QRadioButton::indicator:disabled, QCheckBox::indicator:disabled {{ border-color: {BORDER};
+  background: {WINDOW}; }}
+QRadioButton::indicator:checked:disabled, QCheckBox::indicator:checked:disabled {{
+  background: {FAINT}; }}
+QTabWidget::pane {{ border: 0; border-top: 1px solid {BORDER}; }}
+QTabBar::tab {{ padding: 4px 10px; color: {MUTED}; border-bottom: 2px solid transparent; }}
+QTabBar::tab:selected {{ color: {TEXT}; border-bottom-color: {ACCENT}; }}
+QTabBar::tab:hover {{ color: {TEXT}; }}
+QSplitter::handle {{ background: {WINDOW}; }}
+QSplitter::handle:hover {{ background: {HOVER}; }}
+QScrollBar {{ background: transparent; border: 0; }}
+QScrollBar:vertical {{ width: 10px; }}
+QScrollBar:horizontal {{ height: 10px; }}
+QScrollBar::handle {{ background: {HOVER}; border-radius: 4px; margin: 1px; min-height: 24px;
+  min-width: 24px; }}
+QScrollBar::handle:hover {{ background: {FAINT}; }}
+QScrollBar::add-line, QScrollBar::sub-line, QScrollBar::add-page, QScrollBar::sub-page {{
+  background: transparent; border: 0; width: 0; height: 0; }}
+QSlider::groove:horizontal {{ height: 4px; background: {BASE}; border-radius: 2px; }}
+QSlider::sub-page:horizontal {{ background: {ACCENT_DEEP}; border-radius: 2px; }}
+QSlider::handle:horizontal {{ width: 12px; height: 12px; margin: -4px 0; border-radius: 6px;
+  background: {TEXT}; }}
+QProgressBar {{ background: {BASE}; border: 1px solid {BORDER}; border-radius: 3px;
+  text-align: center; max-height: 14px; }}
+QProgressBar::chunk {{ background: {ACCENT_DEEP}; }}
+QStatusBar {{ background: {WINDOW}; border-top: 1px solid {BORDER}; }}
+QStatusBar::item {{ border: 0; }}
+QLabel#muted {{ color: {MUTED}; }}
+QLabel#heading {{ font-weight: 600; }}
+QLabel#empty {{ color: {MUTED}; padding: 10px; }}
+QLabel#title {{ font-size: 20pt; font-weight: 300; }}
+QListWidget#roomy::item {{ padding: 5px 4px; border-radius: 3px; }}
+QListWidget#roomy::item:hover {{ background: {HOVER}; }}
+QFrame#card {{ background: {RAISED}; border: 1px solid {BORDER}; border-radius: 6px; }}
+"""
+
+_STROKES = {
+    "open": "M3 6h6l2 2h10v11H3z",
+    "save": "M4 4h13l3 3v13H4z M8 4v5h8V4 M7 20v-7h10v7",
+    "add_mesh": "M11 3 4 7v8l7 4 3-1.7 M11 3l7 4v5 M4 7l7 4 7-4 M11 11v8 M18 15v6 M15 18h6",
+    "undo": "M8 6 4 10l4 4 M4 10h10a5.500 5.500 0 0 1 0 11h-3",
+    "redo": "M16 6l4 4-4 4 M20 10H10a5.500 5.500 0 0 0 0 11h3",
+    "image": "M3 5h18v14H3z M3 16l5-5 4 4 3-3 6 5 M15.500 9a1 1 0 1 0 .01 0",
+    "cloud": "M6 7h.01 M11 5h.01 M16 7h.01 M19 11h.01 M4 12h.01 M9 10h.01 M14 11h.01 M7 16h.01 "
+    "M12 15h.01 M17 16h.01 M10 20h.01 M15 20h.01",
+    "style_solid": "#M12 3 4 7.500v9L12 21l8-4.500v-9z",
+    "style_wireframe": "M12 3 4 7.500v9L12 21l8-4.500v-9z M4 7.500l8 4.500 8-4.500 M12 12v9 "
+    "M4 16.500 12 12l8 4.500 M12 3v9",
+    "style_contour": "M12 3 4 7.500v9L12 21l8-4.500v-9z",
+    "blink": "M2 12c3-5 6.500-7 10-7s7 2 10 7c-3 5-6.500 7-10 7s-7-2-10-7z M12 9a3 3 0 1 0 .01 0",
+    "gizmo_move": "M12 2v20 M2 12h20 M9 5l3-3 3 3 M9 19l3 3 3-3 M5 9l-3 3 3 3 M19 9l3 3-3 3",
+    "gizmo_turn": "M20 12a8 8 0 1 1-2.500-5.800 M18 2v5h-5",
+    "gizmo_off": "M12 4v16 M4 12h16 M5 5l14 14",
+    "axes": "M5 19V5 M5 19h14 M5 19l6-6 M3 7l2-3 2 3 M17 17l3 2-3 2",
+    "clicking": "M12 2v6 M12 16v6 M2 12h6 M16 12h6 M12 11.500v1",
+    "solve_points": "M4 6h.01 M4 18h.01 M11 4h.01 M9 14h.01 M13 12h8 M18 9l3 3-3 3",
+    "refine": "M12 5a7 7 0 1 0 .01 0 M12 9.500a2.500 2.500 0 1 0 .01 0 M12 1v4 M12 19v4 M1 12h4 "
+    "M19 12h4",
+    "drop": "M3 21h18 M12 3v13 M8 12l4 4 4-4",
+    "residuals": "M3 17 17 3l4 4L7 21z M7 13l2 2 M10 10l2 2 M13 7l2 2",
+    "done": "M4 12l5.500 6L20 6",
+    "fit_view": "M4 9V4h5 M15 4h5v5 M20 15v5h-5 M9 20H4v-5",
+    "zoom_object": "M10.500 4a6.500 6.500 0 1 0 .01 0 M15.500 15.500 21 21 M10.500 8v5 M8 10.500h5",
+    "previous": "M15 5l-7 7 7 7",
+    "next": "M9 5l7 7-7 7",
+    "swap": "M4 8h14 M14 4l4 4-4 4 M20 16H6 M10 12l-4 4 4 4",
+    "close": "M6 6l12 12 M18 6 6 18",
+    "info": "M12 3a9 9 0 1 0 .01 0 M12 11v6 M12 7.500v.01",
+    "warning": "M12 3 2 20h20z M12 10v5 M12 17.500v.01",
+    "error": "M12 3a9 9 0 1 0 .01 0 M9 9l6 6 M15 9l-6 6",
+    "copy": "M8 8h12v12H8z M16 8V4H4v12h4",
+    "paste": "M6 5h12v16H6z M9 3h6v4H9z M9 12h6 M9 16h6",
+    "remove": "M5 7h14 M9 7V4h6v3 M7 7l1 13h8l1-13",
+    "raw": "#M12 4a8 8 0 1 0 .01 0",
+    "diffuse": "#M12 4a8 8 0 1 0 .01 0",
+    "specular": "M12 4a8 8 0 1 0 .01 0 M8 9.500c1-2 2.500-2.800 4-2.900",
+    "transparent": "M12 4a8 8 0 1 0 .01 0 M7 14c2 2.500 4.500 3.500 8 2.500",
+    "note": "M5 4h14v11l-5 5H5z M14 20v-5h5 M8 9h8 M8 13h4",
+    "unplace": "M4 8V4h4 M16 4h4v4 M20 16v4h-4 M8 20H4v-4 M9 9l6 6 M15 9l-6 6",
+    "folder": "M3 6h6l2 2h10v11H3z",
+    "menu": "M5 12h.01 M12 12h.01 M19 12h.01",
+}
+
+
+# Actions that share a picture.
+_ALIASES = {
+    "next_frame": "next",
+    "previous_frame": "previous",
+    "swap_1": "swap",
+    "swap_2": "swap",
+    "swap_3": "swap",
+    "remove_object": "remove",
+    "toggle_mode": "cloud",
+    "mode_image": "image",
+    "mode_cloud": "cloud",
+    "refine_all": "refine",
+    "material_raw": "raw",
+    "material_diffuse": "diffuse",
+    "material_specular": "specular",
+    "material_transparent": "transparent",
+    "gizmo": "gizmo_move",
+    "shortcuts": "info",
+}
+
+
+def apply_theme(app: QApplication) -> None:
+    """Give the application its colours; drawn by Qt's Fusion style, the same on every desktop."""
+    app.setStyle(QStyleFactory.create("Fusion"))
+    palette = QPalette()
+    role = QPalette.ColorRole
+    for target, color in {
+        role.Window: WINDOW,
+        role.WindowText: TEXT,
+        role.Base: BASE,
+        role.AlternateBase: WINDOW,
+        role.ToolTipBase: RAISED,
+        role.ToolTipText: TEXT,
+        role.Text: TEXT,
+        role.Button: RAISED,
+        role.ButtonText: TEXT,
+        role.BrightText: BAD,
+        role.Link: ACCENT,
+        role.Highlight: ACCENT_DEEP,
+        role.HighlightedText: "#ffffff",
+        role.PlaceholderText: FAINT,
+    }.items():
+        palette.setColor(target, QColor(color))
+    for target in (role.WindowText, role.Text, role.ButtonText):
+        palette.setColor(QPalette.ColorGroup.Disabled, target, QColor(FAINT))
+    app.setPalette(palette)
+    app.setStyleSheet(_STYLE)
+
+
+@cache
+def icon(name: str, color: str = TEXT) -> QIcon:
+    """The icon of a name; an empty one if there is none."""
+    name = _ALIASES.get(name, name)
+    if name not in _STROKES:
+        return QIcon()
+    result = QIcon()
+    for mode, ink in ((QIcon.Mode.Normal, color), (QIcon.Mode.Disabled, FAINT)):
+        for size in (16, 20, 24, 32, 40, 48):
+            result.addPixmap(pixmap(name, size, ink), mode)
+    return result
+
+
+@cache
+def pixmap(name: str, size: int, color: str = TEXT, ratio: float = 1.0) -> QPixmap:
+    """The icon at `size` logical pixels for a screen of `ratio` device pixels to each."""
+    path = _STROKES[name]
+    fill = color if path.startswith("#") else "none"
+    dots = name in ("cloud", "menu")
+    svg = (
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 24 24">'
+        f'<path d="{path.lstrip("#")}" fill="{fill}" stroke="{color}" '
+        f'stroke-width="{3 if dots else 1.7}" stroke-linecap="round" '
+        'stroke-linejoin="round"/></svg>'
+    )
+    edge = round(size * ratio)
+    drawn = QPixmap(QSize(edge, edge))
+    drawn.fill(Qt.GlobalColor.transparent)
+    painter = QPainter(drawn)
+    QSvgRenderer(QByteArray(svg.encode())).render(painter, QRectF(0, 0, edge, edge))
+    painter.end()
+    drawn.setDevicePixelRatio(ratio)
+    return drawn
+
+
+def chip(color: str, size: int = 12, ratio: float = 1.0) -> QPixmap:
+    """A small square of a colour."""
+    edge = round(size * ratio)
+    drawn = QPixmap(edge, edge)
+    drawn.fill(QColor(color))
+    drawn.setDevicePixelRatio(ratio)
+    return drawn

@@ -1,0 +1,274 @@
+"""The large view and the column of side views, drawn by a `ViewSet`.
+
+A view with a few buttons in its corner.
+
+One view as a widget: VTK's drawing in Qt's window, and what can be dropped onto it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from PySide6.QtCore import QEvent, QObject, QSize, Qt, QTimer, Signal
+from PySide6.QtGui import (
+    QDragEnterEvent,
+    QDragMoveEvent,
+    QDropEvent,
+    QKeyEvent,
+    QMouseEvent,
+)
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QSplitter, QToolButton, QVBoxLayout, QWidget
+from pyvistaqt import QtInteractor
+
+from annotator.app.controller import Controller
+from annotator.app.events import Event
+from annotator.app.placing import drop_model, drop_object
+from annotator.qt import theme
+from annotator.qt.commands import Commands
+from annotator.qt.graphics import multi_samples
+from annotator.qt.library_panel import MODEL_MIME, mesh_files
+from annotator.qt.object_panel import OBJECT_MIME
+from annotator.qt.theme import icon
+from annotator.views import ViewSet
+from annotator.views.meshes import ShapeStore
+from annotator.views.scene_view import recorded_pixel_under
+from std_toolkit.errors import ToolkitError
+
+SIDE_WIDTH = 260
+
+_MARGIN = 6
+
+
+class ViewArea(QWidget):
+    """All views of a scene.
+
+    Attributes:
+        tiles: the main view first.
+    """
+
+    def __init__(self, controller: Controller, commands: Commands) -> None:
+        super().__init__()
+        self._controller = controller
+        self.tiles = [
+            ViewTile(controller, commands, slot) for slot in range(len(controller.view_frames))
+        ]
+        self.column = QSplitter(Qt.Orientation.Vertical)
+        for tile in self.tiles[1:]:
+            self.column.addWidget(tile)
+        self.split = QSplitter(Qt.Orientation.Horizontal)
+        self.split.addWidget(self.tiles[0])
+        if len(self.tiles) > 1:
+            self.split.addWidget(self.column)
+        self.split.setStretchFactor(0, 1)
+        self.split.setStretchFactor(1, 0)
+        self.split.setSizes([10_000, SIDE_WIDTH])
+        for split in (self.split, self.column):
+            split.setHandleWidth(3)
+            split.setChildrenCollapsible(False)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addWidget(self.split)
+        for tile in self.tiles:
+            tile.view.model_dropped.connect(
+                lambda id, x, y, slot=tile.slot: self._drop(drop_model, id, slot, x, y)
+            )
+            tile.view.object_dropped.connect(
+                lambda name, x, y, slot=tile.slot: self._drop(drop_object, name, slot, x, y)
+            )
+        self.views: ViewSet | None = None
+        self._unsubscribe = controller.subscribe(self._on_event)
+
+    def start(self) -> ShapeStore:
+        """Build the views, whose widgets stand in the window by now; returns their meshes."""
+        ratio = self.devicePixelRatioF()
+        plotters = [tile.view for tile in self.tiles]
+        self.views = ViewSet(self._controller, plotters, later=self.later, pixel_ratio=ratio)
+        return self.views.shapes
+
+    def close_panel(self) -> None:
+        self._unsubscribe()
+        if self.views is not None:
+            self.views.close()
+        for tile in self.tiles:
+            tile.view.close()
+
+    def later(self, seconds: float, call: Callable[[], None]) -> None:
+        """Call a function in this thread after a while, unless the views are gone by then."""
+        QTimer.singleShot(round(1000 * seconds), self, call)
+
+    def _drop(self, drop: Callable[..., bool], what: str, slot: int, x: float, y: float) -> None:
+        if self.views is not None:
+            view = self.views.views[slot]
+            self._controller.activate_view(slot)
+            uv = recorded_pixel_under(view, np.array([x, y]))
+            drop(self._controller, what, view.frame, uv)
+
+    def _on_event(self, event: Event) -> None:
+        if event.kind in ("frames", "tool", "view", "edited"):
+            for tile in self.tiles:
+                tile.refresh()
+
+
+class ViewTile(QFrame):
+    """One view; the one in hand has a bright edge: keyboard steps are along its camera's axes."""
+
+    def __init__(self, controller: Controller, commands: Commands, slot: int) -> None:
+        super().__init__()
+        self._controller = controller
+        self.slot = slot
+        self._active: bool | None = None
+        self.setObjectName("tile")
+        self.view = ViewWidget(self)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(1, 1, 1, 1)
+        layout.addWidget(self.view)
+        self.corner = QWidget(self.view)
+        self.corner.setObjectName("corner")
+        self.corner.setStyleSheet(
+            "QWidget#corner { background: rgba(42, 42, 42, 170); border-radius: 4px; }"
+            "QToolButton { padding: 2px; }"
+        )
+        row = QHBoxLayout(self.corner)
+        row.setContentsMargins(1, 1, 1, 1)
+        row.setSpacing(1)
+        if slot == 0:
+            for id in ("fit_view", "zoom_object"):
+                button = _corner_button()
+                button.setDefaultAction(commands.actions[id])
+                row.addWidget(button)
+        else:
+            # Which frame this view looks at is chosen for it, but not once and for all.
+            for by, name, tip in ((-1, "previous", "Earlier frame"), (1, "next", "Later frame")):
+                button = _corner_button()
+                button.setIcon(icon(name))
+                button.setToolTip(f"{tip} in this view")
+                button.setAutoRepeat(True)
+                button.clicked.connect(lambda _=False, by=by: self._step(by))
+                row.addWidget(button)
+            button = _corner_button()
+            button.setDefaultAction(commands.actions[f"swap_{slot}"])
+            row.addWidget(button)
+        self.view.installEventFilter(self)
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Show which view is in hand."""
+        active = self._controller.active_view == self.slot
+        if active is self._active:
+            return
+        self._active = active
+        edge = theme.ACCENT if active else theme.WINDOW
+        self.setStyleSheet(f"QFrame#tile {{ border: 1px solid {edge}; }}")
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        if watched is self.view and event.type() == QEvent.Type.Resize:
+            self.corner.adjustSize()
+            self.corner.move(self.view.width() - self.corner.width() - _MARGIN, _MARGIN)
+        return super().eventFilter(watched, event)
+
+    def _step(self, by: int) -> None:
+        """Another frame for this view: the next one in which objects have poses."""
+        c = self._controller
+        ids = list(c.session.frames)
+        here = c.view_frames[self.slot]
+        at = ids.index(here) if here in ids else 0
+        target = ids[min(max(at + by, 0), len(ids) - 1)]
+        try:
+            c.show_frame(target, self.slot)
+        except ToolkitError as error:
+            c.tell(str(error), "error")
+
+
+def _corner_button() -> QToolButton:
+    button = QToolButton()
+    button.setIconSize(QSize(16, 16))
+    button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+    return button
+
+
+class ViewWidget(QtInteractor):
+    """A plotter that draws when it is told to.
+
+    Signals:
+        model_dropped: id of a model, and where: physical pixels from the top left corner.
+        object_dropped: name of an object, and where.
+        files_dropped: mesh files (list of Path).
+    """
+
+    model_dropped = Signal(str, float, float)
+    object_dropped = Signal(str, float, float)
+    files_dropped = Signal(list)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        self._drawn = False
+        super().__init__(parent, auto_update=False, multi_samples=multi_samples())
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.setAcceptDrops(True)
+        self.setMinimumSize(120, 90)
+
+    # --- drawing ---------------------------------------------------------------------------------
+
+    def Render(self) -> None:
+        """Have it drawn anew with the next pass of the event loop."""
+        self._drawn = False
+        super().Render()
+
+    def _cb_frame(self, obj: object, event: str) -> None:
+        self._drawn = True
+        super()._cb_frame(obj, event)
+
+    def paintGL(self) -> None:
+        # Whoever changes something asks for a drawing; Qt also asks where the window was covered,
+        # and after a drawing that was made outside of here. That one need not be made twice.
+        if self._drawn and not self._in_paint:
+            self._in_paint = True
+            try:
+                super().paintGL()
+            finally:
+                self._in_paint = False
+        else:
+            super().paintGL()
+
+    def resizeGL(self, width: int, height: int) -> None:
+        self._drawn = False
+        super().resizeGL(width, height)
+        # Sizes are physical pixels here, those of letters, too; they would be scaled once more.
+        self._RenderWindow.SetDPI(72)
+
+    # --- keys ------------------------------------------------------------------------------------
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        # VTK has keys of its own (q closes, w changes what is drawn); ours are the window's.
+        event.ignore()
+
+    def keyReleaseEvent(self, event: QKeyEvent) -> None:
+        event.ignore()
+
+    def mouseDoubleClickEvent(self, event: QMouseEvent) -> None:
+        self.mousePressEvent(event)
+
+    # --- dropping --------------------------------------------------------------------------------
+
+    def dragEnterEvent(self, event: QDragEnterEvent) -> None:
+        data = event.mimeData()
+        if data.hasFormat(MODEL_MIME) or data.hasFormat(OBJECT_MIME) or mesh_files(data):
+            event.acceptProposedAction()
+
+    def dragMoveEvent(self, event: QDragMoveEvent) -> None:
+        event.acceptProposedAction()
+
+    def dropEvent(self, event: QDropEvent) -> None:
+        data, place = event.mimeData(), event.position()
+        ratio = self.devicePixelRatioF()
+        x, y = place.x() * ratio, place.y() * ratio
+        event.acceptProposedAction()
+        self.setFocus()
+        files: list[Path] = mesh_files(data)
+        if data.hasFormat(MODEL_MIME):
+            self.model_dropped.emit(data.data(MODEL_MIME).toStdString(), x, y)
+        elif data.hasFormat(OBJECT_MIME):
+            self.object_dropped.emit(data.data(OBJECT_MIME).toStdString(), x, y)
+        elif files:
+            self.files_dropped.emit(files)

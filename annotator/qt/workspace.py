@@ -1,0 +1,167 @@
+"""Everything around one open scene: views, panels and the lines above and below."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import Qt, QTimer
+from PySide6.QtGui import QResizeEvent
+from PySide6.QtWidgets import QMainWindow, QSplitter, QTabWidget, QVBoxLayout, QWidget
+
+from annotator.app.background_updates import BackgroundUpdates
+from annotator.app.controller import Controller
+from annotator.app.events import Event
+from annotator.qt.commands import ActionBar, Commands
+from annotator.qt.frame_bar import FrameBar
+from annotator.qt.library_panel import LibraryPanel
+from annotator.qt.messages import Banner, StatusLine
+from annotator.qt.object_panel import ObjectPanel
+from annotator.qt.points_panel import PointsPanel
+from annotator.qt.pose_panel import PosePanel
+from annotator.qt.residual_panel import ResidualPanel
+from annotator.qt.settings import remember, restore_splitters
+from annotator.qt.view_area import ViewArea
+
+SIDE_WIDTH = 300
+UPKEEP_AFTER_MS = 500
+
+
+class Workspace(QWidget):
+    """The central widget while a scene is open."""
+
+    def __init__(self, window: QMainWindow, controller: Controller) -> None:
+        super().__init__(window)
+        self.controller = controller
+        self._window = window
+        self._closed = False
+        self._upkeep: BackgroundUpdates | None = None
+        self.commands = Commands(window, controller)
+        self.commands.fill_menu_bar()
+        self.toolbar = ActionBar(window, controller, self.commands)
+        window.addToolBar(Qt.ToolBarArea.TopToolBarArea, self.toolbar)
+
+        self.views = ViewArea(controller, self.commands)
+        self.banner = Banner(self.views)
+        self.frame_bar = FrameBar(controller, self.commands)
+        self.status = StatusLine(controller)
+        self.objects = ObjectPanel(controller, self.commands)
+        self.library = LibraryPanel(controller, self.commands)
+        self.pose = PosePanel(controller, self.commands)
+        self.points = PointsPanel(controller, self.commands)
+        self.residuals = ResidualPanel(controller, self.commands)
+        self.tabs = QTabWidget()
+        self.tabs.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.tabs.tabBar().setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        for page in (self.points, self.residuals):
+            # They want much; that must not keep the others small while they are not shown.
+            page.setMinimumHeight(1)
+        self.tabs.addTab(self.pose, "Pose")
+        self.tabs.addTab(self.points, "Points")
+        self.tabs.addTab(self.residuals, "Residuals")
+
+        left = QWidget()
+        column = QVBoxLayout(left)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(2)
+        column.addWidget(self.views, 1)
+        column.addWidget(self.frame_bar)
+        self.side = QSplitter(Qt.Orientation.Vertical)
+        for panel in (self.objects, self.library, self.tabs):
+            self.side.addWidget(panel)
+        self.side.setChildrenCollapsible(False)
+        self.side.splitterMoved.connect(self._keep_side)
+        self.tabs.currentChanged.connect(self._share_side)
+        self.split = QSplitter(Qt.Orientation.Horizontal)
+        self.split.addWidget(left)
+        self.split.addWidget(self.side)
+        self.split.setStretchFactor(0, 1)
+        self.split.setStretchFactor(1, 0)
+        self.side.setMinimumWidth(SIDE_WIDTH - 40)
+        self.split.setSizes([10_000, SIDE_WIDTH])
+        self.split.setChildrenCollapsible(False)
+        for split in (self.side, self.split):
+            split.setHandleWidth(4)
+        # Until a person divides it otherwise, each panel gets what it needs.
+        self._shared = True
+        known = restore_splitters(self.splitters)
+        if "side" in known:
+            self._shared = False
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(0)
+        layout.addWidget(self.split, 1)
+        layout.addWidget(self.status)
+
+        self.pose.left.connect(self.focus_views)
+        self.frame_bar.left.connect(self.focus_views)
+        self._unsubscribe = controller.subscribe(self._on_event)
+
+    @property
+    def splitters(self) -> dict[str, QSplitter]:
+        """What a person may divide otherwise, by name."""
+        return {
+            "panels": self.split,
+            "side": self.side,
+            "views": self.views.split,
+            "column": self.views.column,
+        }
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        super().resizeEvent(event)
+        self._share_side()
+
+    def _share_side(self) -> None:
+        if not self._shared:
+            return
+        total = self.side.height()
+        current = self.tabs.currentWidget()
+        most = round(0.6 * total)
+        # Lists of points and frames take what they get; a pose has its size.
+        needed = current.sizeHint().height() + self.tabs.tabBar().height() + 8
+        below = min(needed, most) if current is self.pose else most
+        library = max(self.library.minimumSizeHint().height(), round(0.2 * total))
+        self.side.setSizes([max(total - below - library, 1), library, below])
+
+    def _keep_side(self) -> None:
+        self._shared = False
+
+    def start(self) -> None:
+        """Build the views, and what works beside them."""
+        self.points.picker.start(self.views.start())
+        self.focus_views()
+        # The first image comes first.
+        QTimer.singleShot(UPKEEP_AFTER_MS, self, self._start_upkeep)
+
+    def _start_upkeep(self) -> None:
+        if not self._closed:
+            self.library.draw_pictures()
+            self._upkeep = BackgroundUpdates(self.controller)
+
+    def focus_views(self) -> None:
+        """Keys reach the view in hand."""
+        self.views.tiles[self.controller.active_view].view.setFocus()
+
+    def close_panel(self) -> None:
+        """Let go of the controller; the widgets are thrown away afterwards."""
+        self._closed = True
+        remember(self._window, self.splitters if not self._shared else self._divided())
+        self._unsubscribe()
+        if self._upkeep is not None:
+            self._upkeep.close()
+        for panel in (
+            self.views, self.frame_bar, self.status, self.objects, self.library, self.pose,
+            self.points, self.residuals, self.toolbar,
+        ):  # fmt: skip
+            panel.close_panel()
+        self.commands.close()
+        self._window.removeToolBar(self.toolbar)
+        self.toolbar.deleteLater()
+        self._window.menuBar().clear()
+
+    def _divided(self) -> dict[str, QSplitter]:
+        """The parts that were left to a person."""
+        return {name: s for name, s in self.splitters.items() if name != "side"}
+
+    def _on_event(self, event: Event) -> None:
+        if event.kind == "message":
+            self.banner.tell(event.text, event.level)
+        elif event.kind == "tool" and self.controller.clicking:
+            self.tabs.setCurrentWidget(self.points)

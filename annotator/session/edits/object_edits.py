@@ -1,0 +1,225 @@
+"""The base of all edits, and the edits of the mesh library and of the list of objects.
+
+What all edits share: each turns one state into the next. One format serves journal and script.
+
+An edit is applied in its resolved form, which holds all it needs as numbers, so that replaying a
+journal gives the same state bit for bit, whatever became of meshes and camera poses since. What
+needs images or a solver is a request (`annotator.session.requests`), whose outcome is an edit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Container
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from annotator.session.state import AnnotationState, ObjectState, Status
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3
+from std_toolkit.scene.document import Document, ObjectId, check_name
+from std_toolkit.scene.model import Material, Model, SymmetryModel
+
+
+@dataclass(frozen=True)
+class EditContext:
+    """What an edit may ask of the session it is applied in.
+
+    Attributes:
+        frames: ids of all frames in which a pose can be set.
+        pose: T_cam_obj of an object in a frame, from the state given; None if it has none there.
+        centre: (3,) centre of a model's bounding box, mesh frame, metres: what turns turn about.
+        shared: one pose holds for all frames (the scene has metric camera poses).
+        annotator: who edits.
+        time: when, UTC, ISO 8601.
+        reserved: object ids that no new object may take: they stand in the scene's files, or belong
+            to another object in a state that undo leads to.
+    """
+
+    frames: Container[int]
+    pose: Callable[[AnnotationState, str, int], SE3 | None]
+    centre: Callable[[str], NDArray[np.float64]]
+    shared: bool
+    annotator: str
+    time: str
+    reserved: Callable[[], Container[int]] = tuple
+
+
+class Edit(Document, frozen=True, kw_only=True, tag_field="edit"):
+    """Base of all edits; `apply` never changes the state it is given."""
+
+    @property
+    def title(self) -> str:
+        """What it does, for the undo menu."""
+        raise NotImplementedError
+
+    @property
+    def objects(self) -> tuple[str, ...]:
+        """Names of the objects that it touches; empty where it concerns the scene as a whole."""
+        return ()
+
+    def resolved(self, state: AnnotationState, context: EditContext) -> Edit:
+        """The same edit with everything it asks of the context written out as numbers.
+
+        Raises:
+            ToolkitError: as `apply`.
+        """
+        del state, context
+        return self
+
+    def apply(self, state: AnnotationState, context: EditContext) -> AnnotationState:
+        """The next state.
+
+        Raises:
+            ToolkitError: unknown object, model or frame, or a value out of range.
+        """
+        raise NotImplementedError
+
+
+class EnterModel(Edit, frozen=True, kw_only=True, tag="enter_model"):
+    """A model whose mesh file is in the scene folder already joins the library."""
+
+    model: Model
+
+    @property
+    def title(self) -> str:
+        return f"Add mesh {self.model.id}"
+
+    def apply(self, state: AnnotationState, context: EditContext) -> AnnotationState:
+        del context
+        return state.with_model(self.model)
+
+
+class SetSymmetry(Edit, frozen=True, kw_only=True, tag="set_symmetry"):
+    """Symmetries of a model, mesh frame, metres."""
+
+    model: str
+    symmetry: SymmetryModel
+
+    @property
+    def title(self) -> str:
+        return f"Set symmetry of {self.model}"
+
+    def apply(self, state: AnnotationState, context: EditContext) -> AnnotationState:
+        del context
+        known = state.model(self.model)
+        return state.with_model(msgspec.structs.replace(known, symmetry=self.symmetry))
+
+
+class AddObject(Edit, frozen=True, kw_only=True, tag="add_object"):
+    """A physical object of a model of the library; it has no pose yet.
+
+    Attributes:
+        id: its value in masks; default: the smallest one that nobody has or had.
+    """
+
+    object: str
+    model: str
+    material: Material = "diffuse"
+    id: ObjectId | None = None
+
+    @property
+    def title(self) -> str:
+        return f"Add {self.object}"
+
+    @property
+    def objects(self) -> tuple[str, ...]:
+        return (self.object,)
+
+    def resolved(self, state: AnnotationState, context: EditContext) -> AddObject:
+        taken, reserved = {o.id for o in state.objects}, context.reserved()
+        free = [i for i in range(1, 255) if i not in taken and i not in reserved]
+        if self.id is None and not free:
+            raise ToolkitError("no object id is free", hint="a scene holds 254 objects at most")
+        if self.id is not None and self.id not in free:
+            raise ToolkitError(
+                "this object id is taken", field="id", value=self.id, hint=f"{free[:1]} is free"
+            )
+        return msgspec.structs.replace(self, id=self.id if self.id is not None else free[0])
+
+    def apply(self, state: AnnotationState, context: EditContext) -> AnnotationState:
+        check_name(self.object, field="object")
+        state.model(self.model)
+        _refuse_name(state, self.object, field="object")
+        number = self.resolved(state, context).id
+        assert number is not None
+        return state.with_object(
+            ObjectState(id=number, name=self.object, model=self.model, material=self.material)
+        )
+
+
+class RemoveObject(Edit, frozen=True, kw_only=True, tag="remove_object"):
+    """The object leaves the scene with its poses and clicks; the mesh stays in the library."""
+
+    object: str
+
+    @property
+    def title(self) -> str:
+        return f"Remove {self.object}"
+
+    @property
+    def objects(self) -> tuple[str, ...]:
+        return (self.object,)
+
+    def apply(self, state: AnnotationState, context: EditContext) -> AnnotationState:
+        del context
+        gone = state.object(self.object)
+        return msgspec.structs.replace(state, objects=[o for o in state.objects if o.id != gone.id])
+
+
+class ChangeObject(Edit, frozen=True, kw_only=True, tag="change_object"):
+    """Name, material, status or note of an object; what is None stays."""
+
+    object: str
+    name: str | None = None
+    material: Material | None = None
+    status: Status | None = None
+    note: str | None = None
+
+    def check(self) -> None:
+        if not self._changes:
+            raise ToolkitError("nothing to change", hint="give name, material, status or note")
+
+    @property
+    def _changes(self) -> dict[str, str]:
+        return {
+            field: value
+            for field in ("name", "material", "status", "note")
+            if (value := getattr(self, field)) is not None
+        }
+
+    @property
+    def title(self) -> str:
+        if self.status is not None:
+            return f"Mark {self.object} as {self.status}"
+        if self.name is not None:
+            return f"Rename {self.object} to {self.name}"
+        return f"Set {' and '.join(self._changes)} of {self.object}"
+
+    @property
+    def objects(self) -> tuple[str, ...]:
+        return (self.object, *(() if self.name is None else (self.name,)))
+
+    def apply(self, state: AnnotationState, context: EditContext) -> AnnotationState:
+        del context
+        obj = state.object(self.object)
+        if self.status == "done" and not obj.placements:
+            raise ToolkitError(
+                "an object without a pose cannot be done",
+                field="object",
+                value=self.object,
+                hint="place it first",
+            )
+        if self.name is not None and self.name != self.object:
+            check_name(self.name)
+            _refuse_name(state, self.name, field="name")
+        return state.with_object(msgspec.structs.replace(obj, **self._changes))
+
+
+def _refuse_name(state: AnnotationState, name: str, *, field: str) -> None:
+    if any(o.name == name for o in state.objects):
+        raise ToolkitError(
+            "there is an object of this name", field=field, value=name, hint="choose another"
+        )

@@ -1,0 +1,184 @@
+"""The base of all requests, and the import of meshes from files.
+
+What a mesh is called in the library.
+
+What all requests share: they are resolved on a snapshot, in any thread, and give one edit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from annotator.session.edits import AnyEdit, EnterModel
+from annotator.session.state import Snapshot
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import scene_lock
+from std_toolkit.labels.label import copy_model
+from std_toolkit.scene import ObjectTable, Scene
+from std_toolkit.scene.document import Document, safe_name
+
+Progress = Callable[[float], None]
+
+Cancelled = Callable[[], bool]
+
+# Data sets keep each mesh in a folder that has the object's name, under a name like these.
+_GENERIC = frozenset(
+    ("mesh", "model", "models", "nontextured", "object", "poisson", "scan", "textured", "untitled")
+)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a request found.
+
+    Attributes:
+        edit: to be applied.
+        report: sentences and numbers for people.
+        warnings: what to look at.
+        weak_directions: by object name: sentence on what of its pose was determined least.
+    """
+
+    edit: AnyEdit
+    report: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    weak_directions: dict[str, str] = field(default_factory=dict)
+
+
+class RequestCancelled(ToolkitError):
+    """The request was cancelled while it was carried out; nothing has changed."""
+
+
+@dataclass(frozen=True)
+class Watch:
+    """How a request that takes long tells of its progress and hears that it is not wanted.
+
+    Attributes:
+        progress: to be told the fraction done, 0 to 1.
+        cancelled: to be asked now and then; what comes after is of no use then.
+    """
+
+    progress: Progress
+    cancelled: Cancelled
+
+
+class Request(Document, frozen=True, kw_only=True, tag_field="edit"):
+    """Base of all requests; subclasses override `title` and `carry_out`."""
+
+    @property
+    def title(self) -> str:
+        """What it does, for people."""
+        raise NotImplementedError
+
+    def resolve(
+        self,
+        snapshot: Snapshot,
+        *,
+        progress: Progress | None = None,
+        cancelled: Cancelled | None = None,
+    ) -> Outcome:
+        """Carry it out on a snapshot; may run in any thread.
+
+        Args:
+            progress: told the fraction done, 0 to 1.
+            cancelled: asked now and then; what comes after is of no use then.
+
+        Raises:
+            RequestCancelled: `cancelled` said so.
+            ToolkitError: it cannot be carried out.
+        """
+        watch = Watch(progress or (lambda _: None), cancelled or (lambda: False))
+        return self.carry_out(snapshot, watch)
+
+    def carry_out(self, snapshot: Snapshot, watch: Watch) -> Outcome:
+        """See `resolve`."""
+        raise NotImplementedError
+
+
+class ImportMesh(Request, frozen=True, kw_only=True, tag="import_mesh"):
+    """A mesh file joins the library: it is copied into the scene at once.
+
+    Attributes:
+        mesh: path of the file.
+        unit: of the file: "m", "cm" or "mm"; stored in metres.
+        category: such as "mug".
+        model: id of the model; default: from the file's name, or from its folder's for names such
+            as "textured", with a number where another mesh has that id.
+        symmetry: as on the command line: "axis:z", "fold:z:4", a JSON file; default: none.
+    """
+
+    mesh: str
+    unit: Literal["m", "cm", "mm"] = "m"
+    category: str | None = None
+    model: str | None = None
+    symmetry: list[str] | None = None
+
+    @property
+    def title(self) -> str:
+        return f"Add mesh {Path(self.mesh).name}"
+
+    def carry_out(self, snapshot: Snapshot, watch: Watch) -> Outcome:
+        del watch
+        from std_toolkit.geometry.mesh import load_mesh, mesh_bounds
+        from std_toolkit.labels.symmetry_argument import parse_symmetry
+
+        if not snapshot.writable:
+            raise ToolkitError("the scene is open for looking only", path=snapshot.scene.root)
+        path = Path(self.mesh).expanduser()
+        try:
+            mesh = load_mesh(path, unit=self.unit)
+        except ToolkitError as error:
+            raise _plain_hint(error) from error
+        symmetry = None
+        if self.symmetry is not None:
+            centre = mesh_bounds(mesh).mean(axis=0).tolist()
+            symmetry = parse_symmetry(self.symmetry, centre=centre)
+        # The lock: another process sweeps away temporary files while it writes.
+        with scene_lock(snapshot.scene.root):
+            try:
+                model = copy_model(
+                    snapshot.scene.root,
+                    _known(snapshot),
+                    path,
+                    mesh_unit=self.unit,
+                    category=self.category,
+                    symmetry=symmetry,
+                    model_id=self.model or model_name(path),
+                    number=self.model is None,
+                )
+            except ToolkitError as error:
+                raise _plain_hint(error) from error
+        size = " x ".join(f"{x * 1000:.1f}" for x in model.size_m)
+        line = f"model {model.id}: {size} mm, diameter {model.diameter_m * 1000:.1f} mm"
+        return Outcome(EnterModel(model=model), [line])
+
+
+def _known(snapshot: Snapshot) -> ObjectTable:
+    """The models of the state, and those that others entered meanwhile: none is overwritten."""
+    own = snapshot.scene.objects
+    ids = {m.id for m in own.models}
+    others = [m for m in Scene.open(snapshot.scene.root).objects.models if m.id not in ids]
+    return ObjectTable(models=[*own.models, *others], objects=own.objects)
+
+
+def _plain_hint(error: ToolkitError) -> ToolkitError:
+    """The library's hints are for the command line of `std-curate`."""
+    hint = error.hint
+    if "large in metres" in error.problem:
+        hint = "is the file in millimetres? Then give its unit as mm (or cm)"
+    elif "with another mesh" in error.problem:
+        hint = "give this one another id"
+    return ToolkitError(
+        error.problem, path=error.path, field=error.field, value=error.value, hint=hint
+    )
+
+
+def model_name(path: Path) -> str:
+    """Id for the model of a mesh file: its name, or that of its folder where it tells nothing."""
+    stem, folder = path.stem, path.resolve().parent.name
+    words = stem.lower().replace("-", "_").split("_")
+    return safe_name(
+        folder if folder and all(w in _GENERIC or w.isdigit() for w in words) else stem
+    )

@@ -1,0 +1,72 @@
+"""JSON Schema of every document, generated from the structures that the code reads them with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.io.documents import DIALECT
+from std_toolkit.scene.document import Record
+from std_toolkit.scene.model import Annotation, CameraPoses, Frames, Labels, ObjectTable, SceneInfo
+
+
+def document_types() -> dict[str, type]:
+    """Name of every kind of document, to its structure."""
+    # Imported here: these packages build on this one.
+    from std_toolkit.checks.result import CheckReport
+    from std_toolkit.rendering.ground_truth import FrameTruth
+    from std_toolkit.scene.sidecar import Sidecar
+
+    return {
+        "scene": SceneInfo,
+        "frames": Frames,
+        "objects": ObjectTable,
+        "poses": CameraPoses,
+        "labels": Labels,
+        "annotation": Annotation,
+        "ground_truth": FrameTruth,
+        "check_report": CheckReport,
+        "record": Record,
+        "export": Sidecar,
+    }
+
+
+def document_schema(name: str) -> dict[str, Any]:
+    """JSON Schema (2020-12) of one kind of document.
+
+    The schema says everything that a schema can: fields, types, ranges. Rules between values
+    (unique ids, rotations that are rotations, names that exist) are checked when a document is
+    read and told in data_spec.md.
+
+    Raises:
+        ToolkitError: no such kind of document.
+    """
+    types = document_types()
+    if name not in types:
+        raise ToolkitError("no such document", value=name, hint=f"known: {', '.join(types)}")
+    schema = msgspec.json.schema(types[name])
+    return {
+        "$schema": DIALECT,
+        "$id": f"https://std-toolkit.example/schemas/{name}.schema.json",
+        **schema,
+    }
+
+
+def schema_bytes(name: str) -> bytes:
+    """The schema as it is stored in `schemas/`."""
+    text = msgspec.json.format(msgspec.json.encode(document_schema(name)), indent=2)
+    return text + b"\n"
+
+
+def write_schemas(folder: Path) -> list[Path]:
+    """Write the schemas of all documents to `folder`; returns their paths."""
+    paths = []
+    for name in document_types():
+        path = folder / f"{name}.schema.json"
+        write_bytes_atomic(path, schema_bytes(name))
+        paths.append(path)
+    return paths

@@ -1,0 +1,222 @@
+"""What a scene holds, what it lacks, and the command that comes next."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+
+from std_toolkit.rendering.placements import truth_is_current
+from std_toolkit.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class SceneSummary:
+    """Counts of everything in a scene.
+
+    Attributes:
+        cameras: one line per camera.
+        frames_with_depth, frames_with_color: of `frames`, those whose file is there.
+        missing_files: scene-relative paths of frames and meshes that are named but absent.
+        scale: sentence on the unit of the poses; None without poses.
+        registered: frames with a camera pose; None without poses.
+        failed_gates: names.
+        labelled, propagated, refined: object names.
+        ground_truth: frames whose ground truth is complete and belongs to the labels.
+        stale_ground_truth: frames whose ground truth is older than labels or camera poses.
+        report: the check report exists.
+        stale_report: it is of other labels, camera poses or meshes.
+        reference: kinds of maps that came with the import.
+        next_command: what to run next, or None when everything is there.
+    """
+
+    root: Path
+    name: str
+    source: str
+    cameras: list[str]
+    frames: int
+    frames_with_color: int
+    frames_with_depth: int
+    missing_files: list[str]
+    depth_scale: float | None
+    depth_correction: float
+    registered: int | None
+    scale: str | None
+    failed_gates: list[str]
+    objects: list[str]
+    labelled: list[str]
+    propagated: list[str]
+    refined: list[str]
+    ground_truth: int
+    stale_ground_truth: int
+    report: bool
+    stale_report: bool
+    reference: list[str]
+    next_command: str | None
+
+    def lines(self) -> list[str]:
+        """The summary as text, one fact per line."""
+        have_depth = f"{self.frames_with_depth} with sensor depth"
+        if self.frames_with_depth and self.depth_correction != 1:
+            have_depth += f" (corrected by {self.depth_correction:g})"
+        rows = [
+            ("scene", f"{self.name} ({self.source or 'unknown source'})"),
+            *(("camera", line) for line in self.cameras),
+            ("frames", f"{self.frames}, {have_depth}"),
+            ("poses", self._poses()),
+            ("scale", self.scale or "none"),
+            ("objects", ", ".join(self.objects) or "none"),
+            ("labels", self._labels()),
+            ("ground truth", self._ground_truth()),
+            ("check", self._report()),
+        ]
+        if self.reference:
+            rows.append(("reference", f"came with the import: {', '.join(self.reference)}"))
+        if self.missing_files:
+            more = f" and {len(self.missing_files) - 3} more" if len(self.missing_files) > 3 else ""
+            rows.append(("MISSING", ", ".join(self.missing_files[:3]) + more))
+        rows.append(("next", self.next_command or "complete: `std-curate export` as you need it"))
+        return [f"{key:<13} {value}" for key, value in rows]
+
+    def _poses(self) -> str:
+        if self.registered is None:
+            return "none"
+        gates = f"; FAILED gates: {', '.join(self.failed_gates)}" if self.failed_gates else ""
+        return f"{self.registered} of {self.frames} frames registered{gates}"
+
+    def _ground_truth(self) -> str:
+        text = f"{self.ground_truth} of {self.frames} frames"
+        if self.stale_ground_truth:
+            text += f"; OUTDATED in {self.stale_ground_truth}: labels or poses changed"
+        return text
+
+    def _report(self) -> str:
+        if self.stale_report:
+            return "report OUTDATED: labels, poses or meshes changed"
+        return "report written" if self.report else "no report"
+
+    def _labels(self) -> str:
+        if not self.objects:
+            return "none"
+        text = f"{len(self.labelled)} of {len(self.objects)} objects labelled"
+        if self.labelled:
+            text += f", {len(self.propagated)} propagated, {len(self.refined)} refined"
+        without = [o for o in self.objects if o not in self.labelled]
+        return text + (f"; without label: {', '.join(without)}" if without else "")
+
+
+def summarise(scene: Scene) -> SceneSummary:
+    """Look at a scene's documents and files; reads no pixels.
+
+    Raises:
+        ToolkitError: a document breaks its schema.
+    """
+    poses, labels = scene.poses, scene.labels
+    missing = [f.color for f in scene.frames if not (scene.root / f.color).is_file()]
+    missing += [f.depth for f in scene.frames if f.depth and not (scene.root / f.depth).is_file()]
+    missing += [m.mesh for m in scene.objects.models if not (scene.root / m.mesh).is_file()]
+    names = {o.id: o.name for o in scene.objects.objects}
+    reference = scene.root / "reference"
+    report = (scene.root / "check" / "report.html").is_file()
+    current, stale = _ground_truth_counts(scene)
+    found = SceneSummary(
+        root=scene.root,
+        name=scene.info.name,
+        source=scene.info.source,
+        cameras=[_camera_line(key, scene) for key in sorted(scene.info.cameras)],
+        frames=len(scene.frames),
+        frames_with_color=sum((scene.root / f.color).is_file() for f in scene.frames),
+        frames_with_depth=sum(f.depth is not None for f in scene.frames),
+        missing_files=missing,
+        depth_scale=scene.info.depth_scale,
+        depth_correction=scene.info.depth_correction,
+        registered=None if poses is None else len(scene.registered_frames()),
+        scale=_scale_line(scene),
+        failed_gates=[] if poses is None else [g.name for g in poses.gates if not g.passed],
+        objects=[o.name for o in scene.objects.objects],
+        labelled=[names[x.object] for x in labels.labels],
+        propagated=[names[x.object] for x in labels.labels if x.T_world_obj is not None],
+        refined=[names[x.object] for x in labels.labels if x.refined],
+        ground_truth=current,
+        stale_ground_truth=stale,
+        report=report,
+        stale_report=report and not _report_is_current(scene),
+        reference=sorted(p.name for p in reference.iterdir()) if reference.is_dir() else [],
+        next_command=None,
+    )
+    return _with_next(found)
+
+
+def _with_next(found: SceneSummary) -> SceneSummary:
+    from dataclasses import replace
+
+    return replace(found, next_command=_next_command(found))
+
+
+def _next_command(found: SceneSummary) -> str | None:
+    scene = shlex.quote(str(found.root))
+    if found.missing_files:
+        return f"put the missing files back, or import again: {found.missing_files[0]}"
+    if found.registered is None:
+        alone = f" (the annotated frames alone need none: std-curate render {scene})"
+        return f"std-curate poses {scene}{alone if found.labelled else ''}"
+    if found.failed_gates:
+        return f"record again where the gates say so, then std-curate poses {scene}"
+    if not found.objects or len(found.labelled) < len(found.objects):
+        return f"std-curate label {scene} ..."
+    if len(found.propagated) < len(found.labelled):
+        return f"std-curate propagate {scene} --refine"
+    if found.stale_ground_truth or found.ground_truth < (found.registered or 0):
+        return f"std-curate render {scene}"
+    if not found.report or found.stale_report:
+        return f"std-curate check {scene}"
+    return None
+
+
+def _camera_line(key: str, scene: Scene) -> str:
+    poses = scene.poses
+    refined = poses is not None and key in poses.cameras
+    camera = (poses.cameras if poses is not None and refined else scene.info.cameras)[key]
+    bent = f", distortion {' '.join(f'{d:.4g}' for d in camera.distortion)}"
+    return (
+        f"{key}: {camera.width}x{camera.height}, fx {camera.fx:.2f} fy {camera.fy:.2f} "
+        f"cx {camera.cx:.2f} cy {camera.cy:.2f}{bent if any(camera.distortion) else ''}"
+        f"{' (refined)' if refined else ''}"
+    )
+
+
+def _scale_line(scene: Scene) -> str | None:
+    poses = scene.poses
+    if poses is None:
+        return None
+    if poses.scale is None:
+        return "metric, as imported"
+    if poses.scale.unit != "metre":
+        return "UNKNOWN: the poses are not in metres"
+    text = f"metres from {poses.scale.chosen}"
+    factors = [e.factor for e in poses.scale.estimates]
+    if len(factors) > 1:
+        text += f", {len(factors)} sources within {max(factors) / min(factors) - 1:.2%}"
+    elif poses.scale.chosen == "depth":
+        text += " alone (good to 1-2 %)"
+    return text
+
+
+def _ground_truth_counts(scene: Scene) -> tuple[int, int]:
+    """Frames with current and with outdated ground truth."""
+    from std_toolkit.rendering.ground_truth import read_frame_truth, rendered_frames
+
+    current = stale = 0
+    for frame_id in rendered_frames(scene):
+        if truth_is_current(scene, read_frame_truth(scene, frame_id)):
+            current += 1
+        else:
+            stale += 1
+    return current, stale
+
+
+def _report_is_current(scene: Scene) -> bool:
+    # Imported here: the checks build on this package.
+    from std_toolkit.checks.check_step import report_is_current
+
+    return report_is_current(scene)

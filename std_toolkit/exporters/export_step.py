@@ -1,0 +1,297 @@
+"""The export step: one layout of one scene, frame by frame, whole or not at all."""
+
+from __future__ import annotations
+
+from functools import lru_cache, partial
+from pathlib import Path
+
+import msgspec
+
+from std_toolkit import __version__
+from std_toolkit.errors import ToolkitError
+from std_toolkit.exporters.exporter import EXPORTERS, Exporter, ExportOptions, FrameRow, Target
+from std_toolkit.exporters.frame_maps import check_fresh, color_camera
+from std_toolkit.exporters.staging import (
+    PROGRESS,
+    drop_strangers,
+    file_digests,
+    finished_row,
+    record_row,
+    staging_area,
+    state_of,
+)
+from std_toolkit.io.documents import write_document
+from std_toolkit.jobs import JobOptions, run_jobs
+from std_toolkit.log import logger
+from std_toolkit.rendering.ground_truth import info_path, read_frame_truth, rendered_frames
+from std_toolkit.scene.document import digest_file, digest_of
+from std_toolkit.scene.model import (
+    CameraModel,
+    CameraPoses,
+    Frame,
+    Labels,
+    ObjectTable,
+    SceneInfo,
+)
+from std_toolkit.scene.scene import Scene
+from std_toolkit.scene.sidecar import (
+    SIDECAR_NAME,
+    ExportedModel,
+    LeftOut,
+    Sidecar,
+    Visibility,
+)
+
+_SERIAL_BELOW = 16
+
+
+def export_scene(
+    scene: Scene,
+    format_name: str,
+    out: Path | str,
+    *,
+    options: ExportOptions | None = None,
+    jobs: JobOptions | None = None,
+) -> Sidecar:
+    """Export every frame with finished ground truth.
+
+    Args:
+        format_name: exporter's name.
+        out: folder of the export; appears when everything is in it. The same export there
+            already is left alone; an interrupted one is resumed.
+        options: see `ExportOptions`.
+        jobs: where the frames are written.
+
+    Returns:
+        What was exported, as its sidecar tells.
+
+    Raises:
+        ToolkitError: there is no ground truth or it is stale, the layout cannot hold the scene,
+            a frame failed, or something else is at `out`.
+    """
+    options = options or ExportOptions()
+    out = Path(out)
+    if out.resolve().is_relative_to(scene.root.resolve()):
+        raise ToolkitError("an export cannot lie inside its scene", path=out, field="--out")
+    exporter = EXPORTERS.get(format_name)
+    target = plan(scene, out, options)
+    exporter.check(target)
+    documents = _documents_digest(scene)
+    digests = {f.id: _frame_digest(target, f, format_name, documents) for f in target.frames}
+    digest = _export_digest(target, format_name, digests)
+    if state_of(out, digest) == "same":
+        logger.info("%s: this export is there already", out)
+        from std_toolkit.io.documents import read_document
+
+        return read_document(out / SIDECAR_NAME, Sidecar)
+    if jobs is None and len(target.frames) < _SERIAL_BELOW:
+        jobs = JobOptions(engine="serial")
+    with staging_area(out, overwrite=options.overwrite) as staging:
+        staged = Target(scene, staging, options, target.frames, target.object_ids, target.model_ids)
+        models, mesh_files = exporter.write_models(staged)
+        job = partial(
+            _export_frame,
+            root=str(scene.root),
+            documents=documents,
+            staging=str(staging),
+            format_name=format_name,
+            options=options,
+        )
+        items = [(f.id, digests[f.id]) for f in target.frames]
+        report = run_jobs(
+            job, items, name=f"export {format_name}", key=lambda x: str(x[0]), options=jobs
+        )
+        report.raise_if_failed()
+        rows = list(report.results.values())
+        written = exporter.finish(staged, rows, models)
+        others = [*mesh_files, *written]
+        return _close(exporter, staged, format_name, digest, rows, models, others)
+
+
+def plan(scene: Scene, root: Path, options: ExportOptions) -> Target:
+    """Which frames, objects and models an export holds.
+
+    Raises:
+        ToolkitError: no ground truth, or it is older than the labels.
+    """
+    rendered = set(rendered_frames(scene))
+    frames = tuple(f for f in scene.frames if f.id in rendered)
+    if not frames:
+        raise ToolkitError(
+            "nothing to export: no frame has ground truth",
+            path=scene.root,
+            hint="run `std-curate render` first",
+        )
+    seen: set[int] = set()
+    for frame in frames:
+        truth = read_frame_truth(scene, frame.id)
+        check_fresh(scene, truth)
+        seen.update(row.object for row in truth.objects)
+    used = {scene.objects.object(i).model for i in seen}
+    models = tuple(m.id for m in scene.objects.models if m.id in used)
+    return Target(scene, root, options, frames, tuple(sorted(seen)), models)
+
+
+def _export_frame(
+    item: tuple[int, str],
+    *,
+    root: str,
+    documents: str,
+    staging: str,
+    format_name: str,
+    options: ExportOptions,
+) -> FrameRow:
+    frame_id, digest = item
+    target = _staged_target(root, documents, staging, options)
+    key = f"{frame_id:06d}"
+    if (row := finished_row(target.root, key, digest)) is not None:
+        return row
+    exporter: Exporter = EXPORTERS.get(format_name)
+    row = exporter.write_frame(target, target.scene.frame(frame_id))
+    record_row(target.root, key, digest, row)
+    return row
+
+
+@lru_cache(maxsize=2)
+def _staged_target(
+    root: str,
+    documents: str,  # noqa: ARG001 - part of the cache's key
+    staging: str,
+    options: ExportOptions,
+) -> Target:
+    return plan(Scene.open(root), Path(staging), options)
+
+
+def _close(
+    exporter: Exporter,
+    target: Target,
+    format_name: str,
+    digest: str,
+    rows: list[FrameRow],
+    models: list[ExportedModel],
+    others: list[str],
+) -> Sidecar:
+    staging = target.root
+    drop_strangers(staging, _expected(staging, target, rows, others))
+    scene = target.scene
+    exported = {f.id for f in target.frames}
+    color = {f.camera: color_camera(scene, f) for f in target.frames}
+    labels = {key: exporter.label_camera(target, camera) for key, camera in color.items()}
+    policies = {
+        (r.truth.policy, r.truth.delta_m, r.truth.renderer): Visibility(
+            policy=r.truth.policy, delta_m=r.truth.delta_m, renderer=r.truth.renderer
+        )
+        for r in rows
+    }
+    sidecar = Sidecar(
+        layout=format_name,
+        folder=exporter.folder(target),
+        version=__version__,
+        digest=digest,
+        scene=_scene_info(scene, {k: CameraModel.of(c) for k, c in sorted(color.items())}),
+        label_cameras={k: CameraModel.of(c) for k, c in sorted(labels.items())},
+        frames=[r.frame for r in rows],
+        left_out=[
+            LeftOut(id=f.id, name=f.name, reason="no ground truth")
+            for f in scene.frames
+            if f.id not in exported
+        ],
+        models=models,
+        objects=_objects(target),
+        labels=_labels(target, rows),
+        poses=_poses(scene, exported),
+        visibility=list(policies.values()),
+        quaternion=exporter.quaternion(target),
+        files=file_digests(staging),
+    )
+    write_document(staging / SIDECAR_NAME, sidecar)
+    return sidecar
+
+
+def _expected(staging: Path, target: Target, rows: list[FrameRow], others: list[str]) -> set[str]:
+    """Files that belong to the export, and the records of its progress."""
+    files = {name for row in rows for name in row.outputs} | set(others)
+    keys = {f"{PROGRESS}/{f.id:06d}.json" for f in target.frames}
+    return files | {k for k in keys if (staging / k).is_file()}
+
+
+def _scene_info(scene: Scene, cameras: dict[str, CameraModel]) -> SceneInfo:
+    info = scene.info
+    return SceneInfo(
+        name=info.name,
+        cameras=cameras,
+        depth_scale=info.depth_scale,
+        depth_correction=info.depth_correction,
+        source=info.source,
+    )
+
+
+def _objects(target: Target) -> ObjectTable:
+    table = target.scene.objects
+    return ObjectTable(
+        models=[m for m in table.models if m.id in target.model_ids],
+        objects=[o for o in table.objects if o.id in target.object_ids],
+    )
+
+
+def _labels(target: Target, rows: list[FrameRow]) -> Labels:
+    """The labels of the exported objects, told in exported frames only.
+
+    One whose annotated frame stays behind moves to a further annotated view or, without one, to
+    the first exported frame with a pose of the object: labels of unknown frames are no labels.
+    """
+    poses = {r.frame.id: {o.object: o.T_cam_obj for o in r.frame.objects} for r in rows}
+    kept = []
+    for label in target.scene.labels.labels:
+        if label.object not in target.object_ids:
+            continue
+        views = {key: T for key, T in label.views.items() if int(key) in poses}
+        frame, T_cam_obj = label.frame, label.T_cam_obj
+        if frame not in poses:
+            shown = (f for f, objects in poses.items() if label.object in objects)
+            frame = min(map(int, views)) if views else next(shown)
+            T_cam_obj = views.pop(str(frame), poses[frame][label.object])
+        kept.append(msgspec.structs.replace(label, frame=frame, T_cam_obj=T_cam_obj, views=views))
+    return Labels(labels=kept)
+
+
+def _poses(scene: Scene, exported: set[int]) -> CameraPoses | None:
+    poses = scene.poses
+    if poses is None:
+        return None
+    return CameraPoses(
+        frames=[p for p in poses.frames if p.frame in exported],
+        scale=poses.scale,
+        gates=poses.gates,
+        source=poses.source,
+        notes=poses.notes,
+    )
+
+
+def _documents_digest(scene: Scene) -> str:
+    names = ("scene.json", "frames.json", "objects.json", "poses.json", "labels.json")
+    return digest_of([digest_file(p) if (p := scene.root / n).is_file() else None for n in names])
+
+
+def _frame_digest(target: Target, frame: Frame, format_name: str, documents: str) -> str:
+    scene = target.scene
+    return digest_of(
+        format_name,
+        _options_key(target.options),
+        list(target.object_ids),
+        list(target.model_ids),
+        digest_file(info_path(scene.root, frame.id)),
+        digest_file(scene.color_path(frame)),
+        None if frame.depth is None else digest_file(scene.root / frame.depth),
+        documents,
+    )
+
+
+def _export_digest(target: Target, format_name: str, frames: dict[int, str]) -> str:
+    scene = target.scene
+    meshes = [digest_file(scene.mesh_path(scene.objects.model(m))) for m in target.model_ids]
+    return digest_of(format_name, _options_key(target.options), list(frames.values()), meshes)
+
+
+def _options_key(options: ExportOptions) -> list[object]:
+    return [options.label_size, options.scene_number, options.split, options.quaternion]

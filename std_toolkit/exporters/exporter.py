@@ -1,0 +1,175 @@
+"""What an exporter is: it names a layout's files and fills them frame by frame.
+
+What every layout's frame row has in common.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+import msgspec
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.plugins import Registry
+from std_toolkit.rendering.ground_truth import FrameTruth
+from std_toolkit.scene.model import Frame
+from std_toolkit.scene.sidecar import ExportedFrame, ExportedModel, ExportedObject
+
+if TYPE_CHECKING:
+    from std_toolkit.geometry.camera import Camera
+    from std_toolkit.scene.scene import Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions:
+    """How to export.
+
+    Attributes:
+        label_size: (width, height) of labels in the STD layout; None for the layout's own: half
+            the colour image's when that is 1280x720, else the colour image's.
+        scene_number: of the scene in layouts that number their scenes.
+        split: name of the split folder in BOP and NOCS.
+        quaternion: of the STD meta file: "dreds" is the inverse rotation, as the released
+            generator writes it; "plain" is object to camera.
+        overwrite: replace an export that is there already.
+    """
+
+    label_size: tuple[int, int] | None = None
+    scene_number: int = 1
+    split: str = "test"
+    quaternion: Literal["dreds", "plain"] = "dreds"
+    overwrite: bool = False
+
+    def __post_init__(self) -> None:
+        if self.label_size is not None and min(self.label_size) < 1:
+            raise ToolkitError("must be positive", field="--label-size", value=self.label_size)
+        if not 0 <= self.scene_number <= 999999:
+            raise ToolkitError(
+                "must lie between 0 and 999999", field="--scene-number", value=self.scene_number
+            )
+        if self.split not in ("train", "val", "test"):
+            raise ToolkitError("one of train, val, test", field="--split", value=self.split)
+        if self.quaternion not in ("dreds", "plain"):
+            raise ToolkitError("one of dreds, plain", field="--quaternion", value=self.quaternion)
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where an export goes and what of the scene is in it.
+
+    Attributes:
+        scene: to export.
+        root: folder to write to (of the staging area while the export runs).
+        frames: with finished ground truth, in order.
+        object_ids: that appear in any frame, rising.
+        model_ids: of those objects, in the order of objects.json.
+    """
+
+    scene: Scene
+    root: Path
+    options: ExportOptions
+    frames: tuple[Frame, ...]
+    object_ids: tuple[int, ...]
+    model_ids: tuple[str, ...]
+
+    def rank(self, object_id: int) -> int:
+        """1-based position of an object among the exported ones: its id in dense layouts."""
+        return self.object_ids.index(object_id) + 1
+
+    def model_number(self, model_id: str) -> int:
+        """1-based position of a model among the exported ones."""
+        return self.model_ids.index(model_id) + 1
+
+
+class FrameRow(msgspec.Struct, frozen=True, kw_only=True):
+    """What a frame contributes to the documents of the export.
+
+    Attributes:
+        outputs: files written, relative to the export.
+        extra: the layout's own entries, plain JSON values.
+    """
+
+    frame: ExportedFrame
+    truth: FrameTruth
+    outputs: list[str]
+    extra: dict[str, Any] = {}
+
+
+class Exporter(Protocol):
+    """Writes one layout."""
+
+    def check(self, target: Target) -> None:
+        """Refuse a scene that the layout cannot hold.
+
+        Raises:
+            ToolkitError: it cannot.
+        """
+        ...
+
+    def folder(self, target: Target) -> str:
+        """Folder of the frames, relative to the export."""
+        ...
+
+    def label_camera(self, target: Target, camera: Camera) -> Camera:
+        """Camera of the labels of frames with this colour camera (a pinhole)."""
+        ...
+
+    def write_models(self, target: Target) -> tuple[list[ExportedModel], list[str]]:
+        """Write the meshes; returns them and all files written, relative to the export."""
+        ...
+
+    def write_frame(self, target: Target, frame: Frame) -> FrameRow:
+        """Write one frame. Runs in a worker process; must write atomically."""
+        ...
+
+    def finish(
+        self, target: Target, rows: list[FrameRow], models: list[ExportedModel]
+    ) -> list[str]:
+        """Write the documents over all frames; returns their paths, relative to the export."""
+        ...
+
+    def quaternion(self, target: Target) -> str | None:
+        """Convention of quaternions in the layout's files, for the sidecar."""
+        ...
+
+
+EXPORTERS: Registry[Exporter] = Registry(
+    "std_toolkit.exporters",
+    {
+        "std": "std_toolkit.exporters.std_exporter:STD",
+        "bop": "std_toolkit.exporters.bop_exporter:BOP",
+        "nocs": "std_toolkit.exporters.nocs_exporter:NOCS",
+    },
+)
+
+
+def exported_frame(
+    target: Target, frame: Frame, truth: FrameTruth, *, stem: str, mask_ids: dict[int, int]
+) -> ExportedFrame:
+    """The sidecar's entry of a frame.
+
+    Args:
+        stem: what the layout's file names start with.
+        mask_ids: object id to its value (or index) in the layout.
+    """
+    T_world_cam = target.scene.T_world_cam(frame.id)
+    return ExportedFrame(
+        id=frame.id,
+        name=frame.name,
+        stem=stem,
+        camera=frame.camera,
+        timestamp=frame.timestamp,
+        T_world_cam=None if T_world_cam is None else T_world_cam.flat(),
+        sensor_depth=frame.depth is not None,
+        objects=[
+            ExportedObject(
+                object=row.object,
+                mask_id=mask_ids[row.object],
+                T_cam_obj=row.T_cam_obj,
+                visible_fraction=row.visible_fraction,
+            )
+            for row in truth.objects
+        ],
+    )

@@ -1,0 +1,92 @@
+"""Colours and layout of plots: the same object has the same colour everywhere.
+
+Chosen from the palettes of Okabe and Ito and of Paul Tol, which people with colour-blindness can
+tell apart; the order puts the most distinct ones first. Materials have their own four.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+OBJECT_COLORS = (
+    "#0072B2",
+    "#E69F00",
+    "#009E73",
+    "#D55E00",
+    "#CC79A7",
+    "#56B4E9",
+    "#882255",
+    "#999933",
+    "#6A51A3",
+    "#44AA99",
+)
+
+DASHES = ("solid", "dash", "dot", "dashdot")
+
+MATERIAL_COLORS = {
+    "raw": "#7F7F7F",
+    "diffuse": "#4477AA",
+    "specular": "#EE7733",
+    "transparent": "#AA3377",
+}
+
+INK = "#1f2933"
+
+FAINT = "#7b8794"
+
+GRID = "#e4e7eb"
+
+CAMERA = "#52606d"
+
+GOOD, MIDDLING, BAD = "#2b7a4b", "#b7791f", "#b42318"
+
+
+FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
+
+
+def object_color(object_ids: Sequence[int], object_id: int) -> str:
+    """Colour of an object, by its place among the scene's ids."""
+    return OBJECT_COLORS[sorted(object_ids).index(object_id) % len(OBJECT_COLORS)]
+
+
+def object_dash(object_ids: Sequence[int], object_id: int) -> str:
+    """Line style that tells objects apart once the colours are used up."""
+    place = sorted(object_ids).index(object_id) // len(OBJECT_COLORS)
+    return DASHES[place % len(DASHES)]
+
+
+def base_layout(*, height: int, **more: Any) -> dict[str, Any]:
+    """The layout that all figures share."""
+    axis = {
+        "gridcolor": GRID,
+        "zeroline": False,
+        "linecolor": "#cbd2d9",
+        "ticks": "outside",
+        "tickcolor": "#cbd2d9",
+        "ticklen": 4,
+        "title": {"standoff": 10},
+        "automargin": True,
+    }
+    layout: dict[str, Any] = {
+        "height": height,
+        "margin": {"l": 64, "r": 16, "t": 16, "b": 52},
+        "font": {"family": FONT, "size": 13, "color": INK},
+        "paper_bgcolor": "rgba(0,0,0,0)",
+        "plot_bgcolor": "rgba(0,0,0,0)",
+        "hovermode": "closest",
+        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "xanchor": "left"},
+        "xaxis": dict(axis),
+        "yaxis": dict(axis),
+    }
+    for key, value in more.items():
+        layout[key] = layout.get(key, {}) | value if isinstance(value, dict) else value
+    return layout
+
+
+def figure_json(traces: Sequence[Any], layout: dict[str, Any]) -> str:
+    """JSON of a figure: validated by Plotly, without its default theme, safe inside a script."""
+    import plotly.graph_objects as go
+
+    figure = go.Figure(data=list(traces), layout={**layout, "template": go.layout.Template()})
+    return str(figure.to_json()).replace("<", "\\u003c")

@@ -1,0 +1,220 @@
+"""Scenes of BOP data sets: images, poses in millimetres, models."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.importers.bop_documents import BopScene, CameraRow, read_bop_scene
+from std_toolkit.importers.bop_objects import (
+    Instances,
+    find_instances,
+    instances_from_sidecar,
+    read_models,
+)
+from std_toolkit.importers.importer import ImportRequest, Recording, SourceFile, SourceFrame
+from std_toolkit.io.images import image_size
+from std_toolkit.scene.model import CameraModel, CameraPoses, FramePose, Material
+from std_toolkit.scene.sidecar import ExportedFrame, Sidecar, find_sidecar
+
+_COLOR_FOLDERS = ("rgb", "gray")
+_COLOR_SUFFIXES = (".png", ".jpg")
+# BOP does not tell what objects are made of; most of its sets are opaque.
+_DEFAULT_MATERIAL: Material = "diffuse"
+
+
+class BopImporter:
+    """Reads one scene folder (`test/000001`), or a data set that holds one scene only."""
+
+    def recognises(self, source: Path) -> bool:
+        return source.is_dir() and bool(_scene_folders(source))
+
+    def read(self, request: ImportRequest) -> Recording:
+        """See `Importer`.
+
+        Raises:
+            ToolkitError: a document breaks the format, or images or models are missing.
+        """
+        folder = _scene_folder(request.source)
+        scene = read_bop_scene(folder)
+        found = find_sidecar(folder, "bop")
+        sidecar = None if found is None else found[0]
+        cameras, camera_of = _cameras(scene, sidecar)
+        depth_scale = _common_depth_scale(scene)
+        told = {} if sidecar is None else {f.id: f for f in sidecar.frames}
+        frames = tuple(
+            _frame(scene, im_id, camera_of[im_id], told.get(im_id))
+            for im_id in sorted(scene.cameras)
+        )
+        top = request.models.parent if request.models is not None else folder.parent.parent
+        models, centres = read_models(
+            top,
+            request.models or top / "models",
+            sorted({row.obj_id for rows in scene.gt.values() for row in rows}),
+            sidecar,
+        )
+        T_world_cam = {
+            im_id: pose.inverse()
+            for im_id, row in scene.cameras.items()
+            if (pose := row.T_cam_world) is not None
+        }
+        instances: Instances
+        if sidecar is not None:
+            instances = instances_from_sidecar(scene, sidecar, T_world_cam, centres)
+        else:
+            instances = find_instances(
+                scene,
+                T_world_cam,
+                {number: m.model.id for number, m in models.items()},
+                request.material or _DEFAULT_MATERIAL,
+            )
+        notes = list(instances.notes)
+        if sidecar is None and instances.objects and request.material is None:
+            notes.append("BOP tells no materials: objects are taken as diffuse (see --material)")
+        return Recording(
+            source="import:bop",
+            cameras=cameras,
+            frames=frames,
+            depth_scale=depth_scale,
+            depth_correction=request.depth_correction,
+            models=tuple(models.values()),
+            objects=instances.objects,
+            poses=_poses(scene, T_world_cam, sidecar),
+            labels=instances.labels,
+            notes=notes,
+        )
+
+
+def _scene_folders(source: Path) -> list[Path]:
+    if (source / "scene_camera.json").is_file():
+        return [source]
+    return sorted(p.parent for p in source.glob("*/*/scene_camera.json"))
+
+
+def _scene_folder(source: Path) -> Path:
+    if not source.is_dir():
+        raise ToolkitError("no such folder", path=source)
+    found = _scene_folders(source)
+    if len(found) == 1:
+        return found[0]
+    shown = ", ".join(str(p.relative_to(source)) for p in found[:5])
+    raise ToolkitError(
+        "no BOP scene here (scene_camera.json)" if not found else "several BOP scenes here",
+        path=source,
+        hint=f"give one of them: {shown}" if found else "give a folder such as test/000001",
+    )
+
+
+def _color_path(folder: Path, im_id: int) -> Path:
+    for kind in _COLOR_FOLDERS:
+        for suffix in _COLOR_SUFFIXES:
+            path = folder / kind / f"{im_id:06d}{suffix}"
+            if path.is_file():
+                return path
+    raise ToolkitError("image file not found", path=folder / "rgb" / f"{im_id:06d}.png")
+
+
+def _depth_path(folder: Path, im_id: int) -> Path | None:
+    path = folder / "depth" / f"{im_id:06d}.png"
+    return path if path.is_file() else None
+
+
+def _cameras(
+    scene: BopScene, sidecar: Sidecar | None
+) -> tuple[dict[str, CameraModel], dict[int, str]]:
+    """Distinct cameras by id, and the camera id of every image."""
+    named = {} if sidecar is None else {f.id: f.camera for f in sidecar.frames}
+    by_values: dict[tuple[str | float, ...], str] = {}
+    cameras: dict[str, CameraModel] = {}
+    camera_of: dict[int, str] = {}
+    for im_id, row in sorted(scene.cameras.items()):
+        size = image_size(_color_path(scene.folder, im_id))
+        # Two cameras of the sidecar stay two, equal numbers or not.
+        values = (named.get(im_id, ""), *size, *row.intrinsics)
+        if values not in by_values:
+            key = named.get(im_id) or ("color" if not by_values else f"color_{len(by_values)}")
+            by_values[values] = key
+            cameras[key] = _camera_model(scene.folder, im_id, size, row)
+        camera_of[im_id] = by_values[values]
+    return cameras, camera_of
+
+
+def _camera_model(folder: Path, im_id: int, size: tuple[int, int], row: CameraRow) -> CameraModel:
+    try:
+        return CameraModel.of(Camera(*size, *row.intrinsics))
+    except ToolkitError as error:
+        raise ToolkitError(
+            error.problem,
+            path=folder / "scene_camera.json",
+            field=f"{im_id}.cam_K",
+            value=error.value,
+            hint=error.hint,
+        ) from error
+
+
+def _common_depth_scale(scene: BopScene) -> float | None:
+    """Metres per unit of the first depth image; other units are converted by the writer."""
+    for im_id, row in sorted(scene.cameras.items()):
+        if _depth_path(scene.folder, im_id) is not None:
+            return row.depth_scale_m
+    return None
+
+
+def _frame(scene: BopScene, im_id: int, camera: str, row: ExportedFrame | None) -> SourceFrame:
+    name = f"{im_id:06d}" if row is None else row.name
+    depth = _depth_path(scene.folder, im_id)
+    return SourceFrame(
+        id=im_id,
+        name=name,
+        color=SourceFile(
+            source=_color_path(scene.folder, im_id), target=f"color/{name}", kind="color"
+        ),
+        depth=None
+        if depth is None
+        else SourceFile(
+            source=depth,
+            target=f"depth/{name}",
+            kind="depth",
+            depth_scale=scene.cameras[im_id].depth_scale_m,
+        ),
+        camera=camera,
+        timestamp=None if row is None else row.timestamp,
+    )
+
+
+def _poses(
+    scene: BopScene, T_world_cam: dict[int, SE3], sidecar: Sidecar | None
+) -> CameraPoses | None:
+    if not T_world_cam:
+        return None
+    known = (
+        {}
+        if sidecar is None or sidecar.poses is None
+        else {p.frame: p for p in sidecar.poses.frames}
+    )
+    frames = []
+    for im_id in sorted(scene.cameras):
+        pose, old = T_world_cam.get(im_id), known.get(im_id)
+        frames.append(
+            FramePose(
+                frame=im_id,
+                status="unregistered" if pose is None else "registered",
+                T_world_cam=None if pose is None else pose.flat(),
+                reprojection_px=old.reprojection_px if old else None,
+                points=old.points if old else 0,
+                covariance=old.covariance if old else None,
+            )
+        )
+    before = sidecar.poses if sidecar is not None else None
+    return CameraPoses(
+        frames=frames,
+        scale=before.scale if before else None,
+        gates=before.gates if before else [],
+        source=before.source if before else "import:bop",
+        notes=before.notes if before else [],
+    )
+
+
+BOP = BopImporter()

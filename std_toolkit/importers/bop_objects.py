@@ -1,0 +1,276 @@
+"""Objects of a BOP data set: models in millimetres, and which poses are the same object.
+
+BOP numbers kinds of objects, not objects: two cans have one obj_id, and the order in a frame need
+not be that of another frame. Where the camera poses are known, entries whose poses agree in the
+world are one object. Elsewhere entries count as one object when they are the k-th of their kind.
+
+Models of a BOP data set: PLY in millimetres, symmetries from models_info.json.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.mesh import load_mesh
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.importers.bop_documents import MM, BopScene, ModelInfo, named
+from std_toolkit.importers.foreign_files import mesh_suffix, model_of_mesh
+from std_toolkit.importers.importer import SourceModel
+from std_toolkit.io.documents import read_document
+from std_toolkit.scene.model import (
+    ContinuousSymmetry,
+    Label,
+    Labels,
+    Material,
+    Object,
+    SymmetryModel,
+)
+from std_toolkit.scene.sidecar import Sidecar
+
+# Label noise of BOP's own sets is a few millimetres; two objects are farther apart.
+_SAME_PLACE_M = 0.02
+
+_MOST_OBJECTS = 254
+
+
+@dataclass(frozen=True)
+class Instances:
+    """Objects and labels of a scene."""
+
+    objects: tuple[Object, ...] = ()
+    labels: Labels | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass
+class _Track:
+    """One object over the frames in which it was seen."""
+
+    obj_id: int
+    T_cam_obj: dict[int, SE3] = field(default_factory=dict)
+    T_world_obj: dict[int, SE3] = field(default_factory=dict)
+
+    def typical(self) -> SE3:
+        """The world pose nearest to the median place: one that was really annotated."""
+        frames = sorted(self.T_world_obj)
+        places = np.array([self.T_world_obj[f].t for f in frames])
+        off = np.linalg.norm(places - np.median(places, axis=0), axis=1)
+        return self.T_world_obj[frames[int(np.argmin(off))]]
+
+
+def find_instances(
+    scene: BopScene,
+    T_world_cam: dict[int, SE3],
+    model_ids: dict[int, str],
+    material: Material,
+) -> Instances:
+    """Objects of a data set that is not the toolkit's own.
+
+    Args:
+        T_world_cam: camera poses by image id; images without one are missing.
+        model_ids: by obj_id.
+        material: of all objects.
+
+    Raises:
+        ToolkitError: more objects than a mask can hold.
+    """
+    if not scene.gt:
+        return Instances()
+    tracks: list[_Track] = []
+    for im_id in sorted(scene.gt):
+        seen_of_kind: dict[int, int] = {}
+        taken: set[int] = set()
+        for row in scene.gt[im_id]:
+            order = seen_of_kind.get(row.obj_id, 0)
+            seen_of_kind[row.obj_id] = order + 1
+            T_cam_obj = row.T_cam_obj
+            camera = T_world_cam.get(im_id)
+            T_world_obj = None if camera is None else camera @ T_cam_obj
+            index = _match(tracks, row.obj_id, order, T_world_obj, taken)
+            if index is None:
+                tracks.append(_Track(row.obj_id))
+                index = len(tracks) - 1
+            taken.add(index)
+            tracks[index].T_cam_obj[im_id] = T_cam_obj
+            if T_world_obj is not None:
+                tracks[index].T_world_obj[im_id] = T_world_obj
+    if len(tracks) > _MOST_OBJECTS:
+        raise ToolkitError(
+            "more objects than a mask can hold; do they move?",
+            path=scene.folder / "scene_gt.json",
+            value=len(tracks),
+        )
+    objects, labels, notes = [], [], []
+    order_of: dict[int, int] = {}
+    for i, track in enumerate(tracks):
+        order_of[track.obj_id] = order_of.get(track.obj_id, 0) + 1
+        thing = Object(
+            id=i + 1,
+            name=f"{model_ids[track.obj_id]}_{order_of[track.obj_id]}",
+            model=model_ids[track.obj_id],
+            material=material,
+        )
+        objects.append(thing)
+        labels.append(_label(track, thing.id))
+    if not T_world_cam:
+        notes.append("no camera poses (cam_R_w2c): labels stay in their frames, as views")
+    return Instances(tuple(objects), Labels(labels=labels), tuple(notes))
+
+
+def instances_from_sidecar(
+    scene: BopScene,
+    sidecar: Sidecar,
+    T_world_cam: dict[int, SE3],
+    centres: dict[int, NDArray[np.float64]],
+) -> Instances:
+    """Objects of the toolkit's own export: identity from the sidecar, poses from BOP's files.
+
+    Raises:
+        ToolkitError: the sidecar and scene_gt.json do not fit each other.
+    """
+    seen: dict[int, dict[int, SE3]] = {}
+    for frame in sidecar.frames:
+        rows = scene.gt.get(frame.id, [])
+        for entry in frame.objects:
+            if not 0 <= entry.mask_id < len(rows):
+                raise ToolkitError(
+                    "scene_gt.json has fewer entries than std_toolkit.json tells",
+                    path=scene.folder / "scene_gt.json",
+                    field=str(frame.id),
+                    value=len(rows),
+                )
+            row = rows[entry.mask_id]
+            pose = row.T_cam_obj
+            moved = SE3(pose.R, pose.t - pose.R @ centres[row.obj_id])
+            seen.setdefault(entry.object, {})[frame.id] = moved
+    labels = []
+    for label in sidecar.labels.labels:
+        poses = seen.get(label.object, {})
+        registered = [f for f in sorted(poses) if f in T_world_cam]
+        T_world_obj = label.T_world_obj
+        if label.T_world_obj is not None and registered:
+            T_world_obj = (T_world_cam[registered[0]] @ poses[registered[0]]).flat()
+        annotated = label.T_cam_obj
+        # A label was carried to its own frame only when it was propagated; the annotated pose
+        # and the refined one differ there, and the sidecar holds the former.
+        if label.T_world_obj is None and label.frame in poses:
+            annotated = poses[label.frame].flat()
+        labels.append(msgspec.structs.replace(label, T_cam_obj=annotated, T_world_obj=T_world_obj))
+    return Instances(tuple(sidecar.objects.objects), Labels(labels=labels))
+
+
+def _match(
+    tracks: list[_Track], obj_id: int, order: int, T_world_obj: SE3 | None, taken: set[int]
+) -> int | None:
+    """The track that an entry belongs to, or None for a new object."""
+    same_kind = [i for i, t in enumerate(tracks) if t.obj_id == obj_id]
+    if T_world_obj is None:
+        return same_kind[order] if order < len(same_kind) else None
+    free = [i for i in same_kind if i not in taken and tracks[i].T_world_obj]
+    distance = {i: float(np.linalg.norm(tracks[i].typical().t - T_world_obj.t)) for i in free}
+    near = min(distance, key=lambda i: distance[i], default=None)
+    return near if near is not None and distance[near] < _SAME_PLACE_M else None
+
+
+def _label(track: _Track, object_id: int) -> Label:
+    first = min(track.T_cam_obj)
+    if track.T_world_obj:
+        return Label(
+            object=object_id,
+            frame=first,
+            T_cam_obj=track.T_cam_obj[first].flat(),
+            T_world_obj=track.typical().flat(),
+            method="import:bop",
+        )
+    return Label(
+        object=object_id,
+        frame=first,
+        T_cam_obj=track.T_cam_obj[first].flat(),
+        method="import:bop",
+        views={str(f): T.flat() for f, T in sorted(track.T_cam_obj.items()) if f != first},
+    )
+
+
+def read_models(
+    top: Path, folder: Path, numbers: list[int], sidecar: Sidecar | None
+) -> tuple[dict[int, SourceModel], dict[int, NDArray[np.float64]]]:
+    """Models by obj_id, and where the scene's mesh origin lay before BOP's recentring.
+
+    Args:
+        top: of the data set, for error messages.
+        folder: of the models.
+        numbers: obj_ids that the scene needs.
+        sidecar: of the toolkit's own export: model ids, categories and mesh origins.
+
+    Returns:
+        Models in metres, and per obj_id the (3,) offset in metres such that
+        `p_scene = p_bop + offset`.
+
+    Raises:
+        ToolkitError: models are missing or damaged.
+    """
+    if not numbers:
+        return {}, {}
+    info_path = folder / "models_info.json"
+    if not folder.is_dir():
+        raise ToolkitError(
+            "the data set's models are missing", path=folder, hint="give --models DIR"
+        )
+    infos = read_document(info_path, dict[str, ModelInfo]) if info_path.is_file() else {}
+    models, centres = {}, {}
+    for number in numbers:
+        exported = None
+        if sidecar is not None:
+            exported = next((m for m in sidecar.models if m.layout_id == str(number)), None)
+            if exported is None:
+                raise ToolkitError("std_toolkit.json lacks a model", path=top, value=number)
+        centre = np.zeros(3) if exported is None else np.asarray(exported.centre_m)
+        mesh = load_mesh(folder / f"obj_{number:06d}.ply", unit="mm")
+        mesh.vertices = np.asarray(mesh.vertices) + centre
+        known = None
+        if sidecar is not None and exported is not None:
+            known = sidecar.objects.model(exported.model)
+        with named(info_path, str(number)):
+            symmetry = symmetry_of(infos.get(str(number)), centre)
+        model = model_of_mesh(
+            mesh,
+            model_id=known.id if known else f"obj_{number:06d}",
+            category=known.category if known else "other",
+            class_id=known.class_id if known else 0,
+            symmetry=symmetry,
+            suffix=mesh_suffix(mesh),
+        )
+        models[number] = SourceModel(model=model, mesh=mesh)
+        centres[number] = centre
+    return models, centres
+
+
+def symmetry_of(info: ModelInfo | None, centre: NDArray[np.float64]) -> SymmetryModel:
+    """Symmetries in the scene's mesh frame, metres."""
+    if info is None:
+        return SymmetryModel()
+    discrete = []
+    for T in info.symmetries_discrete:
+        M = np.asarray(T, dtype=np.float64).reshape(4, 4).copy()
+        M[:3, 3] *= MM
+        S = SE3.from_matrix(M)
+        discrete.append(SE3(S.R, S.t + centre - S.R @ centre).flat())
+    continuous = []
+    for c in info.symmetries_continuous:
+        axis = np.asarray(c.axis, dtype=np.float64)
+        length = float(np.linalg.norm(axis))
+        if not np.isfinite(length) or length == 0:
+            raise ToolkitError("a symmetry axis has no direction", value=c.axis)
+        offset = np.asarray(c.offset, dtype=np.float64) * MM + centre
+        continuous.append(
+            ContinuousSymmetry(
+                axis=[float(x) for x in axis / length], offset=[float(x) for x in offset]
+            )
+        )
+    return SymmetryModel(discrete=discrete, continuous=continuous)

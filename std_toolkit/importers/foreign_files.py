@@ -1,0 +1,212 @@
+"""Foreign depth images, masks and meshes become the scene's: metres, 0 where nothing was measured.
+
+Foreign instance masks.
+
+Meshes of foreign layouts become mesh files of the scene, in metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.mesh import check_mesh_size, mesh_diameter, mesh_extents
+from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.io.exr import exr_size, read_exr
+from std_toolkit.io.images import read_png
+from std_toolkit.scene.model import CATEGORY_CLASS_IDS, Model, SymmetryModel
+
+if TYPE_CHECKING:
+    import trimesh
+
+DEPTH_SUFFIXES = (".png", ".exr")
+
+# Sensors of this field measure about 0.1 to 10 m; beyond, the unit is wrong, not the scene unusual.
+NEAREST_MEDIAN_M, FARTHEST_MEDIAN_M = 0.1, 10.0
+
+_SATURATED = 65535
+
+
+@dataclass(frozen=True)
+class ForeignDepth:
+    """A depth image as read.
+
+    Attributes:
+        values: (H, W) uint16 units, or float16/float32 metres; 0 = missing.
+        converted: foreign marks of missing depth became 0, so that the file cannot be copied.
+    """
+
+    values: NDArray[np.generic]
+    converted: bool
+
+
+def read_foreign_depth(path: Path, *, size: tuple[int, int]) -> ForeignDepth:
+    """Depth of `size` (width, height) from a 16-bit PNG or an EXR.
+
+    NaN, infinity and negative numbers (DREDS writes -0.001), and the saturated 65535 of 16-bit
+    images, mean "no measurement" and become 0. An EXR may hold one channel or equal ones.
+
+    Raises:
+        ToolkitError: unreadable, of another size, or no depth image.
+    """
+    if path.suffix.lower() == ".exr":
+        check_aligned(path, exr_size(path), size)
+        values = _single_channel(path)
+        missing = ~np.isfinite(values) | (values < 0)
+        if missing.any():
+            values = np.where(missing, np.zeros((), values.dtype), values)
+        return ForeignDepth(values, True)
+    if path.suffix.lower() != ".png":
+        raise ToolkitError(
+            "depth must be a 16-bit PNG or an EXR", path=path, hint="JPEG and 8-bit lose depth"
+        )
+    raw = read_png(path)
+    check_aligned(path, (raw.shape[1], raw.shape[0]), size)
+    if raw.dtype != np.uint16 or raw.ndim != 2:
+        raise ToolkitError(
+            "depth must be a single-channel 16-bit PNG",
+            path=path,
+            value=f"{raw.dtype}, {1 if raw.ndim == 2 else raw.shape[2]} channels",
+            hint="a coloured or 8-bit picture of depth holds no metres",
+        )
+    saturated = raw == _SATURATED
+    if not saturated.any():
+        return ForeignDepth(raw, False)
+    return ForeignDepth(np.where(saturated, np.uint16(0), raw), True)
+
+
+def check_aligned(path: Path, actual: tuple[int, int], size: tuple[int, int]) -> None:
+    """Refuse depth of another size than its colour image.
+
+    Raises:
+        ToolkitError: the sizes differ.
+    """
+    if actual != size:
+        raise ToolkitError(
+            f"depth is {actual[0]}x{actual[1]}, colour {size[0]}x{size[1]}: depth is not aligned",
+            path=path,
+            hint="record or convert depth aligned to colour (RealSense: rs.align(stream.color))",
+        )
+
+
+def check_unit(
+    median_m: float, *, path: Path | str, depth_scale: float | None, by_flag: bool = True
+) -> None:
+    """Refuse depth whose median no table-top recording has.
+
+    Args:
+        median_m: of all measured pixels of the recording, metres.
+        depth_scale: metres per unit that were assumed; None for EXR.
+        by_flag: the scale can be given as --depth-scale.
+
+    Raises:
+        ToolkitError: outside 10 cm to 10 m.
+    """
+    if NEAREST_MEDIAN_M <= median_m <= FARTHEST_MEDIAN_M:
+        return
+    if depth_scale is None:
+        hint = "the EXR files seem not to be in metres; convert them"
+    else:
+        units = median_m / depth_scale
+        fitting = [
+            s for s in (0.001, 0.0001, 0.00025, 0.000125, 0.01, 0.0002) if 0.15 <= units * s <= 5
+        ]
+        named = f"; {' or '.join(f'{s:g}' for s in fitting)} would fit" if fitting else ""
+        name = "--depth-scale" if by_flag else "a depth scale of"
+        hint = f"{name} {depth_scale:g} (metres per unit) seems wrong{named}"
+    raise ToolkitError(
+        "the median depth is implausible", path=path, value=f"{median_m:.4g} m", hint=hint
+    )
+
+
+def _single_channel(path: Path) -> NDArray[np.floating]:
+    channels = read_exr(path)
+    for name in ("Y", "Z", "V", "R"):
+        if name in channels:
+            chosen = channels[name]
+            break
+    else:
+        if len(channels) != 1:
+            raise ToolkitError(
+                "the EXR file holds no depth channel (Y, Z or R)", path=path, value=sorted(channels)
+            )
+        chosen = next(iter(channels.values()))
+    if "R" in channels and any(
+        not np.array_equal(channels[c], chosen, equal_nan=True) for c in "GB" if c in channels
+    ):
+        raise ToolkitError(
+            "the EXR file holds a colour picture, not depth: its channels differ", path=path
+        )
+    if chosen.dtype not in (np.float16, np.float32):
+        raise ToolkitError("depth in an EXR must be float", path=path, value=str(chosen.dtype))
+    return chosen  # type: ignore[return-value]
+
+
+def read_mask_source(path: Path, *, size: tuple[int, int] | None) -> np.ndarray:
+    """Instance ids (H, W) uint8 or uint16 of a foreign mask.
+
+    A PNG holds the ids, in one channel or in equal ones; DREDS's EXR holds id/255 as float in
+    channel R. They are rounded: the public loader truncates, which half floats get wrong.
+
+    Raises:
+        ToolkitError: unreadable, of another size, or no mask.
+    """
+    if path.suffix.lower() == ".exr":
+        if size is not None:
+            check_aligned(path, exr_size(path), size)
+        channels = read_exr(path)
+        values = channels.get("R", next(iter(channels.values()))).astype(np.float64) * 255
+        if not np.isfinite(values).all() or values.min() < 0 or values.max() > 255.5:
+            raise ToolkitError("a mask in EXR holds id/255 between 0 and 1", path=path)
+        return np.rint(values).astype(np.uint8)
+    image = read_png(path, size=size)
+    if image.ndim == 3:
+        if not (image == image[..., :1]).all():
+            raise ToolkitError("a mask holds ids in one channel or in equal ones", path=path)
+        image = np.ascontiguousarray(image[..., 0])
+    return image
+
+
+def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
+    """Write a mesh in metres; the suffix (.ply or .glb) chooses the format.
+
+    Raises:
+        ToolkitError: its size is implausible in metres.
+    """
+    check_mesh_size(mesh, path=path)
+    data = mesh.export(file_type=path.suffix.lower().lstrip("."))
+    assert isinstance(data, bytes)  # both formats are binary
+    write_bytes_atomic(path, data)
+
+
+def mesh_suffix(mesh: trimesh.Trimesh) -> str:
+    """ ".glb" for a mesh with a texture, which PLY cannot hold; else ".ply"."""
+    material = getattr(mesh.visual, "material", None)
+    pictures = (getattr(material, key, None) for key in ("image", "baseColorTexture"))
+    return ".glb" if any(picture is not None for picture in pictures) else ".ply"
+
+
+def model_of_mesh(
+    mesh: trimesh.Trimesh,
+    *,
+    model_id: str,
+    category: str,
+    symmetry: SymmetryModel | None = None,
+    class_id: int | None = None,
+    suffix: str = ".ply",
+) -> Model:
+    """The table row of a mesh in metres."""
+    return Model(
+        id=model_id,
+        mesh=f"models/{model_id}/{model_id}{suffix}",
+        category=category,
+        class_id=CATEGORY_CLASS_IDS.get(category, 0) if class_id is None else class_id,
+        size_m=[float(x) for x in mesh_extents(mesh)],
+        diameter_m=mesh_diameter(mesh),
+        symmetry=symmetry or SymmetryModel(),
+    )

@@ -1,0 +1,329 @@
+"""The import step: choose the importer, read, write the scene whole or not at all.
+
+The import step: choose the importer, read, write.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.importers.foreign_files import (
+    check_unit,
+    read_foreign_depth,
+    read_mask_source,
+    write_mesh,
+)
+from std_toolkit.importers.importer import (
+    IMPORTERS,
+    ImportRequest,
+    LinkMode,
+    Recording,
+    SourceFile,
+    SourceFrame,
+    detect_format,
+)
+from std_toolkit.io.atomic import check_vacant, new_folder
+from std_toolkit.io.exr import write_exr
+from std_toolkit.io.images import image_size, read_color, read_png, write_color, write_png
+from std_toolkit.jobs import JobOptions, run_jobs
+from std_toolkit.log import logger
+from std_toolkit.scene.document import check_name, check_relative
+from std_toolkit.scene.model import CameraModel, Frame, Frames, ObjectTable, SceneInfo
+from std_toolkit.scene.scene import Scene
+
+# Below this many frames, starting worker processes costs more than it saves.
+_SERIAL_BELOW = 48
+
+# Beyond the reach of every sensor of this field.
+_FARTHEST_FRAME_M = 30.0
+
+
+@dataclass(frozen=True)
+class WrittenFrame:
+    """What became of one frame: its row, and the median of its measured depth in metres."""
+
+    frame: Frame
+    depth_median_m: float | None
+    has_depth: bool
+
+
+def write_recording(
+    recording: Recording,
+    out: Path,
+    *,
+    name: str,
+    link: LinkMode = "copy",
+    options: JobOptions | None = None,
+) -> Scene:
+    """Make the scene `out` from a recording.
+
+    Args:
+        name: of the scene.
+        link: "copy" images, or "hard"- or "sym"-link those that need no conversion.
+        options: where the frames are read and written.
+
+    Raises:
+        ToolkitError: an image is damaged or of the wrong size, depth is in another unit, or there
+            is something at `out`. Nothing is left behind.
+    """
+    _check_frames(recording)
+    info = SceneInfo(
+        name=name,
+        cameras=recording.cameras,
+        depth_scale=recording.depth_scale,
+        depth_correction=recording.depth_correction,
+        source=recording.source,
+    )
+    if options is None and len(recording.frames) < _SERIAL_BELOW:
+        options = JobOptions(engine="serial")
+    with new_folder(out) as staging:
+        job = partial(
+            _write_frame,
+            root=staging,
+            cameras=recording.cameras,
+            depth_scale=recording.depth_scale,
+            link=link,
+        )
+        report = run_jobs(
+            job, recording.frames, name="import", key=lambda f: f.name, options=options
+        )
+        report.raise_if_failed()
+        _check_depth_unit(recording, list(report.results.values()))
+        _write_models(recording, staging)
+        # An importer's poses and labels are validated against the tables by opening the scene.
+        scene = Scene.create(
+            staging,
+            info,
+            Frames(frames=[w.frame for w in report.results.values()]),
+            ObjectTable(
+                models=[m.model for m in recording.models], objects=list(recording.objects)
+            ),
+        )
+        if recording.poses is not None:
+            scene.save_poses(recording.poses)
+        if recording.labels is not None:
+            scene.save_labels(recording.labels)
+        checked = Scene.open(staging)
+        _ = checked.poses, checked.labels
+    for note in recording.notes:
+        logger.warning("%s", note)
+    return Scene.open(out)
+
+
+def _check_frames(recording: Recording) -> None:
+    """Before anything is written: names come from files of others.
+
+    Raises:
+        ToolkitError: no frames, a name or place outside the scene, or one that appears twice.
+    """
+    if not recording.frames:
+        raise ToolkitError("the recording holds no frames")
+    seen: set[str] = set()
+    for i, frame in enumerate(recording.frames):
+        check_name(frame.name, field=f"frames[{i}].name")
+        if frame.name in seen:
+            raise ToolkitError("appears twice", field=f"frames[{i}].name", value=frame.name)
+        seen.add(frame.name)
+        if frame.camera not in recording.cameras:
+            raise ToolkitError("no such camera", field=f"frames[{i}].camera", value=frame.camera)
+        for file in (frame.color, frame.depth, *frame.reference):
+            if file is not None:
+                check_relative(file.target, field=f"frames[{i}]")
+
+
+def _write_frame(
+    frame: SourceFrame,
+    *,
+    root: Path,
+    cameras: dict[str, CameraModel],
+    depth_scale: float | None,
+    link: LinkMode,
+) -> WrittenFrame:
+    camera = cameras[frame.camera]
+    size = (camera.width, camera.height)
+    color = _write_color(frame.color, root, size, link)
+    depth = None
+    median: float | None = None
+    if frame.depth is not None:
+        depth, median = _write_depth(frame.depth, root, size, depth_scale, link)
+    for extra in frame.reference:
+        _write_reference(extra, root, size, link)
+    row = Frame(
+        id=frame.id,
+        name=frame.name,
+        color=color,
+        depth=depth,
+        camera=frame.camera,
+        timestamp=frame.timestamp,
+    )
+    return WrittenFrame(row, median, depth is not None)
+
+
+def _write_color(file: SourceFile, root: Path, size: tuple[int, int], link: LinkMode) -> str:
+    if file.resize:
+        target = file.target + ".png"
+        image = cv2.resize(read_color(file.source), size, interpolation=cv2.INTER_AREA)
+        write_color(root / target, image)  # type: ignore[arg-type]
+        return target
+    # Decoded once, so that a damaged image is found now and not in the middle of a later step.
+    read_color(file.source, size=size)
+    target = file.target + file.source.suffix.lower()
+    _place(file.source, root / target, link)
+    return target
+
+
+def _write_depth(
+    file: SourceFile,
+    root: Path,
+    size: tuple[int, int],
+    scene_scale: float | None,
+    link: LinkMode,
+) -> tuple[str, float | None]:
+    depth = read_foreign_depth(file.source, size=size)
+    values: Any = depth.values
+    unit = 1.0
+    if values.dtype == np.uint16:
+        if file.depth_scale is None:
+            raise ToolkitError(
+                "16-bit depth needs its unit", path=file.source, hint="give --depth-scale"
+            )
+        unit = file.depth_scale
+    measured = values[values > 0]
+    median = float(np.median(measured)) * unit if measured.size else None
+    if values.dtype == np.uint16 and unit == scene_scale:
+        target = file.target + ".png"
+        if depth.converted:
+            write_png(root / target, values)
+        else:
+            _place(file.source, root / target, link)
+    else:
+        # Another unit than the scene's would have to be rounded to it; EXR keeps it.
+        target = file.target + ".exr"
+        metres = values if unit == 1.0 else values.astype(np.float32) * np.float32(unit)
+        write_exr(root / target, {"Y": metres})
+    return target, median
+
+
+def _write_reference(file: SourceFile, root: Path, size: tuple[int, int], link: LinkMode) -> None:
+    target = root / (file.target + file.source.suffix.lower())
+    if file.kind == "color":
+        _write_color(file, root, size, link)
+    elif file.kind == "depth":
+        own = size if file.same_size else image_size(file.source)
+        depth = read_foreign_depth(file.source, size=own)
+        metres = depth.values
+        if metres.dtype == np.uint16:
+            metres = metres.astype(np.float32) * np.float32(file.depth_scale or 0.001)
+        write_exr(target.with_suffix(".exr"), {"Y": metres})
+    elif file.kind == "mask":
+        mask = read_mask_source(file.source, size=size if file.same_size else None)
+        if file.binary:
+            mask = (mask > 0).astype(np.uint8)
+        if file.background is not None:
+            mask = np.where(mask == file.background, np.zeros((), mask.dtype), mask)
+        write_png(target.with_suffix(".png"), mask)
+    else:
+        if file.source.suffix.lower() == ".png":
+            read_png(file.source, size=size if file.same_size else None)
+        _place(file.source, target, link)
+
+
+def _place(source: Path, target: Path, link: LinkMode) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    source = source.resolve()
+    if link == "hard":
+        try:
+            target.hardlink_to(source)
+        except OSError as error:
+            if error.errno not in (errno.EXDEV, errno.EPERM, errno.EMLINK, errno.EACCES):
+                raise
+            target.symlink_to(source)
+    elif link == "sym":
+        target.symlink_to(source)
+    else:
+        shutil.copyfile(source, target)
+        with target.open("rb") as file:
+            os.fsync(file.fileno())
+
+
+def _check_depth_unit(recording: Recording, written: list[WrittenFrame]) -> None:
+    medians = [w.depth_median_m for w in written if w.depth_median_m is not None]
+    sources = [f.depth.source for f in recording.frames if f.depth is not None]
+    if not sources:
+        return
+    if not medians:
+        raise ToolkitError("no depth image holds a single measurement", path=sources[0].parent)
+    check_unit(
+        float(np.median(medians)),
+        path=sources[0].parent,
+        depth_scale=recording.depth_scale,
+        by_flag=recording.source == "import:folder",
+    )
+    for row in written:
+        if row.depth_median_m is not None and row.depth_median_m > _FARTHEST_FRAME_M:
+            raise ToolkitError(
+                "the median depth of one frame is implausible: is its unit another one?",
+                field=f"frame {row.frame.name}",
+                value=f"{row.depth_median_m:.4g} m",
+            )
+    empty = [w.frame.name for w in written if w.has_depth and w.depth_median_m is None]
+    if empty:
+        logger.warning("depth is empty in %d frames: %s", len(empty), ", ".join(empty[:5]))
+
+
+def _write_models(recording: Recording, root: Path) -> None:
+    for model in recording.models:
+        write_mesh(root / model.model.mesh, model.mesh)
+
+
+def import_recording(
+    request: ImportRequest,
+    out: Path | str,
+    *,
+    format_name: str | None = None,
+    link: LinkMode = "copy",
+    options: JobOptions | None = None,
+) -> Scene:
+    """Import a recording as the new scene `out`.
+
+    Args:
+        request: what to read.
+        out: scene folder; must not exist or be empty. It appears when everything is in it.
+        format_name: importer's name; None recognises it by the marks of the layout, and takes
+            separate colour images as "folder".
+        link: see `write_recording`.
+        options: where the frames are read and written.
+
+    Raises:
+        ToolkitError: the recording or the flags are wrong; nothing is left behind.
+    """
+    out = Path(out)
+    check_vacant(out)
+    if request.depth_scale is not None and not 0 < request.depth_scale <= 1:
+        raise ToolkitError(
+            "must be metres per unit of the depth images, above 0 and at most 1",
+            field="--depth-scale",
+            value=request.depth_scale,
+            hint="millimetres: 0.001",
+        )
+    if not 0.8 < request.depth_correction < 1.25:
+        raise ToolkitError(
+            "must lie between 0.8 and 1.25",
+            field="--depth-correction",
+            value=request.depth_correction,
+            hint="a calibrated factor such as 0.98; units are --depth-scale",
+        )
+    if format_name is None:
+        format_name = "folder" if request.color else detect_format(request.source)
+    recording = IMPORTERS.get(format_name).read(request)
+    return write_recording(recording, out, name=request.name, link=link, options=options)

@@ -1,0 +1,181 @@
+"""What an importer is: it reads a foreign layout and says what the scene will hold.
+
+An importer writes nothing. It returns a `Recording`; one writer (`writer.py`) makes the scene of
+it, so that checks of images, conversions of depth and atomicity are the same for every format.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, Protocol
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.plugins import Registry
+from std_toolkit.scene.model import CameraModel, CameraPoses, Labels, Material, Model, Object
+
+if TYPE_CHECKING:
+    import trimesh
+
+LinkMode = Literal["copy", "hard", "sym"]
+FileKind = Literal["color", "depth", "mask", "map"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportRequest:
+    """What the user asked for.
+
+    Attributes:
+        source: folder or file of the foreign recording; for separate colour and depth folders
+            that of the colour images.
+        name: of the scene.
+        color, depth: folders (or glob patterns) of separate images, or None.
+        depth_scale: metres per unit of 16-bit depth images; None for the format's own.
+        depth_correction: the sensor's calibrated factor on depth.
+        intrinsics: a file or "fx,fy,cx,cy"; None for the format's own.
+        distortion: OpenCV coefficients, as "k1,k2,p1,p2[,k3]"; None for those of the file.
+        skip_unpaired: leave out frames whose colour or depth is missing, instead of an error.
+        off_centre: accept a principal point far from the middle (cropped images).
+        material: of imported objects whose format does not tell it.
+        models: folder of CAD models, where the format keeps them apart from the images.
+    """
+
+    source: Path
+    name: str
+    color: str | None = None
+    depth: str | None = None
+    depth_scale: float | None = None
+    depth_correction: float = 1.0
+    intrinsics: str | None = None
+    distortion: str | None = None
+    skip_unpaired: bool = False
+    off_centre: bool = False
+    material: Material | None = None
+    models: Path | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SourceFile:
+    """One file to bring into the scene.
+
+    Attributes:
+        source: the foreign file.
+        target: path in the scene without suffix; the writer adds the one of what it writes.
+        kind: "color" and "depth" must have the camera's size; "mask" holds ids (or 0/255), whose
+            `background` becomes 0; "map" is a PNG or EXR kept as it is.
+        depth_scale: metres per unit if it is a 16-bit PNG.
+        background: of a mask.
+        same_size: the file must have the camera's size.
+        binary: a mask of 0 and anything else, which becomes id 1.
+        resize: a colour image is brought to the camera's size by averaging areas.
+    """
+
+    source: Path
+    target: str
+    kind: FileKind
+    depth_scale: float | None = None
+    background: int | None = None
+    same_size: bool = True
+    binary: bool = False
+    resize: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class SourceFrame:
+    """One frame: its colour, its sensor depth if any, and maps that came with it.
+
+    Attributes:
+        id: of the frame in the scene.
+        name: safe and unique.
+        reference: ground truth of the foreign recording, kept below `reference/`.
+    """
+
+    id: int
+    name: str
+    color: SourceFile
+    depth: SourceFile | None = None
+    camera: str = "color"
+    timestamp: float | None = None
+    reference: tuple[SourceFile, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class SourceModel:
+    """A mesh to bring into the scene.
+
+    Attributes:
+        model: its table row; the mesh path inside it is where it will be written.
+        mesh: vertices in metres, in the frame that the labels refer to.
+    """
+
+    model: Model
+    mesh: trimesh.Trimesh
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """Everything an importer found.
+
+    Attributes:
+        source: format name for `SceneInfo.source`.
+        depth_scale: metres per unit of 16-bit depth in the scene; None if all depth is EXR.
+    """
+
+    source: str
+    cameras: dict[str, CameraModel]
+    frames: tuple[SourceFrame, ...]
+    depth_scale: float | None = None
+    depth_correction: float = 1.0
+    models: tuple[SourceModel, ...] = ()
+    objects: tuple[Object, ...] = ()
+    poses: CameraPoses | None = None
+    labels: Labels | None = None
+    notes: list[str] = field(default_factory=list)
+
+
+class Importer(Protocol):
+    """Reads one foreign format."""
+
+    def recognises(self, source: Path) -> bool:
+        """Whether `source` is unmistakably of this format. Looks at names only."""
+        ...
+
+    def read(self, request: ImportRequest) -> Recording:
+        """Find and check what the recording holds.
+
+        Raises:
+            ToolkitError: it is incomplete or breaks its format.
+        """
+        ...
+
+
+IMPORTERS: Registry[Importer] = Registry(
+    "std_toolkit.importers",
+    {
+        "folder": "std_toolkit.importers.folder_importer:FOLDER",
+        "std": "std_toolkit.importers.std_importer:STD",
+        "dreds": "std_toolkit.importers.std_importer:DREDS",
+        "bop": "std_toolkit.importers.bop_importer:BOP",
+        "nocs": "std_toolkit.importers.nocs_importer:NOCS",
+        "cleargrasp": "std_toolkit.importers.cleargrasp_importer:CLEARGRASP",
+    },
+)
+
+
+def detect_format(source: Path) -> str:
+    """The one format whose marks `source` bears.
+
+    Raises:
+        ToolkitError: none or several recognise it.
+    """
+    if not source.exists():
+        raise ToolkitError("no such file or folder", path=source)
+    found = [name for name in IMPORTERS if IMPORTERS.get(name).recognises(source)]
+    if len(found) == 1:
+        return found[0]
+    raise ToolkitError(
+        "cannot tell the format of the recording" if not found else "several formats fit",
+        path=source,
+        value=found or None,
+        hint=f"give --format ({', '.join(IMPORTERS)}); colour images: --color DIR --intrinsics K",
+    )

@@ -1,0 +1,78 @@
+"""What every engine of the job layer shares: options, the outcome of an item, its errors."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Any, Generic, Literal, TypeVar
+
+from std_toolkit.errors import ToolkitError
+
+Item = TypeVar("Item")
+
+
+Result = TypeVar("Result")
+
+
+Engine = Literal["local", "serial", "ray"]
+
+
+ENGINES: tuple[Engine, ...] = ("local", "serial", "ray")
+
+
+# An item whose worker dies (killed, out of memory, abort in a library) is tried this often.
+ATTEMPTS = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobOptions:
+    """Where and how widely work runs.
+
+    Attributes:
+        engine: "local" processes, "serial" in this process, or "ray" (extra `[cluster]`).
+        workers: number of processes or Ray tasks at a time; default: the usable cores.
+        ray_address: of a running cluster; default: start one on this machine.
+        gpus: GPUs that Ray sets aside for each task, which then sees no others; may be a share.
+        progress: show a progress bar when stderr is a terminal.
+    """
+
+    engine: Engine = "local"
+    workers: int | None = None
+    ray_address: str | None = None
+    gpus: float = 0.0
+    progress: bool = True
+
+    def __post_init__(self) -> None:
+        if self.engine not in ENGINES:
+            raise ToolkitError("unknown engine", value=self.engine, hint=f"one of {ENGINES}")
+        if self.workers is not None and self.workers < 1:
+            raise ToolkitError("must be at least 1", field="workers", value=self.workers)
+        if not self.gpus >= 0:
+            raise ToolkitError("must not be negative", field="gpus", value=self.gpus)
+
+    @property
+    def worker_count(self) -> int:
+        return self.workers or len(os.sched_getaffinity(0))
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[Result]):
+    """What became of one item: a result, or the error as one line."""
+
+    result: Result | None = None
+    error: str | None = None
+
+
+def worker_died() -> Outcome[Any]:
+    """The outcome of an item that killed its worker process every time."""
+    return Outcome(
+        error=f"its worker process died {ATTEMPTS} times (killed, out of memory, or started from a "
+        'script that lacks `if __name__ == "__main__":`)'
+    )
+
+
+def error_of(error: BaseException) -> Outcome[Any]:
+    """The outcome of an item that raised `error`."""
+    if isinstance(error, ToolkitError):
+        return Outcome(error=str(error))
+    return Outcome(error=f"{type(error).__name__}: {' '.join(str(error).split())[:500]}")

@@ -1,0 +1,364 @@
+"""One entry point for refining labelled objects, whatever the scene has to offer.
+
+Opaque objects with sensor depth are brought into place by it and finished with the edges. Glass
+and metal, on which sensors err, and scenes without depth go by contours in several views; in a
+single view those leave the distance weak, which is said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.refine.caster import LayerStore
+from std_toolkit.labels.refine.depth.icp import (
+    DepthFit,
+    DepthFitOptions,
+    depth_agreement,
+    moved_too_far,
+    refine_on_depth,
+)
+from std_toolkit.labels.refine.edges.approach import search_turns
+from std_toolkit.labels.refine.edges.solver import refine_poses
+from std_toolkit.labels.refine.problem import (
+    Progress,
+    RefinedObject,
+    RefineObject,
+    RefineOptions,
+    sub_progress,
+)
+from std_toolkit.labels.refine_inputs import (
+    NOT_CONVERGED,
+    AutoProblem,
+    MeshSource,
+    auto_problem,
+    method_sentence,
+    quality_warnings,
+)
+from std_toolkit.scene.scene import Scene
+
+Method = Literal["auto", "depth", "multiview"]
+
+# Fewer views do not tell the factor of the sensor depth from the distance.
+_VIEWS_AROUND = 3
+# How far from the contour edges are looked for, pixels: placed by depth, or by hand.
+_NEAR_PX, _FAR_PX = 24.0, 48.0
+# What an object without depth takes, in units of one with depth.
+_SEARCHED = 2.5
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedPose:
+    """Outcome for one object.
+
+    Attributes:
+        object: its id.
+        name: its name.
+        pose: refined, in the coordinate frame of the poses given.
+        method: sentence for the label's provenance, such as
+            "depth and edges, 7 views, edges 0.6 px, depth 1.1 mm".
+        covariance: (6, 6) of a right perturbation `pose @ SE3.exp(xi)`.
+        weak_direction: sentence on the least determined direction.
+        edge_rms_px: robust standard deviation of the edges around the contour, or None.
+        depth_m: typical distance of sensor depth and surface, metres; None if it took no part.
+        explained: share of the readings on the visible surface that agree with it, or None.
+        views: number of views that took part.
+        frames: their ids.
+        warnings: sentences on what to look at.
+    """
+
+    object: int
+    name: str
+    pose: SE3
+    method: str
+    covariance: NDArray[np.float64]
+    weak_direction: str
+    edge_rms_px: float | None
+    depth_m: float | None
+    explained: float | None
+    views: int
+    frames: tuple[int, ...]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class RefineOutcome:
+    """Outcome of `refine_objects`.
+
+    Attributes:
+        objects: by id, those that were refined.
+        failures: by id, why an object was not: it keeps its pose.
+        posed: the poses are in the world; else in the camera of the only frame.
+    """
+
+    objects: dict[int, RefinedPose]
+    failures: dict[int, ToolkitError]
+    posed: bool
+
+
+class RefineCancelled(Exception):
+    """The caller's `cancelled` asked to stop."""
+
+
+def refine_objects(
+    scene: Scene,
+    poses: Mapping[int, SE3],
+    chosen: Sequence[int] | None = None,
+    *,
+    frames: Sequence[int] | None = None,
+    method: Method = "auto",
+    keyframes: int = 8,
+    always: Sequence[int] = (),
+    mesh: MeshSource | None = None,
+    progress: Callable[[float], None] | None = None,
+    cancelled: Callable[[], bool] | None = None,
+) -> RefineOutcome:
+    """Refine the poses of objects; nothing is written, and the scene's labels play no part.
+
+    Args:
+        poses: by object id, of all placed objects: those that are not chosen hide what is behind
+            them. T_world_obj, or T_cam_obj of the one frame in `frames` if the scene has no
+            camera poses in metres or that frame has none.
+        chosen: ids of the objects to refine; default: all.
+        frames: ids of the frames to look at; those without a camera pose are left out. Default:
+            keyframes spread over the viewpoints.
+        method: "auto" decides by the materials; "depth" trusts the sensor on any material;
+            "multiview" uses no depth.
+        keyframes: number of frames where none are named.
+        always: frames to take in any case, if they have a camera pose, such as the annotated one.
+        mesh: model id to mesh in metres, where they are at hand; default: read from the scene.
+        progress: told the fraction done, 0 to 1.
+        cancelled: asked now and then.
+
+    Raises:
+        ToolkitError: no object or frame to work on, or no object could be refined.
+        RefineCancelled: `cancelled` said so.
+    """
+    chosen = list(dict.fromkeys(poses if chosen is None else chosen))
+    if not chosen:
+        raise ToolkitError("there is no object to refine", path=scene.root)
+    problem = auto_problem(
+        scene, poses, chosen, frames=frames, keyframes=keyframes, always=always, mesh=mesh
+    )
+    run = _Run(problem, method, progress or (lambda _: None), cancelled or (lambda: False))
+    run.go(chosen)
+    if not run.found:
+        raise next(iter(run.failures.values()))
+    return RefineOutcome(run.found, run.failures, problem.posed)
+
+
+class _Run:
+    """One call of `refine_objects`: depth first, since what it places hides what edges look at."""
+
+    def __init__(
+        self,
+        problem: AutoProblem,
+        method: Method,
+        progress: Callable[[float], None],
+        cancelled: Callable[[], bool],
+    ) -> None:
+        self._problem, self._method = problem, method
+        self._progress, self._cancelled = progress, cancelled
+        self._told = 0.0
+        self._layers = LayerStore()
+        self._fits: dict[int, DepthFit] = {}
+        self._notes: dict[int, list[str]] = {}
+        self.found: dict[int, RefinedPose] = {}
+        self.failures: dict[int, ToolkitError] = {}
+
+    def go(self, chosen: Sequence[int]) -> None:
+        by_depth = [i for i in chosen if self._uses_depth(i)]
+        around = len(self._problem.views) >= _VIEWS_AROUND
+        left = [i for i in chosen if i not in by_depth]
+        # Depth takes about as long as following the edges, and a search much longer.
+        each = 1.0 if not around else 0.5
+        whole = len(by_depth) + _SEARCHED * len(left)
+        share = each * len(by_depth) / whole
+        for done, i in enumerate(by_depth):
+            within = share * done / len(by_depth), share * (done + 1) / len(by_depth)
+            if not self._fit_depth(
+                i, finish=not around, progress=sub_progress(self._report, *within)
+            ):
+                left.append(i)
+        self._report(share)
+        if around:
+            self._turn_about()
+        left += [i for i in self._fits if i not in self.found]
+        if left:
+            self._fit_edges(left, sub_progress(self._report, share, 1))
+        self._report(1.0)
+
+    def _uses_depth(self, i: int) -> bool:
+        if self._method == "multiview":
+            return False
+        if self._method == "depth":
+            return True
+        return self._problem.has_depth and self._problem.objects[i].trusts_depth
+
+    def _report(self, fraction: float) -> None:
+        if self._cancelled():
+            raise RefineCancelled
+        self._told = max(self._told, fraction)
+        self._progress(self._told)
+
+    def _fit_depth(self, i: int, *, finish: bool, progress: Progress) -> bool:
+        """Place an object by depth; False where its edges must do alone."""
+        objects = self._placed()
+        others = [o for k, o in objects.items() if k != i]
+        options = DepthFitOptions(use_edges=finish)
+        try:
+            fit = refine_on_depth(
+                self._problem.views,
+                objects[i],
+                options,
+                others=others,
+                layers=self._layers,
+                progress=progress,
+            )
+        except ToolkitError as error:
+            if self._method == "depth":
+                self.failures[i] = error
+                return True
+            self._notes[i] = [f"{error.problem}, so only edges were used"]
+            return False
+        self._fits[i] = fit
+        if finish:
+            self.found[i] = self._of_depth(i, fit)
+        return True
+
+    def _turn_about(self) -> None:
+        """Turn what is nearly round: its depth fits at any turn, and edges nearby follow it."""
+        options = RefineOptions(use_depth=False)
+        for i, fit in list(self._fits.items()):
+            objects = self._placed()
+            others = [replace(o, fixed=True) for k, o in objects.items() if k != i]
+            T = search_turns(self._problem.views, objects[i], others, options, layers=self._layers)
+            self._fits[i] = replace(fit, T_world_obj=T)
+
+    def _fit_edges(self, chosen: Sequence[int], progress: Progress) -> None:
+        """Finish objects together with the edges (and depth, where it is trusted) of all views."""
+        objects = self._placed()
+        prepared = []
+        for k, obj in objects.items():
+            trusted = self._method == "depth" and k in self._fits
+            material = "diffuse" if trusted else obj.material
+            # What the depth has placed is near its edges; what a hand has placed may be far.
+            rough = k not in self._fits
+            prepared.append(replace(obj, material=material, fixed=k not in chosen, rough=rough))
+        near = all(k in self._fits for k in chosen)
+        options = RefineOptions(
+            use_depth=self._method != "multiview", search_px=_NEAR_PX if near else _FAR_PX
+        )
+        try:
+            result = refine_poses(
+                self._problem.views, prepared, options, layers=self._layers, progress=progress
+            )
+        except ToolkitError as error:
+            for k in chosen:
+                self._fall_back(k, error)
+            return
+        for (k, obj), refined in zip(objects.items(), result.objects, strict=True):
+            if k not in chosen:
+                continue
+            if refined.views == 0:
+                hidden = f"{refined.name} cannot be seen well enough in the frames looked at"
+                self._fall_back(k, ToolkitError(hidden, hint="move it onto its image first"))
+            elif k in self._fits and moved_too_far(obj, refined.T_world_obj):
+                self._fall_back(k, ToolkitError("the edges contradict the sensor depth"))
+            else:
+                self.found[k] = self._of_edges(k, prepared, refined, result.depth_factor)
+
+    def _fall_back(self, i: int, error: ToolkitError) -> None:
+        """Without its edges an object has the pose that the depth gave, if any."""
+        if i in self._fits:
+            self._notes[i] = [f"{error.problem}, so only sensor depth was used"]
+            self.found[i] = self._of_depth(i, self._fits[i])
+        else:
+            self.failures[i] = error
+
+    def _placed(self) -> dict[int, RefineObject]:
+        return self._problem.placed({i: f.T_world_obj for i, f in self._fits.items()})
+
+    def _of_depth(self, i: int, fit: DepthFit) -> RefinedPose:
+        obj = self._problem.objects[i]
+        return self._refined(
+            i,
+            obj,
+            fit.T_world_obj,
+            fit.covariance,
+            fit.weak_direction,
+            fit.edge_rms_px,
+            fit.depth.median_m,
+            fit.depth.explained,
+            fit.views,
+        )
+
+    def _of_edges(
+        self, i: int, prepared: Sequence[RefineObject], found: RefinedObject, depth_factor: float
+    ) -> RefinedPose:
+        obj = self._problem.objects[i]
+        explained = None
+        if i in self._fits:
+            at_end = replace(obj, T_world_obj=found.T_world_obj)
+            others = [o for o in prepared if o.name != obj.name]
+            agreement = depth_agreement(
+                self._problem.views,
+                at_end,
+                others,
+                depth_factor=depth_factor,
+                layers=self._layers,
+            )
+            explained = agreement.explained
+        return self._refined(
+            i,
+            obj,
+            found.T_world_obj,
+            found.covariance,
+            found.weak_direction,
+            found.edge_rms_px,
+            found.depth_rms_m,
+            explained,
+            found.views,
+            settled=found.converged,
+        )
+
+    def _refined(
+        self,
+        i: int,
+        obj: RefineObject,
+        pose: SE3,
+        covariance: NDArray[np.float64],
+        weak_direction: str,
+        edge_rms_px: float | None,
+        depth_m: float | None,
+        explained: float | None,
+        views: int,
+        *,
+        settled: bool = True,
+    ) -> RefinedPose:
+        seen = replace(self._problem.objects[i], T_world_obj=pose)
+        warnings = [
+            *self._notes.get(i, []),
+            *([] if settled else [NOT_CONVERGED]),
+            *quality_warnings(self._problem, seen, covariance, edge_rms_px, depth_m, explained),
+        ]
+        return RefinedPose(
+            i,
+            obj.name,
+            pose,
+            method_sentence(edge_rms_px, depth_m, views),
+            covariance,
+            weak_direction,
+            edge_rms_px,
+            depth_m,
+            explained,
+            views,
+            tuple(v.frame for v in self._problem.views),
+            tuple(warnings),
+        )

@@ -1,0 +1,201 @@
+"""Metres from CAD models whose poses were annotated in two or more frames."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3
+from std_toolkit.geometry.mesh import hull_vertices
+from std_toolkit.log import logger
+from std_toolkit.poses.known_points import KnownView, fit_body, scale_from_known_points
+from std_toolkit.poses.scale_sources import ScaleContext
+from std_toolkit.scene.model import Label, Object, ScaleEstimate, pose_from_list
+
+MIN_ANGLE_DEG = 15.0
+GOOD_ANGLE_DEG = 60.0
+_POINTS = 60
+# Annotations are off by 1-2 % along the line of sight; edges that say more follow something else.
+MAX_EDGE_CORRECTION = 0.03
+
+
+class CadScale:
+    """The size of annotated objects.
+
+    Every annotation says where the mesh appears in its image. Its hull's vertices, projected with
+    the annotated pose, are pixels of points of known metric position; one pose and one scale must
+    explain them in all annotated frames. Frames far apart are what makes this well determined:
+    the scale is the ratio of the size seen to the distance triangulated. The images' edges then
+    sharpen what was annotated.
+    """
+
+    name = "cad"
+
+    def available(self, context: ScaleContext) -> bool:
+        return any(len(annotated_poses(context, x)) >= 2 for x in context.scene.labels.labels)
+
+    def estimate(self, context: ScaleContext) -> ScaleEstimate:
+        estimates: list[tuple[ScaleEstimate, int]] = []
+        for label in context.scene.labels.labels:
+            poses = annotated_poses(context, label)
+            if len(poses) >= 2:
+                estimates.append((self._from_label(context, label, poses), len(poses)))
+        if not estimates:
+            raise ToolkitError(
+                "no object is annotated in two or more registered frames",
+                path=context.scene.root / "labels.json",
+                hint="annotate one object in 2-4 frames at least 60 degrees apart: "
+                "`std-curate label SCENE ... --frame N` for each frame",
+            )
+        return _combine(self.name, [e for e, _ in estimates])
+
+    def _from_label(
+        self, context: ScaleContext, label: Label, poses: dict[int, SE3]
+    ) -> ScaleEstimate:
+        scene = context.scene
+        thing = scene.objects.object(label.object)
+        vertices = _spread(hull_vertices(scene.mesh(thing.model)), _POINTS)
+        angle = _largest_angle(poses)
+        if angle < MIN_ANGLE_DEG:
+            raise ToolkitError(
+                f"object {thing.name!r}: its annotated frames are {angle:.0f} degrees apart, "
+                "too near to each other to tell the scale",
+                path=scene.root / "labels.json",
+                hint=f"annotate it in frames at least {GOOD_ANGLE_DEG:.0f} degrees apart",
+            )
+        if angle < GOOD_ANGLE_DEG:
+            logger.warning(
+                "object %r is annotated in frames only %.0f degrees apart; the scale from its "
+                "size gets better from %.0f degrees",
+                thing.name,
+                angle,
+                GOOD_ANGLE_DEG,
+            )
+        views = []
+        for frame_id, T_cam_obj in sorted(poses.items()):
+            camera = context.camera(scene.frame(frame_id))
+            # The annotator worked on the camera of the scene at that time: what was annotated is
+            # where the object appears, so its pixels are made with the camera of the annotation.
+            uv = scene.camera(scene.frame(frame_id)).project(T_cam_obj @ vertices)
+            views.append(
+                KnownView(
+                    T_cam_world=context.poses[frame_id],
+                    camera=camera,
+                    ids=np.arange(len(vertices)),
+                    xyz=vertices,
+                    uv=uv,
+                )
+            )
+        size = scene.objects.model(thing.model).diameter_m
+        note = f"{thing.name}: {len(views)} annotated frames, up to {angle:.0f} degrees apart"
+        annotated = scale_from_known_points(
+            views, source=self.name, note=note, threshold_m=0.2 * size
+        )
+        return _sharpen(context, thing, views, sorted(poses), annotated, 0.2 * size)
+
+
+def _sharpen(
+    context: ScaleContext,
+    thing: Object,
+    views: list[KnownView],
+    frames: list[int],
+    annotated: ScaleEstimate,
+    threshold_m: float,
+) -> ScaleEstimate:
+    """Adjust the object's one pose and the scale to the edges in all annotated images.
+
+    A person's pixel along the outline is nearly one per cent of the distance; edges in several
+    images at once are several times better. If they lead away from what was annotated, the
+    annotation stands.
+    """
+    from std_toolkit.labels.refine.edges.solver import refine_poses
+    from std_toolkit.labels.refine.problem import RefineObject, RefineOptions, RefineView
+
+    scene = context.scene
+    fit = fit_body(views, threshold_m=threshold_m)
+    images = []
+    for frame_id, view in zip(frames, views, strict=True):
+        T_world_cam = view.T_cam_world.inverse()
+        metric = SE3(T_world_cam.R, fit.scale * T_world_cam.t)
+        color = scene.read_color(scene.frame(frame_id))
+        images.append(RefineView.of(view.camera, metric, color, frame=frame_id))
+    mesh = scene.mesh(thing.model)
+    body = RefineObject(
+        name=thing.name,
+        vertices=np.asarray(mesh.vertices, dtype=np.float64),
+        faces=np.asarray(mesh.faces, dtype=np.int64),
+        T_world_obj=fit.T_world_body,
+        material=thing.material,
+        symmetry=scene.objects.model(thing.model).symmetry.symmetry(),
+    )
+    options = RefineOptions(refine_scale=True, use_depth=False, search_px=24, iterations=8)
+    try:
+        refined = refine_poses(images, [body], options)
+    except ToolkitError as error:
+        logger.warning("object %r: edges were not used for the scale: %s", thing.name, error)
+        return annotated
+    if abs(refined.scale - 1) > MAX_EDGE_CORRECTION:
+        logger.warning(
+            "object %r: its edges say %.1f %% other than its annotations, which are used; check "
+            "the annotations and the mesh",
+            thing.name,
+            100 * (refined.scale - 1),
+        )
+        return annotated
+    return msgspec.structs.replace(
+        annotated,
+        factor=fit.scale * refined.scale,
+        standard_error=refined.scale_std / refined.scale,
+        note=f"{annotated.note}; edges moved the annotations' scale by "
+        f"{100 * (refined.scale - 1):+.2f} %",
+    )
+
+
+def annotated_poses(context: ScaleContext, label: Label) -> dict[int, SE3]:
+    """T_cam_obj by frame id, of the registered frames in which the object was annotated."""
+    every = {label.frame: label.T_cam_obj, **{int(k): v for k, v in label.views.items()}}
+    return {f: pose_from_list(T) for f, T in every.items() if f in context.image_ids}
+
+
+def _combine(name: str, estimates: list[ScaleEstimate]) -> ScaleEstimate:
+    if len(estimates) == 1:
+        return estimates[0]
+    # Objects of one size and annotator are equally good to first order; the floor keeps one
+    # lucky object from silencing the others.
+    weight = np.array([1 / max(e.standard_error, 1e-3) ** 2 for e in estimates])
+    total = float(weight.sum())
+    weight /= total
+    factors = np.array([e.factor for e in estimates])
+    factor = float(weight @ factors)
+    return ScaleEstimate(
+        source=name,
+        factor=factor,
+        spread=float(np.ptp(factors)) / factor,
+        standard_error=float(total**-0.5),
+        count=sum(e.count for e in estimates),
+        note=" | ".join(f"{e.note}: {e.factor:.6g}" for e in estimates),
+    )
+
+
+def _largest_angle(poses: dict[int, SE3]) -> float:
+    """Largest angle in degrees under which the object sees two of the cameras."""
+    directions = []
+    for T_cam_obj in poses.values():
+        centre = T_cam_obj.inverse().t
+        directions.append(centre / np.linalg.norm(centre))
+    D = np.array(directions)
+    return float(np.degrees(np.arccos(np.clip((D @ D.T).min(), -1, 1))))
+
+
+def _spread(points: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """At most `count` of the points, far from each other."""
+    if len(points) <= count:
+        return points
+    chosen = [int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
+    distance = np.linalg.norm(points - points[chosen[0]], axis=1)
+    while len(chosen) < count:
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return points[chosen]

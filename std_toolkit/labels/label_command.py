@@ -1,0 +1,204 @@
+"""One labelling command as data: checked completely before anything is written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.mesh import load_mesh, mesh_bounds
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.label import add_model, add_object, set_pose
+from std_toolkit.labels.pnp import PnPResult, read_correspondences, solve_pnp
+from std_toolkit.labels.posefile import read_pose
+from std_toolkit.labels.symmetry_argument import parse_symmetry
+from std_toolkit.scene.document import check_name, safe_name
+from std_toolkit.scene.model import Frame, SymmetryModel
+from std_toolkit.scene.scene import Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelCommand:
+    """What `std-curate label` was asked for; `frames` pair with `poses` or `correspondences`."""
+
+    object: str
+    mesh: Path | None = None
+    mesh_unit: str = "m"
+    model: str | None = None
+    category: str | None = None
+    material: str | None = None
+    symmetry: tuple[str, ...] | None = None
+    frames: tuple[int, ...] = ()
+    poses: tuple[Path, ...] = ()
+    correspondences: tuple[Path, ...] = ()
+    pose_format: str = "auto"
+    pose_unit: str | None = None
+    pose_convention: str = "opencv"
+    pose_frame: str | None = None
+    pose_item: str | None = None
+    threshold_px: float = 4.0
+    add_view: bool = False
+    annotator: str = ""
+
+
+def run_label_command(scene: Scene, command: LabelCommand) -> Iterator[str]:
+    """Carry the command out; yields lines for people. The caller holds the scene's lock.
+
+    All inputs are read before the first write, so that a bad pose file leaves the scene as it
+    was.
+
+    Raises:
+        ToolkitError: any bad input.
+    """
+    check_name(command.object, field="--object")
+    known = next((o for o in scene.objects.objects if o.name == command.object), None)
+    if known is None and command.mesh is None and command.model is None:
+        raise ToolkitError(
+            "no such object in the scene",
+            field="--object",
+            value=command.object,
+            hint="give --mesh FILE (or --model ID of one that is there) to enter it",
+        )
+    wanted = command.model or (safe_name(command.mesh.stem) if command.mesh is not None else None)
+    if known is not None and wanted not in (None, known.model):
+        raise ToolkitError(
+            f"object {known.name} is of model {known.model}",
+            field="--model",
+            value=wanted,
+            hint=f"give --model {known.model}, or another name for --object",
+        )
+    if len(set(command.frames)) != len(command.frames):
+        raise ToolkitError("a frame is named twice", field="--frame", value=command.frames)
+    annotations = [_pose_of(scene, command, i) for i in range(len(command.frames))]
+    symmetry = _symmetry(scene, command, known.model if known is not None else None)
+    yield from _enter_object(scene, command, symmetry)
+    for i, (frame, (pose, method, found)) in enumerate(
+        zip(command.frames, annotations, strict=True)
+    ):
+        set_pose(
+            scene,
+            command.object,
+            frame,
+            pose,
+            method=method,
+            annotator=command.annotator,
+            as_view=i > 0 or command.add_view,
+        )
+        position = ", ".join(f"{x:.4f}" for x in pose.t)
+        yield f"{command.object}: pose set in frame {frame} ({method}), at ({position}) m"
+        if found is not None:
+            yield from _pnp_lines(found)
+
+
+def _enter_object(
+    scene: Scene, command: LabelCommand, symmetry: SymmetryModel | None
+) -> Iterator[str]:
+    known = next((o for o in scene.objects.objects if o.name == command.object), None)
+    model_id = command.model or (known.model if known is not None else None)
+    if command.mesh is not None:
+        model = add_model(
+            scene,
+            command.mesh,
+            mesh_unit=command.mesh_unit,
+            category=command.category,
+            symmetry=symmetry,
+            model_id=command.model,
+        )
+        model_id = model.id
+        size = " x ".join(f"{x * 1000:.1f}" for x in model.size_m)
+        yield f"model {model.id}: {size} mm, diameter {model.diameter_m * 1000:.1f} mm"
+    elif command.category is not None or symmetry is not None:
+        raise ToolkitError(
+            "category and symmetry belong to a model", hint="give them together with --mesh"
+        )
+    assert model_id is not None
+    if known is None or command.material is not None or command.mesh is not None:
+        material = command.material or (known.material if known is not None else "diffuse")
+        thing = add_object(scene, command.object, model=model_id, material=material)
+        yield f"object {thing.name}: id {thing.id}, model {thing.model}, {thing.material}"
+
+
+def _pose_of(scene: Scene, command: LabelCommand, index: int) -> tuple[SE3, str, PnPResult | None]:
+    frame = scene.frame(command.frames[index])
+    if command.correspondences:
+        points, pixels = read_correspondences(
+            command.correspondences[index], unit=command.pose_unit or "m"
+        )
+        _check_pixels(scene, frame, pixels, command.correspondences[index])
+        try:
+            found = solve_pnp(
+                points, pixels, scene.camera(frame), threshold_px=command.threshold_px
+            )
+        except ToolkitError as error:
+            raise ToolkitError(
+                error.problem,
+                path=command.correspondences[index],
+                value=error.value,
+                hint=error.hint,
+            ) from error
+        return found.T_cam_obj, "pnp", found
+    path = command.poses[index]
+    pose = read_pose(
+        path,
+        format=command.pose_format,
+        unit=command.pose_unit,
+        convention=command.pose_convention,
+        frame=_image_in_file(path, command, frame),
+        item=command.pose_item,
+    )
+    return pose, "file", None
+
+
+def _image_in_file(path: Path, command: LabelCommand, frame: Frame) -> str | None:
+    if command.pose_frame is not None:
+        return command.pose_frame
+    # BOP counts images; 6D-PAT names them.
+    return (
+        str(frame.id)
+        if path.name == "scene_gt.json" or command.pose_format == "bop"
+        else (frame.name if command.pose_format == "6dpat" else None)
+    )
+
+
+def _check_pixels(scene: Scene, frame: Frame, pixels: np.ndarray, path: Path) -> None:
+    width, height = scene.camera(frame).size
+    outside = (pixels < -0.5).any(axis=1) | (pixels > [width - 0.5, height - 0.5]).any(axis=1)
+    if outside.any():
+        raise ToolkitError(
+            f"a pixel lies outside the {width}x{height} image",
+            path=path,
+            value=pixels[outside][0].tolist(),
+            hint="are these pixels of another image size?",
+        )
+
+
+def _symmetry(scene: Scene, command: LabelCommand, model_id: str | None) -> SymmetryModel | None:
+    if command.symmetry is None:
+        return None
+    if command.mesh is not None:
+        mesh = load_mesh(command.mesh, unit=command.mesh_unit)
+    else:
+        mesh = scene.mesh(command.model or model_id or safe_name(command.object))
+    low, high = mesh_bounds(mesh)
+    return parse_symmetry(command.symmetry, centre=((low + high) / 2).tolist())
+
+
+def _pnp_lines(found: PnPResult) -> Iterator[str]:
+    count = int(found.inliers.sum())
+    yield (
+        f"  PnP: {count} of {len(found.inliers)} correspondences fit, "
+        f"rms {found.rmse_px:.2f} px; residuals "
+        + " ".join(
+            f"{r:.2f}" if ok else f"[{r:.1f}]"
+            for r, ok in zip(found.residuals_px, found.inliers, strict=True)
+        )
+        + " px"
+    )
+    std = np.sqrt(np.diag(found.covariance))
+    yield (
+        f"  standard deviation {np.linalg.norm(std[:3]) * 1000:.1f} mm, "
+        f"{np.rad2deg(np.linalg.norm(std[3:])):.2f} deg"
+    )

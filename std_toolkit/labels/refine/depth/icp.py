@@ -1,0 +1,306 @@
+"""Refinement of one object's pose on sensor depth, for opaque objects: one view or several.
+
+A rough start (50 mm, 30 degrees off) is brought into the right basin by trying many poses on the
+depth images (`pose_search`), fitted by ICP in both directions (`depth_steps`), and finished with
+the colour images' edges (`solver`), which see sideways what depth, smeared at borders, does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry.symmetry import rotation_error
+from std_toolkit.labels.refine.caster import LayerStore
+from std_toolkit.labels.refine.depth.depth_steps import (
+    DepthAgreement,
+    depth_residuals,
+    measure_depth,
+    pose_covariance,
+)
+from std_toolkit.labels.refine.depth.observed import ObservedRays, ObservedView, observe
+from std_toolkit.labels.refine.depth.pose_search import THOROUGH, SearchRange, search_pose
+from std_toolkit.labels.refine.edges.solver import refine_poses
+from std_toolkit.labels.refine.object_surface import ObjectSurface, surface_of
+from std_toolkit.labels.refine.problem import (
+    Progress,
+    RefineObject,
+    RefineOptions,
+    RefineResult,
+    RefineView,
+    no_progress,
+    sub_progress,
+    weakest_direction,
+)
+
+Array = NDArray[np.float64]
+
+# How far a start may be off: metres, and share of the object's radius.
+_REACH_M, _REACH = 0.05, 0.5
+# Readings on the object below which its depth says nothing.
+_FEWEST_READINGS = 60
+# From views this far apart edges fix the distance, and with it the factor of the sensor depth.
+_PARALLAX = np.deg2rad(15)
+_FIXED_FACTOR_STD = 0.001
+# One view's depth against its edges, where the depth is not to be questioned.
+_DEPTH_SAMPLES = 5.0
+# The edges may move the pose of the depth by so much; further, they have found something else.
+_LARGEST_FINISH_M, _LARGEST_FINISH = 0.03, np.deg2rad(20)
+_LARGEST_LOSS = 0.1
+# Things that are thinner than this share of the reach are missed by most starts: where fewer of
+# their readings are explained, the search is repeated with more effort. For others it is not: more
+# tries would rather find another obj of about that shape.
+_THIN, _DOUBTFUL = 0.5, 0.88
+# Below this share of explained readings the fit is not to be believed.
+_SMALLEST_EXPLAINED = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthFitOptions:
+    """How an object is fitted to sensor depth.
+
+    Attributes:
+        reach_m: how far the start may be off, metres; default: 50 mm, or half the object's radius
+            if that is more.
+        turn: how far it may be turned, radians.
+        flips: try turns about the axes of the bounding box too; they win only where depth or the
+            mesh's print says so clearly.
+        use_edges: let edges of the colour images finish the pose.
+    """
+
+    reach_m: float | None = None
+    turn: float = float(np.deg2rad(30))
+    flips: bool = True
+    use_edges: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class DepthFit:
+    """Outcome of a fit to sensor depth.
+
+    Attributes:
+        name: of the object.
+        T_world_obj: fitted pose.
+        covariance: (6, 6) of a right perturbation `T_world_obj @ SE3.exp(xi)`.
+        weak_direction: sentence on the least determined direction.
+        depth: agreement with the sensor at the end.
+        edge_rms_px: robust standard deviation of the edges around the contour; None if they took
+            no part.
+        views: number of views with depth in which the object may be seen.
+        depth_factor: true depth = depth_factor * sensor depth, as estimated from views around the
+            object; 1 where it was not.
+        converged: most readings on the visible surface agree with it.
+    """
+
+    name: str
+    T_world_obj: SE3
+    covariance: Array
+    weak_direction: str
+    depth: DepthAgreement
+    edge_rms_px: float | None
+    views: int
+    depth_factor: float
+    converged: bool
+
+
+def refine_on_depth(
+    views: Sequence[RefineView],
+    obj: RefineObject,
+    options: DepthFitOptions | None = None,
+    *,
+    others: Sequence[RefineObject] = (),
+    layers: LayerStore | None = None,
+    progress: Progress = no_progress,
+) -> DepthFit:
+    """Adjust the world pose of one object to the sensor depth around it.
+
+    Args:
+        views: images with metric camera poses; a single one may have the identity. Those without
+            depth lend their edges.
+        obj: the object at its start pose; its material plays no part.
+        others: neighbours at their poses; they hide what is behind them and stay where they are.
+        layers: of them, where they were cast before.
+        progress: told the fraction done.
+
+    Raises:
+        ToolkitError: no views, the object is out of view, or there is no depth (on it).
+    """
+    options = options or DepthFitOptions()
+    progress(0)
+    searched = 0.7 if options.use_edges else 1.0
+    surface = surface_of(obj)
+    reach_m = options.reach_m or max(_REACH_M, _REACH * obj.radius)
+    observed = observe(views, obj, others, surface, reach_m=reach_m, layers=layers)
+    _check(views, obj, observed)
+    search = SearchRange(1.2 * reach_m, 1.2 * options.turn, options.flips)
+    pose = search_pose(
+        obj, surface, observed, search, progress=sub_progress(progress, 0.1, searched)
+    )
+    agreement = measure_depth(surface, observed, pose)
+    if (
+        agreement.readings >= _FEWEST_READINGS
+        and agreement.explained < _DOUBTFUL
+        and surface.thickness < _THIN * reach_m
+    ):
+        pose = search_pose(obj, surface, observed, search, effort=THOROUGH, known=[pose])
+        agreement = measure_depth(surface, observed, pose)
+    if agreement.readings < _FEWEST_READINGS:
+        raise ToolkitError(
+            f"the sensor has no depth on {obj.name}",
+            hint="glass and metal have none: refine it on the edges of several frames; "
+            "else move the object onto its image first",
+        )
+    found = replace(obj, T_world_obj=pose, material="diffuse")
+    if options.use_edges:
+        finished = _finish(
+            views,
+            found,
+            surface,
+            observed,
+            agreement,
+            others,
+            progress=sub_progress(progress, searched, 1),
+        )
+        if finished is not None:
+            return finished
+    rays = ObservedRays.of([o.thinned(3000) for o in observed])
+    rows = depth_residuals(surface, rays, pose, gate_m=0.008, reverse_weight=0.0)
+    covariance = pose_covariance(obj, rows)
+    return DepthFit(
+        obj.name,
+        pose,
+        covariance,
+        weakest_direction(covariance, obj.centre, obj.radius, obj.symmetry),
+        agreement,
+        None,
+        len(observed),
+        1.0,
+        agreement.explained >= _SMALLEST_EXPLAINED,
+    )
+
+
+def depth_agreement(
+    views: Sequence[RefineView],
+    obj: RefineObject,
+    others: Sequence[RefineObject],
+    *,
+    depth_factor: float = 1.0,
+    layers: LayerStore | None = None,
+) -> DepthAgreement:
+    """How well the sensor depth of the views agrees with an object at its pose.
+
+    Args:
+        others: neighbours that hide what is behind them.
+        depth_factor: true depth = depth_factor * sensor depth.
+        layers: of the neighbours, where they were cast before.
+    """
+    surface = surface_of(obj)
+    observed = observe(views, obj, others, surface, reach_m=0.0, background=False, layers=layers)
+    return measure_depth(surface, observed, obj.T_world_obj, depth_factor=depth_factor)
+
+
+def _check(
+    views: Sequence[RefineView], obj: RefineObject, observed: Sequence[ObservedView]
+) -> None:
+    if not views:
+        raise ToolkitError("a refinement needs at least one view")
+    if all(v.depth is None for v in views):
+        raise ToolkitError(
+            "the views have no sensor depth",
+            field=obj.name,
+            hint="refine on the edges of several frames instead",
+        )
+    if not observed:
+        raise ToolkitError(
+            f"{obj.name} is out of view",
+            hint="move the object onto its image first",
+        )
+    if sum(int((o.sensor > 0).sum()) for o in observed) < _FEWEST_READINGS:
+        raise ToolkitError(
+            f"there is no sensor depth around {obj.name}",
+            hint="refine on the edges of several frames instead",
+        )
+
+
+def _finish(
+    views: Sequence[RefineView],
+    found: RefineObject,
+    surface: ObjectSurface,
+    observed: Sequence[ObservedView],
+    before: DepthAgreement,
+    others: Sequence[RefineObject],
+    *,
+    progress: Progress,
+) -> DepthFit | None:
+    """The pose with the edges' help; None where they make it worse."""
+    around = _apart(views, found) > _PARALLAX
+    if around:
+        options = RefineOptions(search_px=24)
+    else:
+        # One view cannot tell a wrong sensor from a wrong distance: it follows the sensor.
+        options = RefineOptions(
+            search_px=12, depth_factor_std=_FIXED_FACTOR_STD, depth_samples=_DEPTH_SAMPLES
+        )
+    fixed = [replace(o, fixed=True) for o in _near(views, found, others)]
+    try:
+        result: RefineResult = refine_poses(views, [found, *fixed], options, progress=progress)
+    except ToolkitError:  # nothing of it can be seen well enough
+        return None
+    edges = result.objects[0]
+    after = measure_depth(surface, observed, edges.T_world_obj, depth_factor=result.depth_factor)
+    if (
+        edges.views == 0
+        or moved_too_far(found, edges.T_world_obj)
+        or after.readings < _FEWEST_READINGS
+        or after.explained < before.explained - _LARGEST_LOSS
+    ):
+        return None
+    return DepthFit(
+        found.name,
+        edges.T_world_obj,
+        edges.covariance,
+        edges.weak_direction,
+        after,
+        edges.edge_rms_px,
+        len(observed),
+        result.depth_factor if around else 1.0,
+        after.explained >= _SMALLEST_EXPLAINED,
+    )
+
+
+def moved_too_far(obj: RefineObject, T_world_obj: SE3) -> bool:
+    """Whether a pose is too far from the one that the depth gave to be the same, only better."""
+    step = T_world_obj @ obj.centre - obj.T_world_obj @ obj.centre
+    turn = rotation_error(T_world_obj, obj.T_world_obj, obj.symmetry)
+    return bool(np.linalg.norm(step) > _LARGEST_FINISH_M or turn > _LARGEST_FINISH)
+
+
+def _apart(views: Sequence[RefineView], obj: RefineObject) -> float:
+    """Largest angle between two views of the object, radians."""
+    centre = obj.T_world_obj @ obj.centre
+    rays = np.array([v.T_world_cam.t - centre for v in views])
+    rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-9)
+    return float(np.arccos(np.clip(rays @ rays.T, -1, 1)).max())
+
+
+def _near(
+    views: Sequence[RefineView], obj: RefineObject, others: Sequence[RefineObject]
+) -> list[RefineObject]:
+    """The others that may touch the object's image in some view."""
+    near = []
+    for other in others:
+        for view in views:
+            T = view.T_world_cam.inverse()
+            a, b = (T @ (o.T_world_obj @ o.centre) for o in (obj, other))
+            if a[2] < 0.05 or b[2] < 0.05:
+                continue
+            apart = np.linalg.norm((a / a[2] - b / b[2])[:2])
+            if apart < 1.2 * (obj.radius / a[2] + other.radius / b[2]) + 0.05:
+                near.append(other)
+                break
+    return near

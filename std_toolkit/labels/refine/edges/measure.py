@@ -1,0 +1,185 @@
+"""What the images say at the current poses: edges around contours, depth on surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.refine.caster import LayerStore, WorldCaster, cast_patch
+from std_toolkit.labels.refine.edges.contour import contour_image, trace_contour
+from std_toolkit.labels.refine.edges.evidence import colour_odds, measure_edges
+from std_toolkit.labels.refine.edges.system import (
+    ContourRows,
+    DepthRows,
+    Step,
+    contour_rows,
+    depth_rows,
+    sample_depth,
+)
+from std_toolkit.labels.refine.problem import RefineObject, RefineOptions, RefineView
+
+
+@dataclass(frozen=True, kw_only=True)
+class Level:
+    """One stage of coarse to fine.
+
+    Attributes:
+        scale: image scale.
+        reach: pixels of that image searched to both sides of a contour.
+        spread: expected distance of the edge, pixels of that image.
+        gate_m: sensor depth further than this from the model is of something else.
+        region: weight of the colour statistics on diffuse objects.
+        region_glossy: the same on glass and metal, which borrow the colours of their surroundings.
+        along: how many pixels along the contour share their evidence.
+        iterations: most Gauss-Newton steps.
+    """
+
+    scale: float
+    reach: int
+    spread: float
+    gate_m: float
+    region: float
+    region_glossy: float
+    along: float
+    iterations: int
+
+
+def coarse_to_fine(views: Sequence[RefineView], options: RefineOptions) -> list[Level]:
+    """The stages, coarsest first: as many as `search_px` asks for."""
+    n = options.iterations
+    widest = max(v.camera.width for v in views)
+    base = min(1.0, options.largest_image / widest)
+    stages = [
+        Level(scale=base, reach=6, spread=2.0, gate_m=0.012, region=0.25, region_glossy=0.0,
+              along=3.0, iterations=n + 4),
+        Level(scale=base, reach=8, spread=3.0, gate_m=0.02, region=0.75, region_glossy=0.0,
+              along=3.0, iterations=n),
+    ]  # fmt: skip
+    scale, gate = base / 2, 0.03
+    while scale * widest > 100:
+        stages.append(
+            Level(scale=scale, reach=10, spread=5.0, gate_m=gate, region=1.0, region_glossy=0.5,
+                  along=2.0, iterations=n)
+        )  # fmt: skip
+        if 10 / scale >= options.search_px * (1 - 1e-9):
+            break
+        scale, gate = scale / 2, 0.06
+    return stages[::-1]
+
+
+@dataclass
+class PoseState:
+    """The unknowns.
+
+    Attributes:
+        poses: T_world_obj of each object, metres.
+        log_scale: logarithm of the factor on all camera positions.
+        depth_factor: true depth = depth_factor * sensor depth.
+    """
+
+    poses: list[SE3]
+    log_scale: float = 0.0
+    depth_factor: float = 1.0
+
+    def camera_pose(self, view: RefineView) -> SE3:
+        """T_world_cam in the current scale."""
+        T = view.T_world_cam
+        return SE3(T.R, T.t * np.exp(self.log_scale))
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """Residuals with their derivatives, by object index, one entry per view that shows it."""
+
+    contours: list[tuple[int, ContourRows]]
+    depths: list[tuple[int, DepthRows]]
+
+    def after(self, steps: Mapping[int, Step]) -> Measurements:
+        """The residuals of the objects that made these steps, by index, to first order."""
+        return Measurements(
+            [(k, rows.after(steps[k])) for k, rows in self.contours if k in steps],
+            [(k, rows.after(steps[k])) for k, rows in self.depths if k in steps],
+        )
+
+    def __add__(self, other: Measurements) -> Measurements:
+        return Measurements(self.contours + other.contours, self.depths + other.depths)
+
+
+def measure(
+    views: Sequence[RefineView],
+    scaled: Sequence[tuple[Camera, NDArray[np.uint8]]],
+    objects: Sequence[RefineObject],
+    state: PoseState,
+    level: Level,
+    *,
+    use_depth: bool,
+    layers: LayerStore | None = None,
+    chosen: Collection[int] | None = None,
+) -> Measurements:
+    """Render all objects together in every view and compare with the images.
+
+    Args:
+        scaled: camera and image of every view at the level's scale.
+        layers: kept from step to step: what did not move is not rendered again.
+        chosen: indices of the objects to compare; default: all that are not fixed.
+    """
+    caster = WorldCaster(objects, state.poses, layers)
+    found = Measurements([], [])
+    for view, (camera, image) in zip(views, scaled, strict=True):
+        T_world_cam = state.camera_pose(view)
+        sensor = _sensor(view, camera, state) if use_depth else None
+        for i, obj in enumerate(objects):
+            if obj.fixed or (chosen is not None and i not in chosen):
+                continue
+            patch = cast_patch(
+                caster, obj, state.poses[i], camera, T_world_cam, margin=level.reach + 8
+            )
+            if patch is None:
+                continue
+            contour = trace_contour(caster, patch, i, camera, T_world_cam)
+            if contour is not None:
+                edges = measure_edges(
+                    image,
+                    patch,
+                    contour,
+                    colour_odds(image, patch, i, margin=level.reach + 4),
+                    reach=level.reach,
+                    along=level.along,
+                    spread=level.spread,
+                    region_weight=level.region if obj.trusts_depth else level.region_glossy,
+                    crease_weight=0.4 if obj.trusts_depth else 1.0,
+                    taken=contour_image(patch),
+                )
+                rows = contour_rows(
+                    contour.points,
+                    contour.normals,
+                    edges.offset,
+                    edges.weight * contour.thinning,
+                    camera,
+                    T_world_cam,
+                    state.poses[i],
+                )
+                found.contours.append((i, rows))
+            if sensor is not None and obj.trusts_depth:
+                samples = sample_depth(patch, i, sensor, camera, T_world_cam, gate_m=level.gate_m)
+                if samples is not None:
+                    found.depths.append((i, depth_rows(samples, T_world_cam, state.poses[i])))
+    return found
+
+
+def _sensor(view: RefineView, camera: Camera, state: PoseState) -> NDArray[np.float32] | None:
+    """Sensor depth at the level's size, with the current factor applied."""
+    if view.depth is None:
+        return None
+    depth = view.depth
+    if camera.size != view.camera.size:
+        depth = np.asarray(
+            cv2.resize(depth, camera.size, interpolation=cv2.INTER_NEAREST), dtype=np.float32
+        )
+    return depth * np.float32(state.depth_factor)

@@ -1,0 +1,278 @@
+"""The visible outlines of one object at many poses at once, in one image at a low resolution.
+
+Tracing a contour to a fraction of a pixel costs milliseconds; a search that tries hundreds of
+poses needs only the pixels at which an outline passes and its direction there. The rays of all
+poses are cast together in the object's frame.
+
+How much an image looks like an edge of a given direction, pixel by pixel.
+
+A predicted contour is compared with the edges of an image without looking for each sample's edge:
+a table of responses by direction is made once, and a pose that is tried only looks up. Responses
+are ranks: what few pixels of the window reach counts for much, and the thousandth edge of a
+printed table cloth for nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.refine.object_surface import surface_of
+from std_toolkit.labels.refine.problem import RefineObject
+
+Array = NDArray[np.float64]
+
+Array32 = NDArray[np.float32]
+
+_MARGIN = 3
+
+_NEAREST_M = 0.05
+
+_SMALLEST_JUMP_M = 0.005
+
+_SMALLEST_JUMP_FOOTPRINTS = 4.0
+
+_CREASE_COSINE = 0.766
+
+# Creases need not show on a printed or glossy surface.
+_CREASE_WEIGHT = 0.5
+
+DIRECTIONS = 12
+
+_SMOOTHING_PX = 0.7
+
+# An edge is strong by comparison with its surroundings, so that faint borders of glass count.
+_SURROUNDINGS_PX = 9
+
+_NOISE_LEVELS = 2.0
+
+_RANKS = 1024
+
+# Bounds what a single pixel can be worth: -log of this.
+_RAREST = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """The part of an image in which an object is looked for.
+
+    Attributes:
+        camera: of the image, at its resolution.
+        T_world_cam: of the image.
+        x, y: top-left pixel of the window.
+        others: (h, w) z-depth of the other objects, inf = none, metres.
+    """
+
+    camera: Camera
+    T_world_cam: SE3
+    x: int
+    y: int
+    others: Array32
+
+
+@dataclass(frozen=True, eq=False)
+class Outlines:
+    """Pixels at which outlines pass, of all poses together.
+
+    Attributes:
+        pose: (N,) index of the pose.
+        v, u: (N,) row and column in the window.
+        angle: (N,) of the outline's normal, in [0, pi).
+        weight: (N,) 1, or less for creases.
+    """
+
+    pose: NDArray[np.intp]
+    v: NDArray[np.intp]
+    u: NDArray[np.intp]
+    angle: Array32
+    weight: Array32
+
+
+class OutlineCaster:
+    """Outlines of an object at any pose."""
+
+    def __init__(self, obj: RefineObject) -> None:
+        self._surface = surface_of(obj)
+
+    def outlines(self, window: Window, R: Array, t: Array) -> Outlines:
+        """Outlines at the poses T_world_obj = (R (N, 3, 3), t (N, 3))."""
+        T, camera = window.T_world_cam, window.camera
+        R_cam_obj = T.R.T @ R
+        t_cam_obj = (t - T.t) @ T.R
+        u, v = self._patches(camera, R_cam_obj, t_cam_obj)
+        depth, normal = self._cast(camera, R_cam_obj, t_cam_obj, u, v)
+        h, w = window.others.shape
+        row, column = v - window.y, u - window.x
+        within = ((row >= 1) & (row < h - 1))[:, :, None] & ((column >= 1) & (column < w - 1))[
+            :, None, :
+        ]
+        row, column = np.clip(row, 0, h - 1), np.clip(column, 0, w - 1)
+        others = window.others[row[:, :, None], column[:, None, :]]
+        visible = np.isfinite(depth) & (depth < others)
+        depth = np.where(visible, depth, np.float32(0))
+        normal *= visible[..., None]
+        distance = float(np.median(depth[visible])) if visible.any() else 1.0
+        jump = max(_SMALLEST_JUMP_M, _SMALLEST_JUMP_FOOTPRINTS * distance / camera.fx)
+        passing = _passing(visible, depth, normal, others, jump)
+        k, y, x = np.nonzero(passing * within)
+        angle = _angles(visible, (depth - np.float32(distance)) / np.float32(jump), normal)
+        return Outlines(k, row[k, y], column[k, x], angle[k, y, x], passing[k, y, x])
+
+    def _patches(
+        self, camera: Camera, R: Array, t: Array
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Columns (N, w) and rows (N, h) of a patch around each pose, all of one size."""
+        p = self._surface.outer @ R.transpose(0, 2, 1) + t[:, None]
+        z = np.maximum(p[..., 2], _NEAREST_M)
+        grids = []
+        for axis, f, c in ((0, camera.fx, camera.cx), (1, camera.fy, camera.cy)):
+            x = p[..., axis] / z * f + c
+            low, high = x.min(axis=1), x.max(axis=1)
+            # An object that fills the view is cut off; so is one beside the camera.
+            size = min(int(np.ceil((high - low).max())) + 2 * _MARGIN + 2, camera.size[axis])
+            first = np.floor((low + high - size) / 2).astype(np.intp)
+            grids.append(first[:, None] + np.arange(size))
+        return grids[0], grids[1]
+
+    def _cast(
+        self,
+        camera: Camera,
+        R: Array,
+        t: Array,
+        u: NDArray[np.intp],
+        v: NDArray[np.intp],
+    ) -> tuple[Array32, Array32]:
+        """z-depth (N, h, w) and normals towards the camera (N, h, w, 3), object frame."""
+        shape = len(R), v.shape[1], u.shape[1]
+        depth = np.full(shape, np.inf, np.float32)
+        normal = np.zeros((*shape, 3), np.float32)
+        # In the margin there is nothing.
+        inside = slice(_MARGIN, -_MARGIN)
+        u, v = u[:, inside], v[:, inside]
+        x = ((u - camera.cx) / camera.fx).astype(np.float32)[:, None, :]
+        y = ((v - camera.cy) / camera.fy).astype(np.float32)[:, :, None]
+        R32 = R.astype(np.float32)
+        rays = np.empty((len(R), v.shape[1], u.shape[1], 6), np.float32)
+        eye = -np.einsum("nji,nj->ni", R, t) - self._surface.centre
+        rays[..., :3] = eye[:, None, None]
+        for k in range(3):
+            a, b, c = (R32[:, i, k, None, None] for i in range(3))
+            rays[..., 3 + k] = x * a + y * b + c
+        depth[:, inside, inside], met = self._surface.meet(rays)
+        away = np.asarray(sum(met[..., k] * rays[..., 3 + k] for k in range(3)) > 0)
+        np.negative(met, out=met, where=away[..., None])
+        normal[:, inside, inside] = met
+        return depth, normal
+
+
+def _passing(
+    visible: NDArray[np.bool_],
+    depth: Array32,
+    normal: Array32,
+    others: Array32,
+    jump: float,
+) -> Array32:
+    """(N, h, w) weight of the outline at each pixel: both pixels beside it have it."""
+    weight = np.zeros(visible.shape, np.float32)
+    for axis in (1, 2):
+        a = tuple(slice(None, -1) if k == axis else slice(None) for k in range(3))
+        b = tuple(slice(1, None) if k == axis else slice(None) for k in range(3))
+        # Where something nearer begins, the border is not the object's.
+        ends = visible[a] & ~visible[b] & (others[b] > depth[a])
+        begins = visible[b] & ~visible[a] & (others[a] > depth[b])
+        both = visible[a] & visible[b]
+        hides = both & (np.abs(depth[b] - depth[a]) > jump)
+        cosine = sum(normal[(*a, k)] * normal[(*b, k)] for k in range(3))
+        crease = both & (cosine < _CREASE_COSINE)
+        here = np.where(
+            ends | begins | hides, np.float32(1), np.where(crease, np.float32(_CREASE_WEIGHT), 0)
+        )
+        np.maximum(weight[a], here, out=weight[a])
+        np.maximum(weight[b], here, out=weight[b])
+    return weight
+
+
+def _angles(visible: NDArray[np.bool_], relief: Array32, normal: Array32) -> Array32:
+    """(N, h, w) direction of what changes: mask, depth in jumps, or normal."""
+    n, h, w = visible.shape
+    channels = np.empty((n * h, w, 5), np.float32)
+    channels[..., 0] = 2 * visible.reshape(n * h, w)
+    channels[..., 1] = np.clip(relief, -6, 6).reshape(n * h, w) * visible.reshape(n * h, w)
+    channels[..., 2:] = normal.reshape(n * h, w, 3)
+    # The margins keep the patches, one above the other, apart.
+    smooth = np.asarray(cv2.blur(channels, (3, 3)), dtype=np.float32)
+    return edge_direction(smooth)[1].reshape(n, h, w)
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeMap:
+    """Responses of a window of an image.
+
+    Attributes:
+        response: (DIRECTIONS, h, w), mean about 0, at most 2.9: how rare an edge of that
+            direction as clear as the one here is in this window.
+    """
+
+    response: Array32
+
+    @staticmethod
+    def of(image: NDArray[np.uint8], *, tolerance: float) -> EdgeMap:
+        """The map of an image (h, w, 3) whose contours are predicted to `tolerance` pixels."""
+        smooth: Array32 = np.asarray(
+            cv2.GaussianBlur(image.astype(np.float32), (0, 0), _SMOOTHING_PX), dtype=np.float32
+        )
+        strength, angle = edge_direction(smooth)
+        around = cv2.blur(strength, (_SURROUNDINGS_PX, _SURROUNDINGS_PX))
+        floor = 0.7 * around + 0.3 * float(np.median(strength)) + _NOISE_LEVELS
+        clear = strength / (strength + floor)
+        size = 2 * round(tolerance) + 1
+        kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+        spread = max(0.5, 0.7 * tolerance)
+        response = np.empty((DIRECTIONS, *strength.shape), np.float32)
+        for k in range(DIRECTIONS):
+            centre = (k + 0.5) * np.pi / DIRECTIONS
+            # Directions count modulo half a turn: dark on bright or the other way round.
+            agreement = np.maximum(np.cos(2 * (angle - centre)), 0) ** 1.5
+            near = cv2.dilate((clear * agreement).astype(np.float32), kernel)
+            response[k] = cv2.GaussianBlur(near, (0, 0), spread)
+        return EdgeMap(_rarity(response))
+
+    def at(self, angle: Array32, v: NDArray[np.intp], u: NDArray[np.intp]) -> Array32:
+        """Responses at pixels to contours whose normals have these angles, in [0, pi)."""
+        k = np.minimum((angle * (DIRECTIONS / np.pi)).astype(np.intp), DIRECTIONS - 1)
+        return self.response[k, v, u]
+
+
+def edge_direction(image: Array32) -> tuple[Array32, Array32]:
+    """Strength of the largest change at every pixel and its direction's angle in [0, pi).
+
+    All channels vote together (Di Zenzo's structure tensor, without smoothing).
+
+    Args:
+        image: (h, w, channels).
+    """
+    gx = cv2.Sobel(image, cv2.CV_32F, 1, 0, ksize=3)
+    gy = cv2.Sobel(image, cv2.CV_32F, 0, 1, ksize=3)
+    xx, xy, yy = (np.zeros(image.shape[:2], np.float32) for _ in range(3))
+    for k in range(image.shape[2]):
+        x, y = gx[..., k], gy[..., k]
+        xx += x * x
+        xy += x * y
+        yy += y * y
+    strength = np.sqrt(0.5 * (xx + yy + np.sqrt((xx - yy) ** 2 + 4 * xy**2)))
+    angle = 0.5 * np.arctan2(2 * xy, xx - yy)
+    return strength, np.where(angle < 0, angle + np.float32(np.pi), angle)
+
+
+def _rarity(values: Array32) -> Array32:
+    """-log of the share of values that are as large, less its mean of about 1."""
+    top = max(float(values.max()), 1e-6)
+    level = np.minimum((values * (_RANKS / top)).astype(np.int32), _RANKS - 1)
+    count = np.bincount(level.ravel(), minlength=_RANKS)
+    below = (np.cumsum(count) - 0.5 * count) / level.size
+    return (-np.log(1 - below + _RAREST) - 1).astype(np.float32)[level]

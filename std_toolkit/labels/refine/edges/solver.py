@@ -1,0 +1,124 @@
+"""Joint refinement of object poses over several views: coarse to fine Gauss-Newton.
+
+Every iteration renders all objects together at their poses, measures where the edges around each
+visible contour are, compares sensor depth with the visible surface of diffuse objects, and solves
+for all poses, one factor on sensor depth and (if asked) one scale of the camera positions. The
+depth factor is a nuisance: a sensor that reads 1-2 % long does so on every object, and without it
+the labels would move by as much. From rough starts a search comes first (`approach`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.labels.refine.caster import LayerStore
+from std_toolkit.labels.refine.edges.approach import approach
+from std_toolkit.labels.refine.edges.descent import Descent, assemble, descend
+from std_toolkit.labels.refine.edges.measure import PoseState, coarse_to_fine
+from std_toolkit.labels.refine.problem import (
+    Progress,
+    RefinedObject,
+    RefineObject,
+    RefineOptions,
+    RefineResult,
+    RefineView,
+    no_progress,
+    sub_progress,
+    weakest_direction,
+)
+
+# The edges are within this after a search; at lower resolutions glass and metal would be lost
+# again. Objects that are not rough are as near.
+_APPROACHED_PX = 20.0
+# What searching for an object takes, in units of what following its edges takes.
+_SEARCH = 3.0
+
+
+def refine_poses(
+    views: Sequence[RefineView],
+    objects: Sequence[RefineObject],
+    options: RefineOptions | None = None,
+    *,
+    layers: LayerStore | None = None,
+    progress: Progress = no_progress,
+) -> RefineResult:
+    """Adjust the world poses of objects to the images, all together.
+
+    Args:
+        views: images with metric camera poses; three or more from different sides fix objects
+            without depth, one leaves the distance to the camera weak.
+        objects: all labelled objects of the scene, so that occlusions between them are known.
+        layers: of the objects in these views, where they were cast before.
+        progress: told the fraction done.
+
+    Returns:
+        Poses, covariances and what was estimated along the way, in the order of `objects`.
+
+    Raises:
+        ToolkitError: no views or objects, or no object is visible in any view.
+    """
+    options = options or RefineOptions()
+    if not views or not objects:
+        raise ToolkitError("a refinement needs at least one view and one object")
+    layers = LayerStore() if layers is None else layers
+    rough = [o for o in objects if o.rough and not o.fixed] if len(views) > 1 else []
+    near = sum(not o.fixed for o in objects) - len(rough)
+    searched = _SEARCH * len(rough) / max((_SEARCH + 1) * len(rough) + near, 1)
+    if rough:
+        objects = approach(
+            views, objects, options, layers=layers, progress=sub_progress(progress, 0, searched)
+        )
+        options = replace(options, search_px=min(options.search_px, _APPROACHED_PX))
+    state = PoseState([o.T_world_obj for o in objects])
+    levels = coarse_to_fine(views, options)
+    descent = descend(
+        views,
+        objects,
+        state,
+        levels,
+        options,
+        layers=layers,
+        progress=sub_progress(progress, searched, 1),
+    )
+    return _result(objects, state, descent, options)
+
+
+def _result(
+    objects: Sequence[RefineObject],
+    state: PoseState,
+    descent: Descent,
+    options: RefineOptions,
+) -> RefineResult:
+    measured, scale = descent.measured, descent.scale
+    zero = np.zeros(6 * len(objects) + 2)
+    system, edge_std, depth_std = assemble(objects, state, measured, scale, options, zero)
+    covariance = system.covariance([o.radius for o in objects])
+    refined = []
+    for i, obj in enumerate(objects):
+        block = covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6]
+        seen = sum(1 for k, rows in measured.contours if k == i and len(rows.residual) >= 8)
+        refined.append(
+            RefinedObject(
+                obj.name,
+                state.poses[i],
+                block,
+                weakest_direction(block, obj.centre, obj.radius, obj.symmetry),
+                edge_std.get(i, float("nan")) / scale,
+                depth_std.get(i),
+                seen,
+                seen > 0 and descent.step_mm < 0.5,
+            )
+        )
+    scale_std = float(np.sqrt(covariance[system.SCALE, system.SCALE]))
+    factor_std = float(np.sqrt(covariance[system.FACTOR, system.FACTOR]))
+    return RefineResult(
+        tuple(refined),
+        float(np.exp(state.log_scale)) if options.refine_scale else 1.0,
+        scale_std if options.refine_scale else 0.0,
+        state.depth_factor if measured.depths else 1.0,
+        factor_std if measured.depths else 0.0,
+    )

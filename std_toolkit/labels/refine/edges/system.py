@@ -1,0 +1,255 @@
+"""The normal equations of a joint refinement: one pose per object, one scale, one depth factor.
+
+Sensor depth on the visible surface of an object: point-to-plane, robust to holes and edges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.refine.caster import Patch
+
+Array = NDArray[np.float64]
+
+# Stereo depth smears over borders, and grazing surfaces are measured badly.
+_BORDER_PX = 3
+
+_SMALLEST_COSINE = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A change of the unknowns that concerns one object.
+
+    Attributes:
+        xi: (6,) right perturbation of its pose.
+        scale, factor: change of the log scale, and relative change of the depth factor.
+    """
+
+    xi: Array
+    scale: float
+    factor: float
+
+
+@dataclass(frozen=True, eq=False)
+class ContourRows:
+    """Edge residuals of one object in one view with their derivatives.
+
+    Attributes:
+        residual: (N,) pixels, found edge minus predicted contour along the outward normal.
+        pose: (N, 6) derivative of the predicted position by a right perturbation of the pose.
+        scale: (N,) derivative by the logarithm of the camera positions' scale.
+        weight: (N,) 0 to 1, clarity of the edge.
+    """
+
+    residual: Array
+    pose: Array
+    scale: Array
+    weight: Array
+
+    def after(self, step: Step) -> ContourRows:
+        """The same rows once a small step was made, to first order."""
+        left = self.residual - self.pose @ step.xi - self.scale * step.scale
+        return replace(self, residual=left)
+
+
+@dataclass(frozen=True, eq=False)
+class DepthRows:
+    """Depth residuals of one object in one view with their derivatives.
+
+    Attributes:
+        residual: (N,) metres along the surface normal, measured point minus model.
+        pose, scale: as in `ContourRows`, of the model along the normal minus the measured point.
+        factor: (N,) derivative of the measured point by the depth factor, along the normal.
+    """
+
+    residual: Array
+    pose: Array
+    scale: Array
+    factor: Array
+
+    def after(self, step: Step) -> DepthRows:
+        """The same rows once a small step was made, to first order."""
+        left = self.residual - self.pose @ step.xi - self.scale * step.scale
+        return replace(self, residual=left + self.factor * step.factor)
+
+
+def contour_rows(
+    points_world: Array,
+    normals: Array,
+    offset: Array,
+    weight: Array,
+    camera: Camera,
+    T_world_cam: SE3,
+    T_world_obj: SE3,
+) -> ContourRows:
+    """Linearise contour samples about the current poses.
+
+    Args:
+        points_world: (N, 3) rim points on the object.
+        normals: (N, 2) outward in the image.
+        offset: (N,) pixels to the found edge.
+    """
+    used = weight > 0
+    X_world, n, offset, weight = points_world[used], normals[used], offset[used], weight[used]
+    p = T_world_cam.inverse() @ X_world
+    # Gradient of n . pixel by the point in the camera frame.
+    g = np.stack(
+        [
+            n[:, 0] * camera.fx / p[:, 2],
+            n[:, 1] * camera.fy / p[:, 2],
+            -(n[:, 0] * camera.fx * p[:, 0] + n[:, 1] * camera.fy * p[:, 1]) / p[:, 2] ** 2,
+        ],
+        axis=1,
+    )
+    g_world = g @ T_world_cam.R.T
+    return ContourRows(
+        offset,
+        _pose_derivative(g_world, X_world, T_world_obj),
+        # A larger scale moves the camera away from the world's origin.
+        -g_world @ T_world_cam.t,
+        weight,
+    )
+
+
+def depth_rows(samples: DepthSamples, T_world_cam: SE3, T_world_obj: SE3) -> DepthRows:
+    """Linearise depth samples about the current poses and the depth as it is."""
+    n = samples.normals
+    along = (n * samples.directions).sum(axis=1)
+    residual = along * (samples.measured - samples.expected)
+    return DepthRows(
+        residual,
+        _pose_derivative(n, samples.points, T_world_obj),
+        -n @ T_world_cam.t,
+        along * samples.measured,
+    )
+
+
+def _pose_derivative(g_world: Array, X_world: Array, T_world_obj: SE3) -> Array:
+    """(N, 6): of g . X_world by xi in T_world_obj @ SE3.exp(xi)."""
+    g_obj = g_world @ T_world_obj.R
+    X_obj = (X_world - T_world_obj.t) @ T_world_obj.R
+    return np.hstack([g_obj, np.cross(X_obj, g_obj)])
+
+
+class NormalEquations:
+    """Sum of weighted squares over 6 * objects + 2 unknowns: poses, log scale, depth factor."""
+
+    def __init__(self, objects: int) -> None:
+        self.objects = objects
+        size = 6 * objects + 2
+        self.A: Array = np.zeros((size, size))
+        self.b: Array = np.zeros(size)
+        self.SCALE, self.FACTOR = size - 2, size - 1
+
+    def add_contour(self, index: int, rows: ContourRows, weight: Array) -> None:
+        """Rows of object `index`; `weight` (N,) in 1/px^2."""
+        self._add(
+            index, np.column_stack([rows.pose, rows.scale]), [self.SCALE], rows.residual, weight
+        )
+
+    def add_depth(self, index: int, rows: DepthRows, weight: Array) -> None:
+        """Rows of object `index`; `weight` (N,) in 1/m^2."""
+        J = np.column_stack([rows.pose, rows.scale, -rows.factor])
+        self._add(index, J, [self.SCALE, self.FACTOR], rows.residual, weight)
+
+    def add_prior(
+        self, at: slice | int, information: Array | float, deviation: Array | float
+    ) -> None:
+        """A Gaussian prior on unknowns that are now `deviation` away from its mean."""
+        if isinstance(at, int):
+            at = slice(at, at + 1)
+        info = np.atleast_2d(information)
+        self.A[at, at] += info
+        self.b[at] -= info @ np.atleast_1d(deviation)
+
+    def solve(self, radii: Sequence[float]) -> Array:
+        """The step, (6 * objects + 2,); `radii` of the objects balance metres and radians."""
+        size = self._size(radii)
+        return np.asarray(size * np.linalg.solve(self.A * np.outer(size, size), size * self.b))
+
+    def covariance(self, radii: Sequence[float]) -> Array:
+        """Inverse of the information, symmetric."""
+        size = self._size(radii)
+        inverse = np.linalg.inv(self.A * np.outer(size, size)) * np.outer(size, size)
+        return np.asarray((inverse + inverse.T) / 2)
+
+    def _size(self, radii: Sequence[float]) -> Array:
+        poses = [x for r in radii for x in (1.0, 1.0, 1.0, 1 / r, 1 / r, 1 / r)]
+        return np.array([*poses, 1.0, 1.0])
+
+    def _add(self, index: int, J: Array, shared: list[int], residual: Array, weight: Array) -> None:
+        columns = np.array([*range(6 * index, 6 * index + 6), *shared])
+        JW = J * weight[:, None]
+        self.A[np.ix_(columns, columns)] += J.T @ JW
+        self.b[columns] += JW.T @ residual
+
+
+@dataclass(frozen=True, eq=False)
+class DepthSamples:
+    """Model points and what the sensor measured on the same rays.
+
+    Attributes:
+        points: (N, 3) on the model's surface, world frame.
+        normals: (N, 3) of the surface there, world frame, towards the camera.
+        directions: (N, 3) of the rays in the world frame, scaled to z = 1 in the camera.
+        measured: (N,) sensor z-depth, metres, as read.
+        expected: (N,) z-depth of the model, metres.
+    """
+
+    points: Array
+    normals: Array
+    directions: Array
+    measured: Array
+    expected: Array
+
+
+def sample_depth(
+    patch: Patch,
+    index: int,
+    depth: NDArray[np.float32],
+    camera: Camera,
+    T_world_cam: SE3,
+    *,
+    gate_m: float,
+    limit: int = 400,
+) -> DepthSamples | None:
+    """Depth samples on object `index`, at most `limit`, spread evenly; None if too few.
+
+    Args:
+        gate_m: samples further than this from the model along the ray are of something else.
+    """
+    mask = (patch.hits.object == index).astype(np.uint8)
+    mask = cv2.erode(mask, np.ones((3, 3), np.uint8), iterations=_BORDER_PX)
+    h, w = mask.shape
+    sensor = depth[patch.y : patch.y + h, patch.x : patch.x + w]
+    good = (mask > 0) & (sensor > 0) & (np.abs(sensor - patch.hits.depth) < gate_m)
+    v, u = np.nonzero(good)
+    if len(v) < 20:
+        return None
+    if len(v) > limit:
+        keep = np.linspace(0, len(v) - 1, limit).round().astype(int)
+        v, u = v[keep], u[keep]
+    expected = patch.hits.depth[v, u].astype(np.float64)
+    rays = camera.unproject(np.stack([u + patch.x, v + patch.y], axis=-1).astype(np.float64))
+    directions = rays @ T_world_cam.R.T
+    normals = patch.hits.normal[v, u].astype(np.float64)
+    cosine = -(normals * directions).sum(axis=1) / np.linalg.norm(directions, axis=1)
+    seen = cosine > _SMALLEST_COSINE
+    if seen.sum() < 20:
+        return None
+    directions, expected = directions[seen], expected[seen]
+    return DepthSamples(
+        T_world_cam.t + directions * expected[:, None],
+        normals[seen],
+        directions,
+        sensor[v, u].astype(np.float64)[seen],
+        expected,
+    )

@@ -1,0 +1,279 @@
+"""The refinement of a scene's labels: reads the keyframes, refines, writes what it found.
+
+Which frames a refinement looks at: spread over the viewpoints, sharp, showing the objects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import cv2
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.refine.edges.solver import refine_poses
+from std_toolkit.labels.refine.problem import (
+    RefineObject,
+    RefineOptions,
+    RefineResult,
+    RefineView,
+)
+from std_toolkit.log import logger
+from std_toolkit.scene.model import Frame, Label, annotated_views, pose_from_list
+from std_toolkit.scene.scene import Scene
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from std_toolkit.labels.propagate import PropagateOptions
+
+# Frames about one viewpoint from which the sharpest is taken.
+_CANDIDATES = 3
+
+# An object ought to be seen in so many keyframes, if the recording shows it as often.
+_VIEWS_PER_OBJECT = 4
+
+
+@dataclass(frozen=True)
+class RefinedLabels:
+    """Refined labels and the scale they were found in.
+
+    Attributes:
+        labels: by object id.
+        scale: factor on the positions of the camera poses; 1 unless asked for.
+        scale_std: standard deviation of the factor.
+    """
+
+    labels: dict[int, Label]
+    scale: float
+    scale_std: float
+
+
+def refine_labels(
+    scene: Scene, labels: Mapping[int, Label], options: PropagateOptions
+) -> RefinedLabels:
+    """Labels with refined world poses; the caller saves them while holding the scene's lock.
+
+    Labels of the scene that are not among `labels` take part as occluders and keep their poses.
+    With `refine_scale` they fit camera poses multiplied by `RefinedLabels.scale`.
+
+    Args:
+        labels: by object id, placed in the world; those without a world pose are passed through.
+    """
+    placed = {i: x for i, x in labels.items() if x.T_world_obj is not None}
+    others = {
+        x.object: x
+        for x in scene.labels.labels
+        if x.object not in labels and x.T_world_obj is not None
+    }
+    everything = {**placed, **others}
+    start = {i: pose_from_list(x.T_world_obj) for i, x in everything.items() if x.T_world_obj}
+    frames = choose_keyframes(
+        scene,
+        {i: start[i] for i in placed},
+        count=options.keyframes,
+        always=sorted({f for x in placed.values() for f in annotated_views(x)}),
+    )
+    views = load_views(scene, frames, use_depth=options.use_depth)
+    objects = [
+        replace(
+            scene_object(scene, i, start[i], fixed=i not in placed),
+            # What was refined in the annotator is in place; what a hand has placed may be far.
+            rough=everything[i].method != "refine",
+        )
+        for i in sorted(everything)
+    ]
+    result = refine_poses(
+        views,
+        objects,
+        RefineOptions(use_depth=options.use_depth, refine_scale=options.refine_scale),
+    )
+    _report(result)
+    refined = dict(labels)
+    for i, found in zip(sorted(everything), result.objects, strict=True):
+        if i not in placed:
+            continue
+        if found.views == 0:
+            logger.warning("%s: visible in no keyframe, so it is not refined", found.name)
+            continue
+        if not found.converged:
+            logger.warning("%s: the refinement did not settle; check its label", found.name)
+        refined[i] = msgspec.structs.replace(
+            placed[i],
+            T_world_obj=found.T_world_obj.flat(),
+            refined=True,
+            covariance=[float(x) for x in found.covariance.ravel()],
+            weak_direction=found.weak_direction,
+        )
+    return RefinedLabels(refined, result.scale, result.scale_std)
+
+
+def load_views(scene: Scene, frames: list[Frame], *, use_depth: bool = True) -> list[RefineView]:
+    """The frames as a refinement wants them; all must be registered."""
+    views = []
+    for frame in frames:
+        T_world_cam = scene.T_world_cam(frame.id)
+        assert T_world_cam is not None
+        depth = scene.read_depth(frame) if use_depth else None
+        views.append(
+            RefineView.of(
+                scene.camera(frame), T_world_cam, scene.read_color(frame), depth, frame=frame.id
+            )
+        )
+    return views
+
+
+def scene_object(
+    scene: Scene,
+    object_id: int,
+    T_world_obj: SE3,
+    *,
+    fixed: bool = False,
+    mesh: trimesh.Trimesh | None = None,
+) -> RefineObject:
+    """An object of the scene at a pose, as a refinement wants it.
+
+    Args:
+        mesh: its mesh, where it is at hand; else it is read.
+    """
+    obj = scene.objects.object(object_id)
+    model = scene.objects.model(obj.model)
+    if mesh is None:
+        mesh = scene.mesh(model.id)
+    return RefineObject(
+        obj.name,
+        np.asarray(mesh.vertices, dtype=np.float64),
+        np.asarray(mesh.faces, dtype=np.int64),
+        T_world_obj,
+        obj.material,
+        model.symmetry.symmetry(),
+        fixed,
+    )
+
+
+def _report(result: RefineResult) -> None:
+    for found in result.objects:
+        depth = f", depth {1000 * found.depth_rms_m:.1f} mm" if found.depth_rms_m else ""
+        logger.info(
+            "%s: edges %.2f px in %d views%s; %s",
+            found.name,
+            found.edge_rms_px,
+            found.views,
+            depth,
+            found.weak_direction,
+        )
+    if result.depth_factor_std > 0:
+        logger.info(
+            "sensor depth factor %.4f +- %.4f (true depth = factor * sensor depth)",
+            result.depth_factor,
+            result.depth_factor_std,
+        )
+    if result.scale_std > 0:
+        logger.info(
+            "scale of the camera poses: factor %.4f +- %.4f", result.scale, result.scale_std
+        )
+
+
+def choose_keyframes(
+    scene: Scene, objects: Mapping[int, SE3], *, count: int, always: Sequence[int] = ()
+) -> list[Frame]:
+    """Registered frames from viewpoints far apart, in recording order.
+
+    Args:
+        objects: T_world_obj by object id: frames that show none of them are left out, and frames
+            are added until each object is in view in four of them, where the recording allows.
+        count: how many.
+        always: ids of frames to take in any case, if they are registered.
+    """
+    frames = scene.registered_frames()
+    centres = [T @ _centre(scene, i) for i, T in objects.items()]
+    seen = np.array([_in_view(scene, f, centres) for f in frames]).reshape(len(frames), -1)
+    usable = [i for i in range(len(frames)) if seen[i].any()]
+    if len(usable) <= count:
+        return [frames[i] for i in usable]
+    target = np.mean([T.t for T in objects.values()], axis=0)
+    where = np.stack([_viewpoint(scene, frames[i], target) for i in usable])
+    forced = [k for k, i in enumerate(usable) if frames[i].id in set(always)]
+    picks = _spread(where, count, forced)
+    chosen = {usable[k] for k in forced}
+    for k in picks:
+        if k not in forced:
+            near = np.argsort(np.linalg.norm(where - where[k], axis=1), kind="stable")
+            taken = {usable[j] for j in near[:_CANDIDATES]} - chosen
+            chosen.add(
+                max(sorted(taken), key=lambda i: _sharpness(scene, frames[i]), default=usable[k])
+            )
+    for column in range(seen.shape[1]):
+        mine = [i for i in usable if seen[i, column] and i not in chosen]
+        missing = _VIEWS_PER_OBJECT - sum(seen[i, column] for i in chosen)
+        while missing > 0 and mine:
+            taken_at = np.stack([_viewpoint(scene, frames[i], target) for i in sorted(chosen)])
+            far = max(
+                mine,
+                key=lambda i: float(
+                    np.linalg.norm(taken_at - _viewpoint(scene, frames[i], target), axis=1).min()
+                ),
+            )
+            chosen.add(far)
+            mine.remove(far)
+            missing -= 1
+    return [frames[i] for i in sorted(chosen)]
+
+
+def _viewpoint(scene: Scene, frame: Frame, target: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Direction from the objects to the camera, with distance in it: far and near differ too."""
+    T = scene.T_world_cam(frame.id)
+    assert T is not None
+    ray = T.t - target
+    distance = float(np.linalg.norm(ray))
+    return np.append(ray / max(distance, 1e-9), 0.5 * np.log(max(distance, 1e-3)))
+
+
+def _in_view(scene: Scene, frame: Frame, centres: Sequence[NDArray[np.float64]]) -> list[bool]:
+    """Which of the points in the world the frame shows."""
+    camera, T_world_cam = scene.camera(frame).without_distortion(), scene.T_world_cam(frame.id)
+    assert T_world_cam is not None
+    T_cam_world = T_world_cam.inverse()
+    flags = []
+    for centre in centres:
+        p = T_cam_world @ centre
+        if p[2] <= 0.05:
+            flags.append(False)
+            continue
+        uv = camera.project(p)
+        flags.append(bool((uv >= 0).all() and (uv < camera.size).all()))
+    return flags
+
+
+def _centre(scene: Scene, object_id: int) -> NDArray[np.float64]:
+    """Centre of an object's bounding box, mesh frame."""
+    from std_toolkit.geometry.mesh import mesh_bounds
+
+    return mesh_bounds(scene.mesh(scene.objects.object(object_id).model)).mean(axis=0)
+
+
+def _spread(where: NDArray[np.float64], count: int, start: list[int]) -> list[int]:
+    """Farthest-point sampling; deterministic."""
+    picks = list(start)
+    if not picks:
+        centre = where.mean(axis=0)
+        picks = [int(np.argmax(np.linalg.norm(where - centre, axis=1)))]
+    distance = np.min([np.linalg.norm(where - where[k], axis=1) for k in picks], axis=0)
+    while len(picks) < count:
+        k = int(np.argmax(distance))
+        if distance[k] <= 0:
+            break
+        picks.append(k)
+        distance = np.minimum(distance, np.linalg.norm(where - where[k], axis=1))
+    return picks
+
+
+def _sharpness(scene: Scene, frame: Frame) -> float:
+    grey = cv2.cvtColor(scene.read_color(frame), cv2.COLOR_RGB2GRAY)
+    height = max(1, round(grey.shape[0] * min(1.0, 480 / grey.shape[1])))
+    small = cv2.resize(grey, (min(480, grey.shape[1]), height), interpolation=cv2.INTER_AREA)
+    return float(cv2.Laplacian(small, cv2.CV_32F).var())

@@ -1,0 +1,239 @@
+"""Metres from a printed fiducial board: an AprilTag grid or a ChArUco board, through OpenCV."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.images import read_color
+from std_toolkit.jobs import run_jobs
+from std_toolkit.poses.known_points import KnownView, scale_from_known_points
+from std_toolkit.poses.scale_sources import ScaleContext
+from std_toolkit.scene.model import ScaleEstimate
+
+MAX_FRAMES = 60
+MIN_CORNERS = 8
+MIN_FRAMES = 3
+
+
+@dataclass(frozen=True, eq=False)
+class BoardDetection:
+    """Corners of the board in one image.
+
+    Attributes:
+        ids: (N,) corner ids, unique over the board.
+        xyz: (N, 3) corners in the board's frame, metres.
+        uv: (N, 2) sub-pixel positions, centres at integers.
+    """
+
+    ids: NDArray[np.int64]
+    xyz: NDArray[np.float64]
+    uv: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Board:
+    """A board as its file describes it.
+
+    Attributes:
+        dictionary: name of OpenCV's marker dictionary.
+        tags: tag id to its four corners in metres, order top left, top right, bottom right,
+            bottom left, as OpenCV returns them; for a tag grid.
+        charuco: squares in x and y, square and marker edge in metres; for a ChArUco board.
+    """
+
+    dictionary: str
+    tags: tuple[tuple[int, tuple[tuple[float, float, float], ...]], ...] = ()
+    charuco: tuple[int, int, float, float] | None = None
+
+    @staticmethod
+    def read(path: Path) -> Board:
+        """Read a board file.
+
+        Either `{"0": [[x, y, z], ...4 corners in mm], ...}` for a grid of tags (AprilTag 36h11
+        unless `"dictionary"` names another; other keys are ignored), or `{"charuco":
+        {"squares_x", "squares_y", "square_mm", "marker_mm", "dictionary"}}`.
+
+        Raises:
+            ToolkitError: not found, not JSON, or not a board.
+        """
+        if not path.is_file():
+            raise ToolkitError("board file not found", path=path)
+        try:
+            data = json.loads(path.read_text(encoding="utf-8"))
+        except (UnicodeDecodeError, json.JSONDecodeError) as error:
+            raise ToolkitError(f"not a JSON file: {error}", path=path) from error
+        if not isinstance(data, dict):
+            raise ToolkitError("a board file holds one JSON object", path=path)
+        if "charuco" in data:
+            return _read_charuco(data["charuco"], path)
+        dictionary = str(data.get("dictionary", "DICT_APRILTAG_36h11"))
+        _dictionary(dictionary, path)
+        tags = []
+        for key in sorted((k for k in data if k.isdigit()), key=int):
+            corners = _corners(data[key], path, key)
+            tags.append((int(key), tuple((x, y, z) for x, y, z in corners.tolist())))
+        if not tags:
+            raise ToolkitError(
+                "the board has no tags", path=path, hint='expected {"<tag id>": 4 corners in mm}'
+            )
+        return Board(dictionary=dictionary, tags=tuple(tags))
+
+
+class BoardScale:
+    """The printed size of a board: all its corners in all frames, fitted at once."""
+
+    name = "board"
+
+    def available(self, context: ScaleContext) -> bool:
+        return context.board is not None
+
+    def estimate(self, context: ScaleContext) -> ScaleEstimate:
+        if context.board is None:
+            raise ToolkitError(
+                "no board is described", hint="give --board FILE or put board.json into the scene"
+            )
+        board = Board.read(context.board)
+        frames = context.frames()
+        step = max(1, -(-len(frames) // MAX_FRAMES))
+        chosen = frames[::step]
+        paths = [str(context.scene.color_path(f)) for f in chosen]
+        report = run_jobs(
+            partial(detect_board, board=board), paths, name="board", options=context.jobs
+        )
+        report.raise_if_failed()
+        views = []
+        for frame, path in zip(chosen, paths, strict=True):
+            found = report.results[path]
+            if len(found.ids) >= MIN_CORNERS:
+                views.append(
+                    KnownView(
+                        T_cam_world=context.poses[frame.id],
+                        camera=context.camera(frame),
+                        ids=found.ids,
+                        xyz=found.xyz,
+                        uv=found.uv,
+                    )
+                )
+        if len(views) < MIN_FRAMES:
+            raise ToolkitError(
+                f"the board is seen in {len(views)} of {len(chosen)} registered frames, "
+                f"{MIN_FRAMES} are needed",
+                path=context.board,
+                hint="is this the board in the picture, and its dictionary the right one?",
+            )
+        extent = float(np.ptp(np.concatenate([v.xyz for v in views]), axis=0).max())
+        corners = sum(len(v.ids) for v in views)
+        return scale_from_known_points(
+            views,
+            source=self.name,
+            note=f"{corners} corners in {len(views)} frames",
+            threshold_m=0.02 * extent,
+        )
+
+
+def detect_board(path: Path | str, *, board: Board) -> BoardDetection:
+    """Find the corners of a board in an image file, refined to sub-pixel positions."""
+    grey = np.asarray(cv2.cvtColor(read_color(path), cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+    if board.charuco is not None:
+        return _detect_charuco(grey, board)
+    known = dict(board.tags)
+    corners, ids, _ = _tag_detector(board.dictionary).detectMarkers(grey)
+    found = sorted(
+        (int(i), c.reshape(4, 2))
+        for i, c in zip(_flat(ids), corners, strict=True)
+        if int(i) in known
+    )
+    if not found:
+        return _nothing()
+    return BoardDetection(
+        ids=np.concatenate([np.arange(4) + 4 * i for i, _ in found]),
+        xyz=np.concatenate([np.array(known[i]) for i, _ in found]),
+        uv=np.concatenate([c for _, c in found]).astype(np.float64),
+    )
+
+
+def _detect_charuco(grey: NDArray[np.uint8], board: Board) -> BoardDetection:
+    assert board.charuco is not None
+    nx, ny, square, marker = board.charuco
+    drawn = cv2.aruco.CharucoBoard((nx, ny), square, marker, _dictionary(board.dictionary, None))
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(drawn).detectBoard(grey)
+    if ids is None or len(ids) == 0:
+        return _nothing()
+    flat = _flat(ids)
+    return BoardDetection(
+        ids=flat,
+        xyz=np.asarray(drawn.getChessboardCorners(), dtype=np.float64)[flat],
+        uv=np.asarray(corners, dtype=np.float64).reshape(-1, 2),
+    )
+
+
+def _nothing() -> BoardDetection:
+    return BoardDetection(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 2)))
+
+
+def _flat(ids: NDArray[Any] | None) -> NDArray[np.int64]:
+    return np.zeros(0, dtype=np.int64) if ids is None else np.asarray(ids, np.int64).ravel()
+
+
+@lru_cache(maxsize=4)
+def _tag_detector(dictionary: str) -> Any:
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    return cv2.aruco.ArucoDetector(_dictionary(dictionary, None), parameters)
+
+
+def _dictionary(name: str, path: Path | None) -> Any:
+    number = getattr(cv2.aruco, name, None)
+    if not name.startswith("DICT_") or not isinstance(number, int):
+        raise ToolkitError(
+            "no such marker dictionary in OpenCV",
+            path=path,
+            field="dictionary",
+            value=name,
+            hint="such as DICT_APRILTAG_36h11 or DICT_5X5_100",
+        )
+    return cv2.aruco.getPredefinedDictionary(number)
+
+
+def _corners(value: object, path: Path, key: str) -> NDArray[np.float64]:
+    """Four corners in metres from millimetres."""
+    try:
+        corners = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        corners = np.zeros(0)
+    if corners.shape != (4, 3) or not np.isfinite(corners).all():
+        raise ToolkitError("a tag needs 4 corners of 3 numbers, in mm", path=path, field=key)
+    return corners / 1000
+
+
+def _read_charuco(value: object, path: Path) -> Board:
+    if not isinstance(value, dict):
+        raise ToolkitError("must be an object", path=path, field="charuco")
+    numbers: list[float] = []
+    for name in ("squares_x", "squares_y", "square_mm", "marker_mm"):
+        number = value.get(name)
+        if isinstance(number, bool) or not isinstance(number, int | float) or not number > 0:
+            raise ToolkitError(
+                "must be a positive number", path=path, field=f"charuco.{name}", value=number
+            )
+        numbers.append(float(number))
+    nx, ny, square, marker = numbers
+    if nx < 2 or ny < 2 or nx != int(nx) or ny != int(ny) or marker >= square:
+        raise ToolkitError(
+            "needs at least 2x2 whole squares, and markers smaller than squares",
+            path=path,
+            field="charuco",
+            value=numbers,
+        )
+    dictionary = str(value.get("dictionary", "DICT_5X5_100"))
+    _dictionary(dictionary, path)
+    return Board(dictionary=dictionary, charuco=(int(nx), int(ny), square / 1000, marker / 1000))

@@ -1,0 +1,240 @@
+"""The camera-pose step: reconstruct, find the metres, judge, publish."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3
+from std_toolkit.jobs import JobOptions
+from std_toolkit.log import logger
+from std_toolkit.poses.options import PoseOptions, Refinement
+from std_toolkit.poses.pose_gates import pose_gates
+from std_toolkit.scene import CameraPoses, Frame, FramePose, Labels, Scene
+from std_toolkit.scene.document import digest_file, digest_of, is_fresh, write_record
+from std_toolkit.scene.model import ScaleReport, without_derived
+
+STEP = "poses"
+
+
+def estimate_poses(
+    scene: Scene, options: PoseOptions | None = None, *, jobs: JobOptions | None = None
+) -> CameraPoses:
+    """Recover the camera poses of a scene and save them.
+
+    Writes `poses.json`, `poses/sparse` (COLMAP model) and `poses/points.ply`, all in metres and in
+    the world frame, which is the camera of the first registered frame. Does nothing when neither
+    the inputs nor the options changed since the last run. Poses that fail a gate are saved too;
+    the caller looks at `CameraPoses.gates`.
+
+    Args:
+        scene: the recording.
+        options: how.
+        jobs: where the work over frames runs; `options.threads` overrides its width.
+
+    Returns:
+        The saved poses.
+
+    Raises:
+        ToolkitError: unreadable images, no model at all, or scale sources that contradict each
+            other. Nothing is saved then.
+    """
+    from std_toolkit.poses.publish import work_folder
+    from std_toolkit.poses.scale_sources import check_source_name
+
+    options = options or PoseOptions()
+    jobs = _width(jobs or JobOptions(), options)
+    check_source_name(options.scale)
+    board = board_file(scene, options)
+    with scene.lock():
+        digest = _digest(scene, options, board)
+        if is_fresh(scene.root, STEP, digest) and scene.poses is not None:
+            logger.info("camera poses: up to date")
+            return scene.poses
+        with work_folder(scene.root) as work:
+            return _run(scene, options, jobs, board, digest, work)
+
+
+def board_file(scene: Scene, options: PoseOptions) -> Path | None:
+    """The board description that a run would use: the one named, else the scene's own."""
+    if options.board is not None:
+        return options.board
+    own = scene.root / "board.json"
+    return own if own.is_file() else None
+
+
+def failed_gates(poses: CameraPoses) -> list[str]:
+    """One line per failed gate: value, limit and what to do."""
+    return [
+        f"{g.name} is {g.value:.4g}, limit {g.limit:.4g}: {g.advice}"
+        for g in poses.gates
+        if not g.passed
+    ]
+
+
+def _run(
+    scene: Scene,
+    options: PoseOptions,
+    jobs: JobOptions,
+    board: Path | None,
+    digest: str,
+    work: Path,
+) -> CameraPoses:
+    from std_toolkit.poses.colmap import place_in_world, quiet_colmap
+    from std_toolkit.poses.publish import publish_model
+    from std_toolkit.poses.reconstruct import adjusted_cameras, reconstruct
+    from std_toolkit.poses.scale_sources import ScaleContext, resolve_scale
+
+    cache = scene.root / ".std" / "poses"
+    cache.mkdir(parents=True, exist_ok=True)
+    done = reconstruct(scene, cache, work, options=options, jobs=jobs)
+    image_ids = done.image_ids(scene.frames)
+    context = ScaleContext(scene, done.model, image_ids, done.cameras(), board, jobs)
+    factor, report = resolve_scale(
+        context, scale=options.scale, max_disagreement=options.max_disagreement
+    )
+    place_in_world(done.model, scale=factor, first_image=next(iter(image_ids.values())))
+    frames, distance = _frame_poses(scene.frames, done.model, image_ids)
+    notes = []
+    if done.about.other_sizes:
+        notes.append(
+            f"the keyframes fell into {1 + len(done.about.other_sizes)} models; the largest was "
+            f"kept, the others have {done.about.other_sizes} keyframes"
+        )
+    refined = {} if options.refine is Refinement.NONE else adjusted_cameras(scene, done)
+    poses = CameraPoses(
+        frames=frames,
+        cameras=refined,
+        scale=report,
+        gates=pose_gates(
+            frames,
+            scene.frames,
+            keyframes=done.about.keyframes,
+            median_distance=distance,
+            scale=_judged(report, options),
+            options=options,
+        ),
+        source="sfm",
+        notes=notes,
+    )
+    with quiet_colmap():
+        done.model.extract_colors_for_all_images(scene.root)
+    outputs = publish_model(scene.root, done.model, work)
+    _forget_world_poses(scene)
+    scene.save_poses(poses)
+    write_record(
+        scene.root,
+        STEP,
+        digest,
+        outputs=[scene.root / "poses.json", *outputs],
+        parameters=_parameters(options, board),
+    )
+    return poses
+
+
+def _forget_world_poses(scene: Scene) -> None:
+    """Labels that were placed in the old world keep their annotation and have to be propagated."""
+    if any(x.T_world_obj is not None for x in scene.labels.labels):
+        scene.save_labels(Labels(labels=[without_derived(x) for x in scene.labels.labels]))
+
+
+def _judged(report: ScaleReport, options: PoseOptions) -> ScaleReport:
+    """A named source is the user's decision: the others are reported, not judged."""
+    if options.scale == "auto":
+        return report
+    return ScaleReport(unit=report.unit, chosen=report.chosen)
+
+
+def _frame_poses(
+    frames: list[Frame], model: Any, image_ids: dict[int, int]
+) -> tuple[list[FramePose], float]:
+    from std_toolkit.poses.colmap import observations, pose_covariance
+
+    poses, depths = [], []
+    for frame in frames:
+        if frame.id not in image_ids:
+            poses.append(FramePose(frame=frame.id, status="unregistered"))
+            continue
+        seen = observations(model, image_ids[frame.id])
+        errors = np.linalg.norm(seen.residuals, axis=1)
+        covariance = pose_covariance(seen)
+        depths.append(seen.points_cam[:, 2])
+        T_world_cam: SE3 = seen.T_cam_world.inverse()
+        poses.append(
+            FramePose(
+                frame=frame.id,
+                status="registered",
+                T_world_cam=T_world_cam.flat(),
+                reprojection_px=float(errors.mean()) if len(errors) else None,
+                points=len(errors),
+                covariance=None if covariance is None else covariance.ravel().tolist(),
+            )
+        )
+    every = np.concatenate(depths) if depths else np.zeros(0)
+    return poses, float(np.median(every)) if len(every) else 0.0
+
+
+def _width(jobs: JobOptions, options: PoseOptions) -> JobOptions:
+    if options.threads is None:
+        return jobs
+    engine = "serial" if options.threads == 1 else jobs.engine
+    return JobOptions(
+        engine=engine,
+        workers=options.threads,
+        ray_address=jobs.ray_address,
+        progress=jobs.progress,
+    )
+
+
+def _parameters(options: PoseOptions, board: Path | None) -> dict[str, Any]:
+    values = asdict(options)
+    # No paths in records: a moved scene is the same scene.
+    values["board"] = None if board is None else board.name
+    return {k: str(v) if isinstance(v, Refinement) else v for k, v in values.items()}
+
+
+def _digest(scene: Scene, options: PoseOptions, board: Path | None) -> str:
+    """Of everything that poses.json depends on."""
+    from std_toolkit.poses.reconstruct import image_digests, model_digest
+
+    if board is not None and not board.is_file():
+        raise ToolkitError("board file not found", path=board)
+    model = model_digest(scene, image_digests(scene), options)
+    depths = []
+    if options.scale != "none":
+        for frame in scene.frames:
+            if frame.depth is not None:
+                path = scene.root / frame.depth
+                if not path.is_file():
+                    raise ToolkitError("depth image not found", path=path)
+                depths.append(digest_file(path))
+    # Only objects annotated in several frames tell the scale; T_world_obj comes from the poses.
+    annotated = [
+        [
+            [x.object, x.frame, x.T_cam_obj, x.views],
+            [scene.objects.object(x.object), scene.objects.model_of(x.object)],
+        ]
+        for x in scene.labels.labels
+        if x.views and options.scale != "none"
+    ]
+    gates = {k: v for k, v in _parameters(options, None).items() if k.startswith(("min_", "max_"))}
+    return digest_of(
+        STEP,
+        model,
+        options.scale,
+        gates,
+        None if board is None else digest_file(board),
+        depths,
+        [scene.info.depth_scale, scene.info.depth_correction],
+        annotated,
+        _mesh_digests(scene) if annotated else [],
+    )
+
+
+def _mesh_digests(scene: Scene) -> list[list[str]]:
+    paths = {m.id: scene.mesh_path(m) for m in scene.objects.models}
+    return [[key, digest_file(path) if path.is_file() else ""] for key, path in paths.items()]

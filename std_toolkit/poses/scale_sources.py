@@ -1,0 +1,352 @@
+"""Scale sources: the protocol, the depth sensor as one, and how several become one scale.
+
+From several sources of metres to one: all are reported, contradictions stop the run.
+
+Metres from the depth sensor: z over z, never z over range.
+
+A depth image holds z-depth: the distance along the optical axis. Dividing it by the distance of
+the point from the camera centre (range) makes every ratio too small by the cosine of the angle
+off the axis, 0.9-6.5 % for common fields of view.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3, Camera
+from std_toolkit.jobs import JobOptions
+from std_toolkit.log import logger
+from std_toolkit.plugins import Registry
+from std_toolkit.poses.colmap import Observations, observations
+from std_toolkit.scene import Frame, Scene
+from std_toolkit.scene.model import ScaleEstimate, ScaleReport
+
+# By what their errors are known to be: a printed board 0.1 %, a mesh with good annotations
+# 0.3-0.8 %, the depth of a consumer sensor 1-2 %. Further plug-ins come after these.
+TRUST = ("board", "cad", "depth")
+
+NO_SCALE_HINT = (
+    "give the scene a source of metres: sensor depth, a board (--board FILE), or an object "
+    "annotated in two or more frames (--scale none accepts the unknown unit silently)"
+)
+
+MAX_FRAMES = 60
+
+MIN_TRACK_LENGTH = 3
+
+MIN_RATIOS = 100
+
+# A pixel counts if its 3x3 neighbourhood is complete and flatter than this share of its depth:
+# at an edge a sub-pixel difference picks foreground or background.
+MAX_STEP = 0.01
+
+# Beyond this the error of stereo depth grows with the square of the distance.
+MIN_DEPTH_M, MAX_DEPTH_M = 0.15, 4.0
+
+MAX_REPROJECTION_PX = 1.5
+
+
+@dataclass(frozen=True)
+class ScaleContext:
+    """What a source may look at.
+
+    Attributes:
+        scene: frames, images, labels.
+        model: pycolmap.Reconstruction of unknown unit.
+        image_ids: frame id to COLMAP image id, registered frames only, rising.
+        cameras: intrinsics by camera key, as adjusted with the model.
+        board: description of a fiducial board, or None.
+        jobs: where work over frames runs.
+    """
+
+    scene: Scene
+    model: Any
+    image_ids: dict[int, int]
+    cameras: dict[str, Camera]
+    board: Path | None = None
+    jobs: JobOptions | None = None
+
+    @cached_property
+    def poses(self) -> dict[int, SE3]:
+        """T_cam_world of every registered frame, by frame id, in units of the model."""
+        from std_toolkit.poses.colmap import from_rigid3d
+
+        return {
+            frame: from_rigid3d(self.model.image(image).cam_from_world())
+            for frame, image in self.image_ids.items()
+        }
+
+    def frames(self) -> list[Frame]:
+        """The registered frames in recording order."""
+        return [f for f in self.scene.frames if f.id in self.image_ids]
+
+    def camera(self, frame: Frame) -> Camera:
+        """Intrinsics that belong to the model."""
+        return self.cameras[frame.camera]
+
+    def observations(self, frame_id: int) -> Observations:
+        """What a registered frame sees of the model."""
+        return observations(self.model, self.image_ids[frame_id])
+
+
+class ScaleSource(Protocol):
+    """One way to metres.
+
+    An implementation is a class without arguments, or a module-level object, registered in the
+    entry-point group `std_toolkit.scale_sources`.
+    """
+
+    name: str
+
+    def available(self, context: ScaleContext) -> bool:
+        """Whether the scene has what this source needs; cheap."""
+        ...
+
+    def estimate(self, context: ScaleContext) -> ScaleEstimate:
+        """Metres per unit of the model.
+
+        Raises:
+            ToolkitError: the evidence is too weak or contradicts itself.
+        """
+        ...
+
+
+# Names to factories.
+SOURCES: Registry[Callable[[], ScaleSource]] = Registry(
+    "std_toolkit.scale_sources",
+    {
+        "depth": "std_toolkit.poses.scale_sources:DepthScale",
+        "cad": "std_toolkit.labels.cad_scale:CadScale",
+        "board": "std_toolkit.poses.board_scale:BoardScale",
+    },
+)
+
+
+def summarise(
+    name: str,
+    ratios: NDArray[np.floating],
+    *,
+    weights: NDArray[np.floating] | None = None,
+    groups: NDArray[np.integer] | None = None,
+    note: str = "",
+) -> ScaleEstimate:
+    """Robust summary of single estimates of the scale.
+
+    The factor is the (weighted) median. The spread is the interquartile range relative to it. The
+    standard error is 1.2533 x 1.4826 x MAD / sqrt(n); with `groups` it is that of the medians per
+    group, because estimates from one image share their errors.
+
+    Args:
+        ratios: (N,) positive single estimates.
+        weights: (N,) for the median.
+        groups: (N,) ids.
+        note: what was measured.
+    """
+    r = np.asarray(ratios, dtype=np.float64)
+    factor = float(np.median(r)) if weights is None else weighted_median(r, weights)
+    q1, q3 = np.percentile(r, [25, 75])
+    single = r
+    if groups is not None:
+        single = np.array([np.median(r[groups == g]) for g in np.unique(groups)])
+    mad = float(np.median(np.abs(single - np.median(single))))
+    error = 1.2533 * 1.4826 * mad / np.sqrt(len(single))
+    return ScaleEstimate(
+        source=name,
+        factor=factor,
+        spread=float(q3 - q1) / factor,
+        standard_error=float(error) / factor,
+        count=len(r),
+        note=note,
+    )
+
+
+def weighted_median(values: NDArray[np.floating], weights: NDArray[np.floating]) -> float:
+    """The value at which half of the weight lies on either side."""
+    order = np.argsort(values, kind="stable")
+    total = np.cumsum(np.asarray(weights, dtype=np.float64)[order])
+    return float(np.asarray(values)[order][np.searchsorted(total, total[-1] / 2)])
+
+
+def check_source_name(scale: str) -> None:
+    """Refuse a `--scale` that names nothing; cheap, so that it can come before the mapping.
+
+    Raises:
+        ToolkitError: it is neither "auto" nor "none" nor a known source nor a plug-in's path.
+    """
+    if scale not in ("auto", "none", *SOURCES.names()) and ":" not in scale:
+        raise ToolkitError(
+            "no such scale source",
+            field="scale",
+            value=scale,
+            hint=f"one of auto, none, {', '.join(SOURCES.names())}",
+        )
+
+
+def resolve_scale(
+    context: ScaleContext, *, scale: str, max_disagreement: float
+) -> tuple[float, ScaleReport]:
+    """Factor from the model's unit to metres, and the report.
+
+    Args:
+        context: the reconstruction and the scene.
+        scale: "auto", "none" or the name of a source.
+        max_disagreement: largest relative difference between two sources in "auto".
+
+    Raises:
+        ToolkitError: a source that fails, or sources that contradict each other while none is
+            named.
+    """
+    if scale == "none":
+        return 1.0, ScaleReport(unit="unknown", chosen="none")
+    named = scale != "auto"
+    check_source_name(scale)
+    names = SOURCES.names() if scale in SOURCES.names() or not named else [*SOURCES.names(), scale]
+    estimates: dict[str, ScaleEstimate] = {}
+    for name in names:
+        source = SOURCES.get(name)()
+        if name != scale and not source.available(context):
+            continue
+        try:
+            estimates[name] = source.estimate(context)
+        except ToolkitError as error:
+            if name == scale or not named:
+                # A scene that has a source which cannot be used is a scene to look at, not one
+                # to go on with quietly.
+                raise ToolkitError(
+                    f"scale source {name!r}: {error}",
+                    hint=None if named else "mend it or name another source with --scale",
+                ) from error
+            logger.warning("scale source %s (not used): %s", name, error)
+    if not estimates:
+        logger.warning(
+            "nothing tells the metres of this scene: the unit of its poses is UNKNOWN and every "
+            "step that needs metres will refuse them; %s",
+            NO_SCALE_HINT,
+        )
+        return 1.0, ScaleReport(unit="unknown", chosen="none")
+    disagreement, worst = _disagreement(estimates)
+    if disagreement > max_disagreement and not named:
+        a, b = worst
+        raise ToolkitError(
+            f"scale sources differ by {100 * disagreement:.2f} % (limit "
+            f"{100 * max_disagreement:.2f} %): {_line(estimates[a])}; {_line(estimates[b])}",
+            hint=f"mend the wrong one or name the right one: --scale {a} or --scale {b}",
+        )
+    if disagreement > max_disagreement:
+        logger.warning(
+            "scale sources differ by %.2f %%; %s was named and is used", 100 * disagreement, scale
+        )
+    order = {name: i for i, name in enumerate(TRUST)}
+    chosen = scale if named else min(estimates, key=lambda n: order.get(n, len(order)))
+    report = ScaleReport(
+        unit="metre",
+        chosen=chosen,
+        estimates=list(estimates.values()),
+        disagreement=disagreement,
+    )
+    return estimates[chosen].factor, report
+
+
+def _disagreement(estimates: dict[str, ScaleEstimate]) -> tuple[float, tuple[str, str]]:
+    worst, pair = 0.0, ("", "")
+    for a, b in combinations(estimates, 2):
+        difference = abs(estimates[a].factor / estimates[b].factor - 1)
+        if difference > worst:
+            worst, pair = difference, (a, b)
+    return worst, pair
+
+
+def _line(estimate: ScaleEstimate) -> str:
+    return (
+        f"{estimate.source} {estimate.factor:.6g} (spread {100 * estimate.spread:.2f} %, "
+        f"{estimate.note})"
+    )
+
+
+class DepthScale:
+    """Median of sensor z-depth over the z-depth of reconstructed points."""
+
+    name = "depth"
+
+    def available(self, context: ScaleContext) -> bool:
+        return any(f.depth is not None for f in context.frames())
+
+    def estimate(self, context: ScaleContext) -> ScaleEstimate:
+        frames = [f for f in context.frames() if f.depth is not None]
+        # Spread over the recording; reading every depth image would cost more than it tells.
+        step = max(1, -(-len(frames) // MAX_FRAMES))
+        ratios, groups = [], []
+        for frame in frames[::step]:
+            depth = context.scene.read_depth(frame)
+            if depth is None:
+                continue
+            single = z_ratios(depth, context.observations(frame.id))
+            ratios.append(single)
+            groups.append(np.full(len(single), frame.id))
+        found = np.concatenate(ratios) if ratios else np.zeros(0)
+        if len(found) < MIN_RATIOS:
+            raise ToolkitError(
+                f"scale from depth needs {MIN_RATIOS} points with sensor depth",
+                value=len(found),
+                hint="is the depth aligned to colour? name another source with --scale",
+            )
+        return summarise(
+            self.name,
+            found,
+            groups=np.concatenate(groups),
+            note=f"z over z at {len(found)} points in {len(ratios)} frames; depth correction "
+            f"factor {context.scene.info.depth_correction:g} applied",
+        )
+
+
+def z_ratios(depth: NDArray[np.floating], seen: Observations) -> NDArray[np.float64]:
+    """Sensor z-depth over model z-depth at every point where both can be trusted.
+
+    Args:
+        depth: (H, W) z-depth in metres, 0 = none.
+        seen: what the image of this depth sees.
+
+    Returns:
+        (N,) metres per unit of the model.
+    """
+    p = seen.points_cam
+    uv = seen.camera.project(p)
+    h, w = depth.shape
+    good = (
+        np.isfinite(uv).all(axis=1)
+        & (seen.track_length >= MIN_TRACK_LENGTH)
+        & (np.linalg.norm(uv - seen.uv, axis=1) < MAX_REPROJECTION_PX)
+    )
+    good[good] &= (uv[good] >= 1).all(axis=1) & (uv[good] <= [w - 3, h - 3]).all(axis=1)
+    uv, z = uv[good], p[good, 2]
+    if len(z) == 0:
+        return np.zeros(0)
+    u0, v0 = np.floor(uv).astype(int).T
+    patch = np.stack(
+        [depth[v0 + dv, u0 + du] for dv in (-1, 0, 1, 2) for du in (-1, 0, 1, 2)], axis=1
+    ).astype(np.float64)
+    complete = (patch > 0).all(axis=1)
+    middle = patch[:, [5, 6, 9, 10]]
+    flat = np.ptp(patch, axis=1) < 3 * MAX_STEP * np.maximum(middle.mean(axis=1), 1e-9)
+    a, b = uv[:, 0] - u0, uv[:, 1] - v0
+    # Inverse depth is linear in the image on a plane, depth is not: interpolate the former.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = 1 / middle
+        measured = 1 / (
+            inverse[:, 0] * (1 - a) * (1 - b)
+            + inverse[:, 1] * a * (1 - b)
+            + inverse[:, 2] * (1 - a) * b
+            + inverse[:, 3] * a * b
+        )
+    near = (measured > MIN_DEPTH_M) & (measured < MAX_DEPTH_M)
+    keep = complete & flat & near & (z > 0)
+    return np.asarray(measured[keep] / z[keep], dtype=np.float64)

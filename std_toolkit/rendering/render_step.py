@@ -1,0 +1,142 @@
+"""`std-curate render`: ground truth for every labelled frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Literal
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import sweep_temporaries
+from std_toolkit.jobs import JobOptions, JobReport, run_jobs
+from std_toolkit.log import logger
+from std_toolkit.rendering.choose import DEFAULT_RENDERER, choose_renderer, find_gl
+from std_toolkit.rendering.frame import DEFAULT_DELTA_M, FrameJob, render_frame, resolve_policy
+from std_toolkit.rendering.ground_truth import FOLDER, Policy, info_path, map_paths
+from std_toolkit.rendering.occluders import OCCLUDER_FILE, FusionOptions, fuse_occluders
+from std_toolkit.rendering.placements import frame_placements, labelled_frames
+from std_toolkit.scene.document import digest_file, digest_of
+from std_toolkit.scene.scene import Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderOptions:
+    """How ground truth is rendered.
+
+    Attributes:
+        renderer: "pyrender", "raycast", or a plug-in's name. pyrender gives way to the ray caster
+            where no GL context can be made and for cameras with distortion.
+        policy: what occludes besides labelled objects; see `occlusion.py`. "auto" takes the best
+            that the scene's data allows.
+        delta_m: tolerance of the policies "sensor" and "fused", metres of distance.
+        fusion: how the geometry of the policy "fused" is made.
+        smooth_normals: interpolate vertex normals where edges are flatter than 40 degrees.
+        force: render again what is finished and fresh.
+    """
+
+    renderer: str = DEFAULT_RENDERER
+    policy: Literal["auto"] | Policy = "auto"
+    delta_m: float = DEFAULT_DELTA_M
+    fusion: FusionOptions = field(default_factory=FusionOptions)
+    smooth_normals: bool = True
+    force: bool = False
+
+    def __post_init__(self) -> None:
+        if self.policy not in ("auto", "models", "sensor", "fused"):
+            raise ToolkitError(
+                "unknown occlusion policy",
+                field="policy",
+                value=self.policy,
+                hint="one of auto, models, sensor, fused",
+            )
+        for name, value in (
+            ("delta_m", self.delta_m),
+            ("clearance_m", self.fusion.clearance_m),
+            ("voxel_m", self.fusion.voxel_m),
+        ):
+            if not 0 < value < 1:
+                raise ToolkitError("must lie between 0 and 1 m", field=name, value=value)
+
+
+def render_ground_truth(
+    scene: Scene,
+    options: RenderOptions | None = None,
+    *,
+    frames: Sequence[int] | None = None,
+    jobs: JobOptions | None = None,
+) -> JobReport[Literal["done", "kept"]]:
+    """Render z-depth, mask, NOCS, normals and visible fractions of every labelled frame.
+
+    Finished frames whose inputs did not change are kept; ground truth of frames that are labelled
+    no more is removed. The caller holds the scene's lock.
+
+    Args:
+        scene: with labels; camera poses where labels were propagated.
+        options: see `RenderOptions`.
+        frames: render these frame ids only, and remove nothing.
+        jobs: where the work runs.
+
+    Returns:
+        "done" or "kept" by frame id, and the frames that failed. One bad frame ends nothing.
+
+    Raises:
+        ToolkitError: nothing is labelled, a mesh cannot be read, or an option does not fit.
+    """
+    options = options or RenderOptions()
+    labelled = labelled_frames(scene)
+    if frames is not None:
+        strangers = sorted(set(frames) - set(labelled))
+        if strangers:
+            raise ToolkitError("frames without a labelled object", path=scene.root, value=strangers)
+    wanted = labelled if frames is None else sorted(set(frames))
+    cameras = {scene.camera(scene.frame(f)) for f in wanted}
+    policy = resolve_policy(scene, options.policy)
+    models = sorted(
+        {scene.objects.object(o).model for f in wanted for o in frame_placements(scene, f)}
+    )
+    for model in models:
+        scene.mesh(model)  # a bad mesh is one error here, not one per frame
+    sweep_temporaries(scene.root / FOLDER)
+    if frames is None:
+        _remove_stale(scene, set(labelled), policy)
+    meshes = tuple((m, digest_file(scene.mesh_path(scene.objects.model(m)))) for m in models)
+    renderer = choose_renderer(options.renderer, cameras=cameras)
+    same_machine = jobs is None or jobs.engine != "ray"
+    job = FrameJob(
+        root=str(scene.root),
+        state=_state(scene, meshes),
+        renderer=renderer,
+        policy=policy,
+        delta_m=options.delta_m,
+        smooth_normals=options.smooth_normals,
+        occluder=fuse_occluders(scene, options.fusion) if policy == "fused" else None,
+        gl=find_gl()[0] if renderer == "pyrender" and same_machine else None,
+    )
+    return run_jobs(
+        partial(render_frame, job=job, force=options.force), wanted, name="render", options=jobs
+    )
+
+
+def _state(scene: Scene, meshes: tuple[tuple[str, str], ...]) -> str:
+    """Digest of what a worker keeps in memory of a scene."""
+    names = ("scene.json", "frames.json", "objects.json", "poses.json", "labels.json")
+    paths = [scene.root / name for name in names]
+    return digest_of([digest_file(p) if p.is_file() else None for p in paths], meshes)
+
+
+def _remove_stale(scene: Scene, labelled: set[int], policy: Policy) -> None:
+    """Remove ground truth of frames that have none any more: nobody should export it."""
+    stale = [
+        int(p.stem)
+        for p in sorted((scene.root / FOLDER / "info").glob("*.json"))
+        if p.stem.isdigit() and int(p.stem) not in labelled
+    ]
+    for frame_id in stale:
+        info_path(scene.root, frame_id).unlink(missing_ok=True)
+        for path in map_paths(scene.root, frame_id).values():
+            path.unlink(missing_ok=True)
+    if stale:
+        logger.warning("removed ground truth of %d frames that lost their labels", len(stale))
+    if policy != "fused":
+        (scene.root / OCCLUDER_FILE).unlink(missing_ok=True)

@@ -1,0 +1,252 @@
+"""The renderer protocol: one mesh into one window of a camera's pixel grid; windows and rays.
+
+Everything else (which object is in front, masks, NOCS, normals, occlusion, visible fractions) is
+computed from that in float by the modules beside this one, so that two renderers differ in the
+depth and the triangle they report and in nothing else.
+
+Pixel centres lie at integer coordinates here; a renderer whose library puts them elsewhere
+corrects that inside itself.
+
+Where on the pixel grid an object can appear, and the rays through a window's pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+import numpy as np
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.plugins import Registry
+from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from std_toolkit.geometry.camera import Camera
+    from std_toolkit.geometry.se3 import SE3
+
+NEAR_M = 0.01
+
+
+"""Nothing closer to the camera plane than this is drawn."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """A rectangle of pixels `x .. x + width - 1`, `y .. y + height - 1`.
+
+    The numbers are those of the image's own grid and may lie outside the image.
+    """
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+    @property
+    def x1(self) -> int:
+        """First column right of the window."""
+        return self.x + self.width
+
+    @property
+    def y1(self) -> int:
+        """First row below the window."""
+        return self.y + self.height
+
+    def intersect(self, other: Window) -> Window | None:
+        """The common rectangle, or None."""
+        x, y = max(self.x, other.x), max(self.y, other.y)
+        x1, y1 = min(self.x1, other.x1), min(self.y1, other.y1)
+        return Window(x, y, x1 - x, y1 - y) if x1 > x and y1 > y else None
+
+    def slices_in(self, outer: Window) -> tuple[slice, slice]:
+        """Rows and columns of this window in an array that covers `outer`."""
+        return (
+            slice(self.y - outer.y, self.y1 - outer.y),
+            slice(self.x - outer.x, self.x1 - outer.x),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Raster:
+    """One mesh seen through one window.
+
+    Attributes:
+        depth: (h,w) float32 z-depth in metres, 0 where the mesh is not.
+        face: (h,w) int32 index of the triangle seen, -1 where the mesh is not.
+    """
+
+    depth: np.ndarray
+    face: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedMesh:
+    """A mesh at a pose in the camera frame (OpenCV axes, metres).
+
+    Attributes:
+        object_id: instance id, 1..254.
+        mesh: a trimesh in metres, or one already prepared.
+        T_cam_obj: maps mesh coordinates into the camera frame.
+    """
+
+    object_id: int
+    mesh: trimesh.Trimesh | RenderMesh
+    T_cam_obj: SE3
+
+    @property
+    def prepared(self) -> RenderMesh:
+        """The mesh ready for rendering (cached by content)."""
+        return prepare_mesh(self.mesh)
+
+
+@runtime_checkable
+class Renderer(Protocol):
+    """A renderer. Register one under the entry-point group `std_toolkit.renderers`.
+
+    Attributes:
+        name: what `--renderer` and the records call it.
+        handles_distortion: whether `draw` honours `camera.distortion`.
+    """
+
+    name: str
+    handles_distortion: bool
+
+    def draw(self, camera: Camera, mesh: RenderMesh, T_cam_obj: SE3, *, window: Window) -> Raster:
+        """Draw both sides of every triangle at pixel centres, without antialiasing.
+
+        Args:
+            camera: intrinsics; pixel centres at integer coordinates.
+            mesh: prepared mesh (its vertices are relative to `mesh.centre`).
+            T_cam_obj: maps mesh coordinates (not the centred ones) into the camera frame.
+            window: the pixels wanted; may reach beyond the image.
+        """
+        ...
+
+
+RENDERERS: Registry[Callable[[], Renderer]] = Registry(
+    "std_toolkit.renderers",
+    {
+        "pyrender": "std_toolkit.rendering.pyrender_renderer:PyrenderRenderer",
+        "raycast": "std_toolkit.rendering.raycast:RaycastRenderer",
+    },
+)
+
+
+def check_no_distortion(renderer_name: str, camera: Camera) -> None:
+    """Refuse a camera with distortion in a renderer that draws pinholes only."""
+    if camera.is_distorted:
+        raise ToolkitError(
+            f"renderer {renderer_name} draws pinhole cameras only",
+            field="distortion",
+            value=list(camera.distortion),
+            hint="use --renderer raycast, or undistort the recording",
+        )
+
+
+def image_window(camera: Camera) -> Window:
+    """The window that is the image."""
+    return Window(0, 0, camera.width, camera.height)
+
+
+def canvas_window(camera: Camera, canvas: int) -> Window:
+    """A canvas of `canvas` x `canvas` images with the image in its middle (odd number)."""
+    side = (canvas - 1) // 2
+    return Window(
+        -side * camera.width, -side * camera.height, canvas * camera.width, canvas * camera.height
+    )
+
+
+def camera_points(mesh: RenderMesh, T_cam_obj: SE3) -> np.ndarray:
+    """(K,3) hull points of the mesh in the camera frame."""
+    return mesh.hull @ T_cam_obj.R.T + (T_cam_obj.R @ mesh.centre + T_cam_obj.t)
+
+
+def depth_range(mesh: RenderMesh, T_cam_obj: SE3) -> tuple[float, float]:
+    """Smallest and largest z of the mesh in metres."""
+    z = camera_points(mesh, T_cam_obj)[:, 2]
+    return float(z.min()), float(z.max())
+
+
+def object_window(
+    camera: Camera, mesh: RenderMesh, T_cam_obj: SE3, *, canvas: int = 1
+) -> Window | None:
+    """Smallest window on the canvas that holds every pixel the mesh can cover, or None.
+
+    For a camera with distortion `canvas` must be 1 (a distortion model says nothing about the
+    world beyond the image it was fitted on).
+    """
+    bounds = _normalised_bounds(camera_points(mesh, T_cam_obj))
+    if bounds is None:
+        return None
+    x0, y0, x1, y1 = bounds
+    if camera.is_distorted:
+        return _distorted_window(camera, bounds)
+    u0, u1 = camera.fx * x0 + camera.cx, camera.fx * x1 + camera.cx
+    v0, v1 = camera.fy * y0 + camera.cy, camera.fy * y1 + camera.cy
+    outer = canvas_window(camera, canvas)
+    # A pixel's rounding more on each side keeps the silhouette's border inside the window.
+    u0, u1 = np.clip([u0 - 0.01, u1 + 0.01], outer.x - 2, outer.x1 + 2)
+    v0, v1 = np.clip([v0 - 0.01, v1 + 0.01], outer.y - 2, outer.y1 + 2)
+    left, top = int(np.ceil(u0)), int(np.ceil(v0))
+    width, height = int(np.floor(u1)) - left + 1, int(np.floor(v1)) - top + 1
+    if width <= 0 or height <= 0:
+        return None
+    return Window(left, top, width, height).intersect(outer)
+
+
+def _normalised_bounds(points: np.ndarray) -> tuple[float, float, float, float] | None:
+    """Bounding box of x/z, y/z; unbounded when the mesh reaches behind the camera."""
+    front = points[:, 2] > NEAR_M
+    if not front.any():
+        return None
+    if not front.all():
+        return (-np.inf, -np.inf, np.inf, np.inf)
+    x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
+    return float(x.min()), float(y.min()), float(x.max()), float(y.max())
+
+
+def _distorted_window(camera: Camera, bounds: tuple[float, float, float, float]) -> Window | None:
+    x, y = _distorted_grid(camera)
+    slack = 0.1 / min(camera.fx, camera.fy)
+    inside = (
+        (x >= bounds[0] - slack)
+        & (x <= bounds[2] + slack)
+        & (y >= bounds[1] - slack)
+        & (y <= bounds[3] + slack)
+    )
+    rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
+    if len(rows) == 0:
+        return None
+    return Window(
+        int(columns[0]),
+        int(rows[0]),
+        int(columns[-1] - columns[0]) + 1,
+        int(rows[-1] - rows[0]) + 1,
+    )
+
+
+def normalised_rays(camera: Camera, window: Window) -> tuple[np.ndarray, np.ndarray]:
+    """x/z and y/z of the rays through a window's pixel centres, float64.
+
+    Returns:
+        Arrays that broadcast to (h,w): (1,w) and (h,1) for a pinhole, (h,w) twice with distortion
+        (the window must then lie inside the image).
+    """
+    if camera.is_distorted:
+        rows, columns = window.slices_in(image_window(camera))
+        x, y = _distorted_grid(camera)
+        return x[rows, columns], y[rows, columns]
+    u = np.arange(window.x, window.x1, dtype=np.float64)
+    v = np.arange(window.y, window.y1, dtype=np.float64)
+    return ((u - camera.cx) / camera.fx)[None, :], ((v - camera.cy) / camera.fy)[:, None]
+
+
+@lru_cache(maxsize=8)
+def _distorted_grid(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    rays = camera.rays()
+    return np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1])
