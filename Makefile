@@ -5,11 +5,16 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO ?= build/demo
 
-.PHONY: help env demo test test-quick test-programs lint format perf schemas clean
+# How many tests run at a time.
+WORKERS ?= $(shell n=$$(nproc); echo $$((n < 4 ? n : 4)))
+PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
+
+.PHONY: help env demo test test-quick test-long test-random test-programs lint format perf schemas clean
 
 help:
 	@echo "make demo   record a synthetic scene, curate it, show the label error, exports, a leaderboard"
-	@echo "make test   all tests (make test-quick: without the slow ones)"
+	@echo "make test   all tests (make test-quick: without the slow ones; make test-long: long runs;"
+	@echo "            make test-random: in another order each time)"
 	@echo "make lint   ruff and mypy"
 	@echo "make perf   tables of timings and ratios"
 	@echo "make env    the environment in $(VENV) alone"
@@ -28,10 +33,17 @@ demo: env
 	@$(BIN)/std-report "$(DEMO)/benchmark"
 
 test: env test-programs
-	@$(BIN)/python -m pytest
+	@$(PYTEST)
 
 test-quick: env test-programs
-	@$(BIN)/python -m pytest -m "not slow"
+	@$(PYTEST) -m "not slow and not long"
+
+# What `make test` has in short.
+test-long: env test-programs
+	@$(PYTEST) -m long
+
+test-random: env test-programs
+	@$(PYTEST) -p randomly
 
 # Only tests need a virtual display and a browser.
 test-programs:

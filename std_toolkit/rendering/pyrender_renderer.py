@@ -178,6 +178,9 @@ class GlCanvas:
         w, h = (-(-n // 64) * 64 for n in (width, height))
         if not self._resizable:
             w, h = max(w, self._size[0]), max(h, self._size[1])
+        elif self._renderer is not None and self._is_lost():
+            self._forget_meshes()
+            self._renderer, self._size = None, (0, 0)
         if (w, h) == self._size:
             return
         if self._renderer is None:
@@ -186,11 +189,15 @@ class GlCanvas:
             self._renderer.viewport_width, self._renderer.viewport_height = w, h
             if not self._resizable:
                 self._renderer.delete()
-                self._nodes.clear()
-                for node in list(self._scene.mesh_nodes):
-                    self._scene.remove_node(node)
+                self._forget_meshes()
                 self._renderer = self._make_renderer(w, h)
         self._size = (w, h)
+
+    def _forget_meshes(self) -> None:
+        """Leave those of a context that is no more; they are uploaded again when drawn."""
+        self._nodes.clear()
+        for node in list(self._scene.mesh_nodes):
+            self._scene.remove_node(node)
 
     @staticmethod
     def _make_renderer(width: int, height: int) -> Any:
@@ -198,7 +205,20 @@ class GlCanvas:
 
         renderer = pyrender.OffscreenRenderer(width, height)
         renderer._renderer._program_cache = _own_shaders()
+        if os.environ["PYOPENGL_PLATFORM"] == "egl":
+            platform = renderer._platform
+            platform.delete_context = lambda: _leave_display(platform)
         return renderer
+
+    def _is_lost(self) -> bool:
+        """Whether someone else in this process, VTK perhaps, has ended the display of EGL."""
+        from OpenGL.error import GLError
+
+        try:
+            self._renderer._platform.make_current()
+        except GLError:
+            return True
+        return False
 
     def _node(self, mesh: RenderMesh, double_sided: bool) -> Any:
         key = (id(mesh), double_sided)
@@ -250,6 +270,18 @@ def _own_shaders() -> Any:
             return self._program_cache["own"]
 
     return Programs()
+
+
+def _leave_display(platform: Any) -> None:
+    """Destroy a context alone; pyrender would end the display for other canvases and VTK too."""
+    from OpenGL import EGL
+
+    if platform._egl_context is not None:
+        EGL.eglMakeCurrent(
+            platform._egl_display, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT
+        )
+        EGL.eglDestroyContext(platform._egl_display, platform._egl_context)
+    platform._egl_display = platform._egl_context = None
 
 
 def _complete_osmesa() -> None:
