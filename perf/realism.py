@@ -25,14 +25,22 @@ import scipy.io
 from numpy.typing import NDArray
 
 from sensors.materials import load_library
-from sensors.materials.library import MaterialClass
+from sensors.materials.material_library import MaterialClass
 from sensors.render import DRAFT_INFRARED
-from sensors.simulation.clear import WINDOW_PX, clear_of_steps
-from sensors.simulation.dataset import parts_cache
 from sensors.simulation.options import SimulationOptions
+from sensors.simulation.set_report import ErrorTally
+from sensors.simulation.simulated_set import parts_cache
 from sensors.simulation.simulator import Simulator
-from sensors.simulation.stats import ErrorTally
-from sensors.simulation.trial import VESSELS, TrialScene, TrialView, look, tiles, vessels
+from sensors.simulation.trial import (
+    VESSELS,
+    WINDOW_PX,
+    TrialScene,
+    TrialView,
+    measurable_pixels,
+    render_view,
+    tiles,
+    vessels,
+)
 from sensors.specs import load_sensor
 from sensors.stereo import disparity_to_depth, make_matcher
 from std_toolkit.geometry.camera import Camera
@@ -56,7 +64,7 @@ Tables = defaultdict[str, ErrorTally]
 
 
 def clear_of(exact: NDArray[np.floating], camera: Camera = CAMERA) -> NDArray[np.bool_]:
-    return clear_of_steps(exact, focal_px=camera.fx, baseline_m=SENSOR.baseline_m)
+    return measurable_pixels(exact, focal_px=camera.fx, baseline_m=SENSOR.baseline_m)
 
 
 def add(
@@ -78,7 +86,7 @@ def controlled(renderer: Any, seeds: int) -> tuple[Tables, Tables, list[TrialVie
     views = []
     for seed in range(seeds):
         board = tiles(CAMERA, seed)
-        view = look(board, SENSOR, CAMERA, renderer, options=DRAFT_INFRARED, seed=seed)
+        view = render_view(board, SENSOR, CAMERA, renderer, options=DRAFT_INFRARED, seed=seed)
         views.append(view)
         add(table, "diffuse tiles", view.depth, view.exact, view.exact > 0)
         clear = clear_of(view.exact)
@@ -98,7 +106,9 @@ def controlled(renderer: Any, seeds: int) -> tuple[Tables, Tables, list[TrialVie
     for start in range(0, len(things), IN_A_VIEW):
         chosen_now = [things[int(i)] for i in order[start : start + IN_A_VIEW]]
         trial = vessels(chosen_now, start)
-        view = look(trial, SENSOR, CAMERA, renderer, options=DRAFT_INFRARED, seed=100 + start)
+        view = render_view(
+            trial, SENSOR, CAMERA, renderer, options=DRAFT_INFRARED, seed=100 + start
+        )
         views.append(view)
         for i, (material_class, name, _) in enumerate(chosen_now):
             metal = families.get(name) == "metal"
@@ -123,7 +133,7 @@ def random_scenes(renderer: Any, scenes: int, views: int) -> Tables:
             eye = T_world_cam @ SENSOR.pose_of_color.inverse()
             trial = TrialScene(world.scene, eye, ())
             number = 100 * seed + index
-            view = look(trial, SENSOR, CAMERA, renderer, options=DRAFT_INFRARED, seed=number)
+            view = render_view(trial, SENSOR, CAMERA, renderer, options=DRAFT_INFRARED, seed=number)
             for name in ("raw", "diffuse", "specular", "transparent", "floor"):
                 ids = [0] if name == "floor" else [i for i, c in classes.items() if c == name]
                 where = np.isin(view.mask, ids) & (view.exact > 0)

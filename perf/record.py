@@ -20,12 +20,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sensors.record.document import Device, RecordingDocument, Session
-from sensors.record.frame_files import FileOptions, aligned_units
-from sensors.record.frames import CapturedFrame
+from sensors.record.frame_files import FileOptions, aligned_units, write_sensor_png
 from sensors.record.hints import HintMaker
-from sensors.record.png import write_sensor_png
-from sensors.record.writer import SceneWriter, WriterOptions
+from sensors.record.recording_document import CapturedFrame, Device, RecordingDocument, Session
+from sensors.record.scene_writer import SceneWriter, WriterOptions
 from sensors.specs import load_sensor
 from std_toolkit import __version__
 from std_toolkit.io.images import write_color

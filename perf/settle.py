@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from sensors.assets.procedural.library import CATEGORIES, make
-from sensors.assets.scales import draw_diagonal
+from sensors.assets.asset_source import draw_diagonal
+from sensors.assets.procedural.shape_library import CATEGORIES, make
 from sensors.physics import PhysicalObject, convex_parts, drift, settle
-from sensors.physics.world import World
+from sensors.physics.rigid_bodies import World
 from std_toolkit.errors import ToolkitError
 from std_toolkit.labels.support import PlacedObject, find_penetrations
 

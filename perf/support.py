@@ -19,7 +19,7 @@ import trimesh
 
 from sensors.synthetic.recording import UPRIGHT, RecordingOptions, make_recording
 from sensors.synthetic.shapes import default_shapes
-from sensors.synthetic.truth_scene import scene_from_truth
+from sensors.synthetic.truth import scene_from_truth
 from std_toolkit.geometry import SE3
 from std_toolkit.labels.support import (
     PlacedObject,

@@ -23,7 +23,7 @@ import trimesh
 
 from sensors.lighting import StudioSource, draw_floor, draw_lighting
 from sensors.materials import draw_material
-from sensors.materials.library import MaterialClass
+from sensors.materials.material_library import MaterialClass
 from sensors.pattern import DotPattern, make_pattern
 from sensors.render import (
     DRAFT_COLOR,

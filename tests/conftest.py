@@ -120,8 +120,8 @@ def tiny_dreds(made_once: MakeOnce) -> Path:
     for package in ("mitsuba", "mujoco", "coacd", "manifold3d", "numba"):
         if find_spec(package) is None:
             pytest.skip(f"the simulator's extra is not installed: no {package}")
-    from sensors.simulation.dataset import simulate_set
     from sensors.simulation.options import SimulationOptions
+    from sensors.simulation.simulated_set import simulate_set
     from std_toolkit.jobs import JobOptions
 
     options = SimulationOptions(

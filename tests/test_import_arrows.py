@@ -28,14 +28,6 @@ FORBIDDEN = {
     # All that the window and the browser share runs without either, and without a display.
     "annotator/*": (*SCREENS, *QT, *VTK, *WEB),
     "annotator/app": (*SCREENS, *QT, *VTK, *WEB, "annotator.compare"),
-    "annotator/frames": (
-        *SCREENS,
-        *QT,
-        *VTK,
-        *WEB,
-        "annotator.session",
-        "annotator.app",
-    ),
     "annotator/compare": (
         *SCREENS,
         *QT,

@@ -68,7 +68,7 @@ class FrameSet:
     @property
     def is_simulated(self) -> bool:
         """Whether `std-sim` makes it or has made it."""
-        from sensors.simulation.dataset import SET_FILE
+        from sensors.simulation.simulated_set import SET_FILE
 
         return self.options is not None or (self.root / SET_FILE).is_file()
 
@@ -82,7 +82,7 @@ class FrameSet:
     def missing(self) -> list[int]:
         """Scenes that are still to be simulated."""
         from sensors.output.dreds import scene_folder
-        from sensors.simulation.dataset import scene_name
+        from sensors.simulation.simulated_set import scene_name
 
         return [
             seed
@@ -176,8 +176,8 @@ def plan_set(
 
 def _alike(name: str, recipe: Recipe, base: FrameSet, out: Path) -> FrameSet:
     """A set with the scenes of the user's, by other options."""
-    from sensors.simulation.dataset import SET_FILE, SetRecord
     from sensors.simulation.options import SimulationOptions
+    from sensors.simulation.simulated_set import SET_FILE, SetRecord
     from std_toolkit.io.documents import read_document
 
     like, record = recipe.sets[name].like, base.root / SET_FILE
@@ -232,7 +232,7 @@ def simulate(frames: FrameSet, jobs: JobOptions) -> dict[str, str]:
 
 
 def _simulate_here(frames: FrameSet, jobs: JobOptions) -> dict[str, str]:
-    from sensors.simulation.dataset import simulate_set
+    from sensors.simulation.simulated_set import simulate_set
 
     assert frames.options is not None
     report = simulate_set(frames.root, frames.options, frames.seeds, split=frames.part, jobs=jobs)

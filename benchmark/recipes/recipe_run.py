@@ -114,7 +114,7 @@ def make_set(frames: FrameSet, jobs: JobOptions) -> dict[str, str]:
     Raises:
         ToolkitError: the folder holds another set, or the simulator cannot run.
     """
-    from sensors.simulation.dataset import SET_FILE, SetRecord
+    from sensors.simulation.simulated_set import SET_FILE, SetRecord
     from std_toolkit.io.documents import read_document
 
     record = frames.root / SET_FILE

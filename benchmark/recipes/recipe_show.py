@@ -35,7 +35,7 @@ _COLOR_BYTES = 2.0
 def simulation_s(options: SimulationOptions, scenes: int) -> float:
     """Processor seconds that scenes take where no shape is known from before: by pixels and light
     paths from what was measured at draft quality."""
-    from sensors.simulation.quality import quality_of
+    from sensors.simulation.options import quality_of
 
     quality = quality_of(options.quality)
     pixels = options.width * options.height / _MEASURED_PIXELS
@@ -49,7 +49,7 @@ def simulation_s(options: SimulationOptions, scenes: int) -> float:
 
 def simulation_bytes(options: SimulationOptions, frames: int) -> float:
     """Room on the disk that frames take."""
-    from sensors.simulation.dataset import BYTES_PER_PIXEL
+    from sensors.simulation.simulated_set import BYTES_PER_PIXEL
 
     larger = options.color_factor**2 - 1
     pixels = options.width * options.height

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from benchmark.metrics.grasp.grasp import Grasps
 from benchmark.metrics.grasp.gripper import PANDA, Gripper
-from sensors.physics.world import TIMESTEP_S, PhysicalObject, objects_on_floor
+from sensors.physics.rigid_bodies import TIMESTEP_S, PhysicalObject, objects_on_floor
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 

@@ -26,7 +26,7 @@ from std_toolkit.rendering.raycast import RaycastRenderer
 from std_toolkit.rendering.renderer import PlacedMesh, image_window
 
 if TYPE_CHECKING:
-    from sensors.simulation.world import World
+    from sensors.simulation.world_builder import World
 
 CameraKind = Literal["quick", "simulated"]
 
@@ -142,7 +142,7 @@ class TableCamera(Protocol):
 
 def camera_pose() -> SE3:
     """T_world_cam of the camera above the table."""
-    from sensors.viewpoints.look_at import look_at
+    from sensors.viewpoints.views import look_at
 
     return look_at(EYE, TARGET)
 
@@ -254,8 +254,8 @@ class Scenery:
 
     def world(self, objects: Sequence[TableObject], poses: Sequence[SE3], attempt: int) -> World:
         """What is still on the table, as the simulator takes it."""
-        from sensors.simulation.draw import ObjectDraw, SceneDraw
-        from sensors.simulation.world import build_world
+        from sensors.simulation.scene_draw import ObjectDraw, SceneDraw
+        from sensors.simulation.world_builder import build_world
 
         draw = SceneDraw(
             seed=int(np.random.default_rng([self.seed, 13, attempt]).integers(2**31)),
@@ -283,7 +283,7 @@ class Scenery:
     ) -> NDArray[np.uint8]:
         """(h, w, 3) path-traced colour, few paths, denoised."""
         from sensors.render import SIM_RENDERERS, denoise, develop
-        from sensors.simulation.quality import quality_of
+        from sensors.simulation.options import quality_of
 
         if self._renderer is None:
             self._renderer = SIM_RENDERERS.get("mitsuba")(threads=1)

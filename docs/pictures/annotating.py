@@ -20,8 +20,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sensors.output.recording_writer import Truth, read_truth
 from sensors.synthetic import RecordingOptions, make_recording
-from sensors.synthetic.recording import Truth, read_truth
 from std_toolkit.cli.main import main as curate
 from std_toolkit.geometry import SE3
 from std_toolkit.io.images import write_color

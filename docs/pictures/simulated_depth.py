@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.materials.library import MaterialClass
+from sensors.materials.material_library import MaterialClass
 from sensors.render import DRAFT_INFRARED
 from sensors.render.mitsuba_renderer import MitsubaRenderer
-from sensors.simulation.trial import TrialView, look, tiles, vessels
+from sensors.simulation.trial import TrialView, render_view, tiles, vessels
 from sensors.specs import load_sensor
 from std_toolkit.io.images import write_color
 
@@ -37,7 +37,7 @@ def main() -> None:
     renderer = MitsubaRenderer()
     rows = []
     for trial, largest_m in ((tiles(camera, 1), 0.005), (vessels(VESSELS, 3), 0.02)):
-        view = look(trial, sensor, camera, renderer, options=DRAFT_INFRARED, seed=1)
+        view = render_view(trial, sensor, camera, renderer, options=DRAFT_INFRARED, seed=1)
         rows.append(_row(view, largest_m))
     gap = np.full((GAP, rows[0].shape[1], 3), 255, np.uint8)
     picture = np.concatenate([rows[0], gap, rows[1]])

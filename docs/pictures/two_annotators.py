@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from annotator.cli import main
+from sensors.output.recording_writer import Truth
 from sensors.synthetic import RecordingOptions, make_recording
-from sensors.synthetic.recording import Truth
-from sensors.synthetic.truth_scene import scene_from_truth
+from sensors.synthetic.truth import scene_from_truth
 from std_toolkit.geometry import SE3, so3_exp
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.labels.label import set_pose

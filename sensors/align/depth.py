@@ -1,4 +1,10 @@
-"""A depth image as another camera beside it would have measured it."""
+"""Depth of one camera as another one sees it: every depth pixel drawn as a small patch.
+
+The patches of surface behind the pixels of a depth image, drawn into another camera's, compiled.
+
+One pass over the pixels: at 1280x720 about 20 ms of one core, so that a recording's writers keep up
+with the camera.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +13,20 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.align.splat import splat
+from sensors.compiled import compiled
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, largest_radius2
 from std_toolkit.geometry.se3 import SE3
 
 Array = NDArray[np.float64]
+
 # Neighbours whose depths differ by less are one surface: a wall seen at 80 degrees from its normal
 # steps by 1.3 % from pixel to pixel at 640x360.
 SURFACE_STEP = 0.02
+
+# Cameras that are turned against each other see rows of patches as slightly slanted: patches
+# overlap by as much, in pixels, for no centre to fall between.
+OVERLAP_PX = 0.02
 
 
 def align_depth(
@@ -90,3 +101,97 @@ def _lens(camera: Camera) -> Array:
     reach = largest_radius2(camera.distortion) if camera.is_distorted else np.inf
     bent = float(camera.is_distorted)
     return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *k, reach, bent])
+
+
+@compiled
+def splat(depth, rays, R, t, lens, surface_step, out):  # type: ignore[no-untyped-def]
+    """Draw every depth pixel's patch into `out`; of several at a pixel the nearest stays.
+
+    A patch reaches to the middles of the edges to its four neighbours: midway in 1/z, which is
+    linear over the image of a plane, where they are one surface; else at the pixel's own depth.
+
+    Args:
+        depth: (H, W) float64 metres, 0 = none.
+        rays: six arrays, x and y at z = 1 behind the left edges of the pixels and the last column's
+            right ones, (H, W + 1); likewise behind the upper edges and the last row's lower ones,
+            (H + 1, W); and behind the pixel centres, (H, W).
+        R, t: (3, 3), (3,) into the other camera.
+        lens: (14,) fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6, largest squared radius that the
+            distortion reaches, and 1 if there is any distortion.
+        surface_step: neighbours whose depths differ by a smaller share are one surface.
+        out: (H', W') float32, changed in place; infinite where nothing is.
+    """
+    across_x, across_y, down_x, down_y, centre_x, centre_y = rays
+    rows, columns = depth.shape
+    height, width = out.shape
+    # Two pixels of one surface share the edge between them: it is projected once.
+    above = np.empty(columns)
+    for v in range(rows):
+        beside = 0.0
+        for u in range(columns):
+            z = depth[v, u]
+            if z <= 0:
+                continue
+            x, y = centre_x[v, u], centre_y[v, u]
+            middle = (R[2, 0] * x + R[2, 1] * y + R[2, 2]) * z + t[2]
+            if u > 0 and _joined(z, depth[v, u - 1], surface_step):
+                a = beside
+            else:
+                a, _ = _pixel(across_x[v, u], across_y[v, u], z, R, t, lens)
+            if v > 0 and _joined(z, depth[v - 1, u], surface_step):
+                c = above[u]
+            else:
+                _, c = _pixel(down_x[v, u], down_y[v, u], z, R, t, lens)
+            right = _edge(z, depth[v, u + 1] if u + 1 < columns else 0.0, surface_step)
+            lower = _edge(z, depth[v + 1, u] if v + 1 < rows else 0.0, surface_step)
+            b, _ = _pixel(across_x[v, u + 1], across_y[v, u + 1], right, R, t, lens)
+            _, d = _pixel(down_x[v + 1, u], down_y[v + 1, u], lower, R, t, lens)
+            beside, above[u] = b, d
+            # Behind the other camera, or beyond the reach of the distortion's polynomial.
+            if not (middle > 0 and np.isfinite(a + b + c + d)):
+                continue
+            x0 = int(np.ceil(max(min(a, b) - OVERLAP_PX, 0.0)))
+            x1 = int(np.floor(min(max(a, b) + OVERLAP_PX, width - 1.0)))
+            y0 = int(np.ceil(max(min(c, d) - OVERLAP_PX, 0.0)))
+            y1 = int(np.floor(min(max(c, d) + OVERLAP_PX, height - 1.0)))
+            near = np.float32(middle)
+            for j in range(y0, y1 + 1):
+                for i in range(x0, x1 + 1):
+                    if near < out[j, i]:
+                        out[j, i] = near
+
+
+@compiled
+def _joined(z, beside, surface_step):  # type: ignore[no-untyped-def]
+    """Whether neighbours of these depths are one surface."""
+    return beside > 0 and abs(beside - z) < surface_step * min(z, beside)
+
+
+@compiled
+def _edge(z, beside, surface_step):  # type: ignore[no-untyped-def]
+    """Depth at the edge between a pixel of depth `z` and its neighbour of depth `beside`."""
+    if _joined(z, beside, surface_step):
+        return 2 * z * beside / (z + beside)
+    return z
+
+
+@compiled
+def _pixel(x, y, z, R, t, lens):  # type: ignore[no-untyped-def]
+    """Pixel in the other camera of the point z * (x, y, 1); NaN where there is none."""
+    X = (R[0, 0] * x + R[0, 1] * y + R[0, 2]) * z + t[0]
+    Y = (R[1, 0] * x + R[1, 1] * y + R[1, 2]) * z + t[1]
+    Z = (R[2, 0] * x + R[2, 1] * y + R[2, 2]) * z + t[2]
+    if Z <= 0:
+        return np.nan, np.nan
+    inverse = 1.0 / Z
+    x, y = X * inverse, Y * inverse
+    if lens[13] != 0:
+        r2 = x * x + y * y
+        if not r2 < lens[12]:
+            return np.nan, np.nan
+        top = 1 + r2 * (lens[4] + r2 * (lens[5] + r2 * lens[8]))
+        radial = top / (1 + r2 * (lens[9] + r2 * (lens[10] + r2 * lens[11])))
+        bent_x = x * radial + 2 * lens[6] * x * y + lens[7] * (r2 + 2 * x * x)
+        bent_y = y * radial + lens[6] * (r2 + 2 * y * y) + 2 * lens[7] * x * y
+        x, y = bent_x, bent_y
+    return lens[0] * x + lens[2], lens[1] * y + lens[3]

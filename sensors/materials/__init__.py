@@ -1,14 +1,16 @@
 """Materials of the simulator: a library of ranges, draws from it, and procedural textures."""
 
-from sensors.materials.choice import ClassChoice, draw_material_class, load_class_choice
-from sensors.materials.draw import (
+from sensors.materials.material_draw import (
+    ClassChoice,
     DrawnMaterial,
     DrawnTexture,
     Glass,
     decode_material,
     draw_material,
+    draw_material_class,
+    load_class_choice,
 )
-from sensors.materials.library import (
+from sensors.materials.material_library import (
     MATERIAL_CLASSES,
     MaterialClass,
     MaterialLibrary,

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.materials.draw import DrawnTexture
-from sensors.materials.library import TextureKind
+from sensors.materials.material_draw import DrawnTexture
+from sensors.materials.material_library import TextureKind
 
 Field = NDArray[np.float32]
 SIZE = 256

@@ -5,9 +5,9 @@ when all of them were added and the block ends without an error.
 """
 
 from sensors.output.dreds import DredsWriter, dreds_scene, read_record
-from sensors.output.frame import SimulatedFrame, SimulatedObject, SimulatedScene
-from sensors.output.record import SceneRecord
-from sensors.output.recording import RecordingWriter, simulated_recording
+from sensors.output.recording_writer import RecordingWriter, simulated_recording
+from sensors.output.scene_record import SceneRecord
+from sensors.output.simulated_frame import SimulatedFrame, SimulatedObject, SimulatedScene
 from sensors.output.toolkit_scene import ToolkitSceneWriter, read_simulation, toolkit_scene
 
 __all__ = [

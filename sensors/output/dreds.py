@@ -26,9 +26,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.output.frame import Image8, Map, SimulatedFrame, SimulatedObject, SimulatedScene
-from sensors.output.intake import Intake
-from sensors.output.record import SceneRecord, scene_record
+from sensors.output.scene_record import ReceivedFrames, SceneRecord, scene_record
+from sensors.output.simulated_frame import (
+    Image8,
+    Map,
+    SimulatedFrame,
+    SimulatedObject,
+    SimulatedScene,
+)
 from sensors.output.staging import staged_folder
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters.mesh_export import obj_files, write_files
@@ -76,9 +81,9 @@ MOST_FRAMES = 10_000
 class DredsWriter:
     """Writes the frames of one scene; see `dreds_scene`."""
 
-    def __init__(self, folder: Path, intake: Intake) -> None:
+    def __init__(self, folder: Path, received: ReceivedFrames) -> None:
         self._folder = folder
-        self._intake = intake
+        self._received = received
 
     def add(self, frame: SimulatedFrame) -> None:
         """Write the nine files of a frame. Frames may come in any order.
@@ -86,7 +91,7 @@ class DredsWriter:
         Raises:
             ToolkitError: the frame does not belong to the scene, or the disk is full.
         """
-        self._intake.accept(frame)
+        self._received.accept(frame)
         if frame.color_camera.is_distorted:
             raise ToolkitError("the layout knows pinhole cameras only", field="color_camera")
         base = self._folder / f"{frame.index:04d}"
@@ -103,7 +108,7 @@ class DredsWriter:
         _write_equal(path("_mask.exr"), mask_values(frame.mask))
         write_png(path("_coord.png"), nocs_picture(frame.nocs, frame.mask))
         _write_channels(path("_normal.exr"), frame.normals)
-        meta = meta_text(self._intake.scene, frame)
+        meta = meta_text(self._received.scene, frame)
         write_bytes_atomic(path("_meta.txt"), meta.encode("ascii"))
 
 
@@ -130,16 +135,16 @@ def dreds_scene(out: Path, scene: SimulatedScene, *, split: Split) -> Iterator[D
     ):
         if count > most:
             raise ToolkitError(f"the DREDS layout holds at most {most} {what}", value=count)
-    intake = Intake(scene)
+    received = ReceivedFrames(scene)
     target = scene_folder(out, split, scene.name)
     record = record_path(out, split, scene.name)
     try:
         with staged_folder(out, target.relative_to(out).as_posix()) as folder:
-            yield DredsWriter(folder, intake)
-            intake.require_all()
+            yield DredsWriter(folder, received)
+            received.require_all()
             for item in scene.objects:
                 _write_model(out, f"cad_model/{_CAD_FOLDERS[split]}/{_cad_name(item)}", item)
-            write_document(record, scene_record(intake))
+            write_document(record, scene_record(received))
     except BaseException:
         if not target.exists():
             record.unlink(missing_ok=True)

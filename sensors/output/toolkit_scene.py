@@ -4,24 +4,28 @@ Colour of another size than the label maps is brought to theirs; the scene's cam
 sensor's depth is the frames' depth, aligned to colour; the exact depth of everything, table and
 floor included, lies in `reference/depth`, that of the objects with their other maps in `gt`. The
 stereo pair lies in `infrared/left` and `infrared/right`; its cameras and poses are in the record.
+
+Simulated objects as models of a toolkit scene: at their real size, with names.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
-from sensors.output.frame import Image8, SimulatedFrame, SimulatedScene
-from sensors.output.intake import Intake
-from sensors.output.models import MetricObject, metric_objects
-from sensors.output.record import SceneRecord, scene_record
+from sensors.output.scene_record import ReceivedFrames, SceneRecord, scene_record
+from sensors.output.simulated_frame import Image8, SimulatedFrame, SimulatedObject, SimulatedScene
 from std_toolkit import __version__
-from std_toolkit.importers.foreign_files import write_mesh
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry.symmetry import Symmetry
+from std_toolkit.importers.foreign_files import mesh_suffix, model_of_mesh, write_mesh
 from std_toolkit.io.atomic import new_folder
 from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.io.exr import write_exr
@@ -32,22 +36,27 @@ from std_toolkit.rendering.maps import mask_box, object_silhouette
 from std_toolkit.rendering.mesh import RenderMesh
 from std_toolkit.rendering.placements import frame_inputs
 from std_toolkit.rendering.raycast import RaycastRenderer
-from std_toolkit.scene.document import digest_file, digest_of
+from std_toolkit.scene.document import digest_file, digest_of, safe_name
 from std_toolkit.scene.model import (
     CameraModel,
     CameraPoses,
+    ContinuousSymmetry,
     Frame,
     FramePose,
     Frames,
     Label,
     Labels,
+    Model,
     Object,
     ObjectTable,
     SceneInfo,
+    SymmetryModel,
 )
 from std_toolkit.scene.scene import Scene
 
 if TYPE_CHECKING:
+    import trimesh
+
     from std_toolkit.geometry.se3 import SE3
 
 SOURCE = "simulated"
@@ -56,10 +65,10 @@ SOURCE = "simulated"
 class ToolkitSceneWriter:
     """Writes the frames of one scene; see `toolkit_scene`."""
 
-    def __init__(self, folder: Path, intake: Intake) -> None:
+    def __init__(self, folder: Path, received: ReceivedFrames) -> None:
         self._folder = folder
-        self._intake = intake
-        self._objects = metric_objects(intake.scene)
+        self._received = received
+        self._objects = metric_objects(received.scene)
         self._renderer = RaycastRenderer()
         self._prepared = {
             o.item.instance_id: RenderMesh.from_arrays(o.mesh.vertices, o.mesh.faces)
@@ -73,7 +82,7 @@ class ToolkitSceneWriter:
         Raises:
             ToolkitError: the frame does not belong to the scene, or the disk is full.
         """
-        self._intake.accept(frame)
+        self._received.accept(frame)
         folder, name = self._folder, frame_name(frame.index)
         write_color(folder / f"color/{name}.png", label_color(frame))
         write_exr(folder / f"depth/{name}.exr", {"Y": frame.depth_aligned}, compression="zip")
@@ -99,13 +108,13 @@ class ToolkitSceneWriter:
         Raises:
             ToolkitError: frames are missing.
         """
-        self._intake.require_all()
-        scene, folder = self._intake.scene, self._folder
-        for thing in self._objects:
-            write_mesh(folder / thing.model.mesh, thing.mesh)
+        self._received.require_all()
+        scene, folder = self._received.scene, self._folder
+        for obj in self._objects:
+            write_mesh(folder / obj.model.mesh, obj.mesh)
         info = SceneInfo(
             name=scene.name,
-            cameras={"color": CameraModel.of(self._intake.label_camera)},
+            cameras={"color": CameraModel.of(self._received.label_camera)},
             source=f"{SOURCE}:{scene.sensor}",
         )
         names = [(i, frame_name(i)) for i in range(scene.frames)]
@@ -126,24 +135,24 @@ class ToolkitSceneWriter:
                 notes=["exact poses of the simulation, in metres"],
             )
         )
-        labels = [label for thing in self._objects if (label := self._label(thing)) is not None]
+        labels = [label for obj in self._objects if (label := self._label(obj)) is not None]
         written.save_labels(Labels(labels=labels))
         for frame, rows in sorted(self._rows.items()):
             self._write_info(written, frame, rows)
-        write_document(record_path(folder), scene_record(self._intake))
+        write_document(record_path(folder), scene_record(self._received))
 
     def _T_world_cam(self, frame: int) -> SE3:
-        return self._intake.poses[frame][0]
+        return self._received.poses[frame][0]
 
     def _truth_rows(self, frame: SimulatedFrame) -> list[ObjectTruth]:
         T_cam_world = frame.T_world_cam.inverse()
         camera = frame.label_camera
         rows = []
-        for thing in self._objects:
-            key = thing.item.instance_id
+        for obj in self._objects:
+            key = obj.item.instance_id
             if key in frame.hidden:
                 continue
-            T_cam_obj = T_cam_world @ thing.item.T_world_obj
+            T_cam_obj = T_cam_world @ obj.item.T_world_obj
             alone = object_silhouette(
                 self._renderer, camera, self._prepared[key], T_cam_obj, canvas=3
             )
@@ -165,22 +174,24 @@ class ToolkitSceneWriter:
             )
         return rows
 
-    def _label(self, thing: MetricObject) -> Label | None:
+    def _label(self, obj: MetricObject) -> Label | None:
         """The exact pose; one per view where the object was left out of some views."""
-        key = thing.item.instance_id
-        shown = [i for i in range(self._intake.scene.frames) if key not in self._intake.hidden[i]]
-        if not shown:
+        key = obj.item.instance_id
+        visible = [
+            i for i in range(self._received.scene.frames) if key not in self._received.hidden[i]
+        ]
+        if not visible:
             return None
-        everywhere = len(shown) == self._intake.scene.frames
-        poses = {i: (self._T_world_cam(i).inverse() @ thing.item.T_world_obj).flat() for i in shown}
+        everywhere = len(visible) == self._received.scene.frames
+        poses = {i: (self._T_world_cam(i).inverse() @ obj.item.T_world_obj).flat() for i in visible}
         return Label(
             object=key,
-            frame=shown[0],
-            T_cam_obj=poses[shown[0]],
+            frame=visible[0],
+            T_cam_obj=poses[visible[0]],
             # A pose in the world would put it into the views that it was left out of.
-            T_world_obj=thing.item.T_world_obj.flat() if everywhere else None,
+            T_world_obj=obj.item.T_world_obj.flat() if everywhere else None,
             method=SOURCE,
-            views={} if everywhere else {str(i): poses[i] for i in shown[1:]},
+            views={} if everywhere else {str(i): poses[i] for i in visible[1:]},
         )
 
     def _write_info(self, scene: Scene, frame: int, rows: list[ObjectTruth]) -> None:
@@ -217,7 +228,7 @@ def toolkit_scene(out: Path, scene: SimulatedScene) -> Iterator[ToolkitSceneWrit
         ToolkitError: something is at `out` already, or not every frame was written.
     """
     with new_folder(out) as folder:
-        writer = ToolkitSceneWriter(folder, Intake(scene))
+        writer = ToolkitSceneWriter(folder, ReceivedFrames(scene))
         yield writer
         writer.finish()
 
@@ -260,5 +271,57 @@ def _object_table(things: list[MetricObject]) -> ObjectTable:
                 material=t.item.material_class,
             )
             for t in things
+        ],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class MetricObject:
+    """An object as a scene or a recording holds it.
+
+    Attributes:
+        name: unique in the scene: its category and its instance id.
+        model: row of the model table.
+        mesh: vertices in metres; the poses of the simulated object hold for it.
+    """
+
+    item: SimulatedObject
+    name: str
+    model: Model
+    mesh: trimesh.Trimesh
+
+
+def metric_objects(scene: SimulatedScene) -> list[MetricObject]:
+    """Every object with a model of its own size; two sizes of one asset are two models."""
+    uses = Counter(o.asset_id for o in scene.objects)
+    found = []
+    for item in scene.objects:
+        model_id = item.asset_id
+        if uses[item.asset_id] > 1:
+            model_id = safe_name(f"{item.instance_id}_{item.asset_id}")
+        mesh = item.mesh.copy()
+        mesh.apply_scale(item.scale_m)
+        model = model_of_mesh(
+            mesh,
+            model_id=model_id,
+            category=item.category,
+            symmetry=metric_symmetry(item.symmetry, item.scale_m),
+            class_id=item.class_id,
+            suffix=mesh_suffix(mesh),
+        )
+        found.append(
+            MetricObject(item, safe_name(f"{item.category}_{item.instance_id}"), model, mesh)
+        )
+    return found
+
+
+def metric_symmetry(symmetry: Symmetry, scale_m: float) -> SymmetryModel:
+    """Symmetries of the canonical mesh, of the mesh at a size in metres."""
+    discrete = [SE3.from_matrix(T) for T in symmetry.discrete]
+    return SymmetryModel(
+        discrete=[SE3(T.R, scale_m * T.t).flat() for T in discrete],
+        continuous=[
+            ContinuousSymmetry(axis=list(axis), offset=(scale_m * np.asarray(offset)).tolist())
+            for axis, offset in symmetry.continuous
         ],
     )

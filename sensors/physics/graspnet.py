@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.assets.asset import Asset
-from sensors.assets.meshfile import read_asset
-from sensors.physics.parts import convex_parts
-from sensors.physics.world import PhysicalObject, settle_from
+from sensors.assets.mesh_file import read_asset
+from sensors.physics.convex import convex_parts
+from sensors.physics.rigid_bodies import PhysicalObject, settle_from
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import load_mesh, nocs_frame
 from std_toolkit.geometry.se3 import SE3

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.physics.world import PhysicalObject, World, come_to_rest
+from sensors.physics.rigid_bodies import PhysicalObject, World, come_to_rest
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3, so3_exp
 from std_toolkit.log import logger

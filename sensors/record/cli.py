@@ -15,12 +15,11 @@ from std_toolkit.cli.command_line import exit_status
 from std_toolkit.log import log_to_stderr
 
 if TYPE_CHECKING:
-    from sensors.record.document import Session
-    from sensors.record.frames import CapturedFrame
-    from sensors.record.session import Progress, SessionOptions
-    from sensors.record.settings import CameraSettings
-    from sensors.record.source import DeviceSource
-    from sensors.record.stream_choice import Stream
+    from sensors.record.camera_settings import CameraSettings
+    from sensors.record.device_source import DeviceSource
+    from sensors.record.realsense import Stream
+    from sensors.record.recording_document import CapturedFrame, Session
+    from sensors.record.recording_session import Progress, SessionOptions
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -163,10 +162,15 @@ def _run(args: argparse.Namespace, devices: Sequence[Any] | None) -> int:
         return _list(devices)
     if args.recover:
         return _recover(args.scene)
-    from sensors.record.realsense import choose, connected
-    from sensors.record.source import DeviceSource, open_file
-    from sensors.record.stream_choice import StreamWishes, recorded_streams, wished_streams
-    from sensors.record.terminal import stopped_by_signal
+    from sensors.record.device_source import DeviceSource, open_file
+    from sensors.record.live_view import stopped_by_signal
+    from sensors.record.realsense import (
+        StreamRequest,
+        choose,
+        connected,
+        recorded_streams,
+        requested_streams,
+    )
     from std_toolkit.errors import ToolkitError
     from std_toolkit.io.atomic import check_vacant
 
@@ -186,8 +190,8 @@ def _run(args: argparse.Namespace, devices: Sequence[Any] | None) -> int:
             streams = recorded_streams(device, args.file, infrared=args.infrared)
         else:
             device = choose(connected() if devices is None else devices, args.serial)
-            wishes = StreamWishes(args.color, args.depth, args.fps, args.infrared)
-            streams = wished_streams(device, wishes)
+            request = StreamRequest(args.color, args.depth, args.fps, args.infrared)
+            streams = requested_streams(device, request)
         with DeviceSource(
             device,
             streams,
@@ -206,10 +210,9 @@ def _record(
     source: DeviceSource,
     streams: dict[str, Stream],
 ) -> Session:
-    from sensors.record.preview_page import PreviewPage
-    from sensors.record.session import record
-    from sensors.record.settings import apply_settings, lock
-    from sensors.record.terminal import StatusLine, enter_pressed
+    from sensors.record.camera_settings import apply_settings, lock
+    from sensors.record.live_view import PreviewPage, StatusLine, enter_pressed
+    from sensors.record.recording_session import record
     from std_toolkit.errors import ToolkitError
 
     settings = _settings(args)
@@ -236,7 +239,7 @@ def _record(
             status.show(progress.line())
             if args.preview is None and page is None:
                 return
-            from sensors.record.preview import encoded, preview_picture, write_preview
+            from sensors.record.live_view import encoded, preview_picture, write_preview
 
             head = progress.line().split("  ")[0]
             unit = source.calibration.depth_unit_m
@@ -261,8 +264,8 @@ def _record(
 
 def _session_options(args: argparse.Namespace) -> SessionOptions:
     from sensors.record.frame_files import FileOptions
-    from sensors.record.session import SessionOptions
-    from sensors.record.writer import WriterOptions
+    from sensors.record.recording_session import SessionOptions
+    from sensors.record.scene_writer import WriterOptions
     from std_toolkit.scene.document import check_name
 
     name = args.name or args.scene.absolute().name
@@ -288,7 +291,7 @@ def _session_options(args: argparse.Namespace) -> SessionOptions:
 
 
 def _settings(args: argparse.Namespace) -> CameraSettings:
-    from sensors.record.settings import CameraSettings
+    from sensors.record.camera_settings import CameraSettings
 
     return CameraSettings(
         exposure=args.exposure,
@@ -330,7 +333,7 @@ def _list(devices: Sequence[Any] | None) -> int:
 
 
 def _recover(root: Path) -> int:
-    from sensors.record.rows import recovered
+    from sensors.record.frame_table import recovered
     from std_toolkit.io.atomic import scene_lock
     from std_toolkit.scene.scene import Scene
 

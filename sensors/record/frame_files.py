@@ -1,4 +1,12 @@
-"""The files of one recorded frame."""
+"""The files of one recorded frame.
+
+PNG fast enough for a camera.
+
+Run lengths and Huffman codes after the average filter take a half to a third of the time of the
+usual search for repetitions, and images of sensors, whose noise does not repeat, become 10 to 20 %
+smaller by it. At 1280x720: colour 23 ms instead of 56, depth 16 instead of 26, infrared 8 instead
+of 18 (`perf/record.py`).
+"""
 
 from __future__ import annotations
 
@@ -6,15 +14,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from sensors.align import align_depth
-from sensors.record.frames import Calibration, CapturedFrame, Units
-from sensors.record.png import write_sensor_png
+from sensors.record.recording_document import Calibration, CapturedFrame, Units
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.images import write_color
 from std_toolkit.scene.model import Frame
 
 ColorFormat = Literal["jpg", "png"]
+
 _LARGEST_UNITS = 65535
 
 
@@ -80,3 +92,21 @@ def aligned_units(frame: CapturedFrame, calibration: Calibration) -> Units:
     units = np.rint(metres / np.float32(unit))
     units[units > _LARGEST_UNITS] = 0  # by the step between the cameras beyond what 16 bits hold
     return units.astype(np.uint16)
+
+
+def write_sensor_png(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+    """Write (H, W) or RGB (H, W, 3) atomically.
+
+    Raises:
+        ToolkitError: it cannot be written.
+    """
+    pixels = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    parameters = [
+        cv2.IMWRITE_PNG_COMPRESSION, 1,
+        cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE,
+        cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_AVG,
+    ]  # fmt: skip
+    done, data = cv2.imencode(".png", pixels, parameters)
+    if not done:
+        raise ToolkitError("cannot encode the image", path=path)
+    write_bytes_atomic(path, data.data)

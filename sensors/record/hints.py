@@ -1,4 +1,13 @@
-"""What to do better while recording, told from single images and from one to the next."""
+"""What to do better while recording, told from single images and from one to the next.
+
+How much a moving camera has seen, told from images alone.
+
+No camera poses are known while recording. What can be told honestly is how much of an image is
+still in a later one: corners are followed from image to image, and those that were in the last view
+that counted and still are, over those that it had, are the overlap with it. When the overlap falls
+below a limit, the present image counts as another view. Views are not compared with all earlier
+ones: a camera that comes back counts again.
+"""
 
 from __future__ import annotations
 
@@ -7,20 +16,41 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from sensors.record.frames import CapturedFrame, Image8
-from sensors.record.view_change import ViewChange
+from sensors.record.recording_document import CapturedFrame, Image8
 
 # Images are looked at in this width: a few milliseconds each.
 WIDTH = 320
+
 _BLACK, _WHITE = 8, 250
+
 _CLIPPED = 0.10
+
 # Sharpness below this share of the running median is blur.
 _BLURRED = 0.5
+
 _REMEMBERED = 60
+
 # Motion during the exposure, in pixels of the full image, that costs features.
 _SMEAR_PX = 2.0
+
 _LITTLE_DEPTH = 0.5
+
+Grey = NDArray[np.uint8]
+
+# Structure from motion wants each point in several images: views share about two thirds.
+_NEW_VIEW = 0.65
+
+# Fewer of the corners than this found again from one look to the next: the images lost touch.
+_LOST = 0.25
+
+_CORNERS = 200
+
+_FEWEST = 20
+
+# A corner that is not where it was after being followed forth and back is a wrong match.
+_ROUND_TRIP_PX = 1.0
 
 
 @dataclass(frozen=True)
@@ -127,3 +157,95 @@ def exposure_shares(image: Image8) -> tuple[float, float]:
 def sharpness(grey: Image8) -> float:
     """Variance of the Laplacian, of an 8-bit image."""
     return float(np.var(cv2.Laplacian(grey, cv2.CV_32F)))
+
+
+@dataclass(frozen=True)
+class Change:
+    """What an image adds.
+
+    Attributes:
+        shift_px: median motion of the corners since the last image, pixels of that image size.
+        overlap: share of the last counted view that is still seen.
+        views: counted so far.
+        lost: the image shares too little with the one before.
+        broken: how often that happened.
+    """
+
+    shift_px: float
+    overlap: float
+    views: int
+    lost: bool
+    broken: int
+
+
+class ViewChange:
+    """Follows corners from image to image; all images of one size."""
+
+    def __init__(self) -> None:
+        self._last: Grey | None = None
+        self._points = np.zeros((0, 1, 2), dtype=np.float32)
+        self._of_view = np.zeros(0, dtype=bool)
+        self._view_size = 0
+        self._views = 0
+        self._broken = 0
+
+    def look(self, grey: Grey) -> Change:
+        """Take the next image, (h, w) uint8."""
+        last, self._last = self._last, grey
+        if last is None or len(self._points) < _FEWEST:
+            # Without texture nothing can be followed: no view is counted, no motion told.
+            self._start(grey)
+            return Change(0.0, 1.0, self._views, False, self._broken)
+        before = len(self._points)
+        moved, kept = _follow(last, grey, self._points)
+        steps = np.linalg.norm((moved - self._points)[kept, 0], axis=1)
+        shift = float(np.median(steps)) if len(steps) else 0.0
+        self._points, self._of_view = moved[kept], self._of_view[kept]
+        if kept.sum() < _LOST * before:
+            self._broken += 1
+            self._start(grey)
+            return Change(shift, 0.0, self._views, True, self._broken)
+        overlap = float(self._of_view.sum()) / max(1, self._view_size)
+        if overlap < _NEW_VIEW:
+            self._start(grey)
+        elif len(self._points) < 0.8 * _CORNERS:
+            self._fill(grey)
+        return Change(shift, overlap, self._views, False, self._broken)
+
+    def _start(self, grey: Grey) -> None:
+        """Count the image as a view."""
+        self._points = _corners(grey, np.zeros((0, 1, 2), dtype=np.float32), _CORNERS)
+        self._of_view = np.ones(len(self._points), dtype=bool)
+        self._view_size = len(self._points)
+        if len(self._points) >= _FEWEST:
+            self._views += 1
+
+    def _fill(self, grey: Grey) -> None:
+        """Corners of what came into view, to follow from here on."""
+        fresh = _corners(grey, self._points, _CORNERS - len(self._points))
+        self._points = np.concatenate([self._points, fresh])
+        self._of_view = np.concatenate([self._of_view, np.zeros(len(fresh), dtype=bool)])
+
+
+def _corners(grey: Grey, known: NDArray[np.float32], count: int) -> NDArray[np.float32]:
+    """(N, 1, 2) corners away from the known ones."""
+    free = np.full(grey.shape, 255, dtype=np.uint8)
+    for x, y in known[:, 0]:
+        cv2.circle(free, (round(float(x)), round(float(y))), 8, 0, -1)
+    if count <= 0:
+        return np.zeros((0, 1, 2), dtype=np.float32)
+    found = cv2.goodFeaturesToTrack(grey, count, 0.01, 8, mask=free)
+    empty = np.zeros((0, 1, 2), dtype=np.float32)
+    return empty if found is None else np.asarray(found, dtype=np.float32)
+
+
+def _follow(
+    last: Grey, grey: Grey, points: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Where the points went, and which of them can be trusted."""
+    there, seen, _ = cv2.calcOpticalFlowPyrLK(last, grey, points, np.empty_like(points))
+    back, seen_back, _ = cv2.calcOpticalFlowPyrLK(grey, last, there, np.empty_like(points))
+    error = np.linalg.norm((back - points)[:, 0], axis=1)
+    inside = ((there[:, 0] >= 0) & (there[:, 0] < [grey.shape[1], grey.shape[0]])).all(axis=1)
+    good = (seen[:, 0] > 0) & (seen_back[:, 0] > 0) & (error < _ROUND_TRIP_PX) & inside
+    return np.asarray(there, dtype=np.float32), good

@@ -2,7 +2,7 @@
 
 from sensors.render.color_image import denoise, develop
 from sensors.render.infrared_image import InfraredResponse, expose_pair
-from sensors.render.protocol import (
+from sensors.render.sim_renderer import (
     DRAFT_COLOR,
     DRAFT_INFRARED,
     FINE_INFRARED,
@@ -12,8 +12,14 @@ from sensors.render.protocol import (
     RenderOptions,
     SimRenderer,
 )
-from sensors.render.scene import Projector, SceneObject, SimScene, SurfaceMesh
-from sensors.render.truth import TruthCaster, TruthMaps
+from sensors.render.sim_scene import (
+    Projector,
+    SceneObject,
+    SimScene,
+    SurfaceMesh,
+    TruthCaster,
+    TruthMaps,
+)
 
 __all__ = [
     "DRAFT_COLOR",

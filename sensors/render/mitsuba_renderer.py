@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.render import mitsuba_scene
-from sensors.render.protocol import DRAFT_COLOR, DRAFT_INFRARED, ColorLight, RenderOptions
-from sensors.render.scene import Projector, SimScene
+from sensors.render.sim_renderer import DRAFT_COLOR, DRAFT_INFRARED, ColorLight, RenderOptions
+from sensors.render.sim_scene import Projector, SimScene
 from sensors.render.variant import choose_variant
 from std_toolkit.errors import ToolkitError
 from std_toolkit.rendering.renderer import check_no_distortion

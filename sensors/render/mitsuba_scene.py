@@ -2,6 +2,12 @@
 
 There are two kinds of surface code only, one opaque and one of glass, with every number a
 parameter: Mitsuba compiles a kernel per kind of code, and scenes of any materials then share it.
+
+The base colour of a surface as one image, and the texture coordinates to put it on.
+
+Material and the object's own look are mixed once, into an image: a renderer then needs a single
+texture per object, whatever they were made of. In infrared the same image has other shades: dyes
+that absorb visible light hardly do so at 850 nm.
 """
 
 from __future__ import annotations
@@ -9,13 +15,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from sensors.materials.draw import DrawnMaterial
-from sensors.render.appearance import appearance, infrared_appearance
-from sensors.render.scene import SceneObject, SimScene
+from sensors.lighting.environment import LUMINANCE
+from sensors.materials.material_draw import DrawnMaterial
+from sensors.materials.textures import make_texture, to_linear, to_srgb
+from sensors.render.sim_scene import SceneObject, SimScene, SurfaceMesh
 
 _SMOOTHEST = 2e-3
+
+LARGEST = 1024
+
+
 """Smallest roughness; a perfect mirror would be another kind of code."""
 
 
@@ -154,3 +167,106 @@ def environment(mi: Any, scene: SimScene) -> Any:
             "to_world": turn @ mi.ScalarTransform4f().rotate([1, 0, 0], 90),
         }
     )
+
+
+"""Larger textures are reduced: an object fills a few hundred pixels."""
+
+INFRARED_RANGE = (0.02, 0.98)
+
+
+"""Of any spot's reflectance: black rubber, and silver."""
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """Corners of triangles with their colours.
+
+    Attributes:
+        uv: (F, 3, 2) float32 texture coordinates of the corners, v upwards.
+        image: (h, w, 3) uint8 sRGB; repeats beyond 0..1.
+    """
+
+    uv: NDArray[np.float32]
+    image: NDArray[np.uint8]
+
+
+def appearance(item: SceneObject) -> Appearance:
+    """Mix an object's own texture or colour with its material's by `own_share`."""
+    material, share = item.material, item.material.own_share
+    if material.texture is None:
+        tile = _flat(np.asarray(material.color))
+        tile_m = 1.0
+    else:
+        tile = make_texture(material.texture, material.color)
+        tile_m = material.texture.tile_m
+    if item.texture is None or share == 0:
+        own = np.asarray(item.color, np.float32)
+        mixed = tile if share == 0 else to_srgb(share * own + (1 - share) * to_linear(tile))
+        return Appearance(box_uv(item.mesh) / np.float32(tile_m), mixed)
+    own_image = _reduced(item.texture)
+    if item.mesh.uv is None:
+        mixed = _mix(own_image, tile, share, item.texture_tile_m / tile_m)
+        return Appearance(box_uv(item.mesh) / np.float32(item.texture_tile_m), mixed)
+    uv = np.asarray(item.mesh.uv, np.float32)[item.mesh.faces]
+    # An unwrapped surface covers the image about once; its scale in metres is that of the mesh.
+    mixed = _mix(own_image, tile, share, item.mesh.prepared.diagonal / tile_m)
+    return Appearance(uv, mixed)
+
+
+def infrared_appearance(look: Appearance, material: DrawnMaterial) -> Appearance:
+    """The same surface at 850 nm: as bright as the material is there, its pattern paler.
+
+    Args:
+        look: as it is seen.
+        material: of the object; without a value for infrared the look comes back as it is.
+    """
+    if material.infrared is None:
+        return look
+    share = material.own_share
+    mean = share * material.own_infrared + (1 - share) * material.infrared
+    seen = to_linear(look.image) @ LUMINANCE
+    pattern = seen / max(float(seen.mean()), 1e-3) - 1
+    light = np.clip(mean * (1 + material.infrared_pattern * pattern), *INFRARED_RANGE)
+    return Appearance(look.uv, to_srgb(np.repeat(light[..., None], 3, axis=-1)))
+
+
+def box_uv(mesh: SurfaceMesh) -> NDArray[np.float32]:
+    """(F, 3, 2) coordinates in metres: every triangle projected along its normal's largest axis."""
+    prepared = mesh.prepared
+    axis = np.argmax(np.abs(prepared.face_normals), axis=1)
+    # Along x the other two are y, z; along y they are x, z; along z they are x, y.
+    across = np.array([1, 0, 0])[axis]
+    up = np.array([2, 2, 1])[axis]
+    corners = prepared.vertices[prepared.faces]
+    rows = np.arange(len(corners))
+    u = corners[rows, :, across]
+    v = corners[rows, :, up]
+    return np.stack([u, v], axis=-1).astype(np.float32)
+
+
+def _mix(
+    own: NDArray[np.uint8], tile: NDArray[np.uint8], share: float, repeats: float
+) -> NDArray[np.uint8]:
+    """The own image mixed with a tile that repeats a whole number of times across it."""
+    height, width = own.shape[:2]
+    count = int(np.clip(round(repeats), 1, 32))
+    small = cv2.resize(
+        tile,
+        (max(1, width // count), max(1, height // count)),
+        interpolation=cv2.INTER_AREA if len(tile) > height // count else cv2.INTER_LINEAR,
+    )
+    tiled = np.tile(small, (height // len(small) + 1, width // small.shape[1] + 1, 1))
+    material = to_linear(np.asarray(tiled[:height, :width], np.uint8))
+    return to_srgb(share * to_linear(own) + (1 - share) * material)
+
+
+def _flat(color: NDArray[np.floating]) -> NDArray[np.uint8]:
+    return np.broadcast_to(to_srgb(color), (4, 4, 3)).copy()
+
+
+def _reduced(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    scale = LARGEST / max(image.shape[:2])
+    if scale >= 1:
+        return image
+    size = (max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale)))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.render.mitsuba_scene import Shapes
-from sensors.render.protocol import RenderOptions
-from sensors.render.scene import Projector
+from sensors.render.sim_renderer import RenderOptions
+from sensors.render.sim_scene import Projector
 from sensors.render.sky import Sky
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensors.lighting.studio import studio_map
-from sensors.materials.draw import draw_material
-from sensors.materials.library import MaterialClass
-from sensors.render.protocol import RenderOptions
-from sensors.render.scene import Projector, SceneObject, SimScene, SurfaceMesh
+from sensors.lighting.environment_sources import studio_map
+from sensors.materials.material_draw import draw_material
+from sensors.materials.material_library import MaterialClass
+from sensors.render.sim_renderer import RenderOptions
+from sensors.render.sim_scene import Projector, SceneObject, SimScene, SurfaceMesh
 from sensors.render.variant import DONE
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3

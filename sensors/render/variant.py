@@ -89,8 +89,8 @@ def try_variant(variant: str) -> str | None:
     if done.returncode == 0 and DONE in done.stdout:
         return None
     lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
-    told = next((x for x in lines if "ERROR" in x or "error" in x), lines[-1] if lines else "")
-    return f"ended with status {done.returncode}{': ' + told[:200] if told else ''}"
+    reported = next((x for x in lines if "ERROR" in x or "error" in x), lines[-1] if lines else "")
+    return f"ended with status {done.returncode}{': ' + reported[:200] if reported else ''}"
 
 
 def _has_cuda() -> bool:

@@ -1,4 +1,7 @@
-"""`std-sim`: simulate a data set, look at a scene beforehand, tell what a set holds."""
+"""`std-sim`: simulate a data set, look at a scene beforehand, tell what a set holds.
+
+Names that the command line offers, apart from what they stand for: `--help` loads nothing.
+"""
 
 from __future__ import annotations
 
@@ -38,6 +41,16 @@ _FLAGS = {
     "materials": "materials",
     "depth": "depth",
 }
+
+PRESET_NAMES = ("draft", "tiny", "dreds")
+
+QUALITY_NAMES = ("rough", "draft", "better", "fine")
+
+ORDERS = ("random", "arc", "spiral")
+
+MATERIAL_SWITCHES = ("mixed", "fixed", "opaque")
+
+SCENE_ORIGINS = ("drop", "graspnet")
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -105,13 +118,6 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def _add_scene_arguments(parser: argparse.ArgumentParser) -> None:
-    from sensors.simulation.names import (
-        MATERIAL_SWITCHES,
-        ORDERS,
-        PRESET_NAMES,
-        QUALITY_NAMES,
-        SCENE_ORIGINS,
-    )
 
     add = parser.add_argument
     add("--preset", choices=PRESET_NAMES, default="draft", help="what is not told below")
@@ -167,7 +173,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _options(args: argparse.Namespace, split: str) -> SimulationOptions:
     import msgspec
 
-    from sensors.simulation.presets import preset
+    from sensors.simulation.options import preset
 
     given: dict[str, Any] = {
         field: getattr(args, flag)
@@ -181,8 +187,8 @@ def _options(args: argparse.Namespace, split: str) -> SimulationOptions:
 
 
 def _run(args: argparse.Namespace) -> int:
-    from sensors.simulation.dataset import simulate_set
-    from sensors.simulation.presets import preset
+    from sensors.simulation.options import preset
+    from sensors.simulation.simulated_set import simulate_set
     from std_toolkit.errors import ToolkitError
 
     options = _options(args, args.split)
@@ -216,8 +222,8 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _preview(args: argparse.Namespace) -> int:
-    from sensors.simulation.dataset import parts_cache
-    from sensors.simulation.preview import contact_sheet
+    from sensors.simulation.set_report import contact_sheet
+    from sensors.simulation.simulated_set import parts_cache
     from sensors.simulation.simulator import Simulator
     from std_toolkit.io.images import write_color
 
@@ -236,7 +242,7 @@ def _preview(args: argparse.Namespace) -> int:
 
 
 def _stats(args: argparse.Namespace) -> int:
-    from sensors.simulation.stats import set_statistics
+    from sensors.simulation.set_report import set_statistics
 
     statistics = set_statistics(args.root)
     print(statistics)

@@ -1,18 +1,34 @@
-"""What a simulated data set is made of, and the switches of the ablations."""
+"""Options of a simulated set, the named presets, and the qualities (light paths per image).
+
+Named sets of options.
+
+How many light paths an image gets.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import msgspec
 
 from sensors.materials import MATERIAL_CLASSES, MaterialClass
+from sensors.render.sim_renderer import (
+    DRAFT_COLOR,
+    DRAFT_INFRARED,
+    FINE_INFRARED,
+    RenderOptions,
+)
 from std_toolkit.errors import ToolkitError
 
 Count = Annotated[int, msgspec.Meta(ge=1)]
+
 ViewOrder = Literal["random", "arc", "spiral"]
+
 DepthInput = Literal["sensor", "cut"]
+
 MaterialSwitch = Literal["mixed", "fixed", "opaque"]
+
 SceneOrigin = Literal["drop", "graspnet"]
 
 
@@ -37,7 +53,7 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
         environments: folder of environment maps; None for the procedural ones.
         floors: folder of floor images; None for procedural textures.
         split: which assets, maps and floors: "train" and "test" share none.
-        quality: samples per pixel, one of `sensors.simulation.quality`.
+        quality: samples per pixel, one of `sensors.simulation.options`.
         matcher: stereo matcher, see `sensors.stereo`.
         materials: "mixed" as in DREDS; "fixed": objects keep their own look, class raw; "opaque":
             no transparent ones.
@@ -104,3 +120,68 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
         if self.materials == "opaque":
             return tuple(c for c in MATERIAL_CLASSES if c != "transparent")
         return MATERIAL_CLASSES
+
+
+@dataclass(frozen=True, kw_only=True)
+class Preset:
+    """Options and the number of scenes; what the command line tells comes before either."""
+
+    scenes: int
+    options: SimulationOptions
+
+
+PRESETS = {
+    # The public data set: 30 views a scene, labels of 640x360 beside colour of 1280x720.
+    "dreds": Preset(scenes=100, options=SimulationOptions(color_factor=2, quality="better")),
+    "draft": Preset(scenes=10, options=SimulationOptions()),
+    # For tests and for trying a benchmark.
+    "tiny": Preset(
+        scenes=4, options=SimulationOptions(views=4, width=320, height=180, quality="rough")
+    ),
+}
+
+
+def preset(name: str) -> Preset:
+    """The preset called `name`.
+
+    Raises:
+        ToolkitError: there is none.
+    """
+    if name not in PRESETS:
+        raise ToolkitError(
+            "unknown preset", field="preset", value=name, hint=f"one of {', '.join(PRESETS)}"
+        )
+    return PRESETS[name]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quality:
+    """Of the two kinds of images."""
+
+    infrared: RenderOptions
+    color: RenderOptions
+
+
+QUALITIES = {
+    "rough": Quality(
+        infrared=RenderOptions(samples=8, chunk=2), color=RenderOptions(samples=12, chunk=0)
+    ),
+    "draft": Quality(infrared=DRAFT_INFRARED, color=DRAFT_COLOR),
+    "better": Quality(
+        infrared=RenderOptions(samples=32, chunk=8), color=RenderOptions(samples=64, chunk=0)
+    ),
+    "fine": Quality(infrared=FINE_INFRARED, color=RenderOptions(samples=256, chunk=0)),
+}
+
+
+def quality_of(name: str) -> Quality:
+    """The quality called `name`.
+
+    Raises:
+        ToolkitError: there is none.
+    """
+    if name not in QUALITIES:
+        raise ToolkitError(
+            "unknown quality", field="quality", value=name, hint=f"one of {', '.join(QUALITIES)}"
+        )
+    return QUALITIES[name]

@@ -27,12 +27,10 @@ from sensors.render import (
     develop,
     expose_pair,
 )
-from sensors.simulation.arrangement import DRESSED_AS
-from sensors.simulation.draw import draw_scene, dress_scene, generator
-from sensors.simulation.equipment import Equipment
-from sensors.simulation.options import SimulationOptions
-from sensors.simulation.quality import quality_of
-from sensors.simulation.world import World, build_world
+from sensors.simulation.equipment import DRESSED_AS, Equipment
+from sensors.simulation.options import SimulationOptions, quality_of
+from sensors.simulation.scene_draw import draw_scene, dress_scene, generator
+from sensors.simulation.world_builder import World, build_world
 from sensors.stereo import disparity_to_depth
 from std_toolkit.geometry.se3 import SE3
 

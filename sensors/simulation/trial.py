@@ -3,6 +3,8 @@
 Random scenes mix distance, slope and occlusion with what a material does. Here a board of tiles
 faces the camera, or vessels of one size class stand on a floor before it; `perf/realism.py` prints
 the statistics, a test holds their bounds.
+
+Which pixels a stereo camera can measure at all: seen by both eyes, away from steps in depth.
 """
 
 from __future__ import annotations
@@ -10,14 +12,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from sensors.assets import draw_diagonal, open_source
 from sensors.lighting import StudioSource, draw_floor, draw_lighting
 from sensors.materials import load_library
-from sensors.materials.draw import DrawnMaterial, draw_material
-from sensors.materials.library import MaterialClass
+from sensors.materials.material_draw import DrawnMaterial, draw_material
+from sensors.materials.material_library import MaterialClass
 from sensors.pattern import make_pattern
 from sensors.render import (
     Projector,
@@ -37,10 +40,16 @@ from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
 
 DISTANCE_M = 0.6
+
 TILT_DEG = 10.0
+
 VESSELS = ("bottle", "bowl", "mug")
+
 _COLUMNS, _SPACING_M = 3, (0.24, 0.22)
+
 _ELEVATION_DEG = 50.0
+
+WINDOW_PX = 7
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +113,8 @@ def tiles(camera: Camera, seed: int, *, material_class: MaterialClass = "diffuse
         )
     tilt = np.deg2rad(rng.uniform(-TILT_DEG, TILT_DEG, 2))
     T_board_cam = SE3.exp([0, 0, 0, *tilt, 0]) @ _above(DISTANCE_M)
-    shown = tuple(item.material for item in objects)
-    return TrialScene(SimScene(tuple(objects), StudioSource().draw(rng)), T_board_cam, shown)
+    placed = tuple(item.material for item in objects)
+    return TrialScene(SimScene(tuple(objects), StudioSource().draw(rng)), T_board_cam, placed)
 
 
 def vessels(materials: Sequence[tuple[MaterialClass, str, str]], seed: int) -> TrialScene:
@@ -145,7 +154,7 @@ def vessels(materials: Sequence[tuple[MaterialClass, str, str]], seed: int) -> T
     return TrialScene(scene, T_world_ir, tuple(item.material for item in objects[1:]))
 
 
-def look(
+def render_view(
     trial: TrialScene,
     spec: SensorSpec,
     camera: Camera,
@@ -210,3 +219,41 @@ def _own_color(rng: np.random.Generator) -> tuple[float, float, float]:
 
 def _above(height_m: float) -> SE3:
     return SE3(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, height_m]))
+
+
+"""Half of the local matcher's window: 9 pixels summed of costs that look 3 further each way."""
+
+STEP_PX = 1.5
+
+
+"""Difference in disparity across which a window sees two surfaces."""
+
+_OCCLUDED_PX = 1.0
+
+
+def measurable_pixels(
+    exact: NDArray[np.floating], *, focal_px: float, baseline_m: float
+) -> NDArray[np.bool_]:
+    """Pixels whose whole window lies on one surface that both eyes see.
+
+    Args:
+        exact: (h, w) true z-depth in the left camera, metres, 0 = none.
+
+    Returns:
+        (h, w) bool. The rest holds the strip at the left edge that the right eye does not see,
+        the shadows beside near things, and their borders.
+    """
+    known = exact > 0
+    disparity = np.zeros(exact.shape, np.float32)
+    np.divide(focal_px * baseline_m, exact, out=disparity, where=known, casting="unsafe")
+    column = np.arange(exact.shape[1], dtype=np.float32)
+    in_right = column - disparity
+    # A nearer thing further right lands on the same column, or left of it, in the right image.
+    nearest = np.minimum.accumulate(in_right[:, ::-1], axis=1)[:, ::-1]
+    hidden = known & (in_right - nearest > _OCCLUDED_PX)
+    window = np.ones((2 * WINDOW_PX + 1, 2 * WINDOW_PX + 1), np.uint8)
+    small = np.ones((3, 3), np.uint8)
+    # Over three pixels even a steep slope changes little, a step all of its height.
+    step = cv2.dilate(disparity, small) - cv2.erode(disparity, small) > STEP_PX
+    mixed = cv2.dilate((step | hidden).astype(np.uint8), window) > 0
+    return np.asarray(known & (in_right >= WINDOW_PX) & ~mixed)

@@ -1,12 +1,12 @@
 """Depth from a pair of infrared images, as the sensor computes it."""
 
-from sensors.stereo.matcher import (
+from sensors.stereo.local_options import Backend, Cost, LocalMatcherOptions, Subpixel
+from sensors.stereo.stereo_matcher import (
     MATCHERS,
     StereoMatcher,
     disparity_to_depth,
     make_matcher,
 )
-from sensors.stereo.options import Backend, Cost, LocalMatcherOptions, Subpixel
 
 __all__ = [
     "MATCHERS",

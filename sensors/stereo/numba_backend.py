@@ -1,4 +1,7 @@
-"""The local matcher on the processor: bands of rows over threads of compiled code."""
+"""The local matcher on the processor: bands of rows over threads of compiled code.
+
+Filters of a disparity map with holes, compiled.
+"""
 
 from __future__ import annotations
 
@@ -9,21 +12,22 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.stereo import numba_cost, numba_winner
-from sensors.stereo.matcher import Disparity, Image
-from sensors.stereo.numba_filters import median_rows, remove_speckles
-from sensors.stereo.options import Cost, LocalMatcherOptions, Subpixel
-from sensors.stereo.zncc_windows import window_sums
+from sensors.compiled import compiled
+from sensors.stereo import numba_kernels
+from sensors.stereo.local_options import Cost, LocalMatcherOptions, Subpixel, window_sums
+from sensors.stereo.stereo_matcher import Disparity, Image
 
 # Rows of a band: few enough that its costs (10 MB for 100 disparities of 640 columns) and those of
 # the rows that it shares with its neighbours are cheap, many enough that the latter are few.
 BAND_ROWS = 45
+
 CURVES = {
-    Subpixel.QUADRATIC: numba_winner.QUADRATIC,
-    Subpixel.EQUIANGULAR: numba_winner.EQUIANGULAR,
-    Subpixel.GAUSSIAN: numba_winner.GAUSSIAN,
-    Subpixel.NONE: numba_winner.NONE,
+    Subpixel.QUADRATIC: numba_kernels.QUADRATIC,
+    Subpixel.EQUIANGULAR: numba_kernels.EQUIANGULAR,
+    Subpixel.GAUSSIAN: numba_kernels.GAUSSIAN,
+    Subpixel.NONE: numba_kernels.NONE,
 }
+
 Rows = Callable[[int, int, NDArray[np.uint16]], None]
 
 
@@ -41,7 +45,7 @@ def match(left: Image, right: Image, options: LocalMatcherOptions, threads: int)
             top, bottom = max(0, y0 - radius), min(height, y1 + radius)
             costs = np.empty((bottom - top, width, options.count), dtype=np.uint16)
             cost_rows(top, bottom, costs)
-            numba_winner.winners(
+            numba_kernels.winners(
                 costs, top, y0, y1, height, radius, options.min_disparity,
                 options.uniqueness_percent,
                 -1 if options.left_right_px is None else options.left_right_px,
@@ -78,11 +82,11 @@ def _cost_rows(
     d0 = options.min_disparity
     if options.cost is Cost.CENSUS:
         a, b = (_census(image, pool, bands) for image in (left, right))
-        return lambda y0, y1, out: numba_cost.census_rows(a, b, d0, y0, y1, out)
+        return lambda y0, y1, out: numba_kernels.census_rows(a, b, d0, y0, y1, out)
     size = options.zncc_px
     a, b = (continued(image, size // 2) for image in (left, right))
     (l_sum, l_inv), (r_sum, r_inv) = window_sums(a, size), window_sums(b, size)
-    return lambda y0, y1, out: numba_cost.zncc_rows(
+    return lambda y0, y1, out: numba_kernels.zncc_rows(
         a, b, l_sum, r_sum, l_inv, r_inv, size, d0, y0, y1, out
     )
 
@@ -90,7 +94,79 @@ def _cost_rows(
 def _census(
     image: Image, pool: ThreadPoolExecutor, bands: list[tuple[int, int]]
 ) -> NDArray[np.generic]:
-    padded = continued(image, numba_cost.CENSUS_RADIUS)
+    padded = continued(image, numba_kernels.CENSUS_RADIUS)
     out = np.empty(image.shape, dtype=np.uint64)
-    list(pool.map(lambda band: numba_cost.census(padded, band[0], band[1], out), bands))
+    list(pool.map(lambda band: numba_kernels.census(padded, band[0], band[1], out), bands))
     return out
+
+
+@compiled
+def median_rows(disparity, side, y0, y1, out):  # type: ignore[no-untyped-def]
+    """Rows y0..y1: of every valid pixel the (lower) median of the valid ones around it.
+
+    Holes stay holes: their disparity is 0 and takes no part.
+    """
+    height, width = disparity.shape
+    radius = side // 2
+    values = np.empty(side * side, dtype=np.float32)
+    for y in range(y0, y1):
+        for x in range(width):
+            if disparity[y, x] == 0:
+                out[y, x] = 0
+                continue
+            count = 0
+            for v in range(max(0, y - radius), min(height, y + radius + 1)):
+                for u in range(max(0, x - radius), min(width, x + radius + 1)):
+                    value = disparity[v, u]
+                    if value == 0:
+                        continue
+                    place = count
+                    while place > 0 and values[place - 1] > value:
+                        values[place] = values[place - 1]
+                        place -= 1
+                    values[place] = value
+                    count += 1
+            out[y, x] = values[(count - 1) // 2]
+
+
+@compiled
+def remove_speckles(disparity, smallest, step):  # type: ignore[no-untyped-def]
+    """Clear, in place, connected patches of fewer than `smallest` valid pixels.
+
+    Two of four neighbours are connected if they differ by at most `step`.
+    """
+    height, width = disparity.shape
+    parent = np.arange(height * width)
+    for y in range(height):
+        for x in range(width):
+            here = disparity[y, x]
+            if here == 0:
+                continue
+            i = y * width + x
+            if x > 0 and disparity[y, x - 1] != 0 and abs(disparity[y, x - 1] - here) <= step:
+                _join(parent, i, i - 1)
+            if y > 0 and disparity[y - 1, x] != 0 and abs(disparity[y - 1, x] - here) <= step:
+                _join(parent, i, i - width)
+    size = np.zeros(height * width, dtype=np.int64)
+    for i in range(height * width):
+        parent[i] = _root(parent, i)
+        size[parent[i]] += 1
+    for y in range(height):
+        for x in range(width):
+            if size[parent[y * width + x]] < smallest:
+                disparity[y, x] = 0
+
+
+@compiled
+def _root(parent, i):  # type: ignore[no-untyped-def]
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
+
+
+@compiled
+def _join(parent, i, j):  # type: ignore[no-untyped-def]
+    i, j = _root(parent, i), _root(parent, j)
+    if i != j:
+        parent[max(i, j)] = min(i, j)

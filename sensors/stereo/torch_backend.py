@@ -1,4 +1,7 @@
-"""The local matcher on any device of torch. Integer costs make it equal to the numba backend."""
+"""The local matcher on any device of torch. Integer costs make it equal to the numba backend.
+
+Filters of a disparity map with holes, on any device; equal to `numba_filters`.
+"""
 
 from __future__ import annotations
 
@@ -7,19 +10,19 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from sensors.stereo.matcher import Disparity, Image
-from sensors.stereo.options import (
+from sensors.stereo.local_options import (
     DISPARITIES,
     ZNCC_STEPS,
     Cost,
     LocalMatcherOptions,
     Subpixel,
+    window_sums,
 )
-from sensors.stereo.torch_filters import median, remove_speckles
-from sensors.stereo.zncc_windows import window_sums
+from sensors.stereo.stereo_matcher import Disparity, Image
 from std_toolkit.errors import ToolkitError
 
 NEVER = 2**31 - 1
+
 # Byte-wise population count of 64 bits; the census uses 48, so that no shift meets a sign.
 _HALVES = (0x5555555555555555, 0x3333333333333333, 0x0F0F0F0F0F0F0F0F, 0x0101010101010101)
 
@@ -192,3 +195,57 @@ def _offset(before: Tensor, least: Tensor, after: Tensor, options: LocalMatcherO
         bend = 2 * (torch.maximum(before, after) - least)
     offset = (before - after).float() / bend.float()
     return torch.where(bend == 0, 0, offset)
+
+
+def median(disparity: Tensor, side: int) -> Tensor:
+    """(H, W): of every valid pixel the (lower) median of the valid ones in side x side."""
+    height, width = disparity.shape
+    radius = side // 2
+    padded = pad(disparity, (radius,) * 4)
+    around = torch.stack(
+        [padded[v : v + height, u : u + width] for v in range(side) for u in range(side)]
+    )
+    valid = around > 0
+    # Holes sort behind everything.
+    ordered = torch.where(valid, around, torch.inf).sort(dim=0).values
+    middle = ((valid.sum(0) - 1) // 2).clamp(min=0)
+    found = ordered.gather(0, middle[None])[0]
+    return torch.where(disparity > 0, found, torch.zeros_like(found))
+
+
+def remove_speckles(disparity: Tensor, smallest: int, step: float) -> Tensor:
+    """(H, W) without connected patches of fewer than `smallest` valid pixels.
+
+    Every pixel takes the least label of its neighbours in turn, and then the label of its label,
+    until nothing changes: some tens of rounds, as the paths halve.
+    """
+    height, width = disparity.shape
+    labels = torch.arange(height * width, device=disparity.device)
+    grid = labels.view(height, width)
+    right = _connected(disparity[:, :-1], disparity[:, 1:], step)
+    down = _connected(disparity[:-1], disparity[1:], step)
+    pairs = torch.cat(
+        [
+            torch.stack([grid[:, :-1][right], grid[:, 1:][right]]),
+            torch.stack([grid[:-1][down], grid[1:][down]]),
+        ],
+        dim=1,
+    )
+    while True:
+        roots = labels[pairs]
+        low, high = roots.amin(0), roots.amax(0)
+        if bool((low == high).all()):
+            break
+        labels = labels.scatter_reduce(0, high, low, "amin")
+        while True:
+            jumped = labels[labels]
+            if bool((jumped == labels).all()):
+                break
+            labels = jumped
+    size = torch.zeros_like(labels).scatter_add_(0, labels, torch.ones_like(labels))
+    large = (size[labels] >= smallest).view(height, width)
+    return torch.where(large, disparity, torch.zeros_like(disparity))
+
+
+def _connected(a: Tensor, b: Tensor, step: float) -> Tensor:
+    return (a > 0) & (b > 0) & ((a - b).abs() <= step)

@@ -4,10 +4,14 @@ Ray cast with procedural textures, one bounce of reflection and refraction, and 
 active stereo sensor's noise, bias and holes. It is quick (a few seconds) rather than physical.
 """
 
-from sensors.synthetic.annotation import annotate_first_frame
-from sensors.synthetic.recording import RecordingOptions, Truth, make_recording, read_truth
-from sensors.synthetic.score import LabelErrors, label_errors
-from sensors.synthetic.truth_scene import scene_from_truth
+from sensors.output.recording_writer import Truth, read_truth
+from sensors.synthetic.recording import RecordingOptions, make_recording
+from sensors.synthetic.truth import (
+    LabelErrors,
+    annotate_first_frame,
+    label_errors,
+    scene_from_truth,
+)
 
 __all__ = [
     "LabelErrors",

@@ -11,7 +11,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.log import log_to_stderr
 
 if TYPE_CHECKING:
-    from sensors.synthetic.recording import Truth
+    from sensors.output.recording_writer import Truth
 
 
 def main() -> int:
@@ -54,7 +54,7 @@ def main() -> int:
 
 def _run(args: argparse.Namespace) -> int:
     if args.command == "record":
-        from sensors.synthetic.annotation import write_annotations
+        from sensors.synthetic.truth import write_annotations
 
         truth = _record(args)
         write_annotations(truth, args.out)
@@ -65,7 +65,7 @@ def _run(args: argparse.Namespace) -> int:
         )
         return 0
     if args.command == "score":
-        from sensors.synthetic.score import label_errors
+        from sensors.synthetic.truth import label_errors
         from std_toolkit.scene.scene import Scene
 
         print(label_errors(Scene.open(args.scene), args.recording).table())
@@ -82,15 +82,17 @@ def _record(args: argparse.Namespace) -> Truth:
         from sensors.synthetic.simulated import SimulatedOptions, make_simulated_recording
 
         given |= {"sweep_deg": args.arc, "quality": args.quality}
-        return make_simulated_recording(args.out, SimulatedOptions(**_told(given)))
+        return make_simulated_recording(args.out, SimulatedOptions(**_given_only(given)))
     from sensors.synthetic.recording import RecordingOptions, make_recording
 
     if args.quality is not None:
         raise ToolkitError("is for simulated recordings only", field="--quality")
-    return make_recording(args.out, RecordingOptions(**_told(given | {"arc_degrees": args.arc})))
+    return make_recording(
+        args.out, RecordingOptions(**_given_only(given | {"arc_degrees": args.arc}))
+    )
 
 
-def _told(given: dict[str, Any]) -> dict[str, Any]:
+def _given_only(given: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in given.items() if value is not None}
 
 

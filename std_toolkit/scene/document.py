@@ -8,6 +8,7 @@ What made a derived file: enough to skip a step that is done and to redo one tha
 from __future__ import annotations
 
 import hashlib
+import math
 import re
 from pathlib import Path
 from typing import Annotated, Any
@@ -39,6 +40,10 @@ Vector3 = Annotated[list[float], msgspec.Meta(min_length=3, max_length=3)]
 _SAFE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,127}")
 
 _LONGEST_PATH = 512
+
+
+# An object nearer than 1 cm or further than 20 m is a wrong unit.
+NEAREST_M, FURTHEST_M = 0.01, 20.0
 
 
 class Document(
@@ -232,3 +237,28 @@ def write_record(
             parameters=parameters,
         ),
     )
+
+
+def check_in_front(T_cam_obj: SE3, *, path: Path | str | None = None) -> None:
+    """Refuse a pose whose origin no camera sees.
+
+    Raises:
+        ToolkitError: behind the camera, or at a distance that is the mark of a wrong unit.
+    """
+    z = float(T_cam_obj.t[2])
+    if z <= 0:
+        raise ToolkitError(
+            "the object lies behind the camera",
+            path=path,
+            value=f"z = {z:.4g} m",
+            hint="is this the inverse pose, or one with OpenGL camera axes "
+            "(--pose-convention opengl)?",
+        )
+    distance = math.hypot(*T_cam_obj.t)
+    if z < NEAREST_M or not distance <= FURTHEST_M:
+        raise ToolkitError(
+            "the object's distance is implausible",
+            path=path,
+            value=f"z = {z:.4g} m" + (f", {distance:.4g} m away" if distance > 2 * z else ""),
+            hint="in millimetres? give --pose-unit mm",
+        )

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from annotator.session import AddClick, ChangeObject, Click, Session, SetPoses
 from annotator.session.requests import Refine, SolvePnP
-from sensors.synthetic.recording import TrueObject, Truth, read_truth
-from sensors.synthetic.truth_scene import scene_from_truth
+from sensors.output.recording_writer import TrueObject, Truth, read_truth
+from sensors.synthetic.truth import scene_from_truth
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import hull_vertices, load_mesh
 from std_toolkit.geometry.se3 import SE3, so3_exp

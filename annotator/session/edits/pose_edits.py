@@ -15,12 +15,12 @@ from annotator.session.edits.object_edits import Edit, EditContext
 from annotator.session.state import AnnotationState, Click, Placement
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, so3_exp
-from std_toolkit.labels.posefile import check_in_front
 from std_toolkit.scene.document import (
     Count,
     Document,
     Pose16,
     Vector3,
+    check_in_front,
     check_pose,
     pose_from_list,
 )

@@ -178,7 +178,7 @@ class _Worker:
         self.run = run
 
     def __call__(self, index: int) -> int:
-        from sensors.simulation.dataset import parts_cache
+        from sensors.simulation.simulated_set import parts_cache
 
         equipment = _kept_equipment(self.run)
         arrangement = arrange(round_seed(self.run.seed, index), parts_cache=parts_cache())

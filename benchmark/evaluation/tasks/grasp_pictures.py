@@ -51,7 +51,7 @@ def attempt_strip(attempt: Attempt, *, gripper: Gripper = PANDA) -> Image:
 
 
 def _stage_picture(attempt: Attempt, stage: Stage, gripper: Gripper) -> Image:
-    from sensors.viewpoints.look_at import look_at
+    from sensors.viewpoints.views import look_at
 
     camera = Camera(WIDTH, HEIGHT, 260.0, 260.0, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
     T_world_cam = look_at(_EYE, _TARGET)

@@ -153,7 +153,7 @@ def look_at_table(
     exact, index = _rendered(objects, camera, T_world_cam)
     if kind == "exact":
         return Look(exact, index)
-    from sensors.synthetic.stereo_depth import sensor_depth
+    from sensors.synthetic.camera_frames import sensor_depth
 
     opaque = [o for o in objects if o.surface != "transparent"]
     behind = _rendered(opaque, camera, T_world_cam)[0] if len(opaque) < len(objects) else exact

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.assets.procedural.painted import (
+from sensors.assets.procedural.solids import (
     DARK,
     GLASS,
     GREY,
@@ -15,18 +15,16 @@ from sensors.assets.procedural.painted import (
     WHITE,
     Paint,
     Rgb,
-    hsv,
-    one_of,
-    vivid,
-)
-from sensors.assets.procedural.solids import (
     box,
     ellipsoid,
+    hsv,
     loft,
+    one_of,
     outline_of_turn,
     rod,
     rounded,
     turned,
+    vivid,
 )
 
 if TYPE_CHECKING:

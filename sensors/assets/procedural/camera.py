@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sensors.assets.procedural.painted import (
+from sensors.assets.procedural.solids import (
     DARK,
     GLASS,
     GREY,
@@ -15,16 +15,13 @@ from sensors.assets.procedural.painted import (
     WHITE,
     Paint,
     Rgb,
-    hsv,
-    one_of,
-    vivid,
-)
-from sensors.assets.procedural.solids import (
     along_x,
     along_y,
     along_z,
     box,
     ellipsoid,
+    hsv,
+    one_of,
     outline_of_turn,
     polygon,
     rectangle,
@@ -32,6 +29,7 @@ from sensors.assets.procedural.solids import (
     rounded,
     rounded_box,
     turned,
+    vivid,
 )
 
 if TYPE_CHECKING:

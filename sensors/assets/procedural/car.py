@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.assets.procedural.painted import (
+from sensors.assets.procedural.solids import (
     AMBER,
     DARK,
     GLASS,
@@ -17,14 +17,11 @@ from sensors.assets.procedural.painted import (
     WHITE,
     Paint,
     Rgb,
-    hsv,
-    one_of,
-    vivid,
-)
-from sensors.assets.procedural.solids import (
     along_x,
     box,
     ellipsoid,
+    hsv,
+    one_of,
     outline_of_turn,
     polygon,
     rectangle,
@@ -32,6 +29,7 @@ from sensors.assets.procedural.solids import (
     rounded,
     rounded_box,
     turned,
+    vivid,
 )
 
 if TYPE_CHECKING:

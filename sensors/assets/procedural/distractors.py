@@ -7,23 +7,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sensors.assets.procedural.painted import (
+from sensors.assets.procedural.solids import (
     DARK,
     GREY,
     SILVER,
     WHITE,
     Paint,
-    hsv,
-    metal,
-    muted,
-    one_of,
-    vivid,
-)
-from sensors.assets.procedural.solids import (
     along_x,
     along_y,
     along_z,
     box,
+    hsv,
+    metal,
+    muted,
+    one_of,
     outline_of_turn,
     polygon,
     rod,
@@ -32,6 +29,7 @@ from sensors.assets.procedural.solids import (
     smooth_profile,
     tube,
     turned,
+    vivid,
 )
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from annotator.compare import compare_labels, merge_labels, write_scene
+from sensors.output.recording_writer import read_truth
 from sensors.synthetic import RecordingOptions, label_errors, make_recording
-from sensors.synthetic.recording import read_truth
-from sensors.synthetic.truth_scene import scene_from_truth
+from sensors.synthetic.truth import scene_from_truth
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.jobs import JobOptions

@@ -16,7 +16,7 @@ from annotator.cli import main
 from annotator.session import AddObject, Move, Session
 from annotator.session.requests import Refine, RequestCancelled
 from sensors.synthetic import RecordingOptions, make_recording
-from sensors.synthetic.truth_scene import scene_from_truth
+from sensors.synthetic.truth import scene_from_truth
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.symmetry import mssd

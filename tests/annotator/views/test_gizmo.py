@@ -244,3 +244,28 @@ class TestHit:
 def test_nothing_is_shown_behind_the_eye() -> None:
     frame = gizmo(np.array([0.0, 0.0, -0.5]), np.eye(3))
     assert all(len(frame.line(h)) == 0 for h in frame.handles(Gizmo.MOVE))
+
+
+@pytest.mark.parametrize("towards", [1.0, -1.0], ids=["away from the eye", "towards the eye"])
+@pytest.mark.parametrize("tilt", [0.4, 1.1, -0.7])
+def test_beyond_the_vanishing_point_an_arrow_stays_far_in_front_of_the_eye(
+    towards: float, tilt: float
+) -> None:
+    """There an axis' line lies behind the eye: the object goes as far away as it may, not back."""
+    centre = np.array([0.1, -0.05, 0.8])
+    away = so3_exp(np.array([tilt, tilt, 0.0])) @ np.array([0.0, 0.0, 1.0])
+    away *= np.sign(away[2])
+    axes = so3_exp(np.array([0.3, 0.2, 0.1]))
+    axes[:, 0] = towards * away
+    start = CAMERA.project(centre)
+    vanishing = CAMERA.project(away)  # of the axis' line: the direction's own projection
+    drag = gizmo(centre, axes).grab(Handle(Part.ARROW, 0), start, START)
+    depths = []
+    for share in (0.0, 0.5, 0.9, 0.999, 1.0, 1.001, 1.1, 2.0, 5.0):
+        shift = drag.to(start + share * (vanishing - start)).t - START.t
+        along = float(shift @ away)
+        assert shift == pytest.approx(along * away, abs=1e-12)
+        depths.append(centre[2] + float(shift[2]))
+    assert depths == sorted(depths)
+    farthest = centre[2] + 10 * centre[2] * away[2]
+    assert depths[3:] == pytest.approx([farthest] * 6)

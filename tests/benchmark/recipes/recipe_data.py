@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sensors.simulation.dataset import SET_FILE, SetRecord
 from sensors.simulation.options import SimulationOptions
+from sensors.simulation.simulated_set import SET_FILE, SetRecord
 from std_toolkit.io.documents import write_document
 from tests.dreds_on_disk import write_dreds_scene, write_std_scene
 

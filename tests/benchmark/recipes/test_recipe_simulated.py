@@ -63,7 +63,7 @@ def test_cut_packs_are_what_the_simulator_would_render(out: Path, tmp_path: Path
     """`std-train pack --raw cut` of simulated depth, and `std-sim --depth cut` packed as it is."""
     from benchmark.training.pack import PackOptions, pack_split
     from benchmark.training.packed_frames import PackedFrames
-    from sensors.simulation.dataset import SET_FILE, SetRecord, simulate_set
+    from sensors.simulation.simulated_set import SET_FILE, SetRecord, simulate_set
 
     source = out / "tiny" / "data" / "train"
     options = read_document(source / SET_FILE, SetRecord).options

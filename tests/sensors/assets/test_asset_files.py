@@ -11,7 +11,7 @@ import trimesh
 from PIL import Image
 
 from sensors.assets import TURN_Y, Asset, AssetSource, SourceOptions, open_source
-from sensors.assets.source import in_split
+from sensors.assets.asset_source import in_split
 from std_toolkit.errors import ToolkitError
 
 MUG, BOTTLE = "03797390", "02876657"

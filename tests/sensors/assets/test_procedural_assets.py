@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from sensors.assets import ASSET_SOURCES, TURN_Y, SourceOptions, open_source, scale_range
-from sensors.assets.procedural.library import CATEGORIES, make
-from sensors.assets.scales import draw_diagonal, scale_table
-from sensors.assets.turning import turn_symmetry
+from sensors.assets.asset_source import draw_diagonal, scale_table
+from sensors.assets.mesh_file import turn_symmetry
+from sensors.assets.procedural.shape_library import CATEGORIES, make
 from std_toolkit.errors import ToolkitError
 from std_toolkit.scene.model import CATEGORY_CLASS_IDS
 
@@ -52,7 +52,7 @@ def test_the_same_seed_is_the_same_mesh_in_another_process() -> None:
     chosen = [(c, s) for c in CATEGORIES for s in (3, 4)]
     script = (
         "import zlib\n"
-        "from sensors.assets.procedural.library import make\n"
+        "from sensors.assets.procedural.shape_library import make\n"
         f"for c, s in {chosen!r}:\n"
         "    a = make(c, s)\n"
         "    print(a.content_hash, zlib.crc32(a.face_colors.tobytes()), float(a.corner_uv.sum()))\n"

@@ -19,7 +19,7 @@ from sensors.materials import (
     load_library,
     make_texture,
 )
-from sensors.materials.library import BUILT_IN, PARAMETERS, TextureKind
+from sensors.materials.material_library import BUILT_IN, PARAMETERS, TextureKind
 from sensors.materials.textures import tiling_noise, to_linear, to_srgb
 from std_toolkit.errors import ToolkitError
 

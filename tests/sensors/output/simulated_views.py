@@ -152,8 +152,8 @@ def random_frames(scene: SimulatedScene) -> Iterator[SimulatedFrame]:
 
 def followed_frames(scene: SimulatedScene) -> Iterator[SimulatedFrame]:
     """Frames of a smooth arc with pictures that show the objects, labels of colour's size."""
-    from sensors.synthetic.camera_image import render_frame
-    from sensors.synthetic.world import World
+    from sensors.synthetic.camera_frames import render_frame
+    from sensors.synthetic.raycast_world import World
 
     world = World(default_shapes(), [o.T_world_obj for o in scene.objects], seed=scene.seed)
     options = TrajectoryOptions(frames=scene.frames, sweep_deg=60, distance_m=(0.6, 0.7))

@@ -10,7 +10,7 @@ import pytest
 from simulated_views import COLOR, LABELS, make_objects, make_scene, random_frames
 
 from sensors.output import SimulatedFrame
-from sensors.output.intake import Intake
+from sensors.output.scene_record import ReceivedFrames
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 
@@ -120,7 +120,7 @@ def test_a_scene_is_consistent() -> None:
 
 def test_the_frames_of_a_scene_are_its_own_and_each_comes_once(frames) -> None:
     scene = make_scene(frames=2)
-    intake = Intake(scene)
+    intake = ReceivedFrames(scene)
     with pytest.raises(ToolkitError, match="no frame was written"):
         _ = intake.color_camera
     intake.accept(frames[1])

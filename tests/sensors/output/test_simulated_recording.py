@@ -10,7 +10,7 @@ from simulated_views import COLOR, LABELS, make_frame, make_scene, random_frames
 
 from sensors.output import simulated_recording
 from sensors.synthetic import label_errors, read_truth, scene_from_truth
-from sensors.synthetic.annotation import write_annotations
+from sensors.synthetic.truth import write_annotations
 from sensors.viewpoints import TrajectoryOptions, smooth_trajectory
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3

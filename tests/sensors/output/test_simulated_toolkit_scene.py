@@ -20,7 +20,7 @@ from simulated_views import (
 )
 
 from sensors.output import read_simulation, toolkit_scene
-from sensors.output.models import metric_objects, metric_symmetry
+from sensors.output.toolkit_scene import metric_objects, metric_symmetry
 from sensors.viewpoints import TrajectoryOptions, smooth_trajectory
 from std_toolkit.checks.check_step import run_check
 from std_toolkit.errors import ToolkitError

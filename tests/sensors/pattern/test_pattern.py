@@ -13,7 +13,7 @@ from scipy.ndimage import maximum_filter
 from scipy.spatial import cKDTree
 
 from sensors.pattern import DotPattern, load_pattern, make_pattern
-from sensors.pattern.dots import WIDEST, apart, scattered
+from sensors.pattern.dot_pattern import WIDEST, apart, scattered
 from sensors.specs import load_sensor, names
 from sensors.stereo import make_matcher
 from std_toolkit.errors import ToolkitError

@@ -9,8 +9,8 @@ import numpy as np
 import trimesh
 
 from sensors.assets import Asset, canonical_frame
-from sensors.assets.procedural.library import CATEGORIES, make
-from sensors.assets.scales import draw_diagonal
+from sensors.assets.asset_source import draw_diagonal
+from sensors.assets.procedural.shape_library import CATEGORIES, make
 from sensors.physics import PhysicalObject, convex_parts, drift
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.support import PlacedObject, find_penetrations

@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull
 
 from sensors.assets import Asset, canonical_frame
 from sensors.physics import convex_parts
-from sensors.physics.decompose import decompose
+from sensors.physics.convex import decompose
 
 pytest.importorskip("coacd", reason="needs the extra [sim]")
 
@@ -45,7 +45,7 @@ def fake_python(monkeypatch: pytest.MonkeyPatch, folder: Path, script: str) -> N
     program = folder / "python"
     program.write_text(f"#!/bin/sh\n{script}\n")
     program.chmod(0o755)
-    monkeypatch.setattr("sensors.physics.decompose.sys.executable", str(program))
+    monkeypatch.setattr("sensors.physics.convex.sys.executable", str(program))
 
 
 def test_a_convex_body_costs_no_decomposition(

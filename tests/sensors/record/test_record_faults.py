@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from sensors.record.cli import main
-from sensors.record.document import read_recording
+from sensors.record.recording_document import read_recording
 from std_toolkit.scene import Scene
 from tests.sensors.record.conftest import FRAMES
 

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sensors.record.frames import CapturedFrame
-from sensors.record.hints import HintMaker, exposure_shares, sharpness
-from sensors.record.view_change import ViewChange
+from sensors.record.hints import HintMaker, ViewChange, exposure_shares, sharpness
+from sensors.record.recording_document import CapturedFrame
 
 
 def texture(width: int, height: int, seed: int = 0) -> NDArray[np.uint8]:

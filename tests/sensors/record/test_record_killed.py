@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from sensors.record.cli import main
-from sensors.record.document import read_recording
-from sensors.record.rows import journal_path
+from sensors.record.frame_table import journal_path
+from sensors.record.recording_document import read_recording
 from std_toolkit.scene import Scene
 
 pytest.importorskip("pyrealsense2")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sensors.record.lens import camera_model, pose
+from sensors.record.calibration import camera_model, pose
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3

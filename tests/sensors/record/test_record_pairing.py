@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sensors.record.pairing import Pairing
+from sensors.record.sdk_frames import Pairing
 
 PERIOD = 1000 / 30
 

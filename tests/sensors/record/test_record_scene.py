@@ -16,7 +16,7 @@ import pytest
 
 from sensors.align import align_depth
 from sensors.record.cli import main
-from sensors.record.document import read_recording
+from sensors.record.recording_document import read_recording
 from std_toolkit.io.images import read_color, read_png
 from std_toolkit.scene import Scene
 from tests.sensors.record.conftest import FRAMES
@@ -256,7 +256,7 @@ def test_a_camera_that_falls_silent(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr("sensors.record.source.SILENCE_S", 1.0)
+    monkeypatch.setattr("sensors.record.device_source.SILENCE_S", 1.0)
     camera.feed(15, rate=40)
     out = tmp_path / "scene"
     assert main([str(out), *SMALL, "--warm-up", "0"], devices=[camera.device]) == 1

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from sensors.record.camera_settings import CameraSettings, apply_settings, lock
 from sensors.record.cli import main
-from sensors.record.document import read_recording
-from sensors.record.settings import CameraSettings, apply_settings, lock
-from sensors.record.stream_choice import Stream, StreamWishes, wished_streams
+from sensors.record.realsense import Stream, StreamRequest, requested_streams
+from sensors.record.recording_document import read_recording
 from std_toolkit.errors import ToolkitError
 
 rs = pytest.importorskip("pyrealsense2")
@@ -39,7 +39,7 @@ def device() -> SoftwareCamera:
 
 @pytest.fixture
 def streams(device: SoftwareCamera) -> dict[str, Stream]:
-    return wished_streams(device.device, StreamWishes((320, 180), (320, 180)))
+    return requested_streams(device.device, StreamRequest((320, 180), (320, 180)))
 
 
 def value(stream: Stream, option: str) -> float:
@@ -109,7 +109,7 @@ def test_values_that_the_camera_does_not_take(
 
 
 def test_an_option_that_the_camera_lacks() -> None:
-    plain = wished_streams(SoftwareCamera().device, StreamWishes((320, 180), (320, 180)))
+    plain = requested_streams(SoftwareCamera().device, StreamRequest((320, 180), (320, 180)))
     for settings in (CameraSettings(laser="off"), CameraSettings(exposure=5.0)):
         with pytest.raises(ToolkitError, match="has no option"):
             apply_settings(plain, settings)

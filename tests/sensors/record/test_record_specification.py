@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sensors.record.calibration import compare, sensor_of
 from sensors.record.cli import main
-from sensors.record.document import read_recording
-from sensors.record.frames import Calibration, DeviceInfo
-from sensors.record.specification import compare, sensor_of
+from sensors.record.recording_document import Calibration, DeviceInfo, read_recording
 from sensors.specs import load_sensor
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sensors.output.recording_writer import read_truth
 from sensors.record.cli import main
-from sensors.synthetic.recording import RecordingOptions, make_recording, read_truth
+from sensors.synthetic.recording import RecordingOptions, make_recording
 from std_toolkit.cli.main import main as curate
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.images import read_color, read_png

@@ -20,8 +20,8 @@ from sensors.render import (
     denoise,
     develop,
 )
-from sensors.render.appearance import appearance, box_uv
-from sensors.render.denoiser import denoiser
+from sensors.render.color_image import denoiser
+from sensors.render.mitsuba_scene import appearance, box_uv
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sensors.simulation.clear import clear_of_steps
-from sensors.simulation.stats import ErrorTally
+from sensors.simulation.set_report import ErrorTally
+from sensors.simulation.trial import measurable_pixels
 from sensors.specs import load_sensor
 from std_toolkit.geometry.camera import Camera
 
@@ -20,7 +20,7 @@ def part(width: int, height: int) -> Camera:
 
 
 def clear_of(exact: np.ndarray) -> np.ndarray:
-    return clear_of_steps(exact, focal_px=WHOLE.fx, baseline_m=SPEC.baseline_m)
+    return measurable_pixels(exact, focal_px=WHOLE.fx, baseline_m=SPEC.baseline_m)
 
 
 def test_clear_pixels_keep_off_the_left_edge_shadows_and_borders() -> None:
@@ -55,12 +55,12 @@ def renderer():
 def test_diffuse_surfaces_at_60_cm_are_measured(renderer) -> None:
     """All 36 materials: 95 % complete, median error 1.2 mm."""
     from sensors.render import DRAFT_INFRARED
-    from sensors.simulation.trial import look, tiles
+    from sensors.simulation.trial import render_view, tiles
 
     camera = part(280, 160)
     board = tiles(camera, 0)
     assert len({m.name for m in board.materials}) == 36
-    view = look(board, SPEC, camera, renderer, options=DRAFT_INFRARED, seed=0)
+    view = render_view(board, SPEC, camera, renderer, options=DRAFT_INFRARED, seed=0)
     clear = clear_of(view.exact)
     assert clear.mean() > 0.7
     tally = ErrorTally()
@@ -78,7 +78,7 @@ def test_diffuse_surfaces_at_60_cm_are_measured(renderer) -> None:
 @pytest.mark.slow
 def test_glass_is_not_measured_and_metal_lies_between(renderer) -> None:
     from sensors.render import DRAFT_INFRARED
-    from sensors.simulation.trial import look, vessels
+    from sensors.simulation.trial import render_view, vessels
 
     camera = part(400, 240)
     rows = {}
@@ -88,7 +88,7 @@ def test_glass_is_not_measured_and_metal_lies_between(renderer) -> None:
         ("transparent", "glass_refractive"),
     ):
         trial = vessels([(material_class, name, c) for c in ("mug", "bottle", "bowl")], 5)
-        view = look(trial, SPEC, camera, renderer, options=DRAFT_INFRARED, seed=5)
+        view = render_view(trial, SPEC, camera, renderer, options=DRAFT_INFRARED, seed=5)
         where = view.mask > 0
         tally = ErrorTally()
         tally.add(view.depth[where], view.exact[where])

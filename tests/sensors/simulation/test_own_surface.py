@@ -7,7 +7,7 @@ import pytest
 
 from sensors.assets import open_source
 from sensors.assets.asset import Asset
-from sensors.simulation.surface import own_surface
+from sensors.simulation.world_builder import own_surface
 
 
 @pytest.fixture(scope="module")

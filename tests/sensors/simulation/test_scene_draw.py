@@ -11,7 +11,15 @@ import pytest
 
 from sensors.assets import open_source
 from sensors.lighting import environment_source
-from sensors.simulation.draw import (
+from sensors.simulation.cli import MATERIAL_SWITCHES, ORDERS, PRESET_NAMES, QUALITY_NAMES
+from sensors.simulation.options import (
+    PRESETS,
+    QUALITIES,
+    MaterialSwitch,
+    SimulationOptions,
+    ViewOrder,
+)
+from sensors.simulation.scene_draw import (
     ALWAYS,
     SOMETIMES,
     SceneDraw,
@@ -19,10 +27,6 @@ from sensors.simulation.draw import (
     draw_scene,
     generator,
 )
-from sensors.simulation.names import MATERIAL_SWITCHES, ORDERS, PRESET_NAMES, QUALITY_NAMES
-from sensors.simulation.options import MaterialSwitch, SimulationOptions, ViewOrder
-from sensors.simulation.presets import PRESETS
-from sensors.simulation.quality import QUALITIES
 from std_toolkit.errors import ToolkitError
 
 OPTIONS = SimulationOptions(views=3)

@@ -12,11 +12,10 @@ import pytest
 import trimesh
 
 from sensors.output import read_record
-from sensors.simulation.arrangement import Arrangements
 from sensors.simulation.cli import main
-from sensors.simulation.equipment import Equipment
+from sensors.simulation.equipment import Arrangements, Equipment
 from sensors.simulation.options import SimulationOptions
-from sensors.simulation.stats import set_statistics
+from sensors.simulation.set_report import set_statistics
 from sensors.specs import load_sensor
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3, so3_exp

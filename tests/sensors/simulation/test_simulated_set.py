@@ -17,7 +17,7 @@ import trimesh
 
 from sensors.output.dreds import SUFFIXES, scene_folder
 from sensors.simulation.cli import main
-from sensors.simulation.stats import set_statistics
+from sensors.simulation.set_report import set_statistics
 from std_toolkit.io.exr import read_exr_depth
 from std_toolkit.scene import Scene
 

@@ -9,7 +9,7 @@ import pytest
 
 from sensors.output import read_record
 from sensors.output.dreds import SUFFIXES, scene_folder
-from sensors.simulation.stats import set_statistics
+from sensors.simulation.set_report import set_statistics
 from std_toolkit.importers.foreign_files import read_mask_source
 from std_toolkit.importers.std_objects import read_meta
 from std_toolkit.io.exr import read_exr_depth

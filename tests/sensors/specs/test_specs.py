@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 
 from sensors.specs import load_sensor, names
-from sensors.specs.load import FOLDER, SCHEMA
-from sensors.specs.model import figures, without_source
-from sensors.specs.schema import schema_bytes
+from sensors.specs.sensor import FOLDER, SCHEMA, figures, schema_bytes, without_source
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 

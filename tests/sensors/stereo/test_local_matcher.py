@@ -11,8 +11,8 @@ from dot_stereo import Rig, bias_by_fraction, plane, sphere
 from numpy.typing import NDArray
 
 from sensors.stereo import make_matcher
-from sensors.stereo.numba_filters import median_rows, remove_speckles
-from sensors.stereo.options import LocalMatcherOptions
+from sensors.stereo.local_options import LocalMatcherOptions
+from sensors.stereo.numba_backend import median_rows, remove_speckles
 from std_toolkit.errors import ToolkitError
 
 TILTED = plane((0.15, 0.1, 1), 0.5)

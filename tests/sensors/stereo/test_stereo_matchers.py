@@ -60,7 +60,7 @@ def test_registry() -> None:
 
 
 def test_matcher_by_its_path() -> None:
-    found = make_matcher("sensors.stereo.sgbm:sgbm_matcher", block_px=3)
+    found = make_matcher("sensors.stereo.builtin_matchers:sgbm_matcher", block_px=3)
     assert found.options.block_px == 3  # type: ignore[attr-defined]
 
 

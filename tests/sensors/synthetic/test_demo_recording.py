@@ -164,4 +164,4 @@ def test_without_the_simulator_the_demo_says_so_and_is_quick(
 def test_rendering_without_a_compiler_is_told_as_too_slow(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mitsuba")
     monkeypatch.setenv("STD_SIM_VARIANT", "scalar_rgb")
-    assert "libllvm19" in str(demo.simulator_lacks())
+    assert "libllvm19" in str(demo.why_no_simulator())

@@ -16,12 +16,11 @@ from sensors.synthetic import (
     read_truth,
     scene_from_truth,
 )
-from sensors.synthetic.annotation import write_annotations
-from sensors.synthetic.camera_image import FrameMaps, render_frame
+from sensors.synthetic.camera_frames import FrameMaps, render_frame, sensor_depth
+from sensors.synthetic.raycast_world import World
+from sensors.synthetic.recording import look_at
 from sensors.synthetic.shapes import default_shapes
-from sensors.synthetic.stereo_depth import sensor_depth
-from sensors.synthetic.trajectory import look_at
-from sensors.synthetic.world import World
+from sensors.synthetic.truth import write_annotations
 from std_toolkit.geometry import SE3, Camera, unproject_depth
 from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.jobs import JobOptions

@@ -77,6 +77,21 @@ def test_share_within_counts_missing_readings_as_misses() -> None:
     assert tally.share_within(0.01) == 0.5
 
 
+@pytest.mark.parametrize(("error", "bin_"), [(0.0, 1000), (0.25, 1500), (-0.25, 500)])
+def test_a_bin_of_depth_errors_holds_its_lower_end(error: float, bin_: int) -> None:
+    tally = ErrorTally()
+    tally.add(np.array([1.0 + error]), np.ones(1))
+    assert tally.histogram is not None
+    assert np.flatnonzero(tally.histogram).tolist() == [bin_]
+
+
+def test_the_outermost_bins_of_depth_errors_hold_the_rest() -> None:
+    tally = ErrorTally()
+    tally.add(np.array([0.5, 0.25, 1.5, 3.0]), np.ones(4))
+    assert tally.histogram is not None
+    assert (tally.histogram[0], tally.histogram[-1], tally.histogram.sum()) == (2, 2, 4)
+
+
 def _views(count: int, arc_deg: float):
     poses = [arc_pose(a) for a in np.linspace(-arc_deg / 2, arc_deg / 2, count)]
     pairs = [shift_jacobian(CAMERA, T, CENTRES[1]) for T in poses]

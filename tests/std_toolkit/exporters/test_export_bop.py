@@ -11,12 +11,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
+import msgspec
 import numpy as np
 import open3d as o3d
 import pytest
 from scene_factory import SERIAL, WORLD_POSES, make_scene
 
 from std_toolkit.exporters import export_scene
+from std_toolkit.exporters.bop_exporter import depth_units
+from std_toolkit.exporters.std_exporter import write_depth_exr
 from std_toolkit.geometry import SE3, so3_exp
 from std_toolkit.scene import Scene
 
@@ -292,3 +295,19 @@ def test_coco_boxes_count_pixels_and_are_clipped(exported):
         assert a["area"] == np.count_nonzero(bits)
         assert (exported.folder / images[im_id]["file_name"]).is_file()
     assert len({a["id"] for a in coco["annotations"]}) == len(coco["annotations"])
+
+
+def test_depth_beyond_16_bits_is_dropped_and_not_clipped(tmp_path):
+    """65,535 mm are the last that fit; what is farther is no reading, not a wall at 65.5 m."""
+    scene = make_scene(tmp_path / "scene", frames=1, depth=False, render=False)
+    frame = scene.frames[0]
+    width, height = scene.camera(frame).size
+    depth = np.full((height, width), 0.9, np.float32)
+    depth[3, 4:10] = 65.534, 65.535, 65.536, 70.0, 131.071, 1000.0
+    path = scene.root / "depth/view_0.exr"
+    path.parent.mkdir()
+    write_depth_exr(path, depth)
+    units = depth_units(scene, msgspec.structs.replace(frame, depth="depth/view_0.exr"))
+    assert units.scale_mm == 1.0 and units.values.dtype == np.uint16
+    assert units.values[3, 4:10].tolist() == [65534, 65535, 0, 0, 0, 0]
+    assert np.count_nonzero(units.values == 900) == width * height - 6

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sensors.synthetic.annotation import annotate_first_frame
-from sensors.synthetic.recording import RecordingOptions, Truth, make_recording
-from sensors.synthetic.score import label_errors
+from sensors.output.recording_writer import Truth
+from sensors.synthetic.recording import RecordingOptions, make_recording
+from sensors.synthetic.truth import annotate_first_frame, label_errors
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.geometry.se3 import SE3, so3_exp
 from std_toolkit.labels.label import add_model, add_object, set_pose

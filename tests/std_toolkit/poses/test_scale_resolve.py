@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import permutations
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,10 @@ class Board(Fixed):
     name, factor = "board", 1.0
 
 
+class Cad(Fixed):
+    name, factor = "cad", 1.002
+
+
 class Far(Fixed):
     name, factor = "far", 1.02
 
@@ -67,6 +72,19 @@ def test_agreeing_sources_are_all_reported_and_the_board_is_trusted(monkeypatch,
     assert factor == 1.0 and report.chosen == "board" and report.unit == "metre"
     assert [e.source for e in report.estimates] == ["depth", "board"]
     assert report.disagreement == pytest.approx(0.004, abs=1e-4)
+
+
+@pytest.mark.parametrize("order", list(permutations((Board, Cad, Depth, Far))))
+@pytest.mark.parametrize("absent", [0, 1, 2])
+def test_board_before_cad_before_depth_before_plug_ins(
+    monkeypatch, context, order: tuple[type, ...], absent: int
+) -> None:
+    """Whatever the order in which they are asked."""
+    trusted = (Board, Cad, Depth, Far)[absent:]
+    use(monkeypatch, *(source for source in order if source in trusted))
+    factor, report = resolve_scale(context, scale="auto", max_disagreement=0.05)
+    assert (report.chosen, factor) == (trusted[0].name, trusted[0].factor)
+    assert len(report.estimates) == len(trusted)
 
 
 def test_contradicting_sources_stop_the_run_unless_one_is_named(monkeypatch, context) -> None:

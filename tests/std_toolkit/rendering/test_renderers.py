@@ -1,4 +1,4 @@
-"""Both renderers against closed formulas: depth, edges to a hundredth of a pixel, agreement."""
+"""All renderers against closed formulas: depth, edges to a hundredth of a pixel, agreement."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import trimesh
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.rendering.choose import find_gl, get_renderer
-from std_toolkit.rendering.maps import Maps, render_scene_maps
+from std_toolkit.rendering.maps import Maps, object_silhouette, render_scene_maps
 from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
 from std_toolkit.rendering.raycast import RaycastRenderer
 from std_toolkit.rendering.renderer import PlacedMesh, Raster, Renderer, Window, image_window
@@ -126,10 +126,11 @@ def rectangle(left: float, top: float, right: float, bottom: float) -> RenderMes
     return RenderMesh.from_arrays(points, np.array([[0, 1, 2], [0, 2, 3]]))
 
 
+@pytest.mark.parametrize("silhouette", [False, True], ids=["window", "silhouette"])
 @pytest.mark.parametrize("edge", [0, 1, 2, 3])
 @pytest.mark.parametrize("pixel", [(41, 37), (322, 236), (603, 447)])
 def test_edges_lie_where_they_should_to_a_hundredth_of_a_pixel(
-    renderer: Renderer, edge: int, pixel: tuple[int, int]
+    renderer: Renderer, edge: int, pixel: tuple[int, int], silhouette: bool
 ) -> None:
     """An edge moved across a pixel's centre turns the pixel on where the edge meets the centre.
 
@@ -142,6 +143,9 @@ def test_edges_lie_where_they_should_to_a_hundredth_of_a_pixel(
     def is_on(position: float) -> bool:
         sides = [x - 9.3, y - 8.7, x + 9.6, y + 8.4]
         sides[edge] = position
+        if silhouette:
+            drawn = object_silhouette(renderer, CAMERA, rectangle(*sides), SE3.identity())
+            return bool(drawn.image_mask(CAMERA)[y, x])
         window = Window(x - 3, y - 3, 7, 7)
         raster = renderer.draw(CAMERA, rectangle(*sides), SE3.identity(), window=window)
         return bool(raster.depth[3, 3] > 0)

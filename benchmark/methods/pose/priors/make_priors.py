@@ -161,7 +161,7 @@ def sample_shapes(
     Raises:
         ToolkitError: the source has none of this category.
     """
-    from sensors.assets.source import AssetSource
+    from sensors.assets.asset_source import AssetSource
 
     assets: AssetSource = source  # type: ignore[assignment]
     if category not in assets.categories():

@@ -111,6 +111,41 @@ def test_voxels_are_the_cells_that_hold_points() -> None:
     assert voxel_means(np.zeros((0, 3)), 0.01).shape == (0, 3)
 
 
+@pytest.mark.parametrize("size", [0.005, 0.01, 0.037])
+def test_a_thinner_cloud_is_that_of_open3d(size: float) -> None:
+    """Its grid begins half a cell before the smallest point along each axis."""
+    import open3d as o3d
+
+    points = np.random.default_rng(5).uniform([-0.1, 0.3, -0.7], [0.1, 0.4, -0.5], (4000, 3))
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    expected = np.asarray(cloud.voxel_down_sample(size).points)
+    ours = voxel_means(points, size)
+    assert len(ours) == len(expected) > 50
+    for one, other in ((ours, expected), (expected, ours)):
+        gap = np.linalg.norm(one[:, None] - other[None], axis=2).min(axis=1)
+        assert gap.max() < 1e-12
+
+
+def test_the_grid_begins_half_a_cell_before_the_smallest_point() -> None:
+    # Cells from 0.995, so that the first holds 1.000 to 1.004 and the second 1.006.
+    points = np.array([[1.0, 2.0, -3.0], [1.004, 2.0, -3.0], [1.006, 2.0, -3.0]])
+    for axis in range(3):
+        means = voxel_means(np.roll(points, axis, axis=1), 0.01)
+        assert np.allclose(np.roll(means, -axis, axis=1), [[1.002, 2, -3], [1.006, 2, -3]])
+    # The grid of centres stands at the origin instead, also on its negative side.
+    assert np.allclose(
+        voxel_centers([[-0.001, 0.0, 0.0099], [-0.011, 0.01, 0.0]], 0.01),
+        [[-0.015, 0.015, 0.005], [-0.005, 0.005, 0.005]],
+    )
+
+
+def test_cells_that_fill_a_finger_begin_half_a_cell_before_the_smallest_point() -> None:
+    """Two points 6 mm apart lie in two cells of 1 cm; from the first point on, it would be one."""
+    grasps = Grasps.make(np.eye(3)[None], np.zeros((1, 3)), widths=0.05, depths=0.04)
+    share = filled_share(grasps, GRASPNET_SWEPT, [[0.0, 0.03, 0.0], [0.006, 0.03, 0.0]])
+    assert share[0] == pytest.approx(2 / (2 * 12 + 6 * 7 * 2))
+
+
 def test_the_share_that_is_filled_counts_cells() -> None:
     # A cloud that fills one finger of 6 x 1 x 2 cm wholly: 12 cells of 1 cm.
     grasps = Grasps.make(np.eye(3)[None], np.zeros((1, 3)), widths=0.05, depths=0.04)

@@ -332,3 +332,36 @@ def test_what_is_refused() -> None:
         replace(STRICT, subsets=(Subset("all"), Subset("all")))
     with pytest.raises(ToolkitError, match="no way to count"):
         replace(STRICT, missing=Missing.LEFT_OUT)
+
+
+def test_a_depth_range_holds_its_near_end_and_not_its_far_end() -> None:
+    """What lies on an end counts once, in the range that begins there."""
+    protocol = replace(NATIVE, depth_bins=(0.5, 0.75, 1.0))
+    below = np.nextafter(np.float32([0.5, 0.75, 1.0]), np.float32(0))
+    true = np.array([[0.5, 0.75, 1.0, *below]], np.float32)
+    found = by_name(score_frame(true + np.float32(0.125), frame(true), protocol))
+    counts = {subset: row.errors.n_pixels for (_, subset), row in found.items()}
+    near, far = "depth:0.50-0.75", "depth:0.75-1.00"
+    assert (counts[near], counts[far]) == (2, 2)
+    for ends, (low, high) in {near: (0.5, 0.75), far: (0.75, 1.0)}.items():
+        inside = (true >= low) & (true < high)
+        rel = float((0.125 / true[inside]).mean())
+        assert found["native", ends].errors.rel == pytest.approx(rel, rel=1e-6)
+
+
+def test_an_end_of_a_depth_range_of_strict_is_the_same_number_in_the_data() -> None:
+    """0.3 m of a float32 image lies in 0.30-0.40, although it is no binary number."""
+    for end in STRICT.depth_bins[:-1]:
+        true = np.full((4, 4), end, np.float32)
+        found = [r.subset for r in score_frame(true, frame(true), STRICT) if "depth" in r.subset]
+        assert found == [f"depth:{end:.2f}-{end + 0.1:.2f}"]
+    last = np.full((4, 4), STRICT.depth_bins[-1], np.float32)
+    assert not [r for r in score_frame(last, frame(last), STRICT) if "depth" in r.subset]
+
+
+def test_both_ends_of_the_depths_compared_are_included() -> None:
+    protocol = replace(NATIVE, depth_range=(0.5, 1.0))
+    true = np.array([[0.5, 0.75, 1.0]], np.float32)
+    outside = np.nextafter(true[:, [0, 2]], np.float32([[0, 2]]))
+    true = np.concatenate([true, outside], axis=1)
+    assert score_frame(true, frame(true), protocol)[0].errors.n_pixels == 3

@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 from scene_on_disk import camera_poses, write_frames, write_models
 
-from sensors.synthetic.trajectory import look_at
+from sensors.synthetic.recording import look_at
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.rendering.maps import compose
 from std_toolkit.rendering.raycast import RaycastRenderer

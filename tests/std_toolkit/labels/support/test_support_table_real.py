@@ -9,7 +9,7 @@ import pytest
 import scipy.io
 
 from sensors.synthetic.recording import RecordingOptions, make_recording
-from sensors.synthetic.truth_scene import scene_from_truth
+from sensors.synthetic.truth import scene_from_truth
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.labels.support.penetration import find_penetrations

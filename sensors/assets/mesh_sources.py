@@ -1,0 +1,249 @@
+"""Assets from files: a folder of your own meshes, or ShapeNetCore.
+
+Without more, sub-folders are categories: `mug/red.obj`, `mug/blue/textured.obj`. A document
+`assets.json` in the folder says it instead, and more:
+
+    {"assets": [{"mesh": "scans/red.obj", "category": "mug", "symmetry": "none", "up": "z",
+                 "unit": "mm"}]}
+
+ShapeNetCore as an asset source.
+
+The folder holds one folder per synset, and in it one per model:
+
+- version 2: `<synset>/<model>/models/model_normalized.obj`, up +y, front -z;
+- version 1: `<synset>/<model>/model.obj`, up +y, front +x, some models mirrored.
+
+Coordinates are taken as they are, but for centre and scale. They mean no size.
+Source of the layout and axes: the read-me of each version and https://shapenet.org/annotations.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from sensors.assets.asset import NO_SYMMETRY, TURN_Y, Asset
+from sensors.assets.asset_source import SourceOptions, in_split
+from sensors.assets.mesh_file import read_asset
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.mesh import MESH_SUFFIXES, UNITS_IN_M
+from std_toolkit.scene.document import check_name, check_relative, safe_name
+
+DOCUMENT = "assets.json"
+
+_SYMMETRIES = {"none": NO_SYMMETRY, "axis:y": TURN_Y, "auto": None}
+
+SYNSETS = {
+    "aeroplane": "02691156",
+    "bottle": "02876657",
+    "bowl": "02880940",
+    "camera": "02942699",
+    "can": "02946921",
+    "car": "02958343",
+    "mug": "03797390",
+}
+
+_MODELS = ("models/model_normalized.obj", "model.obj")
+
+
+class AssetRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One mesh of assets.json.
+
+    Attributes:
+        mesh: path relative to the folder.
+        category: such as "mug"; any name, "other" for distractors.
+        id: safe name; by default made of category and path.
+        symmetry: "axis:y" full turns about the vertical, "none", or "auto" to find out.
+        up: vertical axis of the file, "y" or "z".
+        unit: "m", "cm" or "mm" where the file has the object's real size; default as the source
+            was opened.
+    """
+
+    mesh: str
+    category: str
+    id: str = ""
+    symmetry: Literal["none", "axis:y", "auto"] = "auto"
+    up: Literal["y", "z"] = "y"
+    unit: Literal["m", "cm", "mm"] | None = None
+
+
+class AssetList(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """assets.json."""
+
+    assets: list[AssetRow]
+
+
+class FolderSource:
+    """Meshes below a folder.
+
+    Args:
+        options: `root`, `split` (one mesh in five is in the test split, by its path) and `unit`.
+
+    Raises:
+        ToolkitError: no such folder, no mesh in it, a document that does not hold, two meshes of
+            one id.
+    """
+
+    def __init__(self, options: SourceOptions) -> None:
+        self._root = options.need_root()
+        if options.unit is not None and options.unit not in UNITS_IN_M:
+            raise ToolkitError(
+                "unknown unit", field="unit", value=options.unit, hint="one of m, cm, mm"
+            )
+        self._unit = options.unit
+        document = self._root / DOCUMENT
+        rows = self._listed(document) if document.is_file() else self._found()
+        counts = Counter(_id(row) for row in rows)
+        twice = [i for i, n in counts.items() if n > 1]
+        if twice:
+            raise ToolkitError(
+                "two meshes would have the same id",
+                path=self._root,
+                value=twice[0],
+                hint=f"give them ids in {DOCUMENT}",
+            )
+        self._rows = {_id(row): row for row in rows}
+        self._ids: dict[str, list[str]] = {}
+        for key in sorted(self._rows):
+            if in_split(self._rows[key].mesh, options.split):
+                self._ids.setdefault(self._rows[key].category, []).append(key)
+        if not self._ids:
+            raise ToolkitError(
+                f"no mesh here for the split {options.split!r}",
+                path=self._root,
+                hint=f"expected <category>/*{MESH_SUFFIXES[0]} or a {DOCUMENT}",
+            )
+
+    def categories(self) -> Sequence[str]:
+        return tuple(sorted(self._ids))
+
+    def sample(self, rng: np.random.Generator, category: str) -> Asset:
+        ids = self._ids.get(category)
+        if ids is None:
+            raise ToolkitError(
+                "no mesh of this category in the folder and split",
+                path=self._root,
+                field="category",
+                value=category,
+            )
+        return self.load(ids[int(rng.integers(len(ids)))])
+
+    def load(self, asset_id: str) -> Asset:
+        row = self._rows.get(asset_id)
+        if row is None:
+            raise ToolkitError("no mesh of this id", path=self._root, field="id", value=asset_id)
+        return read_asset(
+            self._root / row.mesh,
+            asset_id=asset_id,
+            category=row.category,
+            unit=row.unit or self._unit,
+            symmetry=_SYMMETRIES[row.symmetry],
+            up=row.up,
+        )
+
+    def _found(self) -> list[AssetRow]:
+        return [
+            AssetRow(
+                mesh=path.relative_to(self._root).as_posix(),
+                category=safe_name(path.relative_to(self._root).parts[0]),
+            )
+            for path in sorted(self._root.rglob("*"))
+            if path.suffix.lower() in MESH_SUFFIXES
+            and path.is_file()
+            and len(path.relative_to(self._root).parts) > 1
+        ]
+
+    def _listed(self, document: Path) -> list[AssetRow]:
+        try:
+            listed = msgspec.json.decode(document.read_bytes(), type=AssetList)
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            raise ToolkitError(f"not a list of assets: {error}", path=document) from error
+        for k, row in enumerate(listed.assets):
+            check_name(row.category, path=document, field=f"assets[{k}].category")
+            check_relative(row.mesh, path=document, field=f"assets[{k}].mesh")
+            if row.id:
+                check_name(row.id, path=document, field=f"assets[{k}].id")
+        return listed.assets
+
+
+def _id(row: AssetRow) -> str:
+    stem = Path(row.mesh).with_suffix("").as_posix()
+    return row.id or safe_name(
+        stem if stem.startswith(f"{row.category}/") else f"{row.category}_{stem}"
+    )
+
+
+_CATEGORY_OF = {synset: category for category, synset in SYNSETS.items()}
+
+
+class ShapeNetSource:
+    """The seven categories of a ShapeNetCore folder, as far as they are there.
+
+    Args:
+        options: `root` and `split`; one model in five is in the test split, by its name.
+
+    Raises:
+        ToolkitError: no such folder, or none of the synsets with a model in it.
+    """
+
+    def __init__(self, options: SourceOptions) -> None:
+        self._root = options.need_root()
+        self._models = {
+            category: names
+            for category, synset in SYNSETS.items()
+            if (names := self._names(synset, options))
+        }
+        if not self._models:
+            raise ToolkitError(
+                "no ShapeNetCore model of the seven categories here",
+                path=self._root,
+                hint=f"expected {SYNSETS['mug']}/<model>/{_MODELS[0]} or .../{_MODELS[1]}",
+            )
+
+    def categories(self) -> Sequence[str]:
+        return tuple(self._models)
+
+    def sample(self, rng: np.random.Generator, category: str) -> Asset:
+        names = self._models.get(category)
+        if names is None:
+            raise ToolkitError(
+                "no model of this category in the folder and split",
+                path=self._root,
+                field="category",
+                value=category,
+            )
+        return self.load(f"{SYNSETS[category]}-{names[int(rng.integers(len(names)))]}")
+
+    def load(self, asset_id: str) -> Asset:
+        synset, _, name = asset_id.partition("-")
+        path = self._path(synset, name) if name else None
+        if synset not in _CATEGORY_OF or path is None:
+            raise ToolkitError(
+                "no such model (an id is <synset>-<model>)",
+                path=self._root,
+                field="id",
+                value=asset_id,
+            )
+        return read_asset(path, asset_id=asset_id, category=_CATEGORY_OF[synset])
+
+    def _names(self, synset: str, options: SourceOptions) -> list[str]:
+        folder = self._root / synset
+        if not folder.is_dir():
+            return []
+        return sorted(
+            p.name
+            for p in folder.iterdir()
+            if in_split(p.name, options.split) and self._path(synset, p.name) is not None
+        )
+
+    def _path(self, synset: str, name: str) -> Path | None:
+        # A name from outside must not lead out of the folder.
+        if Path(name).name != name or name in (".", ".."):
+            return None
+        folder = self._root / synset / name
+        return next((folder / m for m in _MODELS if (folder / m).is_file()), None)

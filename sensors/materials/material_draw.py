@@ -1,0 +1,297 @@
+"""Random choice of a material: its class by category, then its values.
+
+Which material class an object gets: probabilities per category, and the ablations' switches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from sensors.materials.material_library import (
+    MATERIAL_CLASSES,
+    PARAMETERS,
+    Color,
+    Document,
+    GlassMaterial,
+    MaterialClass,
+    MaterialLibrary,
+    OpaqueMaterial,
+    Range,
+    Share,
+    TextureKind,
+    class_id,
+    load_library,
+)
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import InvalidDocument, read_document
+
+BUILT_IN = Path(__file__).with_name("object_classes.json")
+
+FALLBACK_CATEGORY = "other"
+
+
+class DrawnTexture(Document, frozen=True, kw_only=True):
+    """A procedural texture with all its numbers; `textures.make_texture` draws it.
+
+    Attributes:
+        tile_m: extent of one tile on the surface, metres.
+        contrast: 0..1.
+        seed: of the pattern.
+    """
+
+    kind: TextureKind
+    tile_m: float
+    contrast: Share
+    seed: int
+
+
+class Glass(Document, frozen=True, kw_only=True):
+    """The transparent part of a material; see `GlassMaterial` for the meaning."""
+
+    ior: float
+    roughness: Share
+    see_through: Share
+    gloss: Share
+    gloss_roughness: Share
+
+
+class DrawnMaterial(Document, frozen=True, kw_only=True):
+    """A material as a renderer takes it: plain numbers only.
+
+    Attributes:
+        name: the library's material, or "raw".
+        material_class: raw, diffuse, transparent or specular.
+        color: linear RGB; of a glass its transmittance.
+        own_share: share of the object's own texture or colour in the final base colour.
+        metallic .. clearcoat_gloss: parameters of the principled BSDF, 0..1.
+        texture: pattern that multiplies `color`, or None.
+        glass: for transparent materials only.
+        infrared: mean reflectance at 850 nm of the material; None: as bright as it looks.
+        own_infrared: the same of the object's own paint, of which `own_share` is mixed in.
+        infrared_pattern: share of the visible pattern's contrast that is left there.
+    """
+
+    name: str
+    material_class: MaterialClass
+    color: Color
+    own_share: Share
+    metallic: Share = 0.0
+    specular: Share = 0.5
+    spec_tint: Share = 0.0
+    roughness: Share = 0.5
+    anisotropic: Share = 0.0
+    sheen: Share = 0.0
+    sheen_tint: Share = 0.0
+    clearcoat: Share = 0.0
+    clearcoat_gloss: Share = 0.9
+    texture: DrawnTexture | None = None
+    glass: Glass | None = None
+    infrared: Share | None = None
+    own_infrared: Share = 0.5
+    infrared_pattern: Share = 1.0
+
+    @property
+    def class_id(self) -> int:
+        """0 raw, 1 diffuse, 2 transparent, 3 specular."""
+        return class_id(self.material_class)
+
+
+def draw_material(
+    rng: np.random.Generator,
+    material_class: MaterialClass,
+    *,
+    textured: bool = False,
+    name: str | None = None,
+    library: MaterialLibrary | None = None,
+) -> DrawnMaterial:
+    """Draw a material of a class: which one, its parameters, its share of the object's own look.
+
+    Args:
+        rng: consumed; the same state gives the same material.
+        material_class: `raw` keeps the object's own texture or colour alone.
+        textured: whether the object has a texture image (its own look then gets a larger share).
+        name: take this material instead of a random one of the class.
+        library: the built-in one by default.
+
+    Raises:
+        ToolkitError: no such class or name, or the library has no material of the class.
+    """
+    library = library or load_library()
+    class_id(material_class)  # refuses an unknown one
+    if material_class == "raw":
+        return DrawnMaterial(
+            name="raw",
+            material_class="raw",
+            color=(0.5, 0.5, 0.5),
+            own_share=1.0,
+            roughness=_uniform(rng, library.raw.roughness),
+            specular=_uniform(rng, library.raw.specular),
+            infrared=(own := _uniform(rng, library.raw.infrared)),
+            own_infrared=own,
+            infrared_pattern=_uniform(rng, library.raw.infrared_pattern),
+        )
+    choices = library.of_class(material_class)
+    if name is not None:
+        choices = tuple(m for m in choices if m.name == name)
+    if not choices:
+        raise ToolkitError(
+            f"the library has no {material_class} material" + (" of this name" if name else ""),
+            value=name,
+        )
+    chosen = choices[int(rng.integers(len(choices)))]
+    if isinstance(chosen, GlassMaterial):
+        return _draw_glass(rng, chosen)
+    return _draw_opaque(rng, chosen, library, textured=textured)
+
+
+def _draw_opaque(
+    rng: np.random.Generator, chosen: OpaqueMaterial, library: MaterialLibrary, *, textured: bool
+) -> DrawnMaterial:
+    family = library.families[chosen.family]
+    jitter = {**family.jitter, **chosen.jitter}
+    values: dict[str, Any] = {}
+    # Every parameter consumes one number whether it varies or not, so that a library with another
+    # range changes that parameter of a seeded scene and nothing after it.
+    for parameter in PARAMETERS:
+        shift = _uniform(rng, jitter.get(parameter, (0.0, 0.0)))
+        values[parameter] = float(np.clip(getattr(chosen.base, parameter) + shift, 0, 1))
+    mixed = rng.random() < family.mix_probability
+    share = _uniform(rng, library.own_share.texture if textured else library.own_share.color)
+    color = _color(rng, chosen.color)
+    texture = None
+    if chosen.texture is not None:
+        texture = DrawnTexture(
+            kind=chosen.texture.kind,
+            tile_m=_uniform(rng, chosen.texture.tile_m),
+            contrast=_uniform(rng, chosen.texture.contrast),
+            seed=int(rng.integers(2**32)),
+        )
+    infrared = None if chosen.infrared is None else _uniform(rng, chosen.infrared)
+    return DrawnMaterial(
+        name=chosen.name,
+        material_class=family.material_class,
+        color=color,
+        own_share=share if mixed else 0.0,
+        texture=texture,
+        infrared=infrared,
+        own_infrared=_uniform(rng, library.raw.infrared),
+        infrared_pattern=_uniform(rng, family.infrared_pattern),
+        **values,
+    )
+
+
+def _draw_glass(rng: np.random.Generator, chosen: GlassMaterial) -> DrawnMaterial:
+    return DrawnMaterial(
+        name=chosen.name,
+        material_class="transparent",
+        color=_color(rng, chosen.tint),
+        own_share=0.0,
+        glass=Glass(
+            ior=_uniform(rng, chosen.ior),
+            roughness=_uniform(rng, chosen.roughness),
+            see_through=_uniform(rng, chosen.see_through),
+            gloss=_uniform(rng, chosen.gloss),
+            gloss_roughness=_uniform(rng, chosen.gloss_roughness),
+        ),
+    )
+
+
+def _uniform(rng: np.random.Generator, bounds: Range) -> float:
+    return float(rng.uniform(*bounds))
+
+
+def _color(rng: np.random.Generator, box: tuple[Color, Color]) -> Color:
+    r, g, b = (float(x) for x in rng.uniform(box[0], box[1]))
+    return (r, g, b)
+
+
+def decode_material(data: bytes) -> DrawnMaterial:
+    """A material from its JSON record (`msgspec.json.encode` writes it).
+
+    Raises:
+        ToolkitError: not such a record.
+    """
+    try:
+        return msgspec.json.decode(data, type=DrawnMaterial)
+    except msgspec.DecodeError as error:
+        raise ToolkitError(f"not a material record: {error}") from error
+
+
+class ClassChoice(Document, frozen=True, kw_only=True):
+    """Probabilities of the material classes per object category.
+
+    Attributes:
+        source: where the figures come from.
+        probabilities: category to class to probability; each row sums to 1 and `other` is there.
+    """
+
+    source: str = ""
+    probabilities: dict[str, dict[MaterialClass, Share]]
+
+    def __post_init__(self) -> None:
+        if FALLBACK_CATEGORY not in self.probabilities:
+            raise InvalidDocument(
+                f"needs a row {FALLBACK_CATEGORY!r} for categories not named",
+                field="probabilities",
+            )
+        for category, row in self.probabilities.items():
+            if abs(sum(row.values()) - 1) > 1e-6:
+                raise InvalidDocument(
+                    "probabilities must sum to 1",
+                    field=f"probabilities.{category}",
+                    value=sum(row.values()),
+                )
+
+    def row(self, category: str) -> dict[MaterialClass, Share]:
+        """Probabilities of a category, those of `other` where it is not named."""
+        return self.probabilities.get(category, self.probabilities[FALLBACK_CATEGORY])
+
+
+def load_class_choice(path: Path | str | None = None) -> ClassChoice:
+    """Read the built-in probabilities, or a user's file of the same form.
+
+    Raises:
+        ToolkitError: unreadable or inconsistent; names the file and the field.
+    """
+    return _built_in() if path is None else read_document(path, ClassChoice)
+
+
+@lru_cache(maxsize=1)
+def _built_in() -> ClassChoice:
+    return read_document(BUILT_IN, ClassChoice)
+
+
+def draw_material_class(
+    rng: np.random.Generator,
+    category: str,
+    *,
+    allowed: Collection[MaterialClass] = MATERIAL_CLASSES,
+    choice: ClassChoice | None = None,
+) -> MaterialClass:
+    """Draw the material class of an object; consumes one random number.
+
+    Args:
+        rng: the scene's generator.
+        category: "bottle", ...; unknown ones count as "other".
+        allowed: classes left by an ablation: `("raw",)` keeps the original materials, a set
+            without "transparent" spreads its probability over the others in their proportion.
+        choice: the built-in probabilities by default.
+
+    Raises:
+        ToolkitError: `allowed` is empty.
+    """
+    row = (choice or load_class_choice()).row(category)
+    names = [c for c in MATERIAL_CLASSES if c in allowed]
+    if not names:
+        raise ToolkitError("no material class is allowed", field="allowed", value=list(allowed))
+    weights = np.array([row.get(c, 0.0) for c in names])
+    if weights.sum() == 0:  # the category would take none of those allowed
+        weights = np.ones(len(names))
+    at = int(np.searchsorted(np.cumsum(weights / weights.sum()), rng.random(), side="right"))
+    return names[min(at, len(names) - 1)]

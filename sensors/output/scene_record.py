@@ -1,0 +1,199 @@
+"""What writers of a scene share: the frames received so far, and the full record of the scene.
+
+Takes in the frames of one scene: each once, all of them, and of the same cameras.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from sensors.output.simulated_frame import SimulatedFrame, SimulatedScene
+from std_toolkit import __version__
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.scene.model import (
+    CameraModel,
+    Count,
+    Document,
+    Material,
+    ObjectId,
+    Pose16,
+    Positive,
+)
+
+
+class ObjectRecord(Document, frozen=True, kw_only=True):
+    """An object; `instance_id` is its value in masks, `scale_m` its diagonal in metres."""
+
+    instance_id: ObjectId
+    asset_id: str
+    category: str
+    class_id: Count
+    material_class: Material
+    scale_m: Positive
+    T_world_obj: Pose16
+
+
+class ViewRecord(Document, frozen=True, kw_only=True):
+    """A frame: poses of the colour and the left infrared camera, and the objects left out."""
+
+    index: Count
+    T_world_cam: Pose16
+    T_world_ir: Pose16
+    hidden: list[ObjectId]
+
+
+class SceneRecord(Document, frozen=True, kw_only=True):
+    """parameters.json of a scene. Metres, OpenCV cameras, pixel centres at integers.
+
+    `K`, `width` and `height` are the label maps' camera, so that `std-curate import --intrinsics`
+    takes the file as it is.
+
+    Attributes:
+        version_of_tool: of the toolkit that made the scene.
+        parameters: everything that the scene was drawn from.
+    """
+
+    format: Literal["std-sim-scene"] = "std-sim-scene"
+    version: Literal[1] = 1
+    version_of_tool: str
+    name: str
+    seed: Count
+    sensor: str
+    width: int
+    height: int
+    K: list[list[float]]
+    color_camera: CameraModel
+    infrared_camera: CameraModel
+    depth_camera: CameraModel
+    objects: list[ObjectRecord]
+    frames: list[ViewRecord]
+    parameters: dict[str, Any]
+
+
+def scene_record(received: ReceivedFrames) -> SceneRecord:
+    """The record of a scene of which all frames were taken in."""
+    scene, label = received.scene, received.label_camera
+    return SceneRecord(
+        version_of_tool=__version__,
+        name=scene.name,
+        seed=scene.seed,
+        sensor=scene.sensor,
+        width=label.width,
+        height=label.height,
+        K=label.K.tolist(),
+        color_camera=CameraModel.of(received.color_camera),
+        infrared_camera=CameraModel.of(received.infrared_camera),
+        depth_camera=CameraModel.of(received.depth_camera),
+        objects=[
+            ObjectRecord(
+                instance_id=item.instance_id,
+                asset_id=item.asset_id,
+                category=item.category,
+                class_id=item.class_id,
+                material_class=item.material_class,
+                scale_m=item.scale_m,
+                T_world_obj=item.T_world_obj.flat(),
+            )
+            for item in scene.objects
+        ],
+        frames=[
+            ViewRecord(
+                index=i,
+                T_world_cam=poses[0].flat(),
+                T_world_ir=poses[1].flat(),
+                hidden=list(received.hidden[i]),
+            )
+            for i, poses in sorted(received.poses.items())
+        ],
+        parameters=dict(scene.parameters),
+    )
+
+
+class ReceivedFrames:
+    """What a writer knows of the frames that it was given, in any order.
+
+    Attributes:
+        poses: T_world_cam and T_world_ir by frame index.
+        hidden: instance ids left out, by frame index.
+    """
+
+    def __init__(self, scene: SimulatedScene) -> None:
+        self.scene = scene
+        self.poses: dict[int, tuple[SE3, SE3]] = {}
+        self.hidden: dict[int, tuple[int, ...]] = {}
+        self._cameras: tuple[Camera, Camera, Camera, Camera] | None = None
+
+    @property
+    def color_camera(self) -> Camera:
+        return self._known()[0]
+
+    @property
+    def label_camera(self) -> Camera:
+        return self._known()[1]
+
+    @property
+    def infrared_camera(self) -> Camera:
+        return self._known()[2]
+
+    @property
+    def depth_camera(self) -> Camera:
+        return self._known()[3]
+
+    def accept(self, frame: SimulatedFrame) -> None:
+        """Check a frame against the scene and the frames before it.
+
+        Raises:
+            ToolkitError: not of this scene, here already, or seen by another camera.
+        """
+        where = f"frame {frame.index}"
+        if frame.index >= self.scene.frames:
+            raise ToolkitError(f"the scene has {self.scene.frames} frames", field=where)
+        if frame.index in self.poses:
+            raise ToolkitError("the frame was written before", field=where)
+        known = {o.instance_id for o in self.scene.objects}
+        seen, hidden = set(frame.instances), set(frame.hidden)
+        for what, ids in (("mask", seen), ("hidden", hidden)):
+            if ids - known:
+                raise ToolkitError(
+                    "the scene has no such object",
+                    field=f"{where}: {what}",
+                    value=sorted(ids - known),
+                )
+        if hidden & seen:
+            raise ToolkitError(
+                "an object that was left out is seen",
+                field=f"{where}: hidden",
+                value=sorted(hidden & seen),
+            )
+        cameras = (
+            frame.color_camera,
+            frame.label_camera,
+            frame.infrared_camera,
+            frame.depth_camera,
+        )
+        if self._cameras not in (None, cameras):
+            raise ToolkitError("the frames of a scene have the same cameras", field=where)
+        self._cameras = cameras
+        self.poses[frame.index] = (frame.T_world_cam, frame.T_world_ir)
+        self.hidden[frame.index] = tuple(sorted(hidden))
+
+    def require_all(self) -> None:
+        """Refuse a scene that lacks frames.
+
+        Raises:
+            ToolkitError: some were not accepted.
+        """
+        lost = sorted(set(range(self.scene.frames)) - set(self.poses))
+        if lost:
+            raise ToolkitError(
+                f"{len(lost)} of {self.scene.frames} frames were not written",
+                field=self.scene.name,
+                value=lost,
+            )
+
+    def _known(self) -> tuple[Camera, Camera, Camera, Camera]:
+        if self._cameras is None:
+            raise ToolkitError("no frame was written yet", field=self.scene.name)
+        return self._cameras

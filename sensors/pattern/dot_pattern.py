@@ -1,0 +1,260 @@
+"""Dot patterns of projectors: where the dots are, and the image that is projected.
+
+Where a projector's dots lie, as angles from its axis.
+
+A dot at (a, b) leaves the axis by the angle |(a, b)| towards (a, b). Spread evenly so, dots thin
+out on a wall away from the axis: to 73 % at 27 degrees and to 59 % at 35. In a picture of a D415's
+pattern it was 70 % and 59 %.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.compiled import compiled
+from sensors.specs import SensorSpec
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.images import read_color
+
+Array = NDArray[np.float64]
+
+# Farthest dot from the axis, in radians.
+WIDEST = 1.3
+
+Places = Callable[[float, np.random.Generator], Array]
+
+# Of the real D415: cells, where the two lattices fall together, are 5.5 pitches apart.
+LATTICE_TURN_RAD = 0.18
+
+# Share of the pitch by which a dot misses its place, and by which the lattices are bent: without
+# the latter all cells were alike, and a matcher could mistake one for another.
+LATTICE_JITTER = 0.04
+
+LATTICE_BEND = 0.25
+
+# Least distance of scattered dots, as a share of the mean one. Darts that are thrown until no more
+# fit come to 0.83: this leaves them some freedom.
+SCATTER_DISTANCE = 0.72
+
+# Pixels per spread of a dot below which its image would be jagged.
+FINEST_SPREAD_PX = 0.8
+
+
+def two_lattices(density: float, rng: np.random.Generator) -> Array:
+    """Two square lattices, turned against each other, as of a D415's two projectors.
+
+    Args:
+        density: dots per square radian.
+
+    Returns:
+        (N, 2) angles in radians.
+    """
+    pitch = float(np.sqrt(2 / density))
+    turn = rng.uniform(0, np.pi / 2)
+    count = int(1.1 * WIDEST * np.sqrt(2) / pitch)
+    grid = np.mgrid[-count : count + 1, -count : count + 1].reshape(2, -1).T * pitch
+    lattices = []
+    for angle in (turn - LATTICE_TURN_RAD / 2, turn + LATTICE_TURN_RAD / 2):
+        c, s = np.cos(angle), np.sin(angle)
+        dots = grid @ np.array([[c, s], [-s, c]]) + rng.uniform(-0.5, 0.5, 2) * pitch
+        dots = dots + _bend(dots, rng) * LATTICE_BEND * pitch
+        lattices.append(dots + rng.normal(size=dots.shape) * LATTICE_JITTER * pitch)
+    return _ahead(np.concatenate(lattices))
+
+
+def scattered(density: float, rng: np.random.Generator) -> Array:
+    """Dots at random places that keep a distance; arguments and result as of `two_lattices`."""
+    count = round(4 * WIDEST**2 * density)
+    distance = SCATTER_DISTANCE / np.sqrt(density)
+    dots = np.empty((0, 2))
+    for throws in (12, 24, 48, 96):
+        darts = rng.uniform(-WIDEST, WIDEST, (throws * count, 2))
+        dots = apart(np.concatenate([dots, darts]), distance, count)
+        if len(dots) == count:
+            break
+    return _ahead(dots)
+
+
+def apart(darts: Array, distance: float, count: int) -> Array:
+    """The first `count` of the darts (N, 2), up to WIDEST off, that keep the distance."""
+    cells = max(1, int(2 * WIDEST / distance))
+    kept = _apart(darts, distance, count, cells)
+    return darts[kept[kept >= 0]]
+
+
+@compiled
+def _apart(darts, distance, count, cells):  # type: ignore[no-untyped-def]
+    # A cell is at least as wide as the distance, so that neighbours lie in the cells around, and
+    # less than twice as wide, so that it holds at most nine dots.
+    holds = np.full((cells, cells, 9), -1)
+    kept = np.full(count, -1)
+    found = 0
+    for i in range(len(darts)):
+        x, y = darts[i]
+        column = min(cells - 1, int((x / WIDEST + 1) / 2 * cells))
+        row = min(cells - 1, int((y / WIDEST + 1) / 2 * cells))
+        free = True
+        for r in range(max(0, row - 1), min(cells, row + 2)):
+            for c in range(max(0, column - 1), min(cells, column + 2)):
+                for k in range(9):
+                    j = holds[r, c, k]
+                    if j < 0:
+                        break
+                    if (darts[j, 0] - x) ** 2 + (darts[j, 1] - y) ** 2 < distance**2:
+                        free = False
+        if not free:
+            continue
+        k = 0
+        while k < 8 and holds[row, column, k] >= 0:
+            k += 1
+        holds[row, column, k] = i
+        kept[found] = i
+        found += 1
+        if found == count:
+            break
+    return kept
+
+
+def _bend(dots: Array, rng: np.random.Generator) -> Array:
+    """Smooth displacements (N, 2) of unit size, a few waves over the field of view."""
+    out = np.zeros_like(dots)
+    for _ in range(6):
+        direction = rng.uniform(0, 2 * np.pi)
+        waves = 2 * np.pi / rng.uniform(0.25, 0.8)
+        phase = dots @ (waves * np.array([np.cos(direction), np.sin(direction)]))
+        way = rng.normal(size=2)
+        out += np.sin(phase + rng.uniform(0, 2 * np.pi))[:, None] * way / np.sqrt(6)
+    return out
+
+
+def _ahead(dots: Array) -> Array:
+    return dots[(dots**2).sum(axis=1) < WIDEST**2]
+
+
+STYLES: dict[str, Places] = {"two_lattices": two_lattices, "scattered": scattered}
+
+
+@dataclass(frozen=True, eq=False)
+class DotPattern:
+    """A perspective image of a projector's light, with square pixels.
+
+    Attributes:
+        image: (h, w) float32 0..1, relative power per direction; row 0 is up, column 0 left, seen
+            along the axis (OpenCV axes).
+        fov_x_deg: full angle between its left and right edges.
+        dots: (N, 2) x/z and y/z of the dots, or None where they are not known.
+    """
+
+    image: NDArray[np.float32]
+    fov_x_deg: float
+    dots: Array | None = None
+
+    @property
+    def tan_half(self) -> tuple[float, float]:
+        """Tangents of the half angles, across and down."""
+        half = float(np.tan(np.deg2rad(self.fov_x_deg) / 2))
+        return half, half * self.image.shape[0] / self.image.shape[1]
+
+
+def make_pattern(spec: SensorSpec, *, seed: int = 0, width: int = 2048) -> DotPattern:
+    """A pattern of the sensor's kind: the number, style and share of light of its dots.
+
+    The real ones are secret and differ from unit to unit; the same seed gives the same pattern.
+
+    Args:
+        seed: of the places of the dots.
+        width: of the image, in pixels.
+
+    Raises:
+        ToolkitError: the sensor has no projector, or the image is too small for the dots.
+    """
+    projector = spec.projector
+    if projector is None:
+        raise ToolkitError("this sensor has no projector", field="projector", value=spec.name)
+    rng = np.random.default_rng([seed, projector.dots_in_view])
+    view = _tangents(spec.depth.field_of_view_deg)
+    half = _tangents(projector.fov_deg)
+    angles = STYLES[projector.style](projector.dots_in_view / _square_radians(view), rng)
+    off_axis = np.hypot(*angles.T)
+    dots = angles * np.divide(np.tan(off_axis), off_axis, where=off_axis > 0, out=off_axis)[:, None]
+    dots = dots[(abs(dots) < half).all(axis=1)]
+    height = round(width * half[1] / half[0])
+    power = rng.uniform(0.75, 1.25, len(dots))
+    # Both halves of the height are scaled like the width, so that pixels are square.
+    at = (dots / half[0] + [1, height / width]) * width / 2 - 0.5
+    image = _image_of(at, power, (height, width), projector.lit_share, spec.name)
+    return DotPattern(image, projector.fov_deg[0], dots)
+
+
+def load_pattern(path: Path | str, *, fov_x_deg: float) -> DotPattern:
+    """A pattern of one's own from an 8-bit PNG or JPEG, grey or colour (its mean is taken).
+
+    Args:
+        fov_x_deg: full angle between the image's left and right edges.
+
+    Raises:
+        ToolkitError: unreadable, without light, or an angle that no lens has.
+    """
+    if not 1 <= fov_x_deg <= 170:
+        raise ToolkitError("must lie in 1..170", field="fov_x_deg", value=fov_x_deg)
+    image = read_color(path).mean(axis=2, dtype=np.float32) / np.float32(255)
+    if not image.any():
+        raise ToolkitError("the pattern is black", path=path)
+    return DotPattern(image, float(fov_x_deg))
+
+
+def _tangents(fov_deg: list[float]) -> Array:
+    return np.tan(np.deg2rad(fov_deg) / 2)
+
+
+def _square_radians(half: Array) -> float:
+    """Area of the rectangle of directions up to these tangents, in the measure of `dots`."""
+    y, x = np.linspace(-half[1], half[1], 400), np.linspace(-half[0], half[0], 400)
+    tangent = np.hypot(x[None], y[:, None])
+    angle = np.arctan(tangent)
+    # 400 is even: no sample lies on the axis.
+    density = angle * np.cos(angle) ** 2 / tangent
+    return float(np.trapezoid(np.trapezoid(density, x, axis=1), y))
+
+
+def _image_of(
+    at: Array, power: Array, shape: tuple[int, int], lit_share: float, name: str
+) -> NDArray[np.float32]:
+    """Gaussian dots, of the spread at which so much of the image is brighter than half a peak."""
+    points = _points(at, power, shape)
+    low, high = 0.2, 20.0
+    for _ in range(14):
+        spread = np.sqrt(low * high)
+        lit = float((_blurred(points, spread) > 0.5).mean())
+        low, high = (spread, high) if lit < lit_share else (low, spread)
+    if spread < FINEST_SPREAD_PX:
+        raise ToolkitError(
+            f"the pattern of {name} has dots finer than a pixel of this image",
+            field="width",
+            value=shape[1],
+            hint=f"make it {int(np.ceil(shape[1] * FINEST_SPREAD_PX / spread))} wide",
+        )
+    return np.minimum(_blurred(points, spread), 1)
+
+
+def _points(at: Array, power: Array, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """The dots as points of light, each shared by the four pixels around it."""
+    points = np.zeros((shape[0] + 2, shape[1] + 2))
+    corner = np.floor(at).astype(int)
+    rest = at - corner
+    for dx in (0, 1):
+        for dy in (0, 1):
+            share = abs(1 - dx - rest[:, 0]) * abs(1 - dy - rest[:, 1])
+            np.add.at(points, (corner[:, 1] + 1 + dy, corner[:, 0] + 1 + dx), share * power)
+    return points[1:-1, 1:-1].astype(np.float32)
+
+
+def _blurred(points: NDArray[np.float32], spread: float) -> NDArray[np.float32]:
+    peak = np.float32(2 * np.pi * spread**2)
+    return cv2.GaussianBlur(points, (0, 0), spread) * peak

@@ -1,0 +1,272 @@
+"""Frames of a device, connected or played back from a file."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from sensors.record.calibration import read_calibration
+from sensors.record.realsense import INFRARED, Stream, device_info, librealsense
+from sensors.record.recording_document import CapturedFrame
+from sensors.record.sdk_frames import (
+    Pairing,
+    SdkAligner,
+    StreamCount,
+    check_formats,
+    color_image,
+    depth_image,
+    exposure,
+    grey_image,
+)
+from std_toolkit.errors import ToolkitError
+from std_toolkit.log import logger
+
+# Single images on their way from librealsense's threads to ours: a second of four streams.
+_BACKLOG = 120
+# A camera that sends nothing for this long is unplugged or hung.
+SILENCE_S = 5.0
+_POLL_S = 0.05
+# What a file's last images may need from librealsense's threads to here.
+_SETTLE_S = 0.5
+
+
+class DeviceSource:
+    """Iterates over the sets of images of a device; use as a context manager.
+
+    Args:
+        streams: by name; colour and depth at least.
+        playback: the device plays a file: nothing may be lost, its end is the end.
+        align: let librealsense align depth to colour.
+        stop: asked between images; the iteration ends when it says so.
+
+    Attributes:
+        calibration, info, fps: of the device.
+        overrun: images by stream that came while `_BACKLOG` others were waiting, and were given up.
+
+    Raises:
+        ToolkitError: a calibration or image format that cannot be used.
+    """
+
+    def __init__(
+        self,
+        device: Any,
+        streams: dict[str, Stream],
+        *,
+        playback: bool,
+        align: bool = False,
+        stop: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self.info = device_info(device)
+        self.calibration = read_calibration(streams)
+        self.fps = float(streams["color"].profile.fps() or 30)
+        self.overrun: Counter[str] = Counter()
+        self.live = not playback
+        check_formats({name: s.profile for name, s in streams.items()})
+        self._device = device
+        self._streams = streams
+        self._stop = stop
+        self._names = {_key(s.profile): name for name, s in streams.items()}
+        self._images: queue.Queue[Any] = queue.Queue(_BACKLOG)
+        self._closing = threading.Event()
+        self._running: list[Any] = []
+        self._starter: threading.Thread | None = None
+        self._failed: RuntimeError | None = None
+        self._aligner = SdkAligner() if align else None
+        slowest = min(s.profile.fps() or 30 for s in streams.values())
+        names = ["color", *(n for n in streams if n != "color")]
+        self._pairing = Pairing(names, 1000.0 / slowest)
+
+    @property
+    def counts(self) -> dict[str, StreamCount]:
+        """What became of each stream's images so far; `lost` without those of `overrun`."""
+        return {
+            name: replace(count, lost=max(0, count.lost - self.overrun[name]))
+            for name, count in self._pairing.counts.items()
+        }
+
+    @property
+    def given_up(self) -> int:
+        """Sets of images that `overrun` cost at least."""
+        return max(self.overrun.values(), default=0)
+
+    def __enter__(self) -> DeviceSource:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def frames(self) -> Iterator[CapturedFrame]:
+        """Sets of images as they come.
+
+        Raises:
+            ToolkitError: the device cannot be started, or sends nothing any more.
+        """
+        try:
+            self._start()
+        except RuntimeError as error:
+            self.close()
+            raise ToolkitError(
+                f"the camera does not start: {error}",
+                hint="does another program use it? Is it on USB 3?",
+            ) from error
+        heard = time.monotonic()
+        first = last = None
+        while not self._stop():
+            try:
+                image = self._images.get(timeout=_POLL_S)
+            except queue.Empty:
+                if self.live and time.monotonic() - heard > SILENCE_S:
+                    raise ToolkitError(
+                        f"the camera sends nothing any more ({SILENCE_S:g} s)",
+                        hint="was it unplugged? A shorter cable or another USB 3 port may help",
+                    ) from None
+                if not self.live and self._ended() and time.monotonic() - heard > _SETTLE_S:
+                    break
+                if self._failed is not None:
+                    raise ToolkitError(f"cannot be played: {self._failed}") from self._failed
+                continue
+            heard = time.monotonic()
+            first = image.get_timestamp() if first is None else first
+            last = image.get_timestamp()
+            yield from self._paired(image)
+        if not self.live and not self._stop():
+            self.close(drop=False)
+            while not self._images.empty():
+                image = self._images.get()
+                last = image.get_timestamp()
+                yield from self._paired(image)
+            for images in self._pairing.finish():
+                yield self._converted(images)
+            self._check_length(first, last)
+
+    def close(self, *, drop: bool = True) -> None:
+        """Stop the device; what is on its way is thrown away, or put in line."""
+        if drop:
+            self._closing.set()
+        else:
+            self._images.maxsize = 0  # room for what librealsense still holds
+        for sensor in self._running:
+            for end in (sensor.stop, sensor.close):
+                with suppress(RuntimeError):  # unplugged, or at the end of the file
+                    end()
+        self._running.clear()
+        self._closing.set()
+
+    def _start(self) -> None:
+        by_sensor: list[tuple[Any, list[Any]]] = []
+        for stream in self._streams.values():
+            for sensor, profiles in by_sensor:
+                if sensor is stream.sensor or _same(sensor, stream.sensor):
+                    profiles.append(stream.profile)
+                    break
+            else:
+                by_sensor.append((stream.sensor, [stream.profile]))
+        for sensor, profiles in by_sensor:
+            sensor.open(profiles)
+            self._running.append(sensor)
+        if self.live:
+            for sensor, _ in by_sensor:
+                sensor.start(self._take)
+            return
+        # A file plays from the start of the first sensor on, so the others' images would pass by.
+        self._device.pause()
+
+        def play() -> None:
+            try:
+                for sensor, _ in by_sensor:
+                    sensor.start(self._take)
+                self._device.resume()
+            except RuntimeError as error:
+                self._failed = error
+
+        # Returns when images have been taken off the line, which this very thread does.
+        self._starter = threading.Thread(target=play, daemon=True)
+        self._starter.start()
+
+    def _take(self, image: Any) -> None:
+        """Called by librealsense's threads."""
+        if self._closing.is_set():
+            return
+        if self.live:
+            image.keep()  # librealsense's own pool is small, and gives up silently
+            try:
+                self._images.put_nowait(image)
+            except queue.Full:
+                self.overrun[self._names.get(_key(image.get_profile()), "")] += 1
+            return
+        while not self._closing.is_set():
+            with suppress(queue.Full):
+                self._images.put(image, timeout=_POLL_S)
+                return
+
+    def _ended(self) -> bool:
+        if self._starter is None or self._starter.is_alive():
+            return False
+        return bool(self._device.current_status() == librealsense().playback_status.stopped)
+
+    def _paired(self, image: Any) -> Iterator[CapturedFrame]:
+        name = self._names.get(_key(image.get_profile()))
+        if name is None:
+            return
+        number, time_ms = image.get_frame_number(), image.get_timestamp()
+        for images in self._pairing.add(name, number, time_ms, image):
+            yield self._converted(images)
+
+    def _converted(self, images: dict[str, Any]) -> CapturedFrame:
+        color, depth = images["color"], images["depth"]
+        return CapturedFrame(
+            color=color_image(color),
+            depth=depth_image(depth),
+            timestamp=color.get_timestamp() / 1000,
+            aligned=None if self._aligner is None else self._aligner(depth, color),
+            infrared={name: grey_image(images[name]) for name in INFRARED if name in images},
+            exposure_s=exposure(color),
+        )
+
+    def _check_length(self, first: float | None, last: float | None) -> None:
+        reported_s = self._device.get_duration().total_seconds()
+        played = 0.0 if first is None or last is None else (last - first) / 1000
+        if reported_s > played + 1 and played < 0.9 * reported_s:
+            logger.warning(
+                "the file tells %.1f s, its images last %.1f s: it may be damaged",
+                reported_s,
+                played,
+            )
+
+
+def _key(profile: Any) -> tuple[str, int]:
+    return str(profile.stream_type()), profile.stream_index()
+
+
+def _same(a: Any, b: Any) -> bool:
+    name = librealsense().camera_info.name
+    return bool(a.get_info(name) == b.get_info(name))
+
+
+def open_file(path: str) -> Any:
+    """The playback device of a file that librealsense recorded.
+
+    Raises:
+        ToolkitError: not found, of another kind, or damaged.
+    """
+    if not Path(path).is_file():
+        raise ToolkitError("file not found", path=path)
+    if Path(path).suffix.lower() not in (".bag", ".db3"):
+        raise ToolkitError("not a recording of librealsense", path=path, hint=".bag or .db3")
+    try:
+        device = librealsense().context().load_device(str(path))
+        device.set_real_time(False)
+    except RuntimeError as error:
+        raise ToolkitError(
+            f"cannot be read: {error}",
+            path=path,
+            hint="it is damaged or was cut short; `rosbag reindex` may mend a .bag",
+        ) from error
+    return device

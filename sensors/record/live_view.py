@@ -1,0 +1,225 @@
+"""What the user sees while recording: the status line, the preview picture and its page.
+
+The preview in a browser on this machine.
+
+What the user sees and says in the terminal while recording.
+"""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from types import FrameType, TracebackType
+
+import cv2
+import numpy as np
+
+from sensors.record.hints import Hints
+from sensors.record.recording_document import CapturedFrame, Image8
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import write_bytes_atomic
+
+WIDTH = 640
+
+_LINE_PX = 22
+
+# Depth is coloured up to here.
+_FAR_M = 2.0
+
+_QUALITY = 80
+
+_PAGE = b"""<!doctype html><meta charset="utf-8"><title>std-record</title>
+<style>body{margin:0;background:#111}img{display:block;width:100%}</style>
+<img id="p" alt="waiting for the camera"><script>
+const p = document.getElementById("p");
+function next() { p.src = "preview.jpg?" + Date.now(); }
+p.onload = () => setTimeout(next, 150);
+p.onerror = () => setTimeout(next, 1000);
+next();
+</script>
+"""
+
+# Where the output is no terminal, one line in so many seconds instead of one that changes.
+_PLAIN_EVERY_S = 5.0
+
+
+def preview_picture(
+    frame: CapturedFrame, hints: Hints | None, status: str, unit_m: float
+) -> Image8:
+    """(H, W, 3) RGB: colour and depth side by side, hints below.
+
+    Args:
+        status: what is going on, such as the number of frames.
+        unit_m: of the frame's depth.
+    """
+    color = _resized(frame.color, cv2.INTER_AREA)
+    share = np.minimum(frame.depth * np.float32(unit_m) / _FAR_M, 1)
+    mapped = cv2.applyColorMap((255 - 230 * share).astype(np.uint8), cv2.COLORMAP_TURBO)
+    mapped[frame.depth == 0] = 0
+    depth = cv2.resize(
+        mapped[..., ::-1].astype(np.uint8), color.shape[1::-1], interpolation=cv2.INTER_NEAREST
+    )
+    lines = [status, *([] if hints is None else [hints.line()])]
+    footer = np.zeros((_LINE_PX * len(lines) + 8, 2 * WIDTH, 3), dtype=np.uint8)
+    for i, line in enumerate(lines):
+        bad = i > 0 and hints is not None and bool(hints.advice)
+        cv2.putText(
+            footer, line, (8, _LINE_PX * (i + 1) - 4), cv2.FONT_HERSHEY_SIMPLEX, 0.5,
+            (255, 170, 60) if bad else (230, 230, 230), 1, cv2.LINE_AA,
+        )  # fmt: skip
+    return np.concatenate([np.concatenate([color, np.asarray(depth, np.uint8)], axis=1), footer])
+
+
+def encoded(picture: Image8) -> bytes:
+    """As JPEG."""
+    _, data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return bytes(data)
+
+
+def write_preview(path: Path, picture: bytes) -> None:
+    """Put the picture into a file that viewers may read at any moment.
+
+    Raises:
+        ToolkitError: it cannot be written.
+    """
+    write_bytes_atomic(path, picture)
+
+
+def _resized(image: Image8, interpolation: int) -> Image8:
+    height = max(1, round(image.shape[0] * WIDTH / image.shape[1]))
+    return np.asarray(cv2.resize(image, (WIDTH, height), interpolation=interpolation), np.uint8)
+
+
+class PreviewPage:
+    """Serves the last picture to browsers; use as a context manager.
+
+    It listens on this machine alone: pictures of a laboratory are nobody else's business. From
+    another one, `ssh -L PORT:localhost:PORT` leads here.
+
+    Raises:
+        ToolkitError: the port is taken.
+    """
+
+    def __init__(self, port: int) -> None:
+        page = self
+        self._picture = b""
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                path = self.path.split("?")[0]
+                if path == "/":
+                    self._send(200, "text/html; charset=utf-8", _PAGE)
+                elif path == "/preview.jpg" and page._picture:
+                    self._send(200, "image/jpeg", page._picture)
+                else:
+                    self._send(404, "text/plain", b"nothing here yet\n")
+
+            def _send(self, status: int, kind: str, body: bytes) -> None:
+                try:
+                    self.send_response(status)
+                    self.send_header("Content-Type", kind)
+                    self.send_header("Content-Length", str(len(body)))
+                    self.send_header("Cache-Control", "no-store")
+                    self.end_headers()
+                    self.wfile.write(body)
+                except OSError:
+                    self.close_connection = True  # the browser went away
+
+            def log_message(self, format: str, *args: object) -> None:
+                """Nothing: the status line is the terminal's."""
+
+        try:
+            self._server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
+        except (OSError, OverflowError) as error:
+            raise ToolkitError(
+                f"cannot serve the preview: {error}", field="--web", value=port
+            ) from error
+        self._server.daemon_threads = True
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, name="preview page", daemon=True
+        )
+
+    @property
+    def address(self) -> str:
+        return f"http://localhost:{self._server.server_address[1]}/"
+
+    def show(self, picture: bytes) -> None:
+        """Replace the picture."""
+        self._picture = picture
+
+    def __enter__(self) -> PreviewPage:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+
+
+class StatusLine:
+    """One line that changes in place; in a file or pipe, a line now and then."""
+
+    def __init__(self) -> None:
+        self._changing = sys.stderr.isatty()
+        self._last = float("-inf")
+
+    def show(self, text: str) -> None:
+        if self._changing:
+            width = shutil.get_terminal_size().columns - 1
+            print(f"\r{text[:width]:<{width}}", end="", file=sys.stderr, flush=True)
+        elif time.monotonic() - self._last >= _PLAIN_EVERY_S:
+            self._last = time.monotonic()
+            print(text, file=sys.stderr, flush=True)
+
+    def end(self) -> None:
+        if self._changing:
+            print(file=sys.stderr)
+
+
+@contextmanager
+def stopped_by_signal() -> Iterator[Callable[[], bool]]:
+    """Gives a question: was the program asked to end?
+
+    The first Ctrl-C (or SIGTERM) asks; a second one interrupts at once. Outside the main thread,
+    where signals cannot be taken, the answer is always no.
+    """
+    asked = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield asked.is_set
+        return
+
+    def handle(_number: int, _frame: FrameType | None) -> None:
+        if asked.is_set():
+            raise KeyboardInterrupt
+        asked.set()
+
+    before = {n: signal.signal(n, handle) for n in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield asked.is_set
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def enter_pressed() -> Callable[[], bool]:
+    """Gives a question: has Enter been pressed since? End of input counts."""
+    pressed = threading.Event()
+
+    def read() -> None:
+        sys.stdin.readline()
+        pressed.set()
+
+    threading.Thread(target=read, name="enter", daemon=True).start()
+    return pressed.is_set

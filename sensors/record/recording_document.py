@@ -1,0 +1,193 @@
+"""What a recording consists of: captured frames, the device, and its document.
+
+What comes from a camera: its calibration, and sets of images taken at one time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.scene.document import (
+    Count,
+    Document,
+    NonNegative,
+    Pose16,
+    Positive,
+    check_pose,
+    pose_from_list,
+)
+from std_toolkit.scene.model import CameraModel
+
+AlignedBy = Literal["toolkit", "librealsense"]
+
+Image8 = NDArray[np.uint8]
+
+Units = NDArray[np.uint16]
+
+
+class Device(Document, frozen=True, kw_only=True):
+    """What the device says about itself; empty where it says nothing."""
+
+    name: str = ""
+    serial: str = ""
+    firmware: str = ""
+    product_line: str = ""
+    usb: str = ""
+
+
+class Session(Document, frozen=True, kw_only=True):
+    """One run of std-record.
+
+    Attributes:
+        version: of the toolkit.
+        source: "camera", or the name of the file that was read.
+        first_frame: id.
+        ended: false while it records, and for ever if it was killed.
+        frames: written.
+        seconds: from the first to the last frame, by their times.
+        dropped: sets of images that the writer could not take in time.
+        lost: images that the camera counted but that never arrived, by stream.
+        single: images without a partner in the other streams, by stream.
+        settings: of the camera, as they were set.
+    """
+
+    version: str
+    source: str
+    first_frame: Count
+    ended: bool = False
+    frames: Count = 0
+    seconds: NonNegative = 0.0
+    dropped: Count = 0
+    lost: dict[str, Count] = msgspec.field(default_factory=dict)
+    single: dict[str, Count] = msgspec.field(default_factory=dict)
+    settings: dict[str, str] = msgspec.field(default_factory=dict)
+
+
+class RecordingDocument(Document, frozen=True, kw_only=True):
+    """recording.json.
+
+    Attributes:
+        color, depth, infrared: intrinsics of the streams; infrared only where it is kept.
+        T_color_depth: depth's frame, the left infrared camera's, into the colour camera's.
+        depth_unit_m: metres per unit of the camera's depth image.
+        baseline_m: from the left infrared camera to the right one, or null.
+        aligned_by: who brought depth to the colour image.
+        kept: kinds of maps in `reference/`: infrared_left, infrared_right, depth_raw.
+        notes: what had to be converted, and where the camera does not fit its specification.
+    """
+
+    format: Literal["std-recording"] = "std-recording"
+    version: Literal[1] = 1
+    device: Device
+    color: CameraModel
+    depth: CameraModel
+    infrared: CameraModel | None = None
+    T_color_depth: Pose16
+    depth_unit_m: Positive
+    baseline_m: Positive | None = None
+    aligned_by: AlignedBy
+    kept: list[str] = msgspec.field(default_factory=list)
+    notes: list[str] = msgspec.field(default_factory=list)
+    sessions: list[Session] = msgspec.field(default_factory=list)
+
+    def check(self) -> None:
+        check_pose(self.T_color_depth, "T_color_depth")
+
+    def calibration(self) -> Calibration:
+        return Calibration(
+            color=self.color,
+            depth=self.depth,
+            T_color_depth=pose_from_list(self.T_color_depth),
+            depth_unit_m=self.depth_unit_m,
+            baseline_m=self.baseline_m,
+            infrared=self.infrared,
+        )
+
+
+def recording_path(scene: Path) -> Path:
+    return scene / "recording.json"
+
+
+def read_recording(scene: Path) -> RecordingDocument:
+    """What is known of a recorded scene's camera.
+
+    Raises:
+        ToolkitError: the scene was not recorded by std-record, or the document is damaged.
+    """
+    return read_document(recording_path(scene), RecordingDocument)
+
+
+def write_recording(scene: Path, document: RecordingDocument) -> None:
+    write_document(recording_path(scene), document)
+
+
+def device_document(info: DeviceInfo) -> Device:
+    return Device(
+        name=info.name,
+        serial=info.serial,
+        firmware=info.firmware,
+        product_line=info.product_line,
+        usb=info.usb,
+    )
+
+
+@dataclass(frozen=True)
+class DeviceInfo:
+    """Who made the images; empty where the device does not tell."""
+
+    name: str = ""
+    serial: str = ""
+    firmware: str = ""
+    product_line: str = ""
+    usb: str = ""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What the camera knows about itself.
+
+    Attributes:
+        color, depth: intrinsics of the two streams as they are recorded.
+        T_color_depth: depth's frame (the left infrared camera's) into the colour camera's.
+        depth_unit_m: metres per unit of the depth image.
+        baseline_m: from the left infrared camera to the right one, or None.
+        infrared: intrinsics of the infrared streams, or None where they are not recorded.
+        notes: what had to be converted, for people.
+    """
+
+    color: CameraModel
+    depth: CameraModel
+    T_color_depth: SE3
+    depth_unit_m: float
+    baseline_m: float | None = None
+    infrared: CameraModel | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class CapturedFrame:
+    """Images taken at one time.
+
+    Attributes:
+        color: (H, W, 3) RGB.
+        depth: (h, w) units, 0 = none, in the depth camera.
+        aligned: (H, W) units in the colour camera, where the camera's software aligned it.
+        infrared: left and right (h, w), as far as they are recorded.
+        timestamp: of colour, seconds.
+        exposure_s: of colour, or None if the camera does not tell.
+    """
+
+    color: Image8
+    depth: Units
+    timestamp: float
+    aligned: Units | None = None
+    infrared: dict[str, Image8] = field(default_factory=dict)
+    exposure_s: float | None = None

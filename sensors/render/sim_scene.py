@@ -1,0 +1,192 @@
+"""A scene to render, and the exact maps of its views: depth, instances, NOCS, normals.
+
+Exact maps of a view, free of a renderer's noise: depth, instances, NOCS, normals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.lighting.environment import EnvironmentMap
+from sensors.materials.material_draw import DrawnMaterial
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.rendering.maps import compose, mask_of, surface_maps
+from std_toolkit.rendering.mesh import RenderMesh
+from std_toolkit.rendering.raycast import RaycastRenderer
+from std_toolkit.rendering.renderer import PlacedMesh
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceMesh:
+    """A triangle mesh, with texture coordinates where it has a texture of its own.
+
+    Attributes:
+        vertices: (V, 3) metres, in the object's frame.
+        faces: (F, 3) vertex indices, counter-clockwise seen from outside.
+        uv: (V, 2) texture coordinates, v upwards (as in OBJ files), or None.
+
+    Raises:
+        ToolkitError: an empty mesh, bad indices, numbers that are not finite, or texture
+            coordinates that do not fit the vertices.
+    """
+
+    vertices: NDArray[np.floating]
+    faces: NDArray[np.integer]
+    uv: NDArray[np.floating] | None = None
+
+    def __post_init__(self) -> None:
+        if self.uv is not None and np.shape(self.uv) != (len(self.vertices), 2):
+            raise ToolkitError(
+                f"needs one pair per vertex, {len(self.vertices)} of them",
+                field="uv",
+                value=np.shape(self.uv),
+            )
+        _ = self.prepared  # checks the rest
+
+    @cached_property
+    def prepared(self) -> RenderMesh:
+        """The form that the exact ray caster takes."""
+        return RenderMesh.from_arrays(self.vertices, self.faces)
+
+
+@dataclass(frozen=True, eq=False)
+class SceneObject:
+    """One thing in the scene.
+
+    Attributes:
+        instance_id: 1..254, as in the instance mask; 0 is background (floor, walls).
+        mesh: its surface in metres. Objects may share one mesh.
+        T_world_obj: maps mesh coordinates into the world.
+        material: drawn numbers; `own_share` says how much of the next two enters.
+        texture: (h, w, 3) uint8 sRGB image on `mesh.uv`, or None.
+        color: the object's own linear RGB where it has no texture.
+        texture_tile_m: for a texture without `mesh.uv`: extent of one repetition in metres.
+    """
+
+    instance_id: int
+    mesh: SurfaceMesh
+    T_world_obj: SE3
+    material: DrawnMaterial
+    texture: NDArray[np.uint8] | None = None
+    color: tuple[float, float, float] = (0.5, 0.5, 0.5)
+    texture_tile_m: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.instance_id <= 254:
+            raise ToolkitError("must lie in 0..254", field="instance_id", value=self.instance_id)
+        t = self.texture
+        if t is not None and (t.ndim != 3 or t.shape[2] != 3 or t.dtype != np.uint8):
+            raise ToolkitError(
+                "a texture is an (h, w, 3) image of uint8", field="texture", value=t.shape
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class SimScene:
+    """A scene at rest. World frame: z up, metres.
+
+    Attributes:
+        objects: ids above 0 differ.
+        environment: light from around.
+        environment_rotation_rad: turn of it about the world's z axis.
+    """
+
+    objects: tuple[SceneObject, ...]
+    environment: EnvironmentMap
+    environment_rotation_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        ids = [o.instance_id for o in self.objects if o.instance_id]
+        if len(set(ids)) != len(ids):
+            raise ToolkitError("instance ids must differ", field="instance_id", value=ids)
+        if not self.objects:
+            raise ToolkitError("a scene needs at least one object", field="objects")
+
+
+@dataclass(frozen=True, eq=False)
+class Projector:
+    """A point light that shines through an image (a perspective image of the dot pattern).
+
+    Attributes:
+        pattern: (h, w) float or uint8 relative power; row 0 is up, column 0 left, seen along
+            its axis. Nothing is lit outside it.
+        fov_x_deg: full angle between the image's left and right edges; pixels are square.
+        T_world_projector: OpenCV axes: z along the axis, x right, y down.
+        power: irradiance in W/m^2 on a surface that faces it at 1 m, where the pattern is 1.
+    """
+
+    pattern: NDArray[np.generic]
+    fov_x_deg: float
+    T_world_projector: SE3 = field(default_factory=SE3.identity)
+    power: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.pattern.ndim != 2 or min(self.pattern.shape) < 2:
+            raise ToolkitError(
+                "a pattern is one grey image", field="pattern", value=self.pattern.shape
+            )
+        if not 1 <= self.fov_x_deg <= 170:
+            raise ToolkitError("must lie in 1..170", field="fov_x_deg", value=self.fov_x_deg)
+
+    @cached_property
+    def image(self) -> NDArray[np.float32]:
+        """(h, w) float32 in 0..1."""
+        scale = 255 if self.pattern.dtype == np.uint8 else 1
+        return np.ascontiguousarray(self.pattern, np.float32) / np.float32(scale)
+
+    @property
+    def tan_half(self) -> tuple[float, float]:
+        """Tangent of the half angles, across and down."""
+        half = float(np.tan(np.deg2rad(self.fov_x_deg) / 2))
+        h, w = self.pattern.shape
+        return half, half * h / w
+
+
+@dataclass(frozen=True, eq=False)
+class TruthMaps:
+    """What the camera truly sees at its pixel centres.
+
+    Attributes:
+        depth: (H, W) float32 z-depth in metres of the first surface, glass and floor included;
+            0 where there is none.
+        mask: (H, W) uint8 instance id, 0 on the background.
+        nocs: (H, W, 3) float32 in 0..1 on instances, else 0.
+        normals: (H, W, 3) float32 camera frame, towards the camera; 0 where there is no surface.
+    """
+
+    depth: NDArray[np.float32]
+    mask: NDArray[np.uint8]
+    nocs: NDArray[np.float32]
+    normals: NDArray[np.float32]
+
+
+class TruthCaster:
+    """Exact maps of one scene from any view; keeps the meshes' acceleration structures.
+
+    Args:
+        scene: what is there.
+        threads: per cast; 0 takes all.
+    """
+
+    def __init__(self, scene: SimScene, *, threads: int = 1) -> None:
+        self._objects = scene.objects
+        self._renderer = RaycastRenderer(threads=threads)
+
+    def maps(self, camera: Camera, T_world_cam: SE3) -> TruthMaps:
+        """The maps of a view; a distorted camera is honoured."""
+        T_cam_world = T_world_cam.inverse()
+        placed = [
+            PlacedMesh(o.instance_id, o.mesh.prepared, T_cam_world @ o.T_world_obj)
+            for o in self._objects
+        ]
+        composition = compose(self._renderer, camera, placed)
+        nocs, normals = surface_maps(camera, placed, composition)
+        mask = mask_of(composition.index, [o.instance_id for o in self._objects])
+        nocs[mask == 0] = 0
+        return TruthMaps(composition.depth, mask, nocs, normals)

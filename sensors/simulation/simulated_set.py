@@ -1,0 +1,230 @@
+"""A simulated data set on disk: many scenes, made in parallel, each whole or not there."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Sequence
+from contextlib import ExitStack
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from sensors.output import dreds_scene
+from sensors.output.dreds import SPLITS, Split, scene_folder
+from sensors.output.toolkit_scene import toolkit_scene
+from sensors.render import SIM_RENDERERS
+from sensors.simulation.equipment import Equipment
+from sensors.simulation.options import SimulationOptions, quality_of
+from sensors.simulation.simulator import Simulator
+from std_toolkit import __version__
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.jobs import JobOptions, JobReport, run_jobs
+from std_toolkit.log import logger
+from std_toolkit.scene.document import Document
+
+Layout = Literal["dreds", "scene"]
+LAYOUTS: tuple[Layout, ...] = ("dreds", "scene")
+SET_FILE = "simulation.json"
+# Measured on 640x360 frames; textures that compress worse than those take more.
+BYTES_PER_PIXEL = {"dreds": 18.0, "scene": 16.0}
+# Left free whatever happens: a disk without any room harms other programs.
+SPARE_BYTES = 500e6
+
+
+class SetRecord(Document, frozen=True, kw_only=True):
+    """simulation.json of a data set: what all of its scenes are made with."""
+
+    format: Literal["std-sim-set"] = "std-sim-set"
+    version: Literal[1] = 1
+    version_of_tool: str
+    renderer: str
+    options: SimulationOptions
+
+
+class SceneTimes(msgspec.Struct, frozen=True, kw_only=True):
+    """What a scene cost.
+
+    Attributes:
+        frames: made now; 0 if the scene was there already.
+        seconds: by part of the work.
+    """
+
+    frames: int
+    seconds: dict[str, float]
+
+
+def simulate_set(
+    out: Path,
+    options: SimulationOptions,
+    seeds: Sequence[int],
+    *,
+    split: Split = "train",
+    layouts: Sequence[Layout] = ("dreds",),
+    renderer: str = "mitsuba",
+    cache: Path | None = None,
+    jobs: JobOptions | None = None,
+) -> JobReport[SceneTimes]:
+    """Make the scenes that are not there yet; one process and one scene per job.
+
+    A scene depends on its seed and the options alone: whatever is interrupted, killed or spread
+    over machines, the set is the same in the end.
+
+    Args:
+        out: top of the data set.
+        options: must be those that the set was begun with.
+        seeds: of the scenes, which are named after them.
+        split: part of the data set in the DREDS layout.
+        layouts: "dreds" and "scene" (toolkit scenes in OUT/scenes).
+        renderer: plug-in.
+        cache: folder that keeps the objects' convex parts for all sets; the user's by default.
+        jobs: where it runs.
+
+    Raises:
+        ToolkitError: another set is there, a seed appears twice or is out of range, the disk has
+            too little room, or the sensor, sources or renderer cannot be used.
+    """
+    jobs = jobs or JobOptions()
+    _check(seeds, split, layouts)
+    # Once and at once, not once per scene.
+    Equipment.of(options)
+    quality_of(options.quality)
+    SIM_RENDERERS.get(renderer)
+    _begin(out, options, renderer)
+    missing = [s for s in seeds if _missing(out, s, split, layouts)]
+    _check_room(out, options, len(missing), layouts)
+    cores = len(os.sched_getaffinity(0))
+    simulate = partial(
+        _simulate_scene,
+        out=out,
+        options=options,
+        split=split,
+        layouts=tuple(layouts),
+        renderer=renderer,
+        cache=cache or parts_cache(),
+        threads=max(1, cores // max(1, min(jobs.worker_count, len(missing) or 1))),
+    )
+    if kept := len(seeds) - len(missing):
+        logger.info("%d of %d scenes are there already", kept, len(seeds))
+    return run_jobs(simulate, missing, name="simulate", key=scene_name, options=jobs)
+
+
+def parts_cache() -> Path:
+    """Where convex parts are kept if nothing else is said: they take seconds each to find."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "std-toolkit" / "convex-parts"
+
+
+def scene_name(seed: int) -> str:
+    """Five digits, as the public data set has them."""
+    return f"{seed:05d}"
+
+
+def _simulate_scene(
+    seed: int,
+    *,
+    out: Path,
+    options: SimulationOptions,
+    split: Split,
+    layouts: tuple[Layout, ...],
+    renderer: str,
+    cache: Path,
+    threads: int,
+) -> SceneTimes:
+    pending = _missing(out, seed, split, layouts)
+    if not pending:  # made by another process meanwhile
+        return SceneTimes(frames=0, seconds={})
+    simulator = _simulator(options, renderer, threads, cache)
+    simulator.stopwatch.seconds.clear()
+    name = scene_name(seed)
+    world = simulator.world(seed, name)
+    with ExitStack() as stack:
+        writers: list[Any] = []
+        if "scene" in pending:
+            writers.append(stack.enter_context(toolkit_scene(out / "scenes" / name, world.record)))
+        if "dreds" in pending:
+            writers.append(stack.enter_context(dreds_scene(out, world.record, split=split)))
+        for frame in simulator.frames(world):
+            with simulator.stopwatch.part("write"):
+                for writer in writers:
+                    writer.add(frame)
+    return SceneTimes(frames=options.views, seconds=dict(simulator.stopwatch.seconds))
+
+
+@lru_cache(maxsize=1)
+def _simulator(options: SimulationOptions, renderer: str, threads: int, cache: Path) -> Simulator:
+    """One per worker process: the renderer compiles its kernels once."""
+    return Simulator(options, renderer=renderer, parts_cache=cache, threads=threads)
+
+
+def _missing(out: Path, seed: int, split: Split, layouts: Sequence[Layout]) -> list[Layout]:
+    name = scene_name(seed)
+    there = {
+        "dreds": scene_folder(out, split, name).is_dir(),
+        "scene": (out / "scenes" / name).is_dir(),
+    }
+    return [layout for layout in layouts if not there[layout]]
+
+
+def _check(seeds: Sequence[int], split: str, layouts: Sequence[str]) -> None:
+    if split not in SPLITS:
+        raise ToolkitError("unknown split", field="split", value=split, hint=f"one of {SPLITS}")
+    if not layouts or not set(layouts) <= set(LAYOUTS):
+        raise ToolkitError(
+            "unknown layout", field="layouts", value=list(layouts), hint=f"some of {LAYOUTS}"
+        )
+    if not seeds:
+        raise ToolkitError("there is no scene to make", field="scenes", value=0)
+    if min(seeds) < 0 or max(seeds) > 99_999:
+        raise ToolkitError(
+            "seeds are 0 to 99999: scenes are named after them in five digits",
+            field="seed",
+            value=(min(seeds), max(seeds)),
+        )
+
+
+def _begin(out: Path, options: SimulationOptions, renderer: str) -> None:
+    """Write the record of a new set, or see that the one that is there is the same."""
+    path = out / SET_FILE
+    record = SetRecord(version_of_tool=__version__, renderer=renderer, options=options)
+    if not path.exists():
+        if out.is_dir() and any(out.iterdir()):
+            raise ToolkitError(
+                "the folder holds other things than a simulated data set",
+                path=out,
+                hint="choose a new folder",
+            )
+        write_document(path, record)
+        return
+    begun = read_document(path, SetRecord)
+    for name in SimulationOptions.__struct_fields__:
+        was, now = getattr(begun.options, name), getattr(options, name)
+        if was != now:
+            raise ToolkitError(
+                f"this set was begun with {was!r}: all scenes of a set are made alike",
+                path=path,
+                field=f"options.{name}",
+                value=now,
+                hint="choose another folder, or the options that it was begun with",
+            )
+    if begun.renderer != renderer:
+        raise ToolkitError(
+            f"this set was begun with {begun.renderer}", path=path, field="renderer", value=renderer
+        )
+
+
+def _check_room(
+    out: Path, options: SimulationOptions, scenes: int, layouts: Sequence[Layout]
+) -> None:
+    per_frame = options.width * options.height * sum(BYTES_PER_PIXEL[x] for x in layouts)
+    needed = per_frame * options.views * scenes + SPARE_BYTES
+    free = shutil.disk_usage(out).free
+    if scenes and needed > free:
+        raise ToolkitError(
+            f"{scenes} scenes need about {needed / 1e9:.1f} GB and {free / 1e9:.1f} GB are free",
+            path=out,
+            hint="make room, or fewer scenes",
+        )

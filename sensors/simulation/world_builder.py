@@ -1,0 +1,205 @@
+"""A drawn scene at rest, as the renderer and the writers take it.
+
+An asset's own look as a renderer takes it: one texture on one pair of coordinates per vertex.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from sensors.assets import Asset
+from sensors.lighting.environment import EnvironmentMap
+from sensors.lighting.light_draw import FloorDraw
+from sensors.materials.textures import to_linear
+from sensors.output import SimulatedObject, SimulatedScene
+from sensors.physics import PhysicalObject, convex_parts, settle
+from sensors.render import SceneObject, SimScene, SurfaceMesh
+from sensors.simulation.options import SimulationOptions
+from sensors.simulation.scene_draw import ObjectDraw, SceneDraw, generator
+from sensors.viewpoints import (
+    TrajectoryOptions,
+    ViewpointOptions,
+    random_viewpoints,
+    smooth_trajectory,
+)
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.io.images import read_color
+
+# Half the side of the floor: every ray of every viewpoint ends on it, none goes past into the sky.
+FLOOR_HALF_M = 15.0
+
+# Texels of one colour in a palette: more than one, so that filtering does not mix neighbours.
+_SWATCH = 4
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A scene at rest.
+
+    Attributes:
+        draw: what was drawn from the seed.
+        record: objects with their poses, as the writers take them.
+        scene: the same with floor and light, as the renderer takes it.
+        T_world_cam: of the colour camera in every frame.
+    """
+
+    draw: SceneDraw
+    record: SimulatedScene
+    scene: SimScene
+    T_world_cam: tuple[SE3, ...]
+
+
+def build_world(
+    name: str,
+    draw: SceneDraw,
+    assets: list[Asset],
+    environment: EnvironmentMap,
+    options: SimulationOptions,
+    *,
+    sensor: str,
+    poses: Sequence[SE3] | None = None,
+    parts_cache: Path | None = None,
+    parameters: dict[str, Any] | None = None,
+) -> World:
+    """Let the objects of a draw fall, and put floor, light and cameras around them.
+
+    Args:
+        name: of the scene.
+        draw: what is in it.
+        assets: of its objects, in their order.
+        environment: its light.
+        options: of the data set.
+        sensor: name of the sensor, for the record.
+        poses: T_world_obj of objects that lie still already; None lets them fall.
+        parts_cache: folder that keeps convex parts over runs.
+        parameters: further entries of the scene's record.
+
+    Raises:
+        ToolkitError: the objects do not come to rest, or a floor image cannot be read.
+    """
+    drops = 0
+    if poses is None:
+        falling = [
+            PhysicalObject(asset, thing.diagonal_m, convex_parts(asset, parts_cache))
+            for asset, thing in zip(assets, draw.objects, strict=True)
+        ]
+        settled = settle(falling, int(generator(draw.seed, "drop").integers(2**31)))
+        poses, drops = settled.poses, settled.attempts
+    rows = list(zip(draw.objects, assets, poses, strict=True))
+    record = SimulatedScene(
+        name=name,
+        seed=draw.seed,
+        sensor=sensor,
+        frames=options.views,
+        objects=[
+            SimulatedObject(
+                instance_id=thing.instance,
+                asset_id=asset.id,
+                category=thing.category,
+                class_id=asset.class_id,
+                material_class=thing.material.material_class,
+                scale_m=thing.diagonal_m,
+                T_world_obj=pose,
+                mesh=asset.mesh,
+                symmetry=asset.symmetry,
+            )
+            for thing, asset, pose in rows
+        ],
+        parameters={
+            "options": msgspec.to_builtins(options),
+            "draw": msgspec.to_builtins(draw),
+            "drops": drops,
+            **(parameters or {}),
+        },
+    )
+    scene = SimScene(
+        (_floor(draw.floor), *(_object(*row) for row in rows)),
+        environment,
+        draw.light[0].rotation_rad,
+    )
+    return World(draw, record, scene, tuple(camera_poses(draw.seed, options)))
+
+
+def camera_poses(seed: int, options: SimulationOptions) -> list[SE3]:
+    """T_world_cam of every frame."""
+    number = int(generator(seed, "views").integers(2**31))
+    if options.order == "random":
+        views = random_viewpoints(number, ViewpointOptions(count=options.views))
+        return [view.T_world_cam for view in views]
+    return smooth_trajectory(
+        number,
+        TrajectoryOptions(kind=options.order, frames=options.views, sweep_deg=options.sweep_deg),
+    )
+
+
+def _object(thing: ObjectDraw, asset: Asset, pose: SE3) -> SceneObject:
+    mesh, texture = own_surface(asset, thing.diagonal_m)
+    patterned = thing.material.texture is not None
+    if texture is not None and asset.texture is None and patterned:
+        # A palette has no room for the material's pattern: the mean colour stands for it.
+        mean = to_linear(np.asarray(texture)).reshape(-1, 3).mean(axis=0)
+        mesh, texture = SurfaceMesh(mesh.vertices, mesh.faces), None
+        color = (float(mean[0]), float(mean[1]), float(mean[2]))
+        return SceneObject(thing.instance, mesh, pose, thing.material, color=color)
+    return SceneObject(thing.instance, mesh, pose, thing.material, texture=texture)
+
+
+def _floor(drawn: FloorDraw) -> SceneObject:
+    h = FLOOR_HALF_M
+    corners = np.array([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]])
+    mesh = SurfaceMesh(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+    texture = None if drawn.image is None else read_color(drawn.image)
+    return SceneObject(
+        0,
+        mesh,
+        SE3.identity(),
+        drawn.material,
+        texture=texture,
+        texture_tile_m=drawn.image_tile_m,
+    )
+
+
+def own_surface(asset: Asset, diagonal_m: float) -> tuple[SurfaceMesh, NDArray[np.uint8] | None]:
+    """The asset at its size, and the texture image that shows its own colours.
+
+    A picture is taken as it is; colours of faces become a palette, each face's corners pointing
+    into the middle of its swatch. Vertices are doubled where corners differ.
+
+    Args:
+        asset: in its canonical frame.
+        diagonal_m: bounding-box diagonal of the object, metres.
+
+    Returns:
+        The mesh in metres, and (h, w, 3) uint8 sRGB or None where the asset has no colours.
+    """
+    vertices = asset.vertices * diagonal_m
+    if asset.texture is not None and asset.corner_uv is not None:
+        return _with_corners(vertices, asset.faces, asset.corner_uv), asset.texture
+    if asset.face_colors is None:
+        return SurfaceMesh(vertices, asset.faces), None
+    palette, of_face = np.unique(asset.face_colors, axis=0, return_inverse=True)
+    image = np.repeat(np.repeat(palette[None], _SWATCH, axis=0), _SWATCH, axis=1)
+    u = (of_face.reshape(-1) + 0.5) / len(palette)
+    corners = np.stack([u, np.full(len(u), 0.5)], axis=1)
+    uv = np.repeat(corners[:, None], 3, axis=1)
+    return _with_corners(vertices, asset.faces, uv), np.ascontiguousarray(image)
+
+
+def _with_corners(
+    vertices: NDArray[np.floating], faces: NDArray[np.integer], uv: NDArray[np.floating]
+) -> SurfaceMesh:
+    """A mesh whose vertices have one pair of coordinates each, doubled where corners differ."""
+    keys = np.concatenate([faces.reshape(-1, 1), uv.reshape(-1, 2)], axis=1)
+    used, index = np.unique(keys, axis=0, return_inverse=True)
+    return SurfaceMesh(
+        vertices[used[:, 0].astype(np.int64)],
+        index.reshape(-1, 3),
+        np.ascontiguousarray(used[:, 1:]),
+    )

@@ -1,0 +1,258 @@
+"""A depth camera as data: its fields, the JSON files that hold it, their schema.
+
+Sensors by name, or from a file of one's own.
+
+JSON Schema of a sensor's file, generated from the structure that reads it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.se3 import SE3
+from std_toolkit.io.documents import DIALECT, InvalidDocument, read_document
+from std_toolkit.scene.document import (
+    Document,
+    NonNegative,
+    Pose16,
+    Positive,
+    Vector3,
+    check_pose,
+    pose_from_list,
+)
+from std_toolkit.scene.pose_model import CameraModel
+
+Angles = Annotated[list[Annotated[float, msgspec.Meta(gt=1, lt=170)]],
+                   msgspec.Meta(min_length=2, max_length=2)]  # fmt: skip
+
+Range = Annotated[list[NonNegative], msgspec.Meta(min_length=2, max_length=2)]
+
+# Two sizes are scaled copies of one picture if their aspect ratios differ by less: 848x480 is
+# meant to be 16:9.
+SAME_ASPECT = 0.01
+
+FOLDER = Path(__file__).parent
+
+SCHEMA = FOLDER / "sensor.schema.json"
+
+
+class Source(Document, frozen=True, kw_only=True):
+    """Where figures come from.
+
+    Attributes:
+        text: the document or measurement.
+        estimate: nobody has measured or published it; the text says what it rests on.
+    """
+
+    text: str
+    estimate: bool = False
+
+
+class ProjectorSpec(Document, frozen=True, kw_only=True):
+    """The infrared projector of dots.
+
+    Attributes:
+        position_m: in the frame of the left infrared camera. It looks along that camera's axis.
+        fov_deg: full angles, across and down, of the pattern.
+        style: how the dots lie; see `sensors.pattern`.
+        dots_in_view: number of dots inside the depth field of view.
+        lit_share: share of the pattern that is brighter than half of a dot's peak.
+        roll_deg: rotation of the pattern about its axis.
+    """
+
+    position_m: Vector3
+    fov_deg: Angles
+    style: Literal["two_lattices", "scattered"]
+    dots_in_view: Annotated[int, msgspec.Meta(ge=100, le=1_000_000)]
+    lit_share: Annotated[float, msgspec.Meta(gt=0, lt=0.5)]
+    roll_deg: float = 0.0
+
+    @property
+    def T_ir_projector(self) -> SE3:
+        angle = np.deg2rad(self.roll_deg) / 2
+        return SE3.from_quat([np.cos(angle), 0, 0, np.sin(angle)], self.position_m)
+
+
+class DepthSpec(Document, frozen=True, kw_only=True):
+    """What the depth stream can tell.
+
+    Attributes:
+        field_of_view_deg: full angles, across and down.
+        unit_m: metres per unit of the 16-bit depth image.
+        range_m: nearest and farthest depth that is reported.
+        disparities: number of disparities that the matcher searches, at any image size.
+        noise_px: standard deviation of the disparity on a well textured surface.
+    """
+
+    field_of_view_deg: Angles
+    unit_m: Positive
+    range_m: Range
+    disparities: Annotated[int, msgspec.Meta(ge=16, le=512)]
+    noise_px: NonNegative
+
+    def check(self) -> None:
+        if not self.range_m[0] < self.range_m[1]:
+            raise ToolkitError("near must be less than far", field="range_m", value=self.range_m)
+
+
+class SensorSpec(Document, frozen=True, kw_only=True):
+    """An active stereo depth camera.
+
+    Attributes:
+        name: short name, as on the command line.
+        title: full name.
+        infrared: intrinsics of both infrared cameras (they are rectified) per image size.
+        color: intrinsics of the colour camera per image size.
+        baseline_m: from the left infrared camera to the right one, along x.
+        T_ir_color: pose of the colour camera in the left infrared one, whose frame is depth's.
+        projector: of dots, or null for a passive camera.
+        depth: range, unit and noise.
+        sources: field (`infrared`, `depth.noise_px`, ...) to where its figures come from. A field
+            covers those below it.
+    """
+
+    name: str
+    title: str
+    infrared: Annotated[list[CameraModel], msgspec.Meta(min_length=1)]
+    color: Annotated[list[CameraModel], msgspec.Meta(min_length=1)]
+    baseline_m: Annotated[float, msgspec.Meta(gt=0, lt=1)]
+    T_ir_color: Pose16
+    projector: ProjectorSpec | None
+    depth: DepthSpec
+    sources: dict[str, Source] = msgspec.field(default_factory=dict)
+
+    def check(self) -> None:
+        check_pose(self.T_ir_color, "T_ir_color")
+        for stream in ("infrared", "color"):
+            sizes = [(c.width, c.height) for c in getattr(self, stream)]
+            if len(set(sizes)) < len(sizes):
+                raise InvalidDocument("an image size appears twice", field=stream, value=sizes)
+        for camera in self.infrared:
+            if any(camera.distortion):
+                raise InvalidDocument(
+                    "infrared images are rectified: no distortion",
+                    field="infrared",
+                    value=camera.distortion,
+                )
+        known = figures(self)
+        for field in self.sources:
+            if field not in known:
+                raise InvalidDocument(
+                    "a source for a field that does not exist",
+                    field="sources",
+                    value=field,
+                    hint=f"known: {', '.join(known)}",
+                )
+
+    def infrared_camera(self, width: int, height: int) -> Camera:
+        """Both infrared cameras, and the depth image, at this size; see `camera_of_size`."""
+        return camera_of_size(self.infrared, width, height, f"{self.name}: infrared")
+
+    def color_camera(self, width: int, height: int) -> Camera:
+        """The colour camera at this size; see `camera_of_size`."""
+        return camera_of_size(self.color, width, height, f"{self.name}: color")
+
+    @property
+    def pose_of_color(self) -> SE3:
+        """`T_ir_color` as a pose."""
+        return pose_from_list(self.T_ir_color)
+
+    def disparity_range(self, width: int, height: int) -> tuple[int, int]:
+        """Least and largest whole disparity that `depth.range_m` gives at this image size.
+
+        The largest is also bounded by the number of disparities that the camera searches, which
+        is what sets its nearest depth at large sizes.
+        """
+        fb = self.infrared_camera(width, height).fx * self.baseline_m
+        near, far = self.depth.range_m
+        # The ends of a matcher's range are never winners: leave one more on each side.
+        low = max(0, int(np.floor(fb / far)) - 1)
+        wanted = int(np.ceil(fb / near)) + 1 if near > 0 else low + self.depth.disparities
+        return low, min(wanted, low + self.depth.disparities - 1)
+
+
+def camera_of_size(models: list[CameraModel], width: int, height: int, field: str) -> Camera:
+    """The camera of an image of this size.
+
+    A size that is listed is taken as it is: a real camera's firmware crops and rounds in its own
+    ways. Any other is scaled from the largest of the same aspect ratio, edges of the image staying
+    edges and pixel centres at whole numbers.
+
+    Raises:
+        ToolkitError: no image of this aspect ratio is listed.
+    """
+    for model in models:
+        if (model.width, model.height) == (width, height):
+            return model.camera()
+    alike = [
+        m for m in models if abs(m.width * height / (m.height * width) - 1) < SAME_ASPECT
+    ]  # fmt: skip
+    if not alike:
+        raise ToolkitError(
+            "no image of this shape",
+            field=field,
+            value=f"{width}x{height}",
+            hint=f"known: {', '.join(f'{m.width}x{m.height}' for m in models)}, "
+            "or any other size of the same aspect ratio",
+        )
+    return max(alike, key=lambda m: m.width).camera().resized(width, height)
+
+
+def figures(spec: SensorSpec) -> list[str]:
+    """Names of all fields that hold figures, as keys of `sources`."""
+    names = ["infrared", "color", "baseline_m", "T_ir_color", "depth"]
+    names += [f"depth.{field}" for field in DepthSpec.__struct_fields__]
+    if spec.projector is not None:
+        names += ["projector"]
+        names += [f"projector.{field}" for field in ProjectorSpec.__struct_fields__]
+    return names
+
+
+def without_source(spec: SensorSpec) -> list[str]:
+    """Fields whose figures nobody vouches for."""
+    leaves = [f for f in figures(spec) if f not in ("depth", "projector")]
+    return [f for f in leaves if f not in spec.sources and f.split(".")[0] not in spec.sources]
+
+
+def names() -> list[str]:
+    """Names of the sensors that come with the package."""
+    return sorted(path.stem for path in FOLDER.glob("*.json") if path != SCHEMA)
+
+
+def load_sensor(name: str | Path) -> SensorSpec:
+    """The sensor called `name`, or the one that a JSON file describes.
+
+    Args:
+        name: a built-in name, in any case; or a path, told by its suffix or a separator.
+
+    Raises:
+        ToolkitError: no such sensor, or a file that does not describe one: the message names the
+            field.
+    """
+    path = Path(name)
+    if path.suffix.lower() == ".json" or len(path.parts) > 1:
+        return read_document(path, SensorSpec)
+    if str(name).lower() not in names():
+        raise ToolkitError(
+            "no such sensor",
+            field="sensor",
+            value=str(name),
+            hint=f"known: {', '.join(names())}; or give the path of a .json file",
+        )
+    return read_document(FOLDER / f"{str(name).lower()}.json", SensorSpec)
+
+
+def schema_bytes() -> bytes:
+    """The schema as it is stored beside the sensors, in `sensor.schema.json`."""
+    schema = {
+        "$schema": DIALECT,
+        "$id": "https://std-toolkit.example/schemas/sensor.schema.json",
+        **msgspec.json.schema(SensorSpec),
+    }
+    return msgspec.json.format(msgspec.json.encode(schema), indent=2) + b"\n"

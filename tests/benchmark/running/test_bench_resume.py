@@ -1,0 +1,90 @@
+"""What a run that goes on keeps of the rows that it has, and what it replaces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+import pandas as pd
+import pytest
+
+from benchmark.evaluation.engine import complete
+from benchmark.evaluation.manifest import begin
+from benchmark.evaluation.results import (
+    ERROR,
+    FAILURES,
+    FRAME,
+    INDEX,
+    SCENE,
+    join_parts,
+    write_part,
+)
+from std_toolkit.jobs import JobOptions
+
+SERIAL = JobOptions(engine="serial", progress=False)
+
+
+class ASetup(msgspec.Struct, frozen=True):
+    split: str = "toy"
+
+
+class AManifest(msgspec.Struct, frozen=True):
+    setup: ASetup = msgspec.field(default_factory=ASetup)
+
+
+def rows(frames: Sequence[int], error: str = "", figure: float = 0.0) -> list[dict[str, object]]:
+    """Two rows for each frame."""
+    return [
+        {INDEX: i, SCENE: "s", FRAME: f"{i:04d}", ERROR: error, "subset": s, "rmse": figure}
+        for i in frames
+        for s in ("all", "specular")
+    ]
+
+
+def go_on(folder: Path, error: str, figure: float) -> pd.DataFrame:
+    """Score frames 0 and 1 (once more), with this outcome."""
+
+    def worker(_: int) -> int:
+        write_part(folder, 0, 1, rows([0, 1], error, figure))
+        return 2
+
+    return complete(
+        folder, AManifest(), lambda _: [0], worker,
+        title="toy", key=str, jobs=SERIAL, unit="pieces",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("joined", [True, False], ids=["table", "part of the same name"])
+def test_a_later_failure_does_not_replace_an_earlier_success(tmp_path: Path, joined: bool) -> None:
+    if joined:
+        go_on(tmp_path, "", 0.1)
+    else:  # killed before its parts were joined
+        begin(tmp_path, AManifest())
+        write_part(tmp_path, 0, 1, rows([0, 1], "", 0.1))
+    table = go_on(tmp_path, "out of memory", 9.0)
+    assert table[INDEX].tolist() == [0, 0, 1, 1]
+    assert (table[ERROR] == "").all() and (table["rmse"] == 0.1).all()
+    assert pd.read_csv(tmp_path / FAILURES).empty
+    pd.testing.assert_frame_equal(join_parts(tmp_path), table)
+
+
+def test_a_failure_beside_a_success_of_the_same_run_does_not_replace_it(tmp_path: Path) -> None:
+    write_part(tmp_path, 0, 1, rows([0, 1], "", 0.1))
+    write_part(tmp_path, 1, 2, rows([1, 2], "out of memory", 9.0))
+    table = join_parts(tmp_path)
+    assert table[INDEX].tolist() == [0, 0, 1, 1, 2, 2]
+    assert table[ERROR].tolist() == [""] * 4 + ["out of memory"] * 2
+    assert pd.read_csv(tmp_path / FAILURES)[INDEX].tolist() == [2]
+
+
+@pytest.mark.parametrize(
+    ("before", "after"), [("no memory", ""), ("", ""), ("no memory", "no such file")]
+)
+def test_of_two_equal_outcomes_the_later_counts_and_a_success_mends(
+    tmp_path: Path, before: str, after: str
+) -> None:
+    go_on(tmp_path, before, 0.1)
+    table = go_on(tmp_path, after, 0.2)
+    assert len(table) == 4
+    assert (table[ERROR] == after).all() and (table["rmse"] == 0.2).all()
