@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmark.metrics import Missing
-from benchmark.metrics.depth.depth_numpy import depth_errors
+from benchmark.metrics.depth import depth_numpy
 from std_toolkit.errors import ToolkitError
 
 torch = pytest.importorskip("torch")
@@ -44,7 +44,7 @@ def test_functions(dtype: type, missing: Missing) -> None:
         ("delta", {"threshold": 1.25}),
     ):
         found = getattr(depth_torch, name)(*tensors, missing=missing, **options)
-        one = getattr(depth_errors, name)
+        one = getattr(depth_numpy, name)
         expected = [
             one(*image, missing=missing, **options) for image in zip(pred, true, valid, strict=True)
         ]
@@ -62,7 +62,7 @@ def test_all_at_once(dtype: type, missing: Missing, masked: bool) -> None:
         *tensors, torch.from_numpy(valid) if masked else None, missing=missing
     )
     for i in range(len(pred)):
-        expected = depth_errors.depth_errors(
+        expected = depth_numpy.depth_errors(
             pred[i], true[i], valid[i] if masked else None, missing=missing
         ).as_dict()
         assert list(found) and set(found) == set(expected)
@@ -76,7 +76,7 @@ def test_all_at_once(dtype: type, missing: Missing, masked: bool) -> None:
 def test_coverage() -> None:
     pred, true, valid = batch(np.float32)
     found = depth_torch.coverage(*(torch.from_numpy(a) for a in (pred, true, valid)))
-    expected = [depth_errors.coverage(*image) for image in zip(pred, true, valid, strict=True)]
+    expected = [depth_numpy.coverage(*image) for image in zip(pred, true, valid, strict=True)]
     np.testing.assert_array_equal(found.numpy(), expected)
 
 

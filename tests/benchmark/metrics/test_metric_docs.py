@@ -11,13 +11,13 @@ from types import ModuleType
 import pytest
 
 import benchmark.metrics
-import benchmark.metrics.protocols
 
 NAMES = [
     module.name
-    for package in (benchmark.metrics, benchmark.metrics.protocols)
-    for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
+    for module in pkgutil.walk_packages(benchmark.metrics.__path__, "benchmark.metrics.")
 ]
+# Metrics of depth and pose are called by others' code; the other folders serve this package.
+PUBLIC = [n for n in NAMES if n.split(".")[2] not in ("grasp", "protocols")]
 NEVER_RAISE = {"as_real", "holm"}
 
 
@@ -34,7 +34,7 @@ def test_examples_run(name: str) -> None:
     assert found.failed == 0
 
 
-@pytest.mark.parametrize("name", [n for n in NAMES if n.startswith("benchmark.metrics.")])
+@pytest.mark.parametrize("name", PUBLIC)
 def test_public_functions_say_what_they_take_and_give(name: str) -> None:
     module = imported(name)
     functions = [

@@ -99,10 +99,10 @@ def test_a_killed_run_goes_on_where_it_was(root: Path, tmp_path: Path) -> None:
     program = (
         "import sys, time; from pathlib import Path\n"
         f"import {HERE} as s; import benchmark.evaluation.tasks.depth as r\n"
-        "from benchmark.running import pieces\n"
+        "from benchmark.evaluation import engine\n"
         "from benchmark.methods.registry import MethodOptions\n"
         "from std_toolkit.jobs import JobOptions\n"
-        "pieces._FLUSH_S = 0.0\n"
+        "engine._FLUSH_S = 0.0\n"
         "slow = s.Counting.restore\n"
         "s.Counting.restore = lambda self, views: (time.sleep(0.3), slow(self, views))[1]\n"
         f"run = s.a_run(Path({str(root)!r}), Path({str(tmp_path / 'out')!r}),\n"
