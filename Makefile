@@ -9,7 +9,7 @@ DEMO ?= build/demo
 WORKERS ?= $(shell n=$$(nproc); echo $$((n < 4 ? n : 4)))
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
-.PHONY: help env demo test test-quick test-long test-random test-programs lint format perf schemas clean
+.PHONY: help env demo test test-quick test-long test-random test-programs lint format perf schemas structure clean
 
 help:
 	@echo "make demo   record a synthetic scene, curate it, show the label error, exports, a leaderboard"
@@ -17,6 +17,7 @@ help:
 	@echo "            make test-random: in another order each time)"
 	@echo "make lint   ruff and mypy"
 	@echo "make perf   tables of timings and ratios"
+	@echo "make structure   modules, circles of imports, files per flow"
 	@echo "make env    the environment in $(VENV) alone"
 
 env: $(VENV)/.complete
@@ -60,6 +61,9 @@ format: env
 
 perf: env
 	@for script in perf/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+
+structure: env
+	@$(BIN)/python tools/structure.py --flows
 
 schemas: env
 	@$(BIN)/std-curate schema --out schemas

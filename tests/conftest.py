@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
 import gc
+import json
 import os
 import shutil
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
@@ -32,6 +34,35 @@ def pytest_collection() -> Generator[None, object, object]:
     finally:
         gc.enable()
         gc.freeze()
+
+
+MakeOnce = Callable[[str, Callable[[Path], object]], Path]
+
+
+@pytest.fixture(scope="session")
+def made_once(tmp_path_factory: pytest.TempPathFactory) -> MakeOnce:
+    """Makes a folder that all processes of a run of the tests share, when the first asks for it.
+
+    Called with a name and with what fills the folder of the path that it is given. Nobody may
+    change what is in there.
+    """
+    top = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        top = top.parent
+
+    def make(name: str, fill: Callable[[Path], object]) -> Path:
+        folder = top / "shared" / name
+        folder.parent.mkdir(exist_ok=True)
+        with folder.with_suffix(".lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            done = folder.with_suffix(".done")
+            if not done.exists():
+                shutil.rmtree(folder, ignore_errors=True)  # of one who failed
+                fill(folder)
+                done.touch()
+        return folder
+
+    return make
 
 
 @pytest.fixture(scope="session")
@@ -78,7 +109,7 @@ def page(browser: Browser) -> Iterator[Page]:
 
 
 @pytest.fixture(scope="session")
-def tiny_dreds(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def tiny_dreds(made_once: MakeOnce) -> Path:
     """A simulated data set in the DREDS layout: one scene, two views of 160x90, four objects.
 
     Returns the folder that `std-sim --out` would have written: `DREDS-CatKnown/train/00000`,
@@ -96,7 +127,41 @@ def tiny_dreds(tmp_path_factory: pytest.TempPathFactory) -> Path:
     options = SimulationOptions(
         views=2, width=160, height=90, quality="rough", min_objects=1, max_objects=4
     )
-    out = tmp_path_factory.mktemp("tiny-dreds") / "set"
-    # Not in this process: the tracer stays out of sessions that load torch or Qt.
-    simulate_set(out, options, [0], jobs=JobOptions(workers=1, progress=False)).raise_if_failed()
-    return out
+
+    def simulate(out: Path) -> None:
+        # Not in this process: the tracer stays out of sessions that load torch or Qt.
+        jobs = JobOptions(workers=1, progress=False)
+        simulate_set(out, options, [0], jobs=jobs).raise_if_failed()
+
+    return made_once("tiny-dreds", simulate)
+
+
+@pytest.fixture(scope="session")
+def tabletop_poses(test_data: Path, made_once: MakeOnce) -> Path:
+    """A scene of the real recording on the printed board, its camera poses recovered from colour.
+
+    Their scale is not known; in a copy, `estimate_poses` with a source of it takes seconds. It is
+    made once per session, in about 40 s, so mark tests that need it `slow`, and copy it (with
+    `symlinks=True`) before changing anything in it. Frames are numbered as its images are.
+    """
+    source = test_data / "tabletop_board_rgb"
+    if not source.is_dir():
+        pytest.skip(f"{source} not found")
+    from std_toolkit.poses.options import PoseOptions
+    from std_toolkit.poses.pose_step import estimate_poses
+    from std_toolkit.scene import CameraModel, Frame, Frames, Scene, SceneInfo
+
+    def recover(root: Path) -> None:
+        root.mkdir()
+        (root / "color").symlink_to(source / "color")
+        K = json.loads((source / "cam_intrinsics.json").read_text())["K"]
+        camera = CameraModel(width=1280, height=720, fx=K[0][0], fy=K[1][1], cx=K[0][2], cy=K[1][2])
+        frames = [
+            Frame(id=int(f.stem), name=f.stem, color=f"color/{f.name}")
+            for f in sorted((source / "color").glob("*.jpg"))
+        ]
+        info = SceneInfo(name="tabletop", cameras={"color": camera})
+        scene = Scene.create(root, info, Frames(frames=frames))
+        estimate_poses(scene, PoseOptions(scale="none"))
+
+    return made_once("tabletop", recover)

@@ -2,36 +2,25 @@
 
 from __future__ import annotations
 
-import logging
 import os
-import warnings
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-import pytorch_lightning as pl
 import torch
-from pytorch_lightning.strategies import DDPStrategy
-from torch.utils.data import DataLoader
 
 from benchmark.methods.weights import save_weights
-from benchmark.training.callbacks import Watch
 from benchmark.training.catalogue import Trainable, get_trainable
-from benchmark.training.config import TrainConfig, begin
-from benchmark.training.frame_order import BatchOrder, Steps
-from benchmark.training.module import RestorerTraining, seed_of
+from benchmark.training.config import TrainConfig, begin, seed_of
 from benchmark.training.packed_frames import PackedFrames
 from benchmark.training.run_files import BEST, CHECKPOINT, LAST
-from benchmark.training.run_note import RUN_NOTE, AtomicCheckpoints, note_of
+from benchmark.training.run_note import RUN_NOTE, note_of
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import hold_lock, sweep_temporaries
 from std_toolkit.io.documents import write_document
 from std_toolkit.log import logger
-
-_PRECISIONS: dict[str, Any] = {"fp32": "32-true", "bf16": "bf16-mixed"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,49 +68,6 @@ class Data:
     of_validation: Sequence[int]
 
 
-class _Loaders(pl.LightningDataModule):
-    def __init__(self, data: Data, config: TrainConfig, readers: int, lock: Path) -> None:
-        super().__init__()
-        self.data, self.config, self.readers, self.lock = data, config, readers, lock
-
-    def train_dataloader(self) -> DataLoader[Any]:
-        trainer, config = self.trainer, self.config
-        assert trainer is not None
-        chosen = _Chosen(self.data.training, self.data.of_training)
-        steps = Steps(
-            BatchOrder(len(chosen), config.optimization.batch_size, seed=config.seed),
-            lambda: trainer.global_step,
-            steps=config.checkpoint_every,
-            end=config.steps,
-            accumulate=config.accumulate,
-            rank=trainer.global_rank,
-            world=trainer.world_size,
-        )
-        return DataLoader(
-            chosen,
-            sampler=steps,
-            batch_size=None,
-            num_workers=self.readers,
-            persistent_workers=self.readers > 0,
-            prefetch_factor=4 if self.readers else None,
-            pin_memory=torch.cuda.is_available(),
-            worker_init_fn=partial(_let_go, self.lock),
-        )
-
-
-class _Chosen(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
-    """Some of the frames, numbered anew for the order, by their own numbers in the batch."""
-
-    def __init__(self, frames: PackedFrames, chosen: Sequence[int]) -> None:
-        self.frames, self.chosen = frames, list(chosen)
-
-    def __len__(self) -> int:
-        return len(self.chosen)
-
-    def __getitem__(self, places: list[int]) -> dict[str, torch.Tensor]:
-        return self.frames[[self.chosen[place] for place in places]]
-
-
 def fit(
     folder: Path,
     config: TrainConfig,
@@ -139,6 +85,11 @@ def fit(
             devices, a loss or gradient that is not finite (the last checkpoint is kept), or a
             full disk.
     """
+    # Lightning takes seconds to load, which a plan need not wait for.
+    from benchmark.training.callbacks import Watch
+    from benchmark.training.module import RestorerTraining
+    from benchmark.training.trainer import Loaders, lightning_trainer, quieten
+
     machine = machine or Machine()
     trainable = get_trainable(config.method)
     is_first = process_rank() == 0
@@ -160,15 +111,15 @@ def fit(
                     None if beginning is None else beginning.weights,
                 )
                 write_document(folder / RUN_NOTE, note)
-        _quiet()
+        quieten()
         module = RestorerTraining(config, network, trainable.step, loss, data.training.key)
         judge = trainable.judge(data.validation, data.of_validation, _judged_at_once(config), loss)
         watch = Watch(folder, judge, log_every=machine.log_every)
-        trainer = _trainer(trainable, config, machine, watch, folder)
+        trainer = lightning_trainer(trainable, config, machine, watch, folder)
         checkpoint = folder / CHECKPOINT
         trainer.fit(
             module,
-            datamodule=_Loaders(data, config, machine.readers, folder / ".std" / "lock"),
+            datamodule=Loaders(data, config, machine.readers, folder / ".std" / "lock"),
             ckpt_path=checkpoint if checkpoint.exists() else None,
         )
         if trainer.is_global_zero:
@@ -207,40 +158,6 @@ def make_network(
     return network
 
 
-def _trainer(
-    trainable: Trainable, config: TrainConfig, machine: Machine, watch: Watch, folder: Path
-) -> pl.Trainer:
-    strategy: Any = "auto"
-    plugins: list[Any] = [AtomicCheckpoints()]
-    idle = trainable.idle(trainable.config(config.preset, config.settings))
-    if machine.in_ray:
-        from ray.train.lightning import RayDDPStrategy, RayLightningEnvironment
-
-        strategy = RayDDPStrategy(find_unused_parameters=idle)
-        plugins.append(RayLightningEnvironment())
-    elif machine.devices * machine.nodes > 1:
-        strategy = DDPStrategy(find_unused_parameters=idle)
-    return pl.Trainer(
-        accelerator=machine.accelerator,
-        devices="auto" if machine.in_ray else machine.devices,
-        num_nodes=machine.nodes,
-        strategy=strategy,
-        precision=_PRECISIONS[config.precision],
-        max_epochs=-(-config.steps // config.checkpoint_every),
-        accumulate_grad_batches=config.accumulate,
-        callbacks=[watch],
-        plugins=plugins,
-        default_root_dir=folder,
-        logger=False,
-        enable_checkpointing=False,
-        enable_model_summary=False,
-        enable_progress_bar=machine.progress,
-        limit_val_batches=0,
-        num_sanity_val_steps=0,
-        use_distributed_sampler=False,
-    )
-
-
 def _judged_at_once(config: TrainConfig) -> int:
     return max(1, config.optimization.batch_size // config.accumulate)
 
@@ -251,26 +168,3 @@ def process_rank() -> int:
         if name in os.environ:
             return int(os.environ[name])
     return 0
-
-
-def _quiet() -> None:
-    """Advice of Lightning that does not concern users of std-train."""
-    logging.getLogger("pytorch_lightning").setLevel(logging.WARNING)
-    logging.getLogger("lightning_fabric").setLevel(logging.WARNING)
-    for text in (
-        ".*does not have many workers.*",
-        ".*`LeafSpec`.*",
-        ".*isinstance.*LeafSpec.*",
-        "Grad strides do not match",
-    ):
-        warnings.filterwarnings("ignore", text)
-
-
-def _let_go(lock: Path, reader: int) -> None:  # noqa: ARG001
-    """Close a reader's copy of the run's lock.
-
-    Readers outlive a killed training by seconds, in which nobody could go on with it.
-    """
-    for entry in Path("/proc/self/fd").glob("*"):
-        if entry.is_symlink() and os.path.realpath(entry) == str(lock.resolve()):
-            os.close(int(entry.name))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from typing import Any
 
@@ -10,7 +9,7 @@ import pytorch_lightning as pl
 import torch
 from torch import Tensor, nn
 
-from benchmark.training.config import TrainConfig
+from benchmark.training.config import TrainConfig, seed_of
 from benchmark.training.step import Batch, ModelInput, StepFunction, model_input
 from std_toolkit.errors import ToolkitError
 
@@ -110,9 +109,3 @@ class RestorerTraining(pl.LightningModule):
             hint="the last checkpoint is kept; look at these frames, or make --learning-rate "
             "smaller",
         )
-
-
-def seed_of(*numbers: int) -> int:
-    """A seed for every row of numbers, as unlike to its neighbours' as any other."""
-    digest = hashlib.blake2b(repr(numbers).encode(), digest_size=7).digest()
-    return int.from_bytes(digest, "little")

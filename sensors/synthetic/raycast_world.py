@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import open3d as o3d
 import trimesh
 from numpy.typing import NDArray
 
@@ -173,6 +172,8 @@ class _Caster:
     """Embree over some of the world's meshes."""
 
     def __init__(self, meshes: list[trimesh.Trimesh], chosen: list[int]) -> None:
+        import open3d as o3d
+
         self._scene = o3d.t.geometry.RaycastingScene()
         self._entity = np.array([*chosen, -1])
         for i in chosen:
@@ -193,6 +194,8 @@ class _Caster:
 
 
 def _rays(origins: Array, directions: Array) -> Any:
+    import open3d as o3d
+
     rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
     return o3d.core.Tensor.from_numpy(rays)
 

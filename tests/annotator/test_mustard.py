@@ -7,6 +7,7 @@ print is not the mesh's: a person drags the mesh onto it by eye and presses refi
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +16,11 @@ import pytest
 from annotator.cli import main
 from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.residuals import ObjectObservation, observe_frame
-from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.geometry.se3 import SE3, so3_exp
 from std_toolkit.poses.options import PoseOptions
 from std_toolkit.poses.pose_step import estimate_poses
-from std_toolkit.scene import CameraModel, Frame, Frames, Scene, SceneInfo
+from std_toolkit.scene import Scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.real, pytest.mark.timeout(1800)]
 
@@ -29,22 +29,12 @@ BY_EYE = SE3(so3_exp([0.2, 2.7, -0.9]), np.array([0.31, -0.17, 0.77]))
 
 
 @pytest.fixture(scope="module")
-def posed(test_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def posed(tabletop_poses: Path, test_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The recording with recovered camera poses, their metres from the printed board."""
-    source = test_data / "tabletop_board_rgb"
-    K = json.loads((source / "cam_intrinsics.json").read_text())["K"]
     root = tmp_path_factory.mktemp("tabletop") / "scene"
-    root.mkdir()
-    (root / "color").symlink_to(source / "color")
-    (root / "board.json").write_bytes((source / "board_mm.json").read_bytes())
-    camera = Camera(1280, 720, K[0][0], K[1][1], K[0][2], K[1][2])
-    frames = [
-        Frame(id=i, name=f.stem, color=f"color/{f.name}")
-        for i, f in enumerate(sorted((source / "color").glob("*.jpg")))
-    ]
-    info = SceneInfo(name="tabletop", cameras={"color": CameraModel.of(camera)})
-    scene = Scene.create(root, info, Frames(frames=frames))
-    estimate_poses(scene, PoseOptions(scale="board"))
+    shutil.copytree(tabletop_poses, root, symlinks=True)
+    shutil.copyfile(test_data / "tabletop_board_rgb" / "board_mm.json", root / "board.json")
+    estimate_poses(Scene.open(root), PoseOptions(scale="board"))
     return root
 
 

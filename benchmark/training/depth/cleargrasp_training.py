@@ -17,6 +17,7 @@ from benchmark.evaluation.depth_panels import strip
 from benchmark.methods.depth.cleargrasp.cleargrasp import DepthOfMaps
 from benchmark.methods.depth.cleargrasp.cleargrasp_network import ClearGraspNetwork
 from benchmark.methods.depth.full_size import view_of
+from benchmark.training.config import seed_of
 from benchmark.training.depth.cleargrasp_losses import (
     CONTACT,
     NONE,
@@ -26,7 +27,6 @@ from benchmark.training.depth.cleargrasp_losses import (
     ClearGraspTarget,
     outlines_of,
 )
-from benchmark.training.module import seed_of
 from benchmark.training.packed_frames import PackedFrames
 from benchmark.training.step import Batch, Loss, ModelInput, StepInfo, made_of, network_inputs
 from benchmark.training.validation import batches, evaluating, shown_of

@@ -5,9 +5,6 @@ from __future__ import annotations
 import pytest
 import torch
 
-from benchmark.training import augmentation
-from benchmark.training.augmentation import ColorAugmentation, lose_objects
-
 
 def colors(count: int, side: int = 32, seed: int = 0) -> torch.Tensor:
     draw = torch.Generator().manual_seed(seed)
@@ -16,6 +13,8 @@ def colors(count: int, side: int = 32, seed: int = 0) -> torch.Tensor:
 
 
 def test_images_stay_images_and_each_gets_its_own_change():
+    from benchmark.training.augmentation import ColorAugmentation
+
     images = colors(200)
     torch.manual_seed(0)
     changed = ColorAugmentation()(images)
@@ -31,6 +30,8 @@ def test_images_stay_images_and_each_gets_its_own_change():
 
 
 def test_the_seed_alone_decides():
+    from benchmark.training.augmentation import ColorAugmentation
+
     images = colors(24)
     change = ColorAugmentation()
     found = []
@@ -43,6 +44,9 @@ def test_the_seed_alone_decides():
 
 
 def test_every_single_change_changes_and_stays_in_range():
+    from benchmark.training import augmentation
+    from benchmark.training.augmentation import ColorAugmentation
+
     change = ColorAugmentation()
     images = colors(8)
     singles = [*change.tones, *change.blurs, *change.noises]
@@ -59,6 +63,8 @@ def test_every_single_change_changes_and_stays_in_range():
 
 
 def test_bright_patches_only_brighten():
+    from benchmark.training import augmentation
+
     images = colors(30)
     torch.manual_seed(1)
     changed = augmentation._bright_patches(images)
@@ -68,6 +74,8 @@ def test_bright_patches_only_brighten():
 
 
 def test_coarse_gaps_are_about_two_percent():
+    from benchmark.training import augmentation
+
     torch.manual_seed(0)
     white = torch.ones(64, 3, 64, 64)
     shares = torch.stack([1 - augmentation._coarse_gaps(white).mean() for _ in range(10)])
@@ -75,6 +83,8 @@ def test_coarse_gaps_are_about_two_percent():
 
 
 def test_objects_lose_depth_and_the_background_does_not():
+    from benchmark.training.augmentation import lose_objects
+
     depth = torch.full((40, 1, 20, 20), 0.7)
     mask = torch.full((40, 20, 20), 255, dtype=torch.uint8)
     mask[:, 2:8, 2:8] = 1

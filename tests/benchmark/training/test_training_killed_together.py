@@ -14,7 +14,7 @@ import pytest
 from safetensors.torch import load_file
 from training_set import TINY, packed, same, write_scenes
 
-from benchmark.training.callbacks import CHECKPOINT
+from benchmark.training.run_files import CHECKPOINT
 
 pytestmark = pytest.mark.slow
 _LONGEST = float(os.environ.get("STD_TEST_PATIENCE", "100"))  # seconds; a busy machine needs more

@@ -14,9 +14,7 @@ import pytest
 import torch
 from training_set import HERE, TINY, packed, same, trained, wishes, write_scenes
 
-from benchmark.training.callbacks import CHECKPOINT, Watch
-from benchmark.training.module import RestorerTraining
-from benchmark.training.run_note import AtomicCheckpoints
+from benchmark.training.run_files import CHECKPOINT
 from std_toolkit.cli.command_line import exit_status
 from std_toolkit.errors import ToolkitError
 
@@ -36,6 +34,8 @@ class Interrupted(Exception):
 @pytest.mark.parametrize("at", [3, 4])
 def test_interrupted_and_resumed_ends_with_the_same_bits(method, at, pack, tmp_path, monkeypatch):
     """Step 3 stands between two checkpoints, step 4 right behind one and before its validation."""
+    from benchmark.training.module import RestorerTraining
+
     asked = wishes(method, pack, colors="on", holes=0.5, accumulate=2)
     whole = trained(asked, tmp_path / "whole")
 
@@ -168,6 +168,8 @@ def test_a_checkpoint_that_is_none_is_told(pack, tmp_path):
 
 
 def test_not_a_number_stops_before_it_harms(pack, tmp_path, monkeypatch):
+    from benchmark.training.module import RestorerTraining
+
     asked = wishes("nlspn", pack)
     step = RestorerTraining.training_step
     poisoned: list[str] = []
@@ -190,6 +192,8 @@ def test_not_a_number_stops_before_it_harms(pack, tmp_path, monkeypatch):
 
 
 def test_gradients_that_are_not_numbers_stop_too(pack, tmp_path, monkeypatch):
+    from benchmark.training.callbacks import Watch
+
     def spoil(self, trainer, pl_module, loss):
         next(pl_module.parameters()).register_hook(lambda g: g * float("nan"))
 
@@ -287,6 +291,8 @@ def _fill_the_disk(where: str, after: int) -> None:
 def test_a_full_disk_leaves_the_last_checkpoint(pack, tmp_path):
     """The limit on the size of files stands for the disk's: writing fails half-way for real."""
     import resource
+
+    from benchmark.training.trainer import AtomicCheckpoints
 
     asked = wishes("dfnet", pack, steps=4)
     trained(asked, tmp_path / "whole")

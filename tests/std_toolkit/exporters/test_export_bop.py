@@ -13,7 +13,6 @@ from pathlib import Path
 import cv2
 import msgspec
 import numpy as np
-import open3d as o3d
 import pytest
 from scene_factory import SERIAL, WORLD_POSES, make_scene
 
@@ -56,6 +55,8 @@ class Exported:
 
     def distance(self, im_id: int, gt: dict, canvas: int) -> np.ndarray:
         """Distance (not z) in mm to one model on the canvas of canvas x canvas images; 0 = none."""
+        import open3d as o3d
+
         K = np.reshape(self.document("scene_camera")[str(im_id)]["cam_K"], (3, 3))
         R, t = np.reshape(gt["cam_R_m2c"], (3, 3)), np.array(gt["cam_t_m2c"])
         vertices, faces = self.model(gt["obj_id"])

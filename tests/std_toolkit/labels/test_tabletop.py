@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.label import add_model, add_object, set_pose
 from std_toolkit.labels.pnp import solve_pnp
@@ -21,25 +21,19 @@ from std_toolkit.labels.refine_step import load_views, scene_object
 from std_toolkit.labels.support.table import find_table
 from std_toolkit.poses.options import PoseOptions
 from std_toolkit.poses.pose_step import estimate_poses
-from std_toolkit.scene import CameraModel, Frame, Frames, Scene, SceneInfo
+from std_toolkit.scene import Scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.real]
 FIXTURE = Path(__file__).resolve().parents[2] / "data" / "mustard_tabletop.json"
 
 
 @pytest.fixture(scope="module")
-def tabletop(test_data, tmp_path_factory) -> Scene:
-    source = test_data / "tabletop_board_rgb"
-    K = json.loads((source / "cam_intrinsics.json").read_text())["K"]
+def tabletop(
+    tabletop_poses: Path, test_data: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Scene:
     root = tmp_path_factory.mktemp("tabletop") / "scene"
-    root.mkdir()
-    (root / "color").symlink_to(source / "color")
-    (root / "board.json").write_bytes((source / "board_mm.json").read_bytes())
-    camera = Camera(1280, 720, K[0][0], K[1][1], K[0][2], K[1][2])
-    files = sorted((source / "color").glob("*.jpg"))
-    frames = [Frame(id=i, name=f.stem, color=f"color/{f.name}") for i, f in enumerate(files)]
-    info = SceneInfo(name="tabletop", cameras={"color": CameraModel.of(camera)})
-    scene = Scene.create(root, info, Frames(frames=frames))
+    scene = Scene.open(shutil.copytree(tabletop_poses, root, symlinks=True))
+    shutil.copyfile(test_data / "tabletop_board_rgb" / "board_mm.json", scene.root / "board.json")
     estimate_poses(scene, PoseOptions(scale="board"))
     return scene
 

@@ -20,18 +20,7 @@ from std_toolkit.geometry.mesh import load_mesh, mesh_diameter, mesh_extents
 from std_toolkit.poses import PoseOptions
 from std_toolkit.poses.options import Refinement
 from std_toolkit.poses.pose_step import estimate_poses, failed_gates
-from std_toolkit.scene import (
-    CameraModel,
-    Frame,
-    Frames,
-    Label,
-    Labels,
-    Model,
-    Object,
-    ObjectTable,
-    Scene,
-    SceneInfo,
-)
+from std_toolkit.scene import Label, Labels, Model, Object, ObjectTable, Scene
 
 pytestmark = [pytest.mark.real, pytest.mark.slow]
 
@@ -84,22 +73,10 @@ def folder(test_data: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def scene(folder: Path, tmp_path_factory) -> Scene:
+def scene(tabletop_poses: Path, tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """Solved without the board."""
     root = tmp_path_factory.mktemp("tabletop") / "scene"
-    (root / "color").mkdir(parents=True)
-    K = np.array(json.loads((folder / "cam_intrinsics.json").read_text())["K"])
-    frames = []
-    for path in sorted((folder / "color").glob("*.jpg")):
-        shutil.copyfile(path, root / "color" / path.name)
-        frames.append(Frame(id=int(path.stem), name=path.stem, color=f"color/{path.name}"))
-    fx, fy, cx, cy = (float(K[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    camera = CameraModel(width=1280, height=720, fx=fx, fy=fy, cx=cx, cy=cy)
-    scene = Scene.create(
-        root, SceneInfo(name="tabletop", cameras={"color": camera}), Frames(frames=frames)
-    )
-    estimate_poses(scene, PoseOptions(scale="none"))
-    return scene
+    return Scene.open(shutil.copytree(tabletop_poses, root, symlinks=True))
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,182 @@
+"""The trainer of Lightning as a training of ours needs it.
+
+Checkpoints on disk are whole or not there, and read without running code.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import pickle
+import warnings
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytorch_lightning as pl
+import torch
+from pytorch_lightning.plugins import CheckpointIO
+from pytorch_lightning.strategies import DDPStrategy
+from torch.utils.data import DataLoader
+
+from benchmark.training.callbacks import Watch
+from benchmark.training.catalogue import Trainable
+from benchmark.training.config import TrainConfig
+from benchmark.training.frame_order import BatchOrder, Steps
+from benchmark.training.packed_frames import PackedFrames
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import atomic_path
+
+if TYPE_CHECKING:
+    from benchmark.training.fit import Data, Machine
+
+_PRECISIONS: dict[str, Any] = {"fp32": "32-true", "bf16": "bf16-mixed"}
+
+
+def lightning_trainer(
+    trainable: Trainable, config: TrainConfig, machine: Machine, watch: Watch, folder: Path
+) -> pl.Trainer:
+    """Writes nothing by itself but checkpoints; `watch` does the rest."""
+    strategy: Any = "auto"
+    plugins: list[Any] = [AtomicCheckpoints()]
+    idle = trainable.idle(trainable.config(config.preset, config.settings))
+    if machine.in_ray:
+        from ray.train.lightning import RayDDPStrategy, RayLightningEnvironment
+
+        strategy = RayDDPStrategy(find_unused_parameters=idle)
+        plugins.append(RayLightningEnvironment())
+    elif machine.devices * machine.nodes > 1:
+        strategy = DDPStrategy(find_unused_parameters=idle)
+    return pl.Trainer(
+        accelerator=machine.accelerator,
+        devices="auto" if machine.in_ray else machine.devices,
+        num_nodes=machine.nodes,
+        strategy=strategy,
+        precision=_PRECISIONS[config.precision],
+        max_epochs=-(-config.steps // config.checkpoint_every),
+        accumulate_grad_batches=config.accumulate,
+        callbacks=[watch],
+        plugins=plugins,
+        default_root_dir=folder,
+        logger=False,
+        enable_checkpointing=False,
+        enable_model_summary=False,
+        enable_progress_bar=machine.progress,
+        limit_val_batches=0,
+        num_sanity_val_steps=0,
+        use_distributed_sampler=False,
+    )
+
+
+def quieten() -> None:
+    """Advice of Lightning that does not concern users of std-train."""
+    logging.getLogger("pytorch_lightning").setLevel(logging.WARNING)
+    logging.getLogger("lightning_fabric").setLevel(logging.WARNING)
+    for text in (
+        ".*does not have many workers.*",
+        ".*`LeafSpec`.*",
+        ".*isinstance.*LeafSpec.*",
+        "Grad strides do not match",
+    ):
+        warnings.filterwarnings("ignore", text)
+
+
+class Loaders(pl.LightningDataModule):
+    """Batches in the order of the configuration, wherever a training goes on.
+
+    Args:
+        data: packed frames.
+        config: of the training.
+        readers: processes that read.
+        lock: file of the run's lock, which readers let go of.
+    """
+
+    def __init__(self, data: Data, config: TrainConfig, readers: int, lock: Path) -> None:
+        super().__init__()
+        self.data, self.config, self.readers, self.lock = data, config, readers, lock
+
+    def train_dataloader(self) -> DataLoader[Any]:
+        trainer, config = self.trainer, self.config
+        assert trainer is not None
+        chosen = _Chosen(self.data.training, self.data.of_training)
+        steps = Steps(
+            BatchOrder(len(chosen), config.optimization.batch_size, seed=config.seed),
+            lambda: trainer.global_step,
+            steps=config.checkpoint_every,
+            end=config.steps,
+            accumulate=config.accumulate,
+            rank=trainer.global_rank,
+            world=trainer.world_size,
+        )
+        return DataLoader(
+            chosen,
+            sampler=steps,
+            batch_size=None,
+            num_workers=self.readers,
+            persistent_workers=self.readers > 0,
+            prefetch_factor=4 if self.readers else None,
+            pin_memory=torch.cuda.is_available(),
+            worker_init_fn=partial(_let_go, self.lock),
+        )
+
+
+class _Chosen(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
+    """Some of the frames, numbered anew for the order, by their own numbers in the batch."""
+
+    def __init__(self, frames: PackedFrames, chosen: Sequence[int]) -> None:
+        self.frames, self.chosen = frames, list(chosen)
+
+    def __len__(self) -> int:
+        return len(self.chosen)
+
+    def __getitem__(self, places: list[int]) -> dict[str, torch.Tensor]:
+        return self.frames[[self.chosen[place] for place in places]]
+
+
+def _let_go(lock: Path, reader: int) -> None:  # noqa: ARG001
+    """Close a reader's copy of the run's lock.
+
+    Readers outlive a killed training by seconds, in which nobody could go on with it.
+    """
+    for entry in Path("/proc/self/fd").glob("*"):
+        if entry.is_symlink() and os.path.realpath(entry) == str(lock.resolve()):
+            os.close(int(entry.name))
+
+
+class AtomicCheckpoints(CheckpointIO):
+    """Lightning's checkpoints, written atomically and read as plain tensors and numbers."""
+
+    def save_checkpoint(
+        self,
+        checkpoint: dict[str, Any],
+        path: str | os.PathLike[str],
+        storage_options: Any | None = None,  # noqa: ARG002
+    ) -> None:
+        try:
+            with atomic_path(Path(path)) as temporary:
+                torch.save(checkpoint, temporary)
+        except RuntimeError as error:  # how torch tells of a full disk
+            raise ToolkitError(
+                f"cannot write the checkpoint: {error}",
+                path=Path(path),
+                hint="the one before is kept; is the disk full?",
+            ) from error
+
+    def load_checkpoint(
+        self,
+        path: str | os.PathLike[str],
+        map_location: Any | None = None,  # noqa: ARG002
+        weights_only: bool | None = None,  # noqa: ARG002
+    ) -> dict[str, Any]:
+        try:
+            return torch.load(path, map_location="cpu", weights_only=True)
+        except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, KeyError) as error:
+            raise ToolkitError(
+                f"not a checkpoint of std-train: {error}",
+                path=Path(path),
+                hint="delete it to begin this training anew",
+            ) from error
+
+    def remove_checkpoint(self, path: str | os.PathLike[str]) -> None:
+        Path(path).unlink(missing_ok=True)

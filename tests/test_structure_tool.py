@@ -1,0 +1,79 @@
+"""The script that counts the structure of the code sees what it is there to see."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="module")
+def structure() -> ModuleType:
+    spec = importlib.util.spec_from_file_location(
+        "structure", REPOSITORY / "tools" / "structure.py"
+    )
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def made_up(tmp_path: Path) -> Path:
+    """Four packages, of which one has a circle and an import upwards."""
+    for package in ("std_toolkit", "annotator", "sensors", "benchmark"):
+        (tmp_path / package).mkdir()
+        (tmp_path / package / "__init__.py").write_text("")
+    for name, text in {
+        "geometry/a.py": "from std_toolkit.scene.b import x\n",
+        "scene/b.py": "def f():\n    from std_toolkit.scene.c import y\nx = 1\n",
+        "scene/c.py": "from std_toolkit.scene.b import x\ny = x\n",
+        "scene/d.py": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n"
+        "    from std_toolkit.cli import e\n",
+        "cli/e.py": '"""Doc\nstring."""\n\n# comment\nimport os\n\n\ndef f():\n    """Doc."""\n'
+        "    return g(x=args.x, y=args.z)\n",
+    }.items():
+        path = tmp_path / "std_toolkit" / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text)
+    return tmp_path
+
+
+def test_circles_and_arrows_up_are_seen(structure: ModuleType, made_up: Path) -> None:
+    table = structure.count(made_up)
+    assert table["circles of modules"] == [["std_toolkit.scene.b", "std_toolkit.scene.c"]]
+    assert table["circles of folders"] == []
+    assert table["arrows up"] == ["std_toolkit.geometry -> std_toolkit.scene"]
+
+
+def test_a_circle_of_folders_is_seen(structure: ModuleType, made_up: Path) -> None:
+    (made_up / "std_toolkit/scene/d.py").write_text("import std_toolkit.geometry.a\n")
+    assert structure.count(made_up)["circles of folders"] == [
+        ["std_toolkit.geometry", "std_toolkit.scene"]
+    ]
+
+
+def test_docstrings_comments_and_blanks_are_no_code(structure: ModuleType, made_up: Path) -> None:
+    text = (made_up / "std_toolkit/cli/e.py").read_text()
+    assert structure.code_lines(text) == (3, 1)
+    table = structure.count(made_up)
+    assert table["modules"] == 9
+    assert table["copies x=args.x"] == 1
+
+
+def test_a_flow_counts_files_whose_functions_run(structure: ModuleType) -> None:
+    program = "from std_toolkit.geometry import SE3\nmeasured(lambda: SE3.exp([0.0] * 6))"
+    files, imported = structure.run_flow(program, REPOSITORY)
+    assert files == ["std_toolkit/geometry/se3.py"]
+    assert imported > 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["import", "check", "std-bench --method raw", "drag", "weights"])
+def test_every_flow_runs(structure: ModuleType, name: str) -> None:
+    files, _ = structure.run_flow(structure.FLOWS[name], REPOSITORY)
+    assert 3 < len(files) < 120

@@ -1,0 +1,278 @@
+"""Count the structure of the code: `python tools/structure.py [--flows] [--json]`.
+
+Prints, for the tree it stands in: code lines of the four packages (without blanks, comments and
+docstrings), modules and their median length, the share of imports, lines of the command-line
+modules, copies of the form `x=args.x`, circles of imports between modules and between folders,
+imports against the order of folders, and with `--flows` how many of the repository's files execute
+a function when a user does one thing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = ("std_toolkit", "annotator", "sensors", "benchmark")
+# From the lowest to the highest; a folder imports only those before it.
+ORDER: dict[str, tuple[str, ...]] = {
+    "std_toolkit": (
+        "errors", "log", "plugins", "renamed", "geometry", "io", "jobs", "scene", "html",
+        "rendering", "importers", "poses", "labels", "checks", "exporters", "scanning", "cli",
+    ),
+    "benchmark": (
+        "published", "data", "metrics", "methods", "tabletop", "evaluation", "training", "report",
+        "recipes", "cli",
+    ),
+    "annotator": ("session", "app", "views", "compare", "qt", "web"),
+}  # fmt: skip
+
+# What a user does, as programs that end in the call of `measured`. `ROOT` and `TMP` are given.
+_SCENE = "from tests.scene_on_disk import write_scene; scene = write_scene(TMP / 'scene')\n"
+_FOLDER = _SCENE + (
+    "arguments = ['import', '--color', str(TMP / 'scene/color'), '--depth',\n"
+    "    str(TMP / 'scene/depth'), '--intrinsics', '90,90,47.5,35.5', '--out', str(TMP / 'new')]\n"
+)
+FLOWS: dict[str, str] = {
+    "import": _FOLDER + "from std_toolkit.cli.main import main\nmeasured(lambda: main(arguments))",
+    "ground truth": _SCENE + "from std_toolkit.cli.main import main\n"
+    "measured(lambda: main(['propagate', str(scene.root)])\n"
+    "    or main(['render', str(scene.root), '--workers', '1']))",
+    "check": _SCENE + "from std_toolkit.cli.main import main\nmain(['render', str(scene.root)])\n"
+    "measured(lambda: main(['check', str(scene.root), '--workers', '1']))",
+    "std-bench --method raw": "from tests.dreds_on_disk import write_dreds_scene\n"
+    "import tests.dreds_on_disk as d\n"
+    "from benchmark.cli.bench import main\n"
+    "write_dreds_scene(TMP / 'data/DREDS-CatKnown/test/shapenet_generate_1216_val_novel/00000')\n"
+    "measured(lambda: main(['--method', 'raw', '--split', 'dreds-catknown-test', '--data',\n"
+    "    str(TMP / 'data'), '--out', str(TMP / 'out'), '--workers', '1', '--no-gallery',\n"
+    "    '--no-speed']))",
+    "drag": _SCENE + "from tests.annotator.desk_without_window import Desk\n"
+    "from std_toolkit.geometry import SE3\n"
+    "desk = Desk(scene.root); c = desk.controller\n"
+    "def drag(x):\n"
+    "    c.drag_to('box_1', 0, SE3.exp([0, 0, 0, x, 0, 0]) @ c.pose('box_1', 0)); c.end_drag()\n"
+    "drag(0.01)  # makes the journal\n"
+    "measured(lambda: drag(0.01))\n"
+    "desk.close()",
+    "weights": "from benchmark.methods.registry import MethodOptions, make_restorer\n"
+    "measured(lambda: make_restorer('swindrnet', MethodOptions(preset='compact')))",
+}
+_HARNESS = """
+import sys, threading
+from pathlib import Path
+ROOT, TMP = Path({root!r}), Path({tmp!r})
+sys.path.insert(0, str(ROOT))
+def measured(run):
+    files = set()
+    def see(frame, event, arg):
+        code = frame.f_code
+        if event == "call" and code.co_name != "<module>":
+            files.add(code.co_filename)
+    threading.setprofile(see); sys.setprofile(see)
+    try: status = run()
+    finally: sys.setprofile(None); threading.setprofile(None)
+    ours = sorted(str(Path(f).relative_to(ROOT)) for f in files
+                  if f.startswith(str(ROOT)) and "/.venv/" not in f and "/tests/" not in f
+                  and "/tools/" not in f)
+    print("FILES", *ours)
+    print("IMPORTED", sum(n.split(".")[0] in {packages!r} for n in sys.modules))
+"""
+
+
+def modules(root: Path) -> dict[str, Path]:
+    """Every module of the four packages by its dotted name; packages end in `.__init__`."""
+    return {
+        ".".join(path.relative_to(root).with_suffix("").parts): path
+        for package in PACKAGES
+        for path in sorted((root / package).rglob("*.py"))
+    }
+
+
+def code_lines(text: str) -> tuple[int, int]:
+    """(lines of code, lines of them that belong to imports); no blanks, comments, docstrings."""
+    tree = ast.parse(text)
+    hidden: set[int] = set()
+    imports: set[int] = set()
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            first = body[0] if body else None
+            if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
+                hidden.update(range(first.lineno, (first.end_lineno or 0) + 1))
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            imports.update(range(node.lineno, (node.end_lineno or 0) + 1))
+    lines = {
+        number
+        for number, line in enumerate(text.splitlines(), 1)
+        if line.strip() and not line.lstrip().startswith("#") and number not in hidden
+    }
+    return len(lines), len(lines & imports)
+
+
+def _at_run_time(tree: ast.AST) -> Iterator[ast.AST]:
+    """All nodes but those under `if TYPE_CHECKING`."""
+    for child in ast.iter_child_nodes(tree):
+        if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.dump(child.test):
+            continue
+        yield child
+        yield from _at_run_time(child)
+
+
+def import_graph(root: Path) -> dict[str, set[str]]:
+    """Module to modules of ours that it imports, within functions too."""
+    named = modules(root)
+    plain = {name.removesuffix(".__init__"): name for name in named}
+    graph: dict[str, set[str]] = {}
+    for name, path in named.items():
+        found: set[str] = set()
+        for node in _at_run_time(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                for alias in node.names:
+                    target = plain.get(f"{node.module}.{alias.name}") or plain.get(node.module)
+                    found |= {target} if target else set()
+            elif isinstance(node, ast.Import):
+                found |= {plain[a.name] for a in node.names if a.name in plain}
+        graph[name] = found - {name}
+    return graph
+
+
+def circles(graph: Mapping[str, set[str]]) -> list[list[str]]:
+    """Groups of nodes that reach each other, larger than one (Tarjan 1972)."""
+    index: dict[str, int] = {}
+    low: dict[str, int] = {}
+    stack: list[str] = []
+    found: list[list[str]] = []
+
+    def visit(node: str) -> None:
+        index[node] = low[node] = len(index)
+        stack.append(node)
+        for other in graph.get(node, ()):
+            if other not in index:
+                visit(other)
+                low[node] = min(low[node], low[other])
+            elif other in stack:
+                low[node] = min(low[node], index[other])
+        if low[node] == index[node]:
+            group = stack[stack.index(node) :]
+            del stack[stack.index(node) :]
+            if len(group) > 1:
+                found.append(sorted(group))
+
+    sys.setrecursionlimit(10_000)
+    for node in graph:
+        if node not in index:
+            visit(node)
+    return sorted(found)
+
+
+def folder_graph(graph: Mapping[str, set[str]]) -> dict[str, set[str]]:
+    """The same between first-level folders (or files) of one package; `__init__` left out."""
+    folders: dict[str, set[str]] = {}
+    for name, targets in graph.items():
+        parts = name.split(".")
+        if parts[1] == "__init__":
+            continue
+        mine = ".".join(parts[:2])
+        folders.setdefault(mine, set())
+        for target in targets:
+            other = target.split(".")
+            if other[0] == parts[0] and other[1] != "__init__" and ".".join(other[:2]) != mine:
+                folders[mine].add(".".join(other[:2]))
+    return folders
+
+
+def arrows_up(graph: Mapping[str, set[str]]) -> list[str]:
+    """Imports against `ORDER`, as `low -> high`."""
+    wrong = []
+    for mine, others in folder_graph(graph).items():
+        package, name = mine.split(".")
+        order = ORDER.get(package, ())
+        for other in sorted(others):
+            place = other.split(".")[1]
+            if name in order and place in order and order.index(place) > order.index(name):
+                wrong.append(f"{mine} -> {other}")
+    return wrong
+
+
+def run_flow(program: str, root: Path = ROOT) -> tuple[list[str], int]:
+    """Files of ours whose code a program executes while it is measured, and modules imported."""
+    with tempfile.TemporaryDirectory() as folder:
+        head = _HARNESS.format(root=str(root), tmp=folder, packages=PACKAGES)
+        done = subprocess.run(
+            [sys.executable, "-c", head + program], cwd=root, capture_output=True, text=True
+        )
+    rows = {line.partition(" ")[0]: line.split()[1:] for line in done.stdout.splitlines() if line}
+    if "FILES" not in rows:
+        raise RuntimeError(f"the flow failed:\n{done.stdout[-2000:]}{done.stderr[-2000:]}")
+    return rows["FILES"], int(rows["IMPORTED"][0])
+
+
+def count(root: Path = ROOT) -> dict[str, object]:
+    """The static part of the table."""
+    named = modules(root)
+    texts = {name: path.read_text(encoding="utf-8") for name, path in named.items()}
+    lines = {name: code_lines(text) for name, text in texts.items()}
+    total, imports = (sum(values) for values in zip(*lines.values(), strict=True))
+    graph = import_graph(root)
+    sizes = {name: text.count("\n") for name, text in texts.items()}
+    return {
+        "code lines": total,
+        "modules": len(named),
+        "median lines of a module": statistics.median(sizes.values()),
+        "median without __init__": statistics.median(
+            size for name, size in sizes.items() if not name.endswith("__init__")
+        ),
+        "imports, % of code": round(100 * imports / total, 1),
+        "lines of command-line modules": sum(
+            size for name, size in sizes.items() if "cli" in name.split(".")
+        ),
+        "copies x=args.x": sum(
+            isinstance(node, ast.keyword)
+            and isinstance(node.value, ast.Attribute)
+            and isinstance(node.value.value, ast.Name)
+            and node.value.value.id == "args"
+            and node.value.attr == node.arg
+            for text in texts.values()
+            for node in ast.walk(ast.parse(text))
+        ),
+        "circles of modules": circles(graph),
+        "circles of folders": circles(folder_graph(graph)),
+        "arrows up": arrows_up(graph),
+    }
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--flows", action="store_true", help="run the flows as well (a minute)")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    args = parser.parse_args()
+    table = count()
+    if args.flows:
+        for name, program in FLOWS.items():
+            try:
+                files, imported = run_flow(program)
+            except RuntimeError as error:
+                print(f"{name}: {error}", file=sys.stderr)
+                return 1
+            table[f"files executed: {name}"] = f"{len(files)} ({imported} imported)"
+    if args.json:
+        print(json.dumps(table, indent=2))
+        return 0
+    for name, value in table.items():
+        print(f"{name:40} {len(value) if isinstance(value, list) else value}")
+        for row in value if isinstance(value, list) else ():
+            print(f"    {row if isinstance(row, str) else ', '.join(row)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
