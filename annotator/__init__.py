@@ -1,1 +1,5 @@
 """The annotation GUI over a headless session."""
+
+from std_toolkit.renamed import install
+
+install()

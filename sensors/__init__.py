@@ -1,1 +1,5 @@
 """Cameras, recordings and simulated sensors."""
+
+from std_toolkit.renamed import install
+
+install()
