@@ -7,7 +7,7 @@ DEMO ?= build/demo
 
 # How many tests run at a time.
 WORKERS ?= $(shell n=$$(nproc); echo $$((n < 4 ? n : 4)))
-PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
+PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 .PHONY: help env demo test test-quick test-long test-random test-programs lint format perf schemas structure clean
 

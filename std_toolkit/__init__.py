@@ -1,7 +1,113 @@
-"""Curation of real RGB-D recordings of specular, transparent and diffuse objects."""
+"""Curation of real RGB-D recordings of specular, transparent and diffuse objects.
+
+The names below are loaded when they are first used: `import std_toolkit` itself loads none of the
+libraries that the steps need.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
 
 from std_toolkit.renamed import install
 
+if TYPE_CHECKING:
+    from std_toolkit.checks.check_step import run_check
+    from std_toolkit.checks.options import CheckOptions
+    from std_toolkit.errors import ToolkitError
+    from std_toolkit.exporters.export_step import export_scene
+    from std_toolkit.exporters.exporter import ExportOptions
+    from std_toolkit.geometry.camera import Camera
+    from std_toolkit.geometry.se3 import SE3
+    from std_toolkit.importers.import_step import import_recording
+    from std_toolkit.importers.importer import ImportRequest
+    from std_toolkit.jobs.options import JobOptions
+    from std_toolkit.labels.label import add_model, add_object, set_pose
+    from std_toolkit.labels.label_command import LabelCommand, run_label_command
+    from std_toolkit.labels.pnp import solve_pnp
+    from std_toolkit.labels.propagate import PropagateOptions, propagate_labels
+    from std_toolkit.labels.refine_step import refine_labels
+    from std_toolkit.poses.options import PoseOptions
+    from std_toolkit.poses.pose_step import estimate_poses, failed_gates
+    from std_toolkit.rendering.ground_truth import read_ground_truth, rendered_frames
+    from std_toolkit.rendering.render_step import RenderOptions, render_ground_truth
+    from std_toolkit.scene.scene import Scene
+
 __version__ = "0.1.0"
 
+__all__ = [
+    "SE3",
+    "Camera",
+    "CheckOptions",
+    "ExportOptions",
+    "ImportRequest",
+    "JobOptions",
+    "LabelCommand",
+    "PoseOptions",
+    "PropagateOptions",
+    "RenderOptions",
+    "Scene",
+    "ToolkitError",
+    "__version__",
+    "add_model",
+    "add_object",
+    "estimate_poses",
+    "export_scene",
+    "failed_gates",
+    "import_recording",
+    "propagate_labels",
+    "read_ground_truth",
+    "refine_labels",
+    "render_ground_truth",
+    "rendered_frames",
+    "run_check",
+    "run_label_command",
+    "set_pose",
+    "solve_pnp",
+]
+
+# The module below this package that has each name.
+_MODULES = {
+    "SE3": "geometry.se3",
+    "Camera": "geometry.camera",
+    "CheckOptions": "checks.options",
+    "ExportOptions": "exporters.exporter",
+    "ImportRequest": "importers.importer",
+    "JobOptions": "jobs.options",
+    "LabelCommand": "labels.label_command",
+    "PoseOptions": "poses.options",
+    "PropagateOptions": "labels.propagate",
+    "RenderOptions": "rendering.render_step",
+    "Scene": "scene.scene",
+    "ToolkitError": "errors",
+    "add_model": "labels.label",
+    "add_object": "labels.label",
+    "estimate_poses": "poses.pose_step",
+    "export_scene": "exporters.export_step",
+    "failed_gates": "poses.pose_step",
+    "import_recording": "importers.import_step",
+    "propagate_labels": "labels.propagate",
+    "read_ground_truth": "rendering.ground_truth",
+    "refine_labels": "labels.refine_step",
+    "render_ground_truth": "rendering.render_step",
+    "rendered_frames": "rendering.ground_truth",
+    "run_check": "checks.check_step",
+    "run_label_command": "labels.label_command",
+    "set_pose": "labels.label",
+    "solve_pnp": "labels.pnp",
+}
+
 install()
+
+
+if not TYPE_CHECKING:  # else a misspelt name would pass for one that exists
+
+    def __getattr__(name: str) -> object:
+        module = _MODULES.get(name)
+        if module is None:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        value: object = getattr(import_module(f"{__name__}.{module}"), name)
+        globals()[name] = value
+        return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -36,6 +36,17 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.freeze()
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Files with slow tests first, so that all workers end at about the same time.
+
+    Not where the order is to be random.
+    """
+    if "PYTEST_XDIST_WORKER" in os.environ and not config.pluginmanager.hasplugin("randomly"):
+        slow = {item.path for item in items if item.get_closest_marker("slow")}
+        items.sort(key=lambda item: item.path not in slow)
+
+
 MakeOnce = Callable[[str, Callable[[Path], object]], Path]
 
 
@@ -134,6 +145,19 @@ def tiny_dreds(made_once: MakeOnce) -> Path:
         simulate_set(out, options, [0], jobs=jobs).raise_if_failed()
 
     return made_once("tiny-dreds", simulate)
+
+
+@pytest.fixture(scope="session")
+def synthetic_table(made_once: MakeOnce) -> Path:
+    """A synthetic recording of six objects on a table: nine frames over 120 degrees.
+
+    As many as a refinement looks at. It is made once per session, in about 15 s, so mark tests that
+    need it `slow`; nothing in it may be changed.
+    """
+    from sensors.synthetic import RecordingOptions, make_recording
+
+    options = RecordingOptions(frames=9, seed=1)
+    return made_once("synthetic-table", lambda out: make_recording(out, options))
 
 
 @pytest.fixture(scope="session")

@@ -16,19 +16,28 @@ from sensors.synthetic import RecordingOptions, make_recording
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
-# Of seven frames over 120 degrees: at both ends and in the middle.
-THREE = (0, 3, 6)
+# Of nine frames over 120 degrees: at both ends and in the middle.
+THREE = (0, 4, 8)
 # How the objects of each recording are placed: other places, prints, and paths of the camera.
 STARTS: dict[int, tuple[Start, ...]] = {1: ("clicks", "hand"), 2: ("hand",)}
 
 
-@pytest.fixture(scope="module")
-def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param((1,), id="short"),
+        pytest.param((1, 2), id="long", marks=pytest.mark.long),
+    ],
+)
+def recordings(
+    request: pytest.FixtureRequest, synthetic_table: Path, tmp_path_factory: pytest.TempPathFactory
+) -> dict[int, Path]:
     """Six objects on a table, by seed."""
-    found = {}
-    for seed in STARTS:
-        found[seed] = tmp_path_factory.mktemp("recording") / f"recording_{seed}"
-        make_recording(found[seed], RecordingOptions(frames=7, seed=seed))
+    found = {1: synthetic_table}
+    for seed in request.param:
+        if seed not in found:
+            found[seed] = tmp_path_factory.mktemp("recording") / f"recording_{seed}"
+            make_recording(found[seed], RecordingOptions(frames=9, seed=seed))
     return found
 
 

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sensors.output.recording_writer import Truth
-from sensors.synthetic.recording import RecordingOptions, make_recording
+from sensors.output.recording_writer import Truth, read_truth
 from sensors.synthetic.truth import annotate_first_frame, label_errors
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.geometry.se3 import SE3, so3_exp
@@ -20,10 +19,8 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory) -> tuple[Path, Truth]:
-    out = tmp_path_factory.mktemp("recording")
-    # Nine frames over the same 120 degrees: as many as a refinement looks at anyway.
-    return out, make_recording(out, RecordingOptions(frames=9, seed=1))
+def recording(synthetic_table: Path) -> tuple[Path, Truth]:
+    return synthetic_table, read_truth(synthetic_table)
 
 
 def make_scene(root: Path, recording: tuple[Path, Truth], *, scale: float = 1.0) -> Scene:

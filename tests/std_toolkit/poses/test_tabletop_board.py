@@ -201,6 +201,7 @@ def test_mustard_bottle_as_scale_source(scene: Scene, folder: Path, test_data: P
     assert Scene.open(scene.root).poses == poses
 
 
+@pytest.mark.long  # test_estimate_poses.py refines distortion of a small recording
 def test_refined_distortion_agrees_with_a_calibrated_board(
     scene: Scene, corners, folder: Path
 ) -> None:
