@@ -238,16 +238,6 @@ class Session(Editing):
         self.reload("Propagate")
         return PropagateReport(saved, (*carried.lines, *carried.warnings))
 
-    def export_edits(self, path: Path | str) -> None:
-        """Write a script that makes the session's edits in force again, here or elsewhere.
-
-        Raises:
-            ToolkitError: the file cannot be written.
-        """
-        from annotator.session.script import export_edits
-
-        export_edits(self, path)
-
     def _renew_cameras(self) -> None:
         """Take the camera poses as the scene has them now."""
         before, self._poses = self._poses, self.scene.poses

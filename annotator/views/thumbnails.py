@@ -166,8 +166,6 @@ class Thumbnails:
         self._asked_for = versions[model.id], library
 
         def work(_: Task) -> NDArray[np.uint8] | None:
-            from annotator.views import model_picture
-
             return model_picture(snapshot, model, SIZE_PX)
 
         def finish(rgb: NDArray[np.uint8] | None) -> None:

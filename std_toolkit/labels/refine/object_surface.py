@@ -22,10 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.labels.refine.problem import RefineObject
 
 if TYPE_CHECKING:
     import trimesh
+
+    from std_toolkit.labels.refine.problem import RefineObject
 
 Array = NDArray[np.float64]
 

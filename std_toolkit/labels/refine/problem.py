@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -19,10 +18,8 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, undistort_image
 from std_toolkit.geometry.se3 import SE3, skew
 from std_toolkit.geometry.symmetry import Symmetry
+from std_toolkit.labels.refine.object_surface import ObjectSurface, SurfaceColors, surface_of
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
-
-if TYPE_CHECKING:
-    from std_toolkit.labels.refine.object_surface import ObjectSurface, SurfaceColors
 
 # Told the fraction done, 0 to 1, never less than before. What it raises ends the computation: so
 # a computation is cancelled.
@@ -129,8 +126,6 @@ class RefineObject:
 
     @property
     def _surface(self) -> ObjectSurface:
-        from std_toolkit.labels.refine.object_surface import surface_of
-
         # Known once for all copies of the object at other poses.
         return surface_of(self)
 

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.support.plane import Plane
-from std_toolkit.labels.support.solid import PlacedObject, Samples, Solid, sphere_directions
+from std_toolkit.labels.support.resting import sphere_directions
+from std_toolkit.labels.support.solid import PlacedObject, Samples, Solid
 
 Array = NDArray[np.float64]
 

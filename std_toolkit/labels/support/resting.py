@@ -13,8 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.labels.support.solid import Solid, sphere_directions
-
 Array = NDArray[np.float64]
 # Of the object's size, with a floor: how far from a plane a vertex may be and still touch it.
 _CONTACT = 0.002
@@ -71,10 +69,15 @@ class RestingFaces:
         return bool(np.ptp(heights) < _BALL * self._size)
 
 
-def resting_faces(solid: Solid) -> RestingFaces:
-    """Where an object can rest; at least one direction for any mesh."""
-    hull, facets = solid.coarse_hull
-    hull = hull - solid.centre_of_mass
+def resting_faces(hull: Array, facets: NDArray[np.int64], centre_of_mass: Array) -> RestingFaces:
+    """Where an object can rest; at least one direction for any mesh.
+
+    Args:
+        hull: (H, 3) vertices of its convex hull, mesh frame, metres.
+        facets: (K, 3) triangles of the hull; none if the mesh is flat.
+        centre_of_mass: (3,) mesh frame, metres.
+    """
+    hull = hull - centre_of_mass
     size = float(np.linalg.norm(np.ptp(hull, axis=0)))
     if len(facets) == 0:
         normal = np.linalg.svd(hull - hull.mean(axis=0), full_matrices=False)[2][-1]
@@ -198,3 +201,14 @@ def _nearest_on_arc(direction: Array, a: Array, b: Array) -> Array | None:
 def _angle(a: Array, b: Array) -> float:
     """Radians between unit vectors, exact for small angles too."""
     return float(2 * np.arctan2(np.linalg.norm(a - b), np.linalg.norm(a + b)))
+
+
+def sphere_directions(count: int) -> Array:
+    """(N, 3) unit vectors spread evenly over the sphere (golden-angle spiral)."""
+    i = np.arange(count) + 0.5
+    z = 1 - 2 * i / count
+    turn = np.pi * (1 + 5**0.5) * i + 0.3
+    r = np.sqrt(1 - z**2)
+    # Tilted: the spiral's pole would be an axis of many a mesh.
+    tilt = np.array([[0.8, 0.0, 0.6], [0.36, 0.8, -0.48], [-0.48, 0.6, 0.64]])
+    return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1) @ tilt.T

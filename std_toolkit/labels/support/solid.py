@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.support.resting import RestingFaces, resting_faces, sphere_directions
 from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
 
 if TYPE_CHECKING:
     import trimesh
-
-    from std_toolkit.labels.support.resting import RestingFaces
 
 Array = NDArray[np.float64]
 # Samples lie about this far apart, as far as their number allows.
@@ -152,9 +151,7 @@ class Solid:
     @cached_property
     def resting(self) -> RestingFaces:
         """How it can lie on a plane."""
-        from std_toolkit.labels.support.resting import resting_faces
-
-        return resting_faces(self)
+        return resting_faces(*self.coarse_hull, self.centre_of_mass)
 
     @cached_property
     def samples(self) -> Samples:
@@ -314,14 +311,3 @@ def _centroid(vertices: Array, faces: NDArray[Any]) -> Array:
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     volume = np.einsum("ij,ij->i", a, np.cross(b, c))
     return ((a + b + c) * volume[:, None]).sum(axis=0) / (4 * volume.sum())
-
-
-def sphere_directions(count: int) -> Array:
-    """(N, 3) unit vectors spread evenly over the sphere (golden-angle spiral)."""
-    i = np.arange(count) + 0.5
-    z = 1 - 2 * i / count
-    turn = np.pi * (1 + 5**0.5) * i + 0.3
-    r = np.sqrt(1 - z**2)
-    # Tilted: the spiral's pole would be an axis of many a mesh.
-    tilt = np.array([[0.8, 0.0, 0.6], [0.36, 0.8, -0.48], [-0.48, 0.6, 0.64]])
-    return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1) @ tilt.T

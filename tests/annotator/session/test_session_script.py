@@ -26,7 +26,7 @@ from annotator.session import (
 )
 from annotator.session.merge import content
 from annotator.session.requests import ImportMesh
-from annotator.session.script import known_steps, read_script, script_schema
+from annotator.session.script import export_edits, known_steps, read_script, script_schema
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.scene import Scene
@@ -228,7 +228,7 @@ class TestExport:
             session.undo()
             session.save()
             session.apply(Move(object="box_1", frame=1, shift_mm=[0.3, 0, 0]))
-            session.export_edits(exported)
+            export_edits(session, exported)
             expected = session.state
         assert read_script(exported)
         steps = [*json.loads(exported.read_text()), {"edit": "save"}]
@@ -248,7 +248,7 @@ class TestExport:
             session.apply(
                 CompoundEdit(edits=[EnterModel(model=model), AddObject(object="x", model="box")])
             )
-            session.export_edits(tmp_path / "e.json")
+            export_edits(session, tmp_path / "e.json")
         kinds = [step["edit"] for step in json.loads((tmp_path / "e.json").read_text())]
         assert kinds == ["import_mesh", "add_object"]
 
