@@ -160,7 +160,9 @@ class Program:
             raise _UsageError(f"{COMPLETION}: expected one of {', '.join(SHELLS)}")
         import tyro
 
-        kinds = {c.name: _with_verbosity(_load(c.options)) for c in self.commands}
+        kinds: dict[str, Callable[..., Any]] = {
+            c.name: _with_verbosity(_load(c.options)) for c in self.commands
+        }
         arguments = ["--tyro-print-completion", words[0]]
         if len(kinds) == 1:
             tyro.cli(*kinds.values(), prog=self.name, args=arguments, config=_markers())
