@@ -15,7 +15,7 @@ import torch
 from training_set import HERE, TINY, packed, same, trained, wishes, write_scenes
 
 from benchmark.training.run_files import CHECKPOINT
-from std_toolkit.cli.command_line import exit_status
+from std_toolkit.cli.command import exit_status
 from std_toolkit.errors import ToolkitError
 
 
