@@ -57,6 +57,26 @@ def test_a_circle_of_folders_is_seen(structure: ModuleType, made_up: Path) -> No
     ]
 
 
+def test_a_circle_of_types_is_seen_apart(structure: ModuleType, made_up: Path) -> None:
+    (made_up / "std_toolkit/cli/e.py").write_text("import std_toolkit.scene.d\n")
+    table = structure.count(made_up)
+    assert ["std_toolkit.cli.e", "std_toolkit.scene.d"] not in table["circles of modules"]
+    assert ["std_toolkit.cli.e", "std_toolkit.scene.d"] in table["circles with imports for types"]
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("std_toolkit.cli.check", True),
+        ("annotator.compare.compare_cli", True),
+        ("sensors.synthetic.__main__", True),
+        ("std_toolkit.scene.click", False),
+    ],
+)
+def test_modules_of_a_command_line(structure: ModuleType, name: str, expected: bool) -> None:
+    assert structure.is_command_line(name) is expected
+
+
 def test_docstrings_comments_and_blanks_are_no_code(structure: ModuleType, made_up: Path) -> None:
     text = (made_up / "std_toolkit/cli/e.py").read_text()
     assert structure.code_lines(text) == (3, 1)
@@ -70,6 +90,21 @@ def test_a_flow_counts_files_whose_functions_run(structure: ModuleType) -> None:
     files, imported = structure.run_flow(program, REPOSITORY)
     assert files == ["std_toolkit/geometry/se3.py"]
     assert imported > 3
+
+
+def test_what_runs_on_import_is_not_executed(structure: ModuleType, tmp_path: Path) -> None:
+    """Bodies of classes and comprehensions of a module; its functions are, once called."""
+    package = tmp_path / "sensors"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "a.py").write_text(
+        "class A:\n    x = [i for i in (1, 2)]\ny = {k: 1 for k in 'ab'}\ndef f():\n    return 1\n"
+    )
+    program = "def run():\n    import sensors.a\n"
+    files, imported = structure.run_flow(f"{program}measured(run)", tmp_path)
+    assert (files, imported) == ([], 2)
+    files, _ = structure.run_flow(f"{program}    sensors.a.f()\nmeasured(run)", tmp_path)
+    assert files == ["sensors/a.py"]
 
 
 def test_no_circles_and_no_arrows_up(structure: ModuleType) -> None:

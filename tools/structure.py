@@ -74,7 +74,10 @@ def measured(run):
     files = set()
     def see(frame, event, arg):
         code = frame.f_code
-        if event == "call" and code.co_name != "<module>":
+        # Bodies of modules and classes, and what is comprehended in them, run when imported.
+        of_import = not code.co_flags & 1 or (
+            code.co_name.startswith("<") and frame.f_back and not frame.f_back.f_code.co_flags & 1)
+        if event == "call" and not of_import:
             files.add(code.co_filename)
     threading.setprofile(see); sys.setprofile(see)
     try: status = run()
@@ -117,6 +120,12 @@ def code_lines(text: str) -> tuple[int, int]:
     return len(lines), len(lines & imports)
 
 
+def is_command_line(name: str) -> bool:
+    """Whether a module is one of a command line: in a `cli`, named so, or run by `python -m`."""
+    parts = name.split(".")
+    return "cli" in parts or parts[-1] == "__main__" or parts[-1].endswith("_cli")
+
+
 def _at_run_time(tree: ast.AST) -> Iterator[ast.AST]:
     """All nodes but those under `if TYPE_CHECKING`."""
     for child in ast.iter_child_nodes(tree):
@@ -126,14 +135,21 @@ def _at_run_time(tree: ast.AST) -> Iterator[ast.AST]:
         yield from _at_run_time(child)
 
 
-def import_graph(root: Path) -> dict[str, set[str]]:
-    """Module to modules of ours that it imports, within functions too."""
+def import_graph(root: Path, *, for_types: bool = False) -> dict[str, set[str]]:
+    """Module to modules of ours that it imports, within functions too.
+
+    Args:
+        root: folder of the packages.
+        for_types: with imports under `if TYPE_CHECKING`, except the lazy names of an `__init__`.
+    """
     named = modules(root)
     plain = {name.removesuffix(".__init__"): name for name in named}
     graph: dict[str, set[str]] = {}
     for name, path in named.items():
         found: set[str] = set()
-        for node in _at_run_time(ast.parse(path.read_text(encoding="utf-8"))):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        lazy = not for_types or name.endswith(".__init__")
+        for node in _at_run_time(tree) if lazy else ast.walk(tree):
             if isinstance(node, ast.ImportFrom) and node.module:
                 for alias in node.names:
                     target = plain.get(f"{node.module}.{alias.name}") or plain.get(node.module)
@@ -232,7 +248,7 @@ def count(root: Path = ROOT) -> dict[str, object]:
         ),
         "imports, % of code": round(100 * imports / total, 1),
         "lines of command-line modules": sum(
-            size for name, size in sizes.items() if "cli" in name.split(".")
+            size for name, size in sizes.items() if is_command_line(name)
         ),
         "copies x=args.x": sum(
             isinstance(node, ast.keyword)
@@ -244,6 +260,7 @@ def count(root: Path = ROOT) -> dict[str, object]:
             for node in ast.walk(ast.parse(text))
         ),
         "circles of modules": circles(graph),
+        "circles with imports for types": circles(import_graph(root, for_types=True)),
         "circles of folders": circles(folder_graph(graph)),
         "arrows up": arrows_up(graph),
     }
