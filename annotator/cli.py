@@ -14,7 +14,7 @@ from types import ModuleType
 
 from annotator.startup import quick_imports
 from std_toolkit import __version__
-from std_toolkit.cli.command_line import exit_status
+from std_toolkit.cli.command import exit_status
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import log_to_stderr
 

@@ -66,6 +66,7 @@ def within(name: str, packages: tuple[str, ...]) -> bool:
     return any(name == p or name.startswith(f"{p}.") for p in packages)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", FORBIDDEN)
 def test_no_layer_knows_what_lies_above_it(part: str) -> None:
     files = modules_of(part)

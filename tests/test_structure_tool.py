@@ -72,6 +72,14 @@ def test_a_flow_counts_files_whose_functions_run(structure: ModuleType) -> None:
     assert imported > 3
 
 
+def test_no_circles_and_no_arrows_up(structure: ModuleType) -> None:
+    """Between modules, between the folders of a package, against the order of folders."""
+    graph = structure.import_graph(REPOSITORY)
+    assert structure.circles(graph) == []
+    assert structure.circles(structure.folder_graph(graph)) == []
+    assert structure.arrows_up(graph) == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["import", "check", "std-bench --method raw", "drag", "weights"])
 def test_every_flow_runs(structure: ModuleType, name: str) -> None:

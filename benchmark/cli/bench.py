@@ -20,7 +20,8 @@ from benchmark.cli.bench_tasks import (
     score_poses,
 )
 from std_toolkit import __version__
-from std_toolkit.cli.command_line import add_job_arguments, exit_status, job_options
+from std_toolkit.cli.command import exit_status
+from std_toolkit.cli.command_line import add_job_arguments, job_options
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import log_to_stderr
 

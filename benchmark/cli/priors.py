@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from std_toolkit.cli.command_line import exit_status
+from std_toolkit.cli.command import exit_status
 from std_toolkit.log import logger
 
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from std_toolkit import __version__
-from std_toolkit.cli.command_line import exit_status
+from std_toolkit.cli.command import exit_status
 from std_toolkit.log import log_to_stderr
 
 PAGE = "report.html"

@@ -16,7 +16,8 @@ from benchmark.cli.train_commands import (
 )
 from benchmark.cli.train_commands import run as run_recipe
 from std_toolkit import __version__
-from std_toolkit.cli.command_line import add_job_arguments, exit_status, job_options
+from std_toolkit.cli.command import exit_status
+from std_toolkit.cli.command_line import add_job_arguments, job_options
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import log_to_stderr, logger
 

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from std_toolkit import __version__
-from std_toolkit.cli.command_line import add_job_arguments, exit_status, job_options
+from std_toolkit.cli.command import exit_status
+from std_toolkit.cli.command_line import add_job_arguments, job_options
 from std_toolkit.log import log_to_stderr
 
 if TYPE_CHECKING:

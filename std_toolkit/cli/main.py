@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from std_toolkit import __version__
-from std_toolkit.cli.command_line import exit_status
+from std_toolkit.cli.command import exit_status
 from std_toolkit.log import log_to_stderr
 
 # In the order of the work. Each module has add_parser(subparsers) and run(args) -> exit status.

@@ -20,6 +20,7 @@ QUICKLY = "from annotator.startup import quick_imports\nwith quick_imports():\n 
 QUICKLY += "    import pyvista.plotting\nimport gc, sys\n"
 
 
+@pytest.mark.slow
 def test_what_nothing_here_uses_is_not_loaded() -> None:
     plain = "import pyvista, pyvista.plotting, sys\n"
     show = "print('matplotlib.pyplot' in sys.modules, 'pooch' in sys.modules, len(sys.modules))"

@@ -44,6 +44,7 @@ def test_what_is_known_of_a_scene_comes_by_itself(desk: Desk, upkeep: Background
     assert table.plane.signed_distance([0.0, 0.0, 0.8]) == pytest.approx(0, abs=0.01)
 
 
+@pytest.mark.slow
 def test_residuals_of_an_object_that_moved_are_gone_at_once(
     desk: Desk, upkeep: BackgroundUpdates
 ) -> None:
@@ -59,6 +60,7 @@ def test_another_object_does_not_take_them_away(desk: Desk, upkeep: BackgroundUp
     assert measured(desk)
 
 
+@pytest.mark.slow
 def test_a_drag_that_is_given_up_lets_the_work_go_on(desk: Desk, upkeep: BackgroundUpdates) -> None:
     controller = desk.controller
     pose = controller.pose("box_1", 0)
@@ -89,6 +91,7 @@ def test_objects_in_one_place_are_told_and_told_again_when_they_part(
     desk.wait(lambda: not controller.penetrations)
 
 
+@pytest.mark.slow
 def test_in_another_world_the_table_is_looked_for_again(
     desk: Desk, upkeep: BackgroundUpdates
 ) -> None:
@@ -128,6 +131,7 @@ def test_what_runs_into_each_other_in_one_frame_is_not_told_of_others(tmp_path: 
     desk.close()
 
 
+@pytest.mark.slow
 def test_all_objects_that_an_edit_changed_are_measured_again(
     desk: Desk, upkeep: BackgroundUpdates
 ) -> None:

@@ -259,6 +259,7 @@ def test_a_folder_without_the_right_to_write(root: Path, tmp_path: Path) -> None
     assert documents(root) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", [0, 100, 2_000, 6_000, 12_000])
 def test_a_full_disk(root: Path, tmp_path: Path, limit: int) -> None:
     """A limit on the size of files, as the kernel enforces it, in place of a full disk."""

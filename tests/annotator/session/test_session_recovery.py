@@ -129,6 +129,7 @@ def wind(session: Session) -> list[object]:
     return seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("labelled", [True, False], ids=["posed", "loose"])
 @settings(
     max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]

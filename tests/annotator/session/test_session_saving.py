@@ -264,6 +264,7 @@ print("saved", flush=True)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("writes", range(5))
 def test_a_kill_between_the_files_leaves_a_whole_scene_and_no_conflict(
     several: Path, writes: int

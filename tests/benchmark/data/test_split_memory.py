@@ -6,6 +6,7 @@ import pickle
 import tracemalloc
 from pathlib import Path
 
+import pytest
 from dreds_on_disk import write_std_scene
 
 from benchmark.data.splits import open_split
@@ -13,6 +14,7 @@ from benchmark.data.splits import open_split
 SCENES, FRAMES = 30, 1000
 
 
+@pytest.mark.slow
 def test_memory_is_flat(tmp_path: Path) -> None:
     """30 scenes of 1000 frames, all of them links to one; a share of them is read."""
     first = tmp_path / "STD-CatKnown/scene_0"

@@ -64,6 +64,7 @@ def test_the_paper_protocol_makes_the_views(root: Path, tmp_path: Path) -> None:
     assert table.loc[0, "rmse"] == rows[0].errors.rmse
 
 
+@pytest.mark.slow
 def test_the_table_is_the_same_however_work_is_spread(root: Path, tmp_path: Path) -> None:
     tables = [
         run_method(a_run(root, tmp_path / str(i)), jobs)
@@ -84,6 +85,7 @@ def test_what_is_scored_is_not_scored_again(root: Path, tmp_path: Path) -> None:
     pd.testing.assert_frame_equal(first, again)
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_costs_nothing(root: Path, tmp_path: Path) -> None:
     mark = str(tmp_path / "mark")
     run = a_run(root, tmp_path / "out", **own("DiesOnce", mark=mark))

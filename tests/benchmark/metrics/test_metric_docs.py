@@ -27,6 +27,7 @@ def imported(name: str) -> ModuleType:
     return importlib.import_module(name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_examples_run(name: str) -> None:
     module = imported(name)

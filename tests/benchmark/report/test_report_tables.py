@@ -34,6 +34,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_the_figures_are_the_means_of_the_rows(results: Path) -> None:
     board = make_board(read_results([results]), samples=50)
     measured = board.rows[board.rows["kind"] == "measured"]

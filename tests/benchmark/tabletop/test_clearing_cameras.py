@@ -22,6 +22,7 @@ def _look(kind: str, attempt: int = 0, *, color: bool = False):
     return camera.look(ARRANGEMENT.objects, ARRANGEMENT.poses, attempt, color=color)
 
 
+@pytest.mark.slow
 def test_the_quick_camera_is_seeded_by_round_and_attempt():
     first, again, later = _look("quick"), _look("quick"), _look("quick", 1)
     assert first.frame.depth_raw.tobytes() == again.frame.depth_raw.tobytes()

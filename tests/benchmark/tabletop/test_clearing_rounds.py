@@ -52,6 +52,7 @@ def _round(plan, attempts=10):
     return list(clear_table(ARRANGEMENT, TrueCamera(), given, plan, color=False, attempts=attempts))
 
 
+@pytest.mark.slow
 def test_who_knows_the_objects_clears_the_table():
     attempts = _round(oracle)
     assert [a.outcome for a in attempts] == ["held", "held"]
@@ -102,6 +103,7 @@ def test_a_grasp_that_failed_is_tried_after_all_others():
     assert np.allclose(tips[1], [-0.08, 0, 0.04], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_ten_attempts_at_most():
     air = from_above((0.0, 0.15, 0.03)).transformed(camera_pose().inverse())
     assert len(_round(always(air))) == 10

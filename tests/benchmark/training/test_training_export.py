@@ -68,6 +68,7 @@ def test_the_card_tells_data_steps_machine_and_scores(run: Path, tmp_path: Path)
         assert told in card, told
 
 
+@pytest.mark.slow
 def test_the_card_tells_of_the_training_before(run: Path, tmp_path: Path) -> None:
     pack = run.parent / "pack"
     taken = []

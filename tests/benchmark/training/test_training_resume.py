@@ -15,7 +15,7 @@ import torch
 from training_set import HERE, TINY, packed, same, trained, wishes, write_scenes
 
 from benchmark.training.run_files import CHECKPOINT
-from std_toolkit.cli.command_line import exit_status
+from std_toolkit.cli.command import exit_status
 from std_toolkit.errors import ToolkitError
 
 
@@ -167,6 +167,7 @@ def test_a_checkpoint_that_is_none_is_told(pack, tmp_path):
         trained(asked, tmp_path / "run")
 
 
+@pytest.mark.slow
 def test_not_a_number_stops_before_it_harms(pack, tmp_path, monkeypatch):
     from benchmark.training.module import RestorerTraining
 
@@ -213,6 +214,7 @@ def test_one_training_per_folder(pack, tmp_path):
         trained(wishes("dfnet", pack), tmp_path / "run")
 
 
+@pytest.mark.slow
 def test_readers_change_nothing(pack, tmp_path):
     asked = wishes("dfnet", pack, steps=4)
     one = trained(asked, tmp_path / "one")
@@ -288,6 +290,7 @@ def _fill_the_disk(where: str, after: int) -> None:
     setattr(holder, attribute, fills)
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_the_last_checkpoint(pack, tmp_path):
     """The limit on the size of files stands for the disk's: writing fails half-way for real."""
     import resource

@@ -50,6 +50,7 @@ def textured(folder: Path) -> None:
     Image.fromarray(picture).save(folder / "skin.png")
 
 
+@pytest.mark.slow
 def test_shapenet_of_both_versions(tmp_path: Path) -> None:
     for k in range(12):
         cylinder = trimesh.creation.cylinder(0.2 + 0.01 * k, 1.0, sections=64)

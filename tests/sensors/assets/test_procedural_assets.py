@@ -25,6 +25,7 @@ SEEDS = range(8)
 made = cache(make)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("category", CATEGORIES)
 def test_every_shape_is_a_closed_solid_in_the_canonical_frame(category: str) -> None:
     for seed in SEEDS:

@@ -71,6 +71,7 @@ def test_parts_hold_the_surface_and_leave_the_hole_open(capfd: pytest.CaptureFix
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 def test_parts_are_kept_and_damaged_files_made_again(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -112,6 +112,7 @@ def test_files_of_another_kind(refused, tmp_path: Path) -> None:  # type: ignore
     refused([str(tmp_path / "s"), "--from", str(other)], "cannot be read")
 
 
+@pytest.mark.slow
 def test_something_is_there_already(refused, tmp_path: Path, recorded_file: Path) -> None:  # type: ignore[no-untyped-def]
     out = tmp_path / "s"
     assert main([str(out), "--from", str(recorded_file), "--frames", "2"]) == 0
@@ -123,6 +124,7 @@ def test_something_is_there_already(refused, tmp_path: Path, recorded_file: Path
     refused([str(full / "thesis.txt"), "--from", str(recorded_file)], "a file here already")
 
 
+@pytest.mark.slow
 def test_going_on_with_what_is_not_there_or_another_camera(
     refused, tmp_path, recorded_file
 ) -> None:  # type: ignore[no-untyped-def]

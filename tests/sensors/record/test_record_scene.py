@@ -105,6 +105,7 @@ def test_a_ros1_bag(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_recording(out).T_color_depth, T_COLOR_DEPTH.flat(), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_same_file_gives_the_same_scene(recorded_file: Path, tmp_path: Path) -> None:
     for name, threads in (("a", "1"), ("b", "4")):
         arguments = [str(tmp_path / name), "--name", "s", "--from", str(recorded_file)]
@@ -128,6 +129,7 @@ def test_a_slow_writer_loses_nothing_of_a_file(recorded_file: Path, tmp_path: Pa
     assert len(Scene.open(out).frames) == FRAMES
 
 
+@pytest.mark.slow
 def test_part_of_a_file(recorded_file: Path, tmp_path: Path) -> None:
     for name, options, expected in (
         ("frames", ["--frames", "5"], list(range(5))),
@@ -204,6 +206,7 @@ def test_images_that_never_came_are_counted(camera: SoftwareCamera, tmp_path: Pa
     assert session.single["color"] == 1
 
 
+@pytest.mark.slow
 def test_frames_beyond_the_queue_are_dropped_and_counted(
     camera: SoftwareCamera, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -250,6 +253,7 @@ def test_ctrl_c_ends_a_recording_cleanly(camera: SoftwareCamera, tmp_path: Path)
     assert session.ended and session.frames == len(Scene.open(out).frames) >= 10
 
 
+@pytest.mark.slow
 def test_a_camera_that_falls_silent(
     camera: SoftwareCamera,
     tmp_path: Path,
@@ -290,6 +294,7 @@ def test_nothing_is_recorded_before_enter(
     assert number_of(Scene.open(out), 0) > 5
 
 
+@pytest.mark.slow
 def test_preview_page(camera: SoftwareCamera, tmp_path: Path) -> None:
     import socket
 
@@ -320,6 +325,7 @@ def test_preview_page(camera: SoftwareCamera, tmp_path: Path) -> None:
     assert read_color(tmp_path / "seen.jpg").shape[1] == 1280
 
 
+@pytest.mark.slow
 def test_a_picture_in_the_making_is_never_seen(camera: SoftwareCamera, tmp_path: Path) -> None:
     preview, seen, stop = tmp_path / "p.jpg", [0], threading.Event()
 

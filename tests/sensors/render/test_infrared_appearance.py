@@ -44,6 +44,7 @@ def test_without_a_value_infrared_is_as_seen(square, chalk) -> None:
     assert infrared_appearance(look, chalk) is look
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["best", "scalar_rgb"])
 def test_each_kind_of_image_shows_its_own_brightness(which, variant, square, chalk, white_sky):
     """Colour stays as it is, infrared gets what the material has there."""

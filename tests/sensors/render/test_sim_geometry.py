@@ -32,6 +32,7 @@ def centroid(image) -> np.ndarray:
     return np.array([(image * u).sum(), (image * v).sum()]) / image.sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["best", "scalar_rgb"])
 def test_pixel_centres_lie_at_integers(which, variant, square, chalk, white_sky) -> None:
     small = SurfaceMesh(square.vertices * [0.25, 0.15, 1], square.faces)
@@ -78,6 +79,7 @@ def test_a_texture_stands_upright(variant, square, chalk, white_sky) -> None:
     assert right[..., 2].mean() > 10 * left[..., 2].mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["best", "scalar_rgb"])
 def test_the_projector_s_image_lands_where_it_should(
     which, variant, square, chalk, white_sky

@@ -108,6 +108,7 @@ def test_own_tracer_agrees_with_mitsuba_s(mixed, compiled) -> None:
             assert ratio == pytest.approx(1, abs=0.08 if i == 3 else 0.015), (name, i)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_image(loaded) -> None:
     options = RenderOptions(samples=8, chunk=4)
 
@@ -140,6 +141,7 @@ def test_a_matt_floor_returns_the_sky_s_light_by_its_albedo(square, variant, whi
     np.testing.assert_allclose(middle, [0.4, 0.8, 1.6], rtol=0.06)
 
 
+@pytest.mark.slow
 def test_the_projector_passes_straight_through_the_see_through_share(
     square, chalk, variant, white_sky
 ) -> None:

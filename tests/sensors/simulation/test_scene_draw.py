@@ -37,12 +37,14 @@ def drawn(seed: int, options: SimulationOptions = OPTIONS) -> SceneDraw:
     return draw_scene(seed, options, open_source("procedural"), environment_source())[0]
 
 
+@pytest.mark.slow
 def test_a_seed_is_a_scene() -> None:
     assert drawn(5) == drawn(5)
     assert drawn(5) != drawn(6)
     assert msgspec.json.decode(msgspec.json.encode(drawn(5)), type=SceneDraw) == drawn(5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("materials", ["fixed", "opaque"])
 def test_other_materials_leave_everything_else_as_it_was(materials: str) -> None:
     """Ablations differ in what they switch and in nothing else."""
@@ -78,6 +80,7 @@ def test_sources_with_other_categories_serve_as_well() -> None:
     assert only_mugs == ["mug"]
 
 
+@pytest.mark.slow
 def test_only_vessels_are_transparent_and_instances_are_counted() -> None:
     for seed in range(6):
         scene = drawn(seed)

@@ -23,6 +23,7 @@ def test_local_matcher_is_near_the_camera(test_data: Path, options: dict[str, st
     assert abs(found.complete - found.camera_complete) <= 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["sgbm", "dreds"])
 def test_other_matchers_see_the_same_scene(test_data: Path, name: str) -> None:
     pair = load_pair(test_data)

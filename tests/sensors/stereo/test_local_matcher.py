@@ -26,6 +26,7 @@ def interior(shape: tuple[int, ...], left: int = 70) -> NDArray[np.bool_]:
     return inside
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cost", ["census", "zncc"])
 @pytest.mark.parametrize("rig", [Rig(), Rig(dot_px=0.7), Rig(noise=3, seed=1)], ids=str)
 def test_plane_is_recovered_without_bias(cost: str, rig: Rig) -> None:

@@ -73,6 +73,7 @@ def check_frame(data: Path, root: Path, index: int, poses: str) -> dict[str, Obj
     return {o.name: o for o in report.objects}
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_labels_that_fit_the_depth_but_miss_the_image_are_told(
     test_data: Path, tmp_path: Path
@@ -89,6 +90,7 @@ def test_labels_that_fit_the_depth_but_miss_the_image_are_told(
     assert {rows[n].verdict for n in ("035_power_drill", "037_scissors")} <= {"bad", "doubtful"}
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_first_guesses_fail_by_depth(test_data: Path, tmp_path: Path) -> None:
     rows = check_frame(test_data, tmp_path / "0", 0, "poses")

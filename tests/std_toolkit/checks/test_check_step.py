@@ -68,6 +68,7 @@ class Loads(HTMLParser):
             self.styles += data
 
 
+@pytest.mark.slow
 def test_true_labels_pass_and_the_report_is_self_contained(make_scene: MakeScene) -> None:
     scene = make_scene(Toy())
     report = check(scene)
@@ -92,6 +93,7 @@ def test_true_labels_pass_and_the_report_is_self_contained(make_scene: MakeScene
     assert len(html) < 8_000_000
 
 
+@pytest.mark.slow
 def test_numbers_on_disk_are_those_returned(make_scene: MakeScene) -> None:
     scene = make_scene(Toy())
     report = check(scene)
@@ -105,6 +107,7 @@ def test_numbers_on_disk_are_those_returned(make_scene: MakeScene) -> None:
     assert frames["points"].tolist() == [100 + i for i in range(6)]
 
 
+@pytest.mark.slow
 def test_depth_that_is_4_mm_off_gives_a_residual_of_4_mm(make_scene: MakeScene) -> None:
     scene = make_scene(Toy(depth_error_m=-0.004, frames=3, materials=("diffuse", "transparent")))
     report = check(scene)
@@ -121,6 +124,7 @@ def test_depth_that_is_4_mm_off_gives_a_residual_of_4_mm(make_scene: MakeScene) 
     assert failed(check(scene, max_depth_mm=3.0)) == {"depth"}
 
 
+@pytest.mark.slow
 def test_a_label_5_px_aside_fails_and_is_told_by_how_much(make_scene: MakeScene) -> None:
     metres = 5 * DISTANCE_M / CAMERA.fy
     scene = make_scene(Toy(moved={2: np.array([0, metres, 0])}))
@@ -135,6 +139,7 @@ def test_a_label_5_px_aside_fails_and_is_told_by_how_much(make_scene: MakeScene)
     assert bad.drift_px is not None and bad.drift_px < 0.3
 
 
+@pytest.mark.slow
 def test_a_wrong_scale_shows_as_drift(make_scene: MakeScene) -> None:
     scene = make_scene(Toy(frames=9, arc_deg=80))
     assert scene.poses is not None
@@ -154,6 +159,7 @@ def test_a_wrong_scale_shows_as_drift(make_scene: MakeScene) -> None:
     assert true.objects[0].shift_spread_px < 0.1
 
 
+@pytest.mark.slow
 def test_second_run_does_nothing_and_changes_are_noticed(make_scene: MakeScene) -> None:
     scene = make_scene(Toy(frames=3))
     first = check(scene)
@@ -170,6 +176,7 @@ def test_second_run_does_nothing_and_changes_are_noticed(make_scene: MakeScene) 
     assert "labelled" in failed(check(scene))
 
 
+@pytest.mark.slow
 def test_outputs_are_the_same_bytes_for_any_number_of_workers(make_scene: MakeScene) -> None:
     scene = make_scene(Toy(frames=4))
     check(scene)
@@ -240,6 +247,7 @@ def test_scene_without_frames(make_scene: MakeScene) -> None:
     assert check(empty).summary.frames == 0
 
 
+@pytest.mark.slow
 def test_damaged_frame_is_listed_and_the_rest_is_checked(make_scene: MakeScene) -> None:
     scene = make_scene(Toy(frames=4))
     path = scene.root / "color/000002.png"
@@ -258,6 +266,7 @@ def test_unreadable_mesh_fails_its_gate(make_scene: MakeScene) -> None:
     assert "meshes" in failed(report)
 
 
+@pytest.mark.slow
 def test_ground_truth_is_used_while_it_fits_the_labels(make_scene: MakeScene) -> None:
     scene = make_scene(Toy(frames=3, depth_error_m=0.004))
     options = RenderOptions(renderer="raycast", policy="models")
@@ -280,6 +289,7 @@ def test_ground_truth_is_used_while_it_fits_the_labels(make_scene: MakeScene) ->
     assert {f.truth for f in check(scene).frames} == {"stale"}
 
 
+@pytest.mark.slow
 def test_things_no_label_covers_are_left_out(make_scene: MakeScene) -> None:
     # Half of ball 1 is hidden by something that only the ground truth knows of.
     scene = make_scene(Toy(frames=3))
@@ -300,12 +310,14 @@ def test_things_no_label_covers_are_left_out(make_scene: MakeScene) -> None:
     assert after.edge_px < 0.2
 
 
+@pytest.mark.slow
 def test_label_out_of_view_is_told(make_scene: MakeScene) -> None:
     scene = make_scene(Toy(frames=3, moved={1: np.array([0, 5.0, 0])}))
     report = check(scene)
     assert any("in view in no frame" in w.problem for w in report.warnings)
 
 
+@pytest.mark.slow
 def test_command_line(make_scene: MakeScene, capsys: pytest.CaptureFixture[str]) -> None:
     good = make_scene(Toy(frames=3))
     assert cli.main(["check", str(good.root), "--engine", "serial"]) == 0
@@ -339,6 +351,7 @@ def test_page_opens_and_draws_its_figures(make_scene: MakeScene, tmp_path: Path)
     assert len(plots) == len(drawn) >= 6
 
 
+@pytest.mark.slow
 def test_a_report_of_other_labels_is_told(make_scene: MakeScene) -> None:
     scene = make_scene(Toy())
     check(scene, max_frames=1)
@@ -350,6 +363,7 @@ def test_a_report_of_other_labels_is_told(make_scene: MakeScene) -> None:
     assert "OUTDATED" in "\n".join(summarise(scene).lines())
 
 
+@pytest.mark.slow
 def test_warnings_of_weight_are_printed(
     make_scene: MakeScene, capsys: pytest.CaptureFixture[str]
 ) -> None:

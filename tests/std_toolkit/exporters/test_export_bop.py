@@ -231,6 +231,7 @@ def test_visibility_compares_distances_with_bops_tolerance(exported):
     assert truth == [{"delta_mm": 15.0, "policy": "sensor", "renderer": "raycast"}]
 
 
+@pytest.mark.slow
 def test_models_are_centred_in_millimetres_with_normals(exported):
     info = json.loads((exported.top / "models/models_info.json").read_text())
     for obj_id in (1, 2, 3):

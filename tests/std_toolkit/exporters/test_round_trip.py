@@ -66,6 +66,7 @@ def round_trip(folder: Path, name: str, **arguments) -> None:
     assert_same_scene(scene, again, frames=exported, depth_m=DEPTH_ROUNDING[name])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["std", "bop", "nocs"])
 def test_random_scenes_survive_export_and_import(name, tmp_path):
     @settings(

@@ -264,6 +264,7 @@ def places(document: Any, prefix: str = "") -> list[str]:
     return found
 
 
+@pytest.mark.slow
 @settings(
     max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )

@@ -128,6 +128,7 @@ def test_rays_belong_to_the_caller() -> None:
     assert (PINHOLE.rays()[..., 2] == 1).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [np.float32, np.uint8])
 def test_undistorted_images_are_right_to_a_hundredth_of_a_pixel(kind: type) -> None:
     """Blobs of known place in the distorted image are found where the pinhole camera sees them."""

@@ -46,6 +46,7 @@ notes = st.builds(
 )
 
 
+@pytest.mark.slow
 @given(notes)
 def test_documents_round_trip_bit_exactly(note: Note) -> None:
     """Every double, -0.0 and the smallest ones included, and every text."""

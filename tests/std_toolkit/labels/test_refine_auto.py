@@ -104,6 +104,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Stage:
     return make_stage(tmp_path_factory.mktemp("stage") / "scene")
 
 
+@pytest.mark.slow
 def test_opaque_by_depth_and_glass_by_contours(stage: Stage) -> None:
     found = refine_objects(stage.scene, stage.rough())
     assert found.posed and not found.failures
@@ -117,6 +118,7 @@ def test_opaque_by_depth_and_glass_by_contours(stage: Stage) -> None:
     assert box.warnings == () and bottle.warnings == ()
 
 
+@pytest.mark.slow
 def test_a_handle_on_the_wrong_side_is_found_where_depth_places_the_body(tmp_path: Path) -> None:
     stage = make_stage(tmp_path / "scene", bottle="diffuse")
     turn = SE3(so3_exp([0.0, 0.0, np.deg2rad(70)]), np.zeros(3))
@@ -170,6 +172,7 @@ def test_a_scene_without_metric_poses_needs_one_frame(tmp_path: Path, unit: str 
         refine_objects(stage.scene, poses, [1], frames=[0, 1])
 
 
+@pytest.mark.slow
 def test_without_any_depth_opaque_objects_go_by_their_contours(tmp_path: Path) -> None:
     stage = make_stage(tmp_path / "scene", depth=False)
     found = refine_objects(stage.scene, stage.rough(), [1])
@@ -177,6 +180,7 @@ def test_without_any_depth_opaque_objects_go_by_their_contours(tmp_path: Path) -
     assert stage.error_mm(found.objects[1]) < 1.5
 
 
+@pytest.mark.slow
 def test_the_method_can_be_chosen(stage: Stage) -> None:
     poses = stage.rough()
     by_edges = refine_objects(stage.scene, poses, [1], method="multiview").objects[1]
@@ -228,6 +232,7 @@ def test_progress_and_cancelling(stage: Stage) -> None:
         refine_objects(stage.scene, stage.truth, [1], cancelled=lambda: True)
 
 
+@pytest.mark.slow
 def test_progress_goes_on_to_the_end(stage: Stage) -> None:
     """By depth, by a search, and along the edges: nowhere does it stand still for long."""
     told: list[float] = []
@@ -246,6 +251,7 @@ def test_progress_goes_on_to_the_end(stage: Stage) -> None:
     assert max(np.diff(seconds)) < 0.4 * seconds[-1]
 
 
+@pytest.mark.slow
 def test_what_does_not_settle_is_told(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
     poses = stage.rough(10, 6)
     settled = refine_objects(stage.scene, poses, [1], method="multiview").objects[1]

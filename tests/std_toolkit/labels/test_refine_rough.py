@@ -101,6 +101,7 @@ def test_a_good_pose_stays(views):
     assert error_mm(result.objects[1].T_world_obj, things[1], STANDING) < 1.0
 
 
+@pytest.mark.slow
 def test_the_search_ends_near_the_truth_and_always_at_the_same_place(views):
     start = replace(box(), T_world_obj=off(TRUTH, box().centre, 0.03, 15, seed=4))
     found = search_edges(views, start, [bottle()])

@@ -97,6 +97,7 @@ def test_a_second_run_does_nothing(copy: Scene, caplog) -> None:
     assert (path.read_bytes(), path.stat().st_mtime_ns) == before
 
 
+@pytest.mark.slow
 def test_a_changed_image_or_option_is_noticed(copy: Scene, caplog) -> None:
     with caplog.at_level("INFO", logger="std_toolkit"):
         estimate_poses(copy, PoseOptions(threads=1, scale="none"))
@@ -113,12 +114,14 @@ def test_a_changed_image_or_option_is_noticed(copy: Scene, caplog) -> None:
     assert "using the model of the last run" not in caplog.text
 
 
+@pytest.mark.slow
 def test_one_thread_and_seed_give_identical_bytes(solved: Scene, recording, tmp_path: Path) -> None:
     again = recording.write(tmp_path / "again")
     estimate_poses(again, SERIAL)
     assert (again.root / "poses.json").read_bytes() == (solved.root / "poses.json").read_bytes()
 
 
+@pytest.mark.slow
 def test_nothing_to_tell_the_metres(recording, tmp_path: Path, caplog) -> None:
     scene = recording.write(tmp_path / "scene", depth=False)
     with caplog.at_level("WARNING", logger="std_toolkit"):
@@ -143,6 +146,7 @@ def test_depth_correction_scales_the_poses(copy: Scene) -> None:
     assert after / before == pytest.approx(0.98, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_frame_that_shows_something_else_is_marked_not_guessed(recording, tmp_path: Path) -> None:
     scene = recording.write(tmp_path / "scene")
     rng = np.random.default_rng(0)
@@ -225,6 +229,7 @@ def test_command_line(copy: Scene, capsys) -> None:
     assert "FAILED mean_reprojection_px" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_global_mapper_and_refined_distortion(copy: Scene, recording) -> None:
     from std_toolkit.poses.options import Mapper, Refinement
 

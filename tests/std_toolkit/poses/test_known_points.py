@@ -54,6 +54,7 @@ def test_noise_and_a_wrong_view() -> None:
     assert estimate.count == 12 * 30
 
 
+@pytest.mark.slow
 def test_standard_error_covers_the_truth() -> None:
     inside = 0
     for seed in range(10):

@@ -46,6 +46,7 @@ def rendered_frame(folder: Path, meshes: Path, index: int, renderer: Renderer) -
     return render_scene_maps(renderer, CAMERA, placed), found
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_rendered_minus_sensor_depth(test_data: Path, renderer: Renderer) -> None:
     """Pose, mesh, units and camera agree with the sensor to a few millimetres.

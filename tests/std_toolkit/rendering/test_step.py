@@ -140,6 +140,7 @@ def test_a_bad_frame_is_listed_and_ends_nothing(make_scene: MakeScene) -> None:
     assert main([*command, "--policy", "models"]) == 1
 
 
+@pytest.mark.slow
 def test_engines_and_runs_give_the_same_bytes(make_scene: MakeScene) -> None:
     scene = make_scene(frames=9, board=True)
     options = RenderOptions(renderer="raycast", policy="fused", force=True)
@@ -173,6 +174,7 @@ def test_policies_need_their_data(make_scene: MakeScene) -> None:
     assert all(row.px_valid == row.px_all for row in truth.info.objects)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("material", ["diffuse", "transparent"])
 def test_what_nobody_labelled_hides(make_scene: MakeScene, material: str) -> None:
     """A board stands in front of the ball in the middle frames."""

@@ -112,6 +112,7 @@ SHAPES = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHAPES)
 def test_an_object_alone_is_grasped(name: str) -> None:
     mesh = upright(SHAPES[name](), 0.03, -0.02)
@@ -121,6 +122,7 @@ def test_an_object_alone_is_grasped(name: str) -> None:
     assert held.mean() > 0.5
 
 
+@pytest.mark.slow
 def test_a_crowded_table_has_good_grasps_of_everything() -> None:
     places = [(-0.15, 0.0), (0.0, 0.1), (0.14, 0.08), (0.02, -0.1), (-0.14, 0.16)]
     meshes = [upright(make(), *p) for make, p in zip(SHAPES.values(), places, strict=True)]
@@ -133,6 +135,7 @@ def test_a_crowded_table_has_good_grasps_of_everything() -> None:
     assert set(nearest[held].tolist()) == set(range(5))
 
 
+@pytest.mark.slow
 def test_the_same_view_gives_the_same_grasps() -> None:
     view = view_of([upright(SHAPES["can"](), 0, 0), upright(SHAPES["ball"](), 0.12, 0)])
     first, again = (Antipodal().plan(view).to_array() for _ in range(2))
@@ -212,6 +215,7 @@ def test_the_best_pairs_are_spread() -> None:
     assert sorted(chosen.middles[:, 0].tolist()) == [0, 0.1, 0.2, 0.3]
 
 
+@pytest.mark.slow
 def test_planners_are_known_by_name() -> None:
     assert "antipodal" in grasp_planners.names()
     planner = make_planner("antipodal", MethodOptions(settings={"grasps": "3"}))

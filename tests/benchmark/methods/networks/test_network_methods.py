@@ -28,6 +28,7 @@ def restorer_of(name: str, folder, **options) -> NetworkRestorer:
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_by_name_with_weights_it_answers_what_the_network_answers(name, tmp_path):
     restorer = restorer_of(name, tmp_path)
@@ -122,6 +123,7 @@ def test_without_weights(method, tmp_path, monkeypatch):
         make_restorer(method, MethodOptions(preset="compact"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_wrong_options(method, tmp_path):
     for options, told in (
@@ -134,6 +136,7 @@ def test_wrong_options(method, tmp_path):
             make_restorer(method, options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_narrow_arithmetic_is_near(name, tmp_path):
     some = views(2)

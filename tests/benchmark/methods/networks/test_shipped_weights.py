@@ -42,6 +42,7 @@ def test_every_file_has_its_digest_and_its_card(path: Path):
     assert kinds.count(torch.float16) > 0.9 * len(kinds)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_a_hole_and_a_missed_box_are_restored_better_than_measured(method: str):
     restorer = make_restorer(method, MethodOptions(preset="compact"))

@@ -98,6 +98,7 @@ def test_bounds_and_symmetry(a: Box, b: Box) -> None:
     assert iou(a, b) <= min(volumes) / max(volumes) + 1e-9
 
 
+@pytest.mark.slow
 @given(boxes, boxes, rigid)
 @settings(max_examples=200, deadline=None)
 def test_moving_both_boxes_changes_nothing(a: Box, b: Box, T: np.ndarray) -> None:

@@ -290,6 +290,7 @@ def test_rows_become_columns() -> None:
     assert all(isinstance(v, (str, int, float)) for v in row.values())
 
 
+@pytest.mark.slow
 def test_scoring_needs_no_torch() -> None:
     """Methods that learn nothing are scored where the training extra is not installed."""
     program = (

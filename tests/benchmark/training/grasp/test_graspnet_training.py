@@ -44,6 +44,7 @@ def wishes(pack: Path, **changes: object) -> TrainWishes:
     return replace(made, **changes)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_a_training_runs_is_judged_and_goes_on_with_the_same_weights(two_scenes, tmp_path):
     config, data, beginning = plan_training(wishes(two_scenes))
     assert len(data.of_training) == len(data.of_validation) == 2

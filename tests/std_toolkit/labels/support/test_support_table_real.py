@@ -110,6 +110,7 @@ def reference_things(data: Path, index: int) -> list[PlacedObject]:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_single_realsense_frames(ycb_frames: Scene, test_data: Path) -> None:
     """The camera stood still for four of them, and so must the table in its frame.

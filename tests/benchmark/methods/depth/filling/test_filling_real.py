@@ -118,6 +118,7 @@ def test_transparent_objects_are_covered_by_every_method(test_data: Path) -> Non
             assert median_mm(restored(method, view), view, true) < 90
 
 
+@pytest.mark.slow
 def test_normals_recover_the_shape_of_transparent_objects(test_data: Path) -> None:
     # The files' normals point as this module says, or none of this would hold.
     for view, true, normals in cleargrasp(test_data):

@@ -1,0 +1,346 @@
+"""Command lines made from option dataclasses: parsing, help, exit status, one-line errors.
+
+A program is a table of commands. A command names a dataclass of options and a function that takes
+an instance of it, both by `module:name`, so that `PROGRAM --help` imports neither. `tyro` makes the
+command line from the dataclass: the help of an option is the docstring below its field, its range
+is a `msgspec.Meta` in its annotation, its choices are an enum or a `Literal`.
+
+Exit status of every program: 0 done, 1 failed or a gate failed, 2 wrong usage, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import functools
+import importlib
+import io
+import logging
+import os
+import re
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, get_type_hints
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.log import log_to_stderr
+
+WRONG_USAGE = 2
+INTERRUPTED = 130
+SHELLS = ("bash", "zsh", "tcsh", "fish")
+COMPLETION = "--print-completion"
+# What tyro prints for a default that says nothing.
+_EMPTY_DEFAULT = re.compile(r"\(default: (?:None|False|)\)")
+_BOUNDS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
+    "ge": ("at least", lambda value, bound: value >= bound),
+    "gt": ("above", lambda value, bound: value > bound),
+    "le": ("at most", lambda value, bound: value <= bound),
+    "lt": ("below", lambda value, bound: value < bound),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verbosity:
+    """Options of every command."""
+
+    quiet: bool = False
+    """print warnings and errors only"""
+    debug: bool = False
+    """show the traceback of an error"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """One command of a program.
+
+    Attributes:
+        name: the word that chooses it.
+        about: one line for the program's help.
+        options: `module:Class` of its options, a dataclass.
+        run: `module:function` that takes the options and returns the exit status (None is 0).
+    """
+
+    name: str
+    about: str
+    options: str
+    run: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Program:
+    """A console script.
+
+    Attributes:
+        name: what the user types.
+        about: one paragraph for `--help`.
+        commands: in the order of the work.
+        default: name of the command that runs if the first word names none; "" to require one.
+        rewrite: turns the words of older command lines into today's.
+        on_interrupt: what Ctrl-C means for the work done so far.
+    """
+
+    name: str
+    about: str
+    commands: tuple[Command, ...]
+    default: str = ""
+    rewrite: Callable[[list[str]], list[str]] | None = None
+    on_interrupt: str = "run the same command again to resume"
+
+    def main(self, arguments: Sequence[str] | None = None) -> int:
+        """Run one command; returns the exit status and raises `SystemExit` for `--help` only."""
+        words = list(sys.argv[1:] if arguments is None else arguments)
+        try:
+            return self._main(words if self.rewrite is None else self.rewrite(words))
+        except _UsageError as error:
+            print(f"error: {error}", file=sys.stderr)
+            return WRONG_USAGE
+
+    def _main(self, words: list[str]) -> int:
+        first = next((word for word in words if word not in ("--quiet", "--debug")), None)
+        chosen = {command.name: command for command in self.commands}.get(first or "")
+        if chosen is None and first == "--version":
+            from std_toolkit import __version__
+
+            print(f"std-toolkit {__version__}")
+            return 0
+        if chosen is None and first == COMPLETION:
+            return self._print_completion(words[words.index(COMPLETION) + 1 :])
+        if chosen is None and (first in ("-h", "--help") or (first is None and not self.default)):
+            print(self.help())
+            return 0 if first else WRONG_USAGE
+        if chosen is None:
+            if not self.default or (first and not first.startswith("-") and self.is_word(first)):
+                names = ", ".join(command.name for command in self.commands)
+                raise _UsageError(f"{first}: no command of {self.name}; expected one of {names}")
+            chosen, rest = self._command(self.default), words
+        else:
+            place = words.index(chosen.name)
+            rest = [*words[:place], *words[place + 1 :]]
+        return self._run(chosen, rest)
+
+    def is_word(self, word: str) -> bool:
+        """Whether a first word is meant as the name of a command."""
+        return len(self.commands) > 1 and word.replace("-", "").isalpha()
+
+    def _command(self, name: str) -> Command:
+        return next(command for command in self.commands if command.name == name)
+
+    def _title(self, command: Command) -> str:
+        return self.name if len(self.commands) == 1 else f"{self.name} {command.name}"
+
+    def _run(self, command: Command, words: list[str]) -> int:
+        options, verbosity = parse_options(_load(command.options), words, self._title(command))
+        log_to_stderr(logging.WARNING if verbosity.quiet else logging.INFO)
+        return exit_status(
+            lambda: _load(command.run)(options) or 0,
+            program=self.name,
+            debug=verbosity.debug,
+            on_interrupt=self.on_interrupt,
+        )
+
+    def help(self) -> str:
+        """The overview: what the program is for and its commands."""
+        width = max(len(command.name) for command in self.commands) + 2
+        lines = [f"usage: {self.name} COMMAND [OPTIONS]", "", self.about, "", "commands:"]
+        lines += [f"  {command.name:{width}}{command.about}" for command in self.commands]
+        lines += [
+            "",
+            "options:",
+            f"  COMMAND --help{'':{max(width - 14, 1)}}options of a command",
+            "  --version",
+            f"  {COMPLETION} {{{','.join(SHELLS)}}}",
+        ]
+        if self.default:
+            lines += ["", f"Without COMMAND: `{self.name} {self.default}`."]
+        return "\n".join(lines)
+
+    def _print_completion(self, words: list[str]) -> int:
+        if len(words) != 1 or words[0] not in SHELLS:
+            raise _UsageError(f"{COMPLETION}: expected one of {', '.join(SHELLS)}")
+        import tyro
+
+        kinds: dict[str, Callable[..., Any]] = {
+            c.name: _with_verbosity(_load(c.options)) for c in self.commands
+        }
+        arguments = ["--tyro-print-completion", words[0]]
+        if len(kinds) == 1:
+            tyro.cli(*kinds.values(), prog=self.name, args=arguments, config=_markers())
+        else:
+            tyro.extras.subcommand_cli_from_dict(
+                kinds, prog=self.name, args=arguments, config=_markers()
+            )
+        return 0
+
+
+class _UsageError(Exception):
+    """A command line that cannot be parsed; the message is one line."""
+
+
+def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[Any, Verbosity]:
+    """Options from words.
+
+    Args:
+        kind: a dataclass; nested ones are flattened, fields without a default are positional.
+        words: of the command line, without program and command.
+        program: its title in help and errors.
+
+    Returns:
+        An instance of `kind`, and how much to print.
+
+    Raises:
+        SystemExit: after `--help`.
+    """
+    import tyro
+    from tyro._errors import on_parse_error
+
+    def parse() -> Any:
+        with on_parse_error(functools.partial(_refuse, program)):
+            return tyro.cli(
+                _with_verbosity(kind), prog=program, args=list(words), config=_markers()
+            )
+
+    if "--help" in words or "-h" in words:
+        page = io.StringIO()
+        try:
+            with contextlib.redirect_stdout(page):
+                parse()
+        finally:
+            print(_tidy(page.getvalue()))
+    call = parse()
+    values = {f.name: getattr(call, f.name) for f in dataclasses.fields(kind)}
+    options = kind(**values)
+    for name, problem in out_of_range(options):
+        raise _UsageError(f"--{name.replace('_', '-')}: {problem}")
+    return options, Verbosity(quiet=call.quiet, debug=call.debug)
+
+
+def out_of_range(options: Any) -> Iterator[tuple[str, str]]:
+    """Fields of a dataclass, nested ones included, whose value lies outside their `Meta` range.
+
+    Yields:
+        Name of the field and what is wrong with it.
+    """
+    hints = get_type_hints(type(options), include_extras=True)
+    for field in dataclasses.fields(options):
+        value = getattr(options, field.name)
+        if dataclasses.is_dataclass(value):
+            yield from out_of_range(value)
+            continue
+        for meta in getattr(hints[field.name], "__metadata__", ()):
+            for name, (words, holds) in _BOUNDS.items():
+                bound = getattr(meta, name, None)
+                if bound is None or value is None:
+                    continue
+                values = value if isinstance(value, tuple) else (value,)
+                if not all(holds(v, bound) for v in values):
+                    shown = " ".join(str(v) for v in values)
+                    yield field.name, f"{shown} is out of range, expected {words} {bound}"
+
+
+def exit_status(
+    run: Callable[[], int],
+    *,
+    program: str,
+    debug: bool = False,
+    on_interrupt: str = "run the same command again to go on",
+) -> int:
+    """Run a command. Exit status: what it returns, 1 for an error, 130 if it was interrupted.
+
+    Args:
+        program: name of the program, for the advice on a defect of ours.
+        debug: let errors through, with their traceback.
+        on_interrupt: what Ctrl-C means for the work done so far.
+    """
+    try:
+        return int(run())
+    except ToolkitError as error:
+        if debug:
+            raise
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except BrokenPipeError:
+        # `std-curate info SCENE | head` is no error.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        if debug:
+            raise
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"error: {where}{error.strerror or error}", file=sys.stderr)
+        return 1
+    except Exception as error:  # a defect of ours: still one line, and how to tell us more
+        if debug:
+            raise
+        shown = ToolkitError(
+            f"unexpected {type(error).__name__}: {error}",
+            hint=f"a defect of std-toolkit; `{program} --debug ...` shows where",
+        )
+        print(f"error: {shown}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(f"interrupted; {on_interrupt}", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _tidy(page: str) -> str:
+    """A help page without rules, and without defaults that say nothing."""
+    lines = (_EMPTY_DEFAULT.sub("", line).rstrip() for line in page.splitlines())
+    return "\n".join(line for line in lines if line.strip("-─ ") or not line)
+
+
+def _markers() -> tuple[Any, ...]:
+    from tyro import conf
+
+    return (
+        conf.OmitArgPrefixes,
+        conf.FlagCreatePairsOff,
+        conf.EnumChoicesFromValues,
+        conf.DisallowNone,
+        conf.PositionalRequiredArgs,
+        conf.PositionalMetavarFromFieldName,
+        conf.HelptextFromCommentsOff,
+    )
+
+
+def _with_verbosity(kind: type[Any]) -> type[Any]:
+    call = dataclasses.make_dataclass(
+        kind.__name__, [], bases=(kind, Verbosity), frozen=True, kw_only=True
+    )
+    call.__doc__ = kind.__doc__
+    call.__module__ = kind.__module__
+    return call
+
+
+def _refuse(program: str, event: Any) -> None:
+    """Raise the parser's complaint as one line."""
+    kind = type(event).__name__
+    argument = getattr(event, "argument", None)
+    name = _flag(argument) if argument is not None else ""
+    if kind == "InvalidChoice":
+        problem = f"{event.value}: expected one of {', '.join(str(c) for c in event.choices)}"
+    elif kind == "UnrecognizedArgs":
+        problem = f"{' '.join(event.tokens)}: not an option of {program}"
+    elif kind == "MissingArgs":
+        missing = [_flag(m.arg) for m in event.missing_arguments]
+        problem = f"{', '.join(missing)}: needed"
+        if event.unrecognized_tokens:
+            problem += f"; {' '.join(event.unrecognized_tokens)}: not an option"
+    else:
+        problem = " ".join(str(getattr(event, "message", kind)).split())
+        got = re.search(r"Got errors: - <class '.*?'>: (.*)", problem)
+        problem = got[1] if got else problem
+    where = f"{name}: " if name else ""
+    raise _UsageError(f"{where}{problem}; see `{program} --help`")
+
+
+def _flag(argument: Any) -> str:
+    lowered = argument.lowered
+    if argument.is_positional():
+        return str(argument.field.intern_name).upper()
+    return str(lowered.name_or_flags[-1])
+
+
+def _load(reference: str) -> Any:
+    module, _, name = reference.partition(":")
+    return getattr(importlib.import_module(module), name)

@@ -1,0 +1,150 @@
+"""Command lines made from option dataclasses."""
+
+from __future__ import annotations
+
+import enum
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import pytest
+
+from std_toolkit.cli.command import Command, Program
+from std_toolkit.errors import ToolkitError
+
+
+class Policy(enum.Enum):
+    AUTO = "auto"
+    MODELS = "models"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Jobs:
+    workers: Annotated[int | None, msgspec.Meta(ge=1)] = None
+    """processes at a time"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Draw the objects of a scene."""
+
+    scene: Path
+    """scene folder"""
+    policy: Policy = Policy.AUTO
+    """which renderer"""
+    share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.5
+    """of the frames"""
+    jobs: Jobs = field(default_factory=Jobs)
+
+
+CALLS: list[Options] = []
+
+
+def draw(options: Options) -> None:
+    CALLS.append(options)
+
+
+def refuse(options: Options) -> int:
+    raise ToolkitError("no poses", path=options.scene)
+
+
+def gate(options: Options) -> int:
+    return 1
+
+
+def program(*names: str, default: str = "") -> Program:
+    return Program(
+        name="std-draw",
+        about="Draw scenes.",
+        commands=tuple(
+            Command(
+                name=name,
+                about=f"to {name}",
+                options=f"{__name__}:Options",
+                run=f"{__name__}:{name}",
+            )
+            for name in names or ("draw", "refuse", "gate")
+        ),
+        default=default,
+    )
+
+
+@pytest.fixture(autouse=True)
+def _no_calls() -> None:
+    CALLS.clear()
+
+
+def test_nested_options_are_flat_and_enums_go_by_value() -> None:
+    words = ["draw", "scene", "--policy", "models", "--workers", "2", "--share", "1"]
+    assert program().main(words) == 0
+    assert [
+        Options(scene=Path("scene"), policy=Policy.MODELS, share=1.0, jobs=Jobs(workers=2))
+    ] == CALLS
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["draw"], "SCENE"),
+        (["draw", "s", "--policy", "nothing"], "expected one of auto, models"),
+        (["draw", "s", "--share", "x"], "--share"),
+        (["draw", "s", "--wrong", "1"], "--wrong"),
+        (["draw", "s", "--share", "1.5"], "--share: 1.5 is out of range, expected at most 1"),
+        (["draw", "s", "--workers", "0"], "--workers: 0 is out of range, expected at least 1"),
+        (["drew", "s"], "drew: no command of std-draw; expected one of draw, refuse, gate"),
+        (["--print-completion", "cmd"], "expected one of bash, zsh, tcsh, fish"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_status_2(
+    words: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert program().main(words) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ")
+    assert told in error
+    assert error.count("\n") == 1
+    assert not CALLS
+
+
+def test_failures_and_failed_gates_are_status_1(capsys: pytest.CaptureFixture[str]) -> None:
+    assert program().main(["refuse", "s"]) == 1
+    assert capsys.readouterr().err.startswith("error: ")
+    assert program().main(["gate", "s"]) == 1
+
+
+def test_default_command_takes_what_names_none() -> None:
+    assert program(default="draw").main(["--share", "0", "s"]) == 0
+    assert [options.share for options in CALLS] == [0]
+
+
+def test_help_tells_commands_and_options(capsys: pytest.CaptureFixture[str]) -> None:
+    assert program().main(["--help"]) == 0
+    assert "to refuse" in capsys.readouterr().out
+    with pytest.raises(SystemExit) as end:
+        program().main(["draw", "--help"])
+    assert end.value.code == 0
+    page = capsys.readouterr().out
+    assert "of the frames" in page
+    assert "processes at a time" in page
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh", "fish"])
+def test_completion_knows_commands(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    try:
+        program().main(["--print-completion", shell])
+    except SystemExit as end:
+        assert not end.code
+    assert "refuse" in capsys.readouterr().out
+
+
+def test_overview_imports_neither_parser_nor_commands() -> None:
+    code = (
+        "import sys\nfrom std_toolkit.cli.command import Command, Program\n"
+        "Program(name='p', about='', commands=(Command(name='c', about='', options='no:O',"
+        " run='no:f'),)).main(['--help'])\n"
+        "sys.exit('tyro' in sys.modules)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code], stdout=subprocess.DEVNULL).returncode == 0
