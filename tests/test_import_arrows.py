@@ -1,12 +1,13 @@
 """Which package may import which: the layers of the repository, read from its source.
 
-Imports within functions and for type checking count, too: a layer does not know what lies above it.
+Imports within functions count. Those for type checking count between the layers of `FORBIDDEN`: a
+layer does not know what lies above it. They do not count for circles and for the order of folders.
 """
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -49,9 +50,11 @@ def modules_of(part: str) -> list[Path]:
     return sorted(folder.glob("*.py") if part.endswith("/*") else folder.rglob("*.py"))
 
 
-def imports_of(path: Path) -> Iterator[tuple[int, str]]:
+def imports_of(
+    path: Path, nodes: Callable[[ast.AST], Iterable[ast.AST]] = ast.walk
+) -> Iterator[tuple[int, str]]:
     """Line and full name of all that a file imports; "a.b" for `from a import b`."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, alias.name) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -97,3 +100,217 @@ def test_a_wrong_import_would_be_seen(tmp_path: Path) -> None:
         "annotator.qt.qt_app.run",
     ]
     assert not within("annotator.viewpoint", SCREENS)
+
+
+# The folders and single modules of each package from the lowest layer up; "" is the package itself.
+# One may import what stands in a line above its own, and nothing of its own line but itself.
+ORDER = {
+    "std_toolkit": (
+        ("renamed",),
+        ("",),
+        ("errors",),
+        ("log", "plugins"),
+        ("geometry", "io", "jobs"),
+        ("html", "scene"),
+        ("importers", "poses", "rendering"),
+        ("checks", "exporters", "labels"),
+        ("cli",),
+    ),
+    "annotator": (
+        ("", "startup"),
+        ("session",),
+        ("app", "compare"),
+        ("views",),
+        ("qt", "web"),
+        ("cli",),
+    ),
+    "sensors": (
+        ("", "assets", "compiled", "materials", "output", "specs", "viewpoints"),
+        ("align", "lighting", "pattern", "physics", "stereo"),
+        ("record", "render"),
+        ("simulation",),
+        ("synthetic",),
+    ),
+    "benchmark": (
+        ("", "data", "published", "weights"),
+        ("metrics",),
+        ("methods",),
+        ("tabletop",),
+        ("evaluation",),
+        ("training",),
+        ("report",),
+        ("recipes",),
+        ("cli",),
+    ),
+}
+Graph = dict[str, set[str]]
+
+
+def statements(node: ast.AST) -> Iterator[ast.AST]:
+    """All nodes below one but those that only a type checker reads."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.If) and ast.unparse(child.test).endswith("TYPE_CHECKING"):
+            for other in child.orelse:
+                yield other
+                yield from statements(other)
+        else:
+            yield child
+            yield from statements(child)
+
+
+def import_graph(root: Path, package: str) -> Graph:
+    """Which modules of a package each of its modules imports, imports within functions included."""
+    files = {}
+    for path in sorted((root / package).rglob("*.py")):
+        name = ".".join(path.relative_to(root).with_suffix("").parts)
+        files[name.removesuffix(".__init__")] = path
+
+    def module_of(name: str) -> str:
+        while name and name not in files:
+            name = name.rpartition(".")[0]
+        return name
+
+    return {
+        module: {module_of(name) for _, name in imports_of(path, statements)} - {module, ""}
+        for module, path in files.items()
+    }
+
+
+def folder_graph(modules: Graph, folder: str) -> Graph:
+    """The graph of what lies directly in a folder; a sub-folder counts as one."""
+
+    def child(name: str) -> str:
+        return ".".join(name.split(".")[: folder.count(".") + 2])
+
+    graph: Graph = {}
+    for module, targets in modules.items():
+        if module.startswith(f"{folder}."):
+            inside = {child(name) for name in targets if name.startswith(f"{folder}.")}
+            graph.setdefault(child(module), set()).update(inside - {child(module)})
+    return graph
+
+
+def circles(graph: Graph) -> list[list[str]]:
+    """Groups of nodes of which each reaches all others."""
+    reached = {}
+    for start in graph:
+        seen: set[str] = set()
+        left = [start]
+        while left:
+            new = graph.get(left.pop(), set()) - seen
+            seen |= new
+            left.extend(new)
+        reached[start] = seen
+    groups = {
+        tuple(sorted(b for b in reached[a] if a in reached.get(b, ())))
+        for a in graph
+        if a in reached[a]
+    }
+    return [list(group) for group in sorted(groups)]
+
+
+def all_circles(modules: Graph) -> list[list[str]]:
+    """Circles between modules, and between the folders and modules of each folder."""
+    folders = sorted({name.rpartition(".")[0] for name in modules} - {""})
+    found = circles(modules)
+    for folder in folders:
+        found += [c for c in circles(folder_graph(modules, folder)) if c not in found]
+    return found
+
+
+def arrows_up(modules: Graph, package: str, order: tuple[tuple[str, ...], ...]) -> list[str]:
+    """Imports that lead to the same layer or a higher one.
+
+    Raises:
+        KeyError: a folder has no place in the order.
+    """
+    layer = {name: i for i, names in enumerate(order) for name in names}
+
+    def part(module: str) -> str:
+        return ".".join(module.split(".")[1:2])
+
+    return [
+        f"{module} imports {target}"
+        for module, targets in sorted(modules.items())
+        for target in sorted(targets)
+        if part(target) != part(module) and layer[part(target)] >= layer[part(module)]
+    ]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_circles(package: str) -> None:
+    modules = import_graph(REPOSITORY, package)
+    assert len(modules) > 10
+    assert all_circles(modules) == []
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_arrow_leads_up(package: str) -> None:
+    modules = import_graph(REPOSITORY, package)
+    placed = [name for names in ORDER[package] for name in names]
+    assert sorted(placed) == sorted({".".join(m.split(".")[1:2]) for m in modules})
+    assert arrows_up(modules, package, ORDER[package]) == []
+
+
+def made_up(root: Path, files: dict[str, str]) -> Graph:
+    """The graph of a package "shop" that has `__init__.py` in every folder."""
+    for name, text in files.items():
+        path = root / "shop" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+        for folder in path.relative_to(root).parents:
+            if folder != Path():
+                (root / folder / "__init__.py").touch()
+    return import_graph(root, "shop")
+
+
+def test_circles_would_be_seen(tmp_path: Path) -> None:
+    modules = made_up(
+        tmp_path,
+        {
+            # Between modules; one import hides in a function.
+            "goods/fruit.py": "from shop.goods import price\n",
+            "goods/price.py": "def f():\n    import shop.goods.fruit\n",
+            # Between folders, no module of which is in a circle.
+            "till/coin.py": "from shop.stock.shelf import Shelf\n",
+            "till/note.py": "",
+            "stock/shelf.py": "",
+            "stock/count.py": "import shop.till.note\n",
+            # Between sub-folders.
+            "staff/day/plan.py": "from shop.staff.night.list import names\n",
+            "staff/day/clock.py": "",
+            "staff/night/list.py": "",
+            "staff/night/watch.py": "from shop.staff.day.clock import now\n",
+            # With the folder's own __init__.
+            "door/__init__.py": "from shop.door.bell import ring\n",
+            "door/bell.py": "def f():\n    from shop.door import ring\n",
+            # None: the second import is for a type checker alone.
+            "sign/a.py": "from shop.sign.b import B\n",
+            "sign/b.py": "import typing\nif typing.TYPE_CHECKING:\n    from shop.sign.a import A\n",
+        },
+    )
+    assert all_circles(modules) == [
+        ["shop.door", "shop.door.bell"],
+        ["shop.goods.fruit", "shop.goods.price"],
+        ["shop.stock", "shop.till"],
+        ["shop.staff.day", "shop.staff.night"],
+    ]
+
+
+def test_an_arrow_up_would_be_seen(tmp_path: Path) -> None:
+    modules = made_up(
+        tmp_path,
+        {
+            "goods/fruit.py": "def f():\n    from shop.till.coin import Coin\n",
+            "stock/shelf.py": "import shop.goods.price\n",
+            "goods/price.py": "import os\n",
+            "till/coin.py": "from shop.goods.price import price\n",
+        },
+    )
+    order = (("",), ("goods", "stock"), ("till",))
+    assert arrows_up(modules, "shop", order) == [
+        "shop.goods.fruit imports shop.till.coin",
+        "shop.stock.shelf imports shop.goods.price",
+    ]
+    with pytest.raises(KeyError, match="till"):
+        arrows_up(modules, "shop", order[:2])

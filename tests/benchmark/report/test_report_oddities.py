@@ -17,7 +17,7 @@ from benchmark.report.leaderboard import MEASURED, PUBLISHED, make_board, one_of
 from benchmark.report.parts.depth_plots import bars, method_colors, radar
 from benchmark.report.parts.depth_sections import can_differ
 from std_toolkit.jobs import JobOptions
-from tests.benchmark.running.bench_set import SPLIT, a_run, write_split
+from tests.benchmark.evaluation.bench_set import SPLIT, a_run, write_split
 from tests.dreds_on_disk import write_std_scene
 
 JOBS = JobOptions(engine="serial", progress=False)

@@ -10,7 +10,7 @@ import pytest
 from benchmark.cli.report import PAGE, main
 from benchmark.evaluation.tasks.depth_runs import run_all
 from std_toolkit.jobs import JobOptions
-from tests.benchmark.running.bench_set import a_run, write_split
+from tests.benchmark.evaluation.bench_set import a_run, write_split
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

@@ -19,7 +19,7 @@ from benchmark.report.leaderboard_text import escape_latex, latex, markdown, ter
 from benchmark.report.parts.depth import CSV, LATEX, MARKDOWN
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions
-from tests.benchmark.running.bench_set import a_run, write_split
+from tests.benchmark.evaluation.bench_set import a_run, write_split
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,9 @@ import pytest
 from benchmark.cli.bench import main
 from benchmark.methods.protocol import Restored, View
 from benchmark.methods.registry import MethodOptions
-from tests.benchmark.running.bench_set import SPLIT, write_split
+from tests.benchmark.evaluation.bench_set import SPLIT, write_split
 
-HERE = "tests.benchmark.running.test_bench_odd_methods"
+HERE = "tests.benchmark.evaluation.test_bench_odd_methods"
 not_a_class = 5
 
 

@@ -12,7 +12,7 @@ from benchmark.data.true_poses import known_boxes, true_poses
 from benchmark.evaluation.tasks.pose_inputs import pose_view
 from benchmark.methods.registry import MethodOptions
 from benchmark.metrics.pose import rotation_errors_deg
-from tests.benchmark.pose_running.pose_set import SPLIT, write_pose_split
+from tests.benchmark.evaluation.pose_set import SPLIT, write_pose_split
 
 GUIDE = Path(__file__).parents[3] / "docs" / "pose.md"
 

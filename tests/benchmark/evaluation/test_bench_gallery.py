@@ -18,7 +18,7 @@ from benchmark.evaluation.tasks.depth import run_method
 from benchmark.evaluation.tasks.depth_pictures import FOLDER, gallery_frames, make_gallery
 from std_toolkit.io.images import read_color
 from std_toolkit.jobs import JobOptions
-from tests.benchmark.running.bench_set import a_run, write_split
+from tests.benchmark.evaluation.bench_set import a_run, write_split
 
 
 def rows(values: list[float], pixels: int = 9) -> pd.DataFrame:
@@ -66,7 +66,7 @@ def test_the_pictures_of_a_run(tmp_path: Path) -> None:
 
 def test_trust_in_the_sensor_is_shown_of_methods_that_tell_it(tmp_path: Path) -> None:
     root = write_split(tmp_path / "data", scenes=1, frames=3)
-    run = a_run(root, tmp_path / "out", "tests.benchmark.running.bench_set:Trusting")
+    run = a_run(root, tmp_path / "out", "tests.benchmark.evaluation.bench_set:Trusting")
     run_method(run, JobOptions(engine="serial", progress=False))
     for shown in make_gallery(run).pictures:
         assert shown.trust == (shown.rank != "common")

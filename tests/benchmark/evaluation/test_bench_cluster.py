@@ -9,7 +9,7 @@ import pytest
 from benchmark.evaluation.results import TABLE
 from benchmark.evaluation.tasks.depth import run_method
 from std_toolkit.jobs import JobOptions
-from tests.benchmark.running.bench_set import a_run, write_split
+from tests.benchmark.evaluation.bench_set import a_run, write_split
 
 pytestmark = pytest.mark.slow
 

@@ -9,9 +9,9 @@ import pytest
 
 from benchmark.cli.bench import main
 from benchmark.evaluation.tasks.depth_results import read_results
-from tests.benchmark.running.bench_set import SPLIT, write_split
+from tests.benchmark.evaluation.bench_set import SPLIT, write_split
 
-HERE = "tests.benchmark.running.bench_set"
+HERE = "tests.benchmark.evaluation.bench_set"
 
 
 @pytest.fixture(scope="module")

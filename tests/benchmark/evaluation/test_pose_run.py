@@ -27,9 +27,9 @@ from benchmark.methods.registry import MethodOptions
 from benchmark.metrics.pose import get_pose_protocol
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions
-from tests.benchmark.pose_running.pose_set import SERIAL, SPLIT, a_pose_run, write_pose_split
+from tests.benchmark.evaluation.pose_set import SERIAL, SPLIT, a_pose_run, write_pose_split
 
-HERE = "tests.benchmark.pose_running.pose_set"
+HERE = "tests.benchmark.evaluation.pose_set"
 STRICT = get_pose_protocol("strict")
 
 

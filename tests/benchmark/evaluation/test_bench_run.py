@@ -22,10 +22,10 @@ from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.metrics.protocols.score import score_frame
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions
-from tests.benchmark.running.bench_set import SPLIT, a_run, write_split
+from tests.benchmark.evaluation.bench_set import SPLIT, a_run, write_split
 
 SERIAL = JobOptions(engine="serial", progress=False)
-HERE = "tests.benchmark.running.bench_set"
+HERE = "tests.benchmark.evaluation.bench_set"
 
 
 @pytest.fixture(scope="module")

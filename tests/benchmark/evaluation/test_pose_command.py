@@ -19,8 +19,8 @@ from benchmark.published.load import published_poses
 from benchmark.report.parts.pose import CSV, LATEX, MARKDOWN, findings
 from benchmark.report.parts.pose_board import compare_runs, make_pose_board
 from std_toolkit.errors import ToolkitError
+from tests.benchmark.evaluation.pose_set import SPLIT, write_pose_split
 from tests.benchmark.metrics.bop.bop_set import write_bop
-from tests.benchmark.pose_running.pose_set import SPLIT, write_pose_split
 
 
 @pytest.fixture(scope="module")
