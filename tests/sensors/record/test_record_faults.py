@@ -181,6 +181,8 @@ def largest_file(size: int) -> Iterator[None]:
 
 
 def test_a_disk_that_is_full_at_the_first_frame(refused, tmp_path, recorded_file) -> None:  # type: ignore[no-untyped-def]
+    # What is compiled at the first recording is kept in files of its own: before the disk is full.
+    assert main([str(tmp_path / "before"), "--from", str(recorded_file), "--frames", "1"]) == 0
     with largest_file(1000):
         refused([str(tmp_path / "s"), "--from", str(recorded_file)], "cannot write the file")
 
