@@ -3,7 +3,9 @@
 A program is a table of commands. A command names a dataclass of options and a function that takes
 an instance of it, both by `module:name`, so that `PROGRAM --help` imports neither. `tyro` makes the
 command line from the dataclass: the help of an option is the docstring below its field, its range
-is a `msgspec.Meta` in its annotation, its choices are an enum or a `Literal`.
+is a `msgspec.Meta` in its annotation, its choices are an enum or a `Literal`. A field without a
+default is a positional argument. The field's metadata may say otherwise: `{"option": "set"}` makes
+it the option `--set`, `{"option": None}` keeps it off the command line.
 
 Exit status of every program: 0 done, 1 failed or a gate failed, 2 wrong usage, 130 interrupted.
 """
@@ -11,6 +13,7 @@ Exit status of every program: 0 done, 1 failed or a gate failed, 2 wrong usage, 
 from __future__ import annotations
 
 import contextlib
+import copy
 import dataclasses
 import functools
 import importlib
@@ -19,9 +22,9 @@ import logging
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import log_to_stderr
@@ -30,8 +33,6 @@ WRONG_USAGE = 2
 INTERRUPTED = 130
 SHELLS = ("bash", "zsh", "tcsh", "fish")
 COMPLETION = "--print-completion"
-# What tyro prints for a default that says nothing.
-_EMPTY_DEFAULT = re.compile(r"\(default: (?:None|False|)\)")
 _BOUNDS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
     "ge": ("at least", lambda value, bound: value >= bound),
     "gt": ("above", lambda value, bound: value > bound),
@@ -98,7 +99,9 @@ class Program:
 
     def _main(self, words: list[str]) -> int:
         first = next((word for word in words if word not in ("--quiet", "--debug")), None)
-        chosen = {command.name: command for command in self.commands}.get(first or "")
+        alone = len(self.commands) == 1
+        named = {} if alone else {command.name: command for command in self.commands}
+        chosen = named.get(first or "")
         if chosen is None and first == "--version":
             from std_toolkit import __version__
 
@@ -106,25 +109,20 @@ class Program:
             return 0
         if chosen is None and first == COMPLETION:
             return self._print_completion(words[words.index(COMPLETION) + 1 :])
+        if alone:
+            return self._run(self.commands[0], words)
         if chosen is None and (first in ("-h", "--help") or (first is None and not self.default)):
             print(self.help())
             return 0 if first else WRONG_USAGE
         if chosen is None:
-            if not self.default or (first and not first.startswith("-") and self.is_word(first)):
-                names = ", ".join(command.name for command in self.commands)
-                raise _UsageError(f"{first}: no command of {self.name}; expected one of {names}")
-            chosen, rest = self._command(self.default), words
+            if not self.default or (first and first[0] != "-" and first.replace("-", "").isalpha()):
+                told = f"no command of {self.name}; expected one of {', '.join(named)}"
+                raise _UsageError(f"{first}: {told}")
+            chosen, rest = named[self.default], words
         else:
             place = words.index(chosen.name)
             rest = [*words[:place], *words[place + 1 :]]
         return self._run(chosen, rest)
-
-    def is_word(self, word: str) -> bool:
-        """Whether a first word is meant as the name of a command."""
-        return len(self.commands) > 1 and word.replace("-", "").isalpha()
-
-    def _command(self, name: str) -> Command:
-        return next(command for command in self.commands if command.name == name)
 
     def _title(self, command: Command) -> str:
         return self.name if len(self.commands) == 1 else f"{self.name} {command.name}"
@@ -208,34 +206,37 @@ def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[
         finally:
             print(_tidy(page.getvalue()))
     call = parse()
-    values = {f.name: getattr(call, f.name) for f in dataclasses.fields(kind)}
-    options = kind(**values)
-    for name, problem in out_of_range(options):
-        raise _UsageError(f"--{name.replace('_', '-')}: {problem}")
+    values = vars(call)
+    for name, problem in out_of_range(kind, values):
+        raise _UsageError(f"{name}: {problem}")
+    try:
+        options = _build(kind, values)
+    except ToolkitError as error:
+        raise _UsageError(str(error)) from error
     return options, Verbosity(quiet=call.quiet, debug=call.debug)
 
 
-def out_of_range(options: Any) -> Iterator[tuple[str, str]]:
-    """Fields of a dataclass, nested ones included, whose value lies outside their `Meta` range.
+def out_of_range(kind: type[Any], values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Options whose value lies outside the `Meta` range of their field.
+
+    Args:
+        kind: a dataclass, whose nested ones are looked into.
+        values: by name of the field.
 
     Yields:
-        Name of the field and what is wrong with it.
+        Name of the option and what is wrong with it.
     """
-    hints = get_type_hints(type(options), include_extras=True)
-    for field in dataclasses.fields(options):
-        value = getattr(options, field.name)
-        if dataclasses.is_dataclass(value):
-            yield from out_of_range(value)
-            continue
-        for meta in getattr(hints[field.name], "__metadata__", ()):
+    for option in _options(kind):
+        value = values[option.field]
+        for meta in getattr(option.type, "__metadata__", ()):
             for name, (words, holds) in _BOUNDS.items():
                 bound = getattr(meta, name, None)
                 if bound is None or value is None:
                     continue
-                values = value if isinstance(value, tuple) else (value,)
-                if not all(holds(v, bound) for v in values):
-                    shown = " ".join(str(v) for v in values)
-                    yield field.name, f"{shown} is out of range, expected {words} {bound}"
+                numbers = value if isinstance(value, tuple) else (value,)
+                if not all(holds(v, bound) for v in numbers):
+                    shown = " ".join(str(v) for v in numbers)
+                    yield option.title, f"{shown} is out of range, expected {words} {bound}"
 
 
 def exit_status(
@@ -284,8 +285,8 @@ def exit_status(
 
 
 def _tidy(page: str) -> str:
-    """A help page without rules, and without defaults that say nothing."""
-    lines = (_EMPTY_DEFAULT.sub("", line).rstrip() for line in page.splitlines())
+    """A help page without rules."""
+    lines = (line.rstrip() for line in page.splitlines())
     return "\n".join(line for line in lines if line.strip("-─ ") or not line)
 
 
@@ -293,22 +294,101 @@ def _markers() -> tuple[Any, ...]:
     from tyro import conf
 
     return (
-        conf.OmitArgPrefixes,
         conf.FlagCreatePairsOff,
         conf.EnumChoicesFromValues,
         conf.DisallowNone,
-        conf.PositionalRequiredArgs,
         conf.PositionalMetavarFromFieldName,
         conf.HelptextFromCommentsOff,
     )
 
 
+@dataclass(frozen=True)
+class _Option:
+    """An option or positional argument of a command.
+
+    Attributes:
+        field: of the dataclass.
+        name: on the command line; "" for a positional argument.
+        type: with annotations.
+        default: `dataclasses.MISSING` for none.
+        help: its text.
+    """
+
+    field: str
+    name: str
+    type: Any
+    default: Any
+    help: str
+
+    @property
+    def title(self) -> str:
+        return f"--{self.name}" if self.name else self.field.upper()
+
+
+def _options(kind: type[Any], given: Any = dataclasses.MISSING) -> Iterator[_Option]:
+    """Options of a dataclass, in place those of nested ones; `given` holds other defaults."""
+    from docstring_parser import parse_from_object
+
+    texts = {
+        text.arg_name: " ".join((text.description or "").split())
+        for c in reversed(kind.__mro__[:-1])
+        for text in parse_from_object(c).params
+    }
+    for field, hint, default in _fields(kind, given):
+        if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+            yield from _options(hint, default)
+            continue
+        plain = "" if default is dataclasses.MISSING else field.name.replace("_", "-")
+        name = field.metadata.get("option", plain)
+        yield _Option(field.name, name, hint, default, texts.get(field.name, ""))
+
+
+def _fields(kind: type[Any], given: Any) -> Iterator[tuple[dataclasses.Field[Any], Any, Any]]:
+    """Fields on the command line, their types and defaults."""
+    hints = get_type_hints(kind, include_extras=True)
+    for field in dataclasses.fields(kind):
+        if not field.init or field.metadata.get("option", "") is None:
+            continue
+        default = field.default
+        if given is not dataclasses.MISSING:
+            default = getattr(given, field.name)
+        elif callable(field.default_factory):
+            default = field.default_factory()
+        yield field, hints[field.name], default
+
+
+def _build(kind: type[Any], values: Mapping[str, Any], given: Any = dataclasses.MISSING) -> Any:
+    """The dataclass of the values of its options."""
+    found = {
+        field.name: _build(hint, values, default)
+        if isinstance(hint, type) and dataclasses.is_dataclass(hint)
+        else values[field.name]
+        for field, hint, default in _fields(kind, given)
+    }
+    return kind(**found) if given is dataclasses.MISSING else dataclasses.replace(given, **found)
+
+
 def _with_verbosity(kind: type[Any]) -> type[Any]:
-    call = dataclasses.make_dataclass(
-        kind.__name__, [], bases=(kind, Verbosity), frozen=True, kw_only=True
-    )
+    """A flat dataclass of all options for the parser."""
+    from tyro import conf
+
+    fields: list[tuple[str, Any, Any]] = []
+    for option in (*_options(kind), *_options(Verbosity)):
+        says_nothing = option.default in (None, "", ()) or isinstance(option.default, bool)
+        about = conf.arg(
+            name=option.name or None,
+            help=option.help,
+            help_behavior_hint="" if says_nothing else "(default: {})".format,
+        )
+        annotated: Any = Annotated[option.type, about]
+        if not option.name:
+            annotated = conf.Positional[annotated]  # type: ignore[misc]
+        place: Any = dataclasses.field()
+        if option.default is not dataclasses.MISSING:
+            place = dataclasses.field(default_factory=functools.partial(copy.copy, option.default))
+        fields.append((option.field, annotated, place))
+    call = dataclasses.make_dataclass(kind.__name__, fields, frozen=True, kw_only=True)
     call.__doc__ = kind.__doc__
-    call.__module__ = kind.__module__
     return call
 
 

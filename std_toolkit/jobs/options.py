@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
-from typing import Any, Generic, Literal, TypeVar
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Generic, Literal, TypeVar
+
+import msgspec
 
 from std_toolkit.errors import ToolkitError
 
@@ -26,21 +28,18 @@ ATTEMPTS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class JobOptions:
-    """Where and how widely work runs.
-
-    Attributes:
-        engine: "local" processes, "serial" in this process, or "ray" (extra `[cluster]`).
-        workers: number of processes or Ray tasks at a time; default: the usable cores.
-        ray_address: of a running cluster; default: start one on this machine.
-        gpus: GPUs that Ray sets aside for each task, which then sees no others; may be a share.
-        progress: show a progress bar when stderr is a terminal.
-    """
+    """Where and how widely work runs."""
 
     engine: Engine = "local"
-    workers: int | None = None
+    """local processes, serial in this process, or ray (extra `cluster`)"""
+    workers: Annotated[int | None, msgspec.Meta(ge=1)] = None
+    """processes or Ray tasks at a time (the usable cores)"""
     ray_address: str | None = None
-    gpus: float = 0.0
-    progress: bool = True
+    """of a running Ray cluster (one is started on this machine)"""
+    gpus: Annotated[float, msgspec.Meta(ge=0)] = field(default=0.0, metadata={"option": None})
+    """GPUs that Ray reserves for each task, which then sees no others; may be a share"""
+    progress: bool = field(default=True, metadata={"option": None})
+    """show a progress bar when stderr is a terminal"""
 
     def __post_init__(self) -> None:
         if self.engine not in ENGINES:

@@ -12,7 +12,7 @@ from typing import Annotated
 import msgspec
 import pytest
 
-from std_toolkit.cli.command import Command, Program
+from std_toolkit.cli.command import Command, Program, parse_options
 from std_toolkit.errors import ToolkitError
 
 
@@ -25,6 +25,22 @@ class Policy(enum.Enum):
 class Jobs:
     workers: Annotated[int | None, msgspec.Meta(ge=1)] = None
     """processes at a time"""
+    bar: bool = field(default=True, metadata={"option": None})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Named:
+    """Options whose names are not those of their fields."""
+
+    split: tuple[str, ...] = field(metadata={"option": "split"})
+    """which splits"""
+    settings: tuple[str, ...] = field(default=(), metadata={"option": "set"})
+    """a method's own"""
+    jobs: Jobs = field(default_factory=lambda: Jobs(workers=3, bar=False))
+
+    def __post_init__(self) -> None:
+        if not self.split:
+            raise ToolkitError("needs at least one value", field="split")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,6 +131,30 @@ def test_failures_and_failed_gates_are_status_1(capsys: pytest.CaptureFixture[st
     assert program().main(["gate", "s"]) == 1
 
 
+def test_metadata_name_require_and_hide_options(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--split", "a", "b", "--set", "x=1"]
+    options, _ = parse_options(Named, words, "std-draw")
+    assert options == Named(split=("a", "b"), settings=("x=1",))
+    assert options.jobs == Jobs(workers=3, bar=False)
+    with pytest.raises(SystemExit):
+        parse_options(Named, ["--help"], "std-draw")
+    page = capsys.readouterr().out
+    assert "--set" in page
+    assert "a method's own" in page
+    assert "bar" not in page
+
+
+@pytest.mark.parametrize(
+    ("words", "told"), [([], "--split: needed"), (["--split"], "at least one")]
+)
+def test_what_options_refuse_themselves_is_wrong_usage(
+    words: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = Command(name="n", about="", options=f"{__name__}:Named", run=f"{__name__}:gate")
+    assert Program(name="std-n", about="", commands=(command,)).main(words) == 2
+    assert told in capsys.readouterr().err
+
+
 def test_default_command_takes_what_names_none() -> None:
     assert program(default="draw").main(["--share", "0", "s"]) == 0
     assert [options.share for options in CALLS] == [0]
@@ -143,8 +183,8 @@ def test_completion_knows_commands(shell: str, capsys: pytest.CaptureFixture[str
 def test_overview_imports_neither_parser_nor_commands() -> None:
     code = (
         "import sys\nfrom std_toolkit.cli.command import Command, Program\n"
-        "Program(name='p', about='', commands=(Command(name='c', about='', options='no:O',"
-        " run='no:f'),)).main(['--help'])\n"
+        "c = Command(name='c', about='', options='no:O', run='no:f')\n"
+        "Program(name='p', about='', commands=(c, c)).main(['--help'])\n"
         "sys.exit('tyro' in sys.modules)\n"
     )
     assert subprocess.run([sys.executable, "-c", code], stdout=subprocess.DEVNULL).returncode == 0
