@@ -2,8 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
+
+_BOUNDS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
+    "ge": ("at least", lambda value, bound: value >= bound),
+    "gt": ("above", lambda value, bound: value > bound),
+    "le": ("at most", lambda value, bound: value <= bound),
+    "lt": ("below", lambda value, bound: value < bound),
+}
 
 
 class ToolkitError(Exception):
@@ -60,6 +69,28 @@ class ToolkitError(Exception):
         # Exceptions with keyword-only arguments do not survive pickling between worker
         # processes without help.
         return (_rebuild, (type(self), self.problem, self.path, self.field, self.value, self.hint))
+
+
+def check_ranges(options: Any) -> None:
+    """Refuse values of a dataclass outside the `msgspec.Meta` range of their fields.
+
+    None has no range; each number of a tuple must lie within it. Nested dataclasses are
+    checked, too.
+
+    Raises:
+        ToolkitError: the first such field and its value.
+    """
+    hints = get_type_hints(type(options), include_extras=True)
+    for field in dataclasses.fields(options):
+        value = getattr(options, field.name)
+        if dataclasses.is_dataclass(value):
+            check_ranges(value)
+        numbers = value if isinstance(value, tuple) else () if value is None else (value,)
+        for meta in getattr(hints[field.name], "__metadata__", ()):
+            for name, (words, holds) in _BOUNDS.items():
+                bound = getattr(meta, name, None)
+                if bound is not None and not all(holds(number, bound) for number in numbers):
+                    raise ToolkitError(f"must be {words} {bound}", field=field.name, value=value)
 
 
 def _plain(value: Any) -> Any:
