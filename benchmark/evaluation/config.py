@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import msgspec
 
-from std_toolkit.errors import ToolkitError, check_ranges
+from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.jobs.options import JobOptions
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class TaskConfig:
     jobs: BenchJobs = field(default_factory=BenchJobs)
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        check_options(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,8 +144,6 @@ class PoseConfig(FrameConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_lists(self, "depths", "fits")
-        if strange := [fit for fit in self.fits if fit not in FITS]:
-            raise ToolkitError("no such fit", field="fits", value=strange[0], hint=", ".join(FITS))
 
 
 @dataclass(frozen=True, kw_only=True)

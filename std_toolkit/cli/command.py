@@ -26,7 +26,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, get_type_hints
 
-from std_toolkit.errors import ToolkitError, check_ranges
+from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.log import log_to_stderr
 
 WRONG_USAGE = 2
@@ -202,7 +202,7 @@ def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[
     call = parse()
     try:
         options = _build(kind, vars(call))
-        check_ranges(options)
+        check_options(options)
     except ToolkitError as error:
         titles = {option.field: option.title for option in _options(kind)}
         error.field = titles.get(error.field or "", error.field)

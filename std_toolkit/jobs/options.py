@@ -8,7 +8,7 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import msgspec
 
-from std_toolkit.errors import ToolkitError, check_ranges
+from std_toolkit.errors import ToolkitError, check_options
 
 Item = TypeVar("Item")
 
@@ -42,9 +42,7 @@ class JobOptions:
     """show a progress bar when stderr is a terminal"""
 
     def __post_init__(self) -> None:
-        if self.engine not in ENGINES:
-            raise ToolkitError("unknown engine", value=self.engine, hint=f"one of {ENGINES}")
-        check_ranges(self)
+        check_options(self)
 
     @property
     def worker_count(self) -> int:
