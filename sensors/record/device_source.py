@@ -73,7 +73,7 @@ class DeviceSource:
         self._streams = streams
         self._stop = stop
         self._names = {_key(s.profile): name for name, s in streams.items()}
-        self._images: queue.Queue[Any] = queue.Queue(_BACKLOG)
+        self._images: queue.Queue[tuple[str, Any]] = queue.Queue(_BACKLOG)
         self._closing = threading.Event()
         self._running: list[Any] = []
         self._starter: threading.Thread | None = None
@@ -120,7 +120,7 @@ class DeviceSource:
         first = last = None
         while not self._stop():
             try:
-                image = self._images.get(timeout=_POLL_S)
+                name, image = self._images.get(timeout=_POLL_S)
             except queue.Empty:
                 if self.live and time.monotonic() - heard > SILENCE_S:
                     raise ToolkitError(
@@ -135,13 +135,13 @@ class DeviceSource:
             heard = time.monotonic()
             first = image.get_timestamp() if first is None else first
             last = image.get_timestamp()
-            yield from self._paired(image)
+            yield from self._paired(name, image)
         if not self.live and not self._stop():
             self.close(drop=False)
             while not self._images.empty():
-                image = self._images.get()
+                name, image = self._images.get()
                 last = image.get_timestamp()
-                yield from self._paired(image)
+                yield from self._paired(name, image)
             for images in self._pairing.finish():
                 yield self._converted(images)
             self._check_length(first, last)
@@ -192,18 +192,19 @@ class DeviceSource:
 
     def _take(self, image: Any) -> None:
         """Called by librealsense's threads."""
-        if self._closing.is_set():
-            return
+        name = self._names.get(_key(image.get_profile()))
+        if name is None or self._closing.is_set():
+            return  # a software device sends streams that nobody opened
         if self.live:
             image.keep()  # librealsense's own pool is small, and gives up silently
             try:
-                self._images.put_nowait(image)
+                self._images.put_nowait((name, image))
             except queue.Full:
-                self.overrun[self._names.get(_key(image.get_profile()), "")] += 1
+                self.overrun[name] += 1
             return
         while not self._closing.is_set():
             with suppress(queue.Full):
-                self._images.put(image, timeout=_POLL_S)
+                self._images.put((name, image), timeout=_POLL_S)
                 return
 
     def _ended(self) -> bool:
@@ -211,10 +212,7 @@ class DeviceSource:
             return False
         return bool(self._device.current_status() == librealsense().playback_status.stopped)
 
-    def _paired(self, image: Any) -> Iterator[CapturedFrame]:
-        name = self._names.get(_key(image.get_profile()))
-        if name is None:
-            return
+    def _paired(self, name: str, image: Any) -> Iterator[CapturedFrame]:
         number, time_ms = image.get_frame_number(), image.get_timestamp()
         for images in self._pairing.add(name, number, time_ms, image):
             yield self._converted(images)

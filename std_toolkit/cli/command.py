@@ -31,7 +31,7 @@ from std_toolkit.log import log_to_stderr
 
 WRONG_USAGE = 2
 INTERRUPTED = 130
-SHELLS = ("bash", "zsh", "tcsh", "fish")
+SHELLS = ("bash", "zsh", "fish")
 COMPLETION = "--print-completion"
 
 

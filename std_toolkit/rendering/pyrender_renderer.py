@@ -208,6 +208,7 @@ class GlCanvas:
         if os.environ["PYOPENGL_PLATFORM"] == "egl":
             platform = renderer._platform
             platform.delete_context = lambda: _leave_display(platform)
+            platform.make_uncurrent = lambda: _release_thread(platform)
         return renderer
 
     def _is_lost(self) -> bool:
@@ -272,14 +273,21 @@ def _own_shaders() -> Any:
     return Programs()
 
 
+def _release_thread(platform: Any) -> None:
+    """Leave the thread without a context; one of EGL keeps Qt from making its own current."""
+    from OpenGL import EGL
+
+    EGL.eglMakeCurrent(
+        platform._egl_display, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT
+    )
+
+
 def _leave_display(platform: Any) -> None:
     """Destroy a context alone; pyrender would end the display for other canvases and VTK too."""
     from OpenGL import EGL
 
     if platform._egl_context is not None:
-        EGL.eglMakeCurrent(
-            platform._egl_display, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT
-        )
+        _release_thread(platform)
         EGL.eglDestroyContext(platform._egl_display, platform._egl_context)
     platform._egl_display = platform._egl_context = None
 

@@ -111,7 +111,7 @@ def test_nested_options_are_flat_and_enums_go_by_value() -> None:
         (["draw", "s", "--share", "1.5"], "--share: must be at most 1 (got 1.5)"),
         (["draw", "s", "--workers", "0"], "--workers: must be at least 1 (got 0)"),
         (["drew", "s"], "drew: no command of std-draw; expected one of draw, refuse, gate"),
-        (["--print-completion", "cmd"], "expected one of bash, zsh, tcsh, fish"),
+        (["--print-completion", "cmd"], "expected one of bash, zsh, fish"),
     ],
 )
 def test_wrong_usage_is_one_line_and_status_2(
@@ -171,7 +171,7 @@ def test_help_tells_commands_and_options(capsys: pytest.CaptureFixture[str]) -> 
     assert "processes at a time" in page
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh", "fish"])
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_knows_commands(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
     try:
         program().main(["--print-completion", shell])

@@ -234,6 +234,26 @@ def test_frames_beyond_the_queue_are_dropped_and_counted(
     assert f"{session.dropped} because writing was behind" in capsys.readouterr().out
 
 
+def test_streams_that_nobody_opened_cost_no_frame(
+    camera: SoftwareCamera, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A software device sends infrared too; where the line is full, that counts as no loss."""
+    total = 60
+    for number in range(total):
+        pictures(number)
+    monkeypatch.setattr("sensors.record.device_source._BACKLOG", 2)
+    camera.feed(total, rate=600)
+    out = tmp_path / "scene"
+    end = threading.Timer(2.0, lambda: os.kill(os.getpid(), signal.SIGINT))
+    end.start()
+    options = ["--queue", "60", "--warm-up", "0"]
+    assert main([str(out), *SMALL, *options], devices=[camera.device]) == 0
+    end.join()
+    (session,) = read_recording(out).sessions
+    assert session.dropped > 0
+    assert session.frames + session.dropped <= total
+
+
 def test_ctrl_c_ends_a_recording_cleanly(camera: SoftwareCamera, tmp_path: Path) -> None:
     camera.feed(400, rate=40)
     out = tmp_path / "scene"

@@ -67,3 +67,12 @@ def test_a_window_of_vtk_that_closes_ends_no_renderer(monkeypatch: pytest.Monkey
     run = subprocess.run([sys.executable, "-c", WITH_VTK], capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
     assert float(run.stdout) == pytest.approx(0.45, abs=3e-4)
+
+
+def test_drawing_leaves_the_thread_without_a_context() -> None:
+    """Qt could not make its own current in a thread that has one of EGL."""
+    renderer = PyrenderRenderer()
+    assert depth_of_a_box(renderer)[23, 31] == pytest.approx(0.45, abs=3e-4)
+    from OpenGL import EGL
+
+    assert not EGL.eglGetCurrentContext()
