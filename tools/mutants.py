@@ -7,7 +7,8 @@ the repository against the tests that execute the changed lines, quick tests fir
 tests of their module. A mutant that no test notices survives and is listed with its difference.
 
 Left out are changes that no test can see, in annotations, decorators, messages of errors and code
-for type checkers, and operators on bits in place of arithmetic, which every test would see. A run that was stopped goes on where it was.
+for type checkers, and operators on bits in place of arithmetic, which every test would see. A run
+that was stopped goes on where it was.
 
 Exit status: 0 if at least `--least` of the mutants died, else 1.
 """
