@@ -2,8 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+_BOUNDS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
+    "ge": ("at least", lambda value, bound: value >= bound),
+    "gt": ("above", lambda value, bound: value > bound),
+    "le": ("at most", lambda value, bound: value <= bound),
+    "lt": ("below", lambda value, bound: value < bound),
+}
 
 
 class ToolkitError(Exception):
@@ -60,6 +69,39 @@ class ToolkitError(Exception):
         # Exceptions with keyword-only arguments do not survive pickling between worker
         # processes without help.
         return (_rebuild, (type(self), self.problem, self.path, self.field, self.value, self.hint))
+
+
+def check_options(options: Any) -> None:
+    """Refuse values of a dataclass outside the range or the choices that its annotations name.
+
+    A range is a `msgspec.Meta`, choices are a `Literal`; None has neither. Each value of a tuple is
+    checked, and nested dataclasses are.
+
+    Raises:
+        ToolkitError: the first such field and its value.
+    """
+    hints = get_type_hints(type(options), include_extras=True)
+    for field in dataclasses.fields(options):
+        value = getattr(options, field.name)
+        if dataclasses.is_dataclass(value):
+            check_options(value)
+        values = value if isinstance(value, tuple) else () if value is None else (value,)
+        for part in _parts(hints[field.name]):
+            if get_origin(part) is Literal and not all(v in get_args(part) for v in values):
+                problem = f"expected one of {', '.join(map(str, get_args(part)))}"
+                raise ToolkitError(problem, field=field.name, value=value)
+            for name, (words, holds) in _BOUNDS.items():
+                bound = getattr(part, name, None)
+                if bound is not None and not all(holds(v, bound) for v in values):
+                    raise ToolkitError(f"must be {words} {bound}", field=field.name, value=value)
+
+
+def _parts(hint: Any) -> Iterator[Any]:
+    """A type, those within it, and what annotates them."""
+    yield hint
+    if get_origin(hint) is not Literal:
+        for part in (*get_args(hint), *getattr(hint, "__metadata__", ())):
+            yield from _parts(part)
 
 
 def _plain(value: Any) -> Any:

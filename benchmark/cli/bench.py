@@ -151,8 +151,9 @@ def _check_task(args: argparse.Namespace) -> None:
 
 
 def _score_depth(args: argparse.Namespace) -> int:
+    from benchmark.evaluation.config import DepthConfig
     from benchmark.evaluation.tasks.depth_results import read_run, results_table
-    from benchmark.evaluation.tasks.depth_runs import DepthConfig, plan_runs, run_all
+    from benchmark.evaluation.tasks.depth_runs import plan_runs, run_all
 
     config = DepthConfig(
         methods=tuple(args.method),

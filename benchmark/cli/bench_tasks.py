@@ -48,9 +48,9 @@ def add_pose_arguments(parser: argparse.ArgumentParser) -> None:
 
 def score_poses(args: argparse.Namespace) -> int:
     """Run and score pose methods; returns the exit status."""
+    from benchmark.evaluation.config import PoseConfig
     from benchmark.evaluation.tasks.pose_results import poses_table, read_pose_run
     from benchmark.evaluation.tasks.pose_runs import (
-        PoseConfig,
         plan_pose_runs,
         run_all_poses,
         wanted_protocols,
@@ -62,7 +62,7 @@ def score_poses(args: argparse.Namespace) -> int:
         splits=tuple(args.split),
         depths=tuple(args.depth),
         fits=tuple(args.fit),
-        as_input=args.depth_as_input,
+        depth_as_input=args.depth_as_input,
         data=tuple(args.data),
         out=args.out,
         preset=args.preset,
@@ -155,7 +155,8 @@ def add_grasp_arguments(parser: argparse.ArgumentParser) -> None:
 
 def score_grasps(args: argparse.Namespace) -> int:
     """Clear the tables; returns the exit status."""
-    from benchmark.evaluation.tasks.grasp import GraspConfig, plan_grasp_runs, run_clearing
+    from benchmark.evaluation.config import GraspConfig
+    from benchmark.evaluation.tasks.grasp import plan_grasp_runs, run_clearing
     from benchmark.evaluation.tasks.grasp_results import grasp_table, read_grasp_run
 
     config = GraspConfig(
@@ -172,7 +173,7 @@ def score_grasps(args: argparse.Namespace) -> int:
         weights=tuple(args.weights),
         settings=tuple(args.settings),
         devices=tuple(args.device),
-        strips=not args.no_gallery,
+        gallery=not args.no_gallery,
     )
     if args.split or args.data or args.method or args.limit is not None:
         raise ToolkitError(

@@ -26,19 +26,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, get_type_hints
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.log import log_to_stderr
 
 WRONG_USAGE = 2
 INTERRUPTED = 130
 SHELLS = ("bash", "zsh", "fish")
 COMPLETION = "--print-completion"
-_BOUNDS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
-    "ge": ("at least", lambda value, bound: value >= bound),
-    "gt": ("above", lambda value, bound: value > bound),
-    "le": ("at most", lambda value, bound: value <= bound),
-    "lt": ("below", lambda value, bound: value < bound),
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,37 +200,14 @@ def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[
         finally:
             print(_tidy(page.getvalue()))
     call = parse()
-    values = vars(call)
-    for name, problem in out_of_range(kind, values):
-        raise _UsageError(f"{name}: {problem}")
     try:
-        options = _build(kind, values)
+        options = _build(kind, vars(call))
+        check_options(options)
     except ToolkitError as error:
+        titles = {option.field: option.title for option in _options(kind)}
+        error.field = titles.get(error.field or "", error.field)
         raise _UsageError(str(error)) from error
     return options, Verbosity(quiet=call.quiet, debug=call.debug)
-
-
-def out_of_range(kind: type[Any], values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Options whose value lies outside the `Meta` range of their field.
-
-    Args:
-        kind: a dataclass, whose nested ones are looked into.
-        values: by name of the field.
-
-    Yields:
-        Name of the option and what is wrong with it.
-    """
-    for option in _options(kind):
-        value = values[option.field]
-        for meta in getattr(option.type, "__metadata__", ()):
-            for name, (words, holds) in _BOUNDS.items():
-                bound = getattr(meta, name, None)
-                if bound is None or value is None:
-                    continue
-                numbers = value if isinstance(value, tuple) else (value,)
-                if not all(holds(v, bound) for v in numbers):
-                    shown = " ".join(str(v) for v in numbers)
-                    yield option.title, f"{shown} is out of range, expected {words} {bound}"
 
 
 def exit_status(

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import msgspec
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, check_options
 
 Item = TypeVar("Item")
 
@@ -42,12 +42,7 @@ class JobOptions:
     """show a progress bar when stderr is a terminal"""
 
     def __post_init__(self) -> None:
-        if self.engine not in ENGINES:
-            raise ToolkitError("unknown engine", value=self.engine, hint=f"one of {ENGINES}")
-        if self.workers is not None and self.workers < 1:
-            raise ToolkitError("must be at least 1", field="workers", value=self.workers)
-        if not self.gpus >= 0:
-            raise ToolkitError("must not be negative", field="gpus", value=self.gpus)
+        check_options(self)
 
     @property
     def worker_count(self) -> int:

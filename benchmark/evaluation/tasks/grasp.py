@@ -12,15 +12,11 @@ from pathlib import Path
 
 import pandas as pd
 
+from benchmark.evaluation.config import GraspConfig, checked_label, options_by_method
 from benchmark.evaluation.engine import as_unusable_method, claim_device, complete, weights_digest
 from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspSetup, grasp_manifest
 from benchmark.evaluation.results import write_part
 from benchmark.evaluation.tasks.depth import restore_views
-from benchmark.evaluation.tasks.depth_runs import (
-    check_lists,
-    checked_label,
-    options_by_method,
-)
 from benchmark.evaluation.tasks.grasp_pictures import attempt_strip
 from benchmark.evaluation.tasks.grasp_table import ATTEMPTS, rows_of_round, scene_name
 from benchmark.methods.depth.full_size import at_full_size, view_of
@@ -31,7 +27,7 @@ from benchmark.metrics.grasp.gripper import PANDA
 from benchmark.tabletop.arrange import arrange, round_seed
 from benchmark.tabletop.depth_model import MODEL_FILE
 from benchmark.tabletop.round import MOST_ATTEMPTS, GivenDepth, Plan, State, clear_table
-from benchmark.tabletop.sense import CAMERAS, CameraKind, Observation, camera_pose, make_camera
+from benchmark.tabletop.sense import CameraKind, Observation, camera_pose, make_camera
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import write_color
 from std_toolkit.jobs import JobOptions
@@ -246,45 +242,6 @@ def _setup(run: GraspRun, equipment: _Equipment) -> GraspSetup:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class GraspConfig:
-    """What a user asks for; every planner works on every depth, all on the same rounds.
-
-    Attributes:
-        depths: `raw`, `gt`, or restorers.
-        planners: registered ones, or `oracle`.
-        rounds, seed, camera, attempts, strips, devices, out: as in `GraspRun`.
-        preset, precision, compile: of networks; see `preset_for`.
-        weights: `NAME=FILE`, of planners and restorers; `FILE` where there is one of them.
-        settings: `NAME.SETTING=VALUE`, likewise.
-    """
-
-    depths: tuple[str, ...]
-    planners: tuple[str, ...]
-    rounds: int
-    seed: int
-    out: Path
-    camera: str = "quick"
-    attempts: int = MOST_ATTEMPTS
-    preset: str | None = None
-    precision: str = "fp32"
-    compile: bool = False
-    weights: tuple[str, ...] = ()
-    settings: tuple[str, ...] = ()
-    devices: tuple[str, ...] = ("cpu",)
-    strips: bool = True
-
-    def __post_init__(self) -> None:
-        check_lists(self, "depths", "planners", "devices")
-        for name, low in (("rounds", 1), ("attempts", 1), ("seed", 0)):
-            if getattr(self, name) < low:
-                raise ToolkitError(f"must be at least {low}", field=name, value=getattr(self, name))
-        if self.camera not in CAMERAS:
-            raise ToolkitError(
-                "no such camera", field="camera", value=self.camera, hint=", ".join(CAMERAS)
-            )
-
-
 def plan_grasp_runs(config: GraspConfig) -> list[GraspRun]:
     """The runs, planner by planner.
 
@@ -316,10 +273,10 @@ def plan_grasp_runs(config: GraspConfig) -> list[GraspRun]:
             out=config.out,
             depth_options=options.get(depth, MethodOptions()),
             planner_options=options.get(planner, MethodOptions()),
-            camera=config.camera,  # type: ignore[arg-type]
+            camera=config.camera,
             attempts=config.attempts,
             devices=config.devices,
-            strips=config.strips,
+            strips=config.gallery,
         )
         for planner, depth in product(config.planners, config.depths)
     ]

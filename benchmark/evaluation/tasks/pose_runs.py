@@ -13,77 +13,19 @@ from itertools import product
 from pathlib import Path
 
 from benchmark.data.splits import open_split
+from benchmark.evaluation.config import PoseConfig, checked_label, data_of, options_by_method
 from benchmark.evaluation.engine import UnusableMethod
 from benchmark.evaluation.results import report_failures
-from benchmark.evaluation.tasks.depth_runs import (
-    check_counts,
-    check_lists,
-    checked_label,
-    data_of,
-    options_by_method,
-    roots_of,
-)
 from benchmark.evaluation.tasks.pose import PoseRun, run_poses
 from benchmark.evaluation.tasks.pose_inputs import RAW, TRUE, DepthChoice
 from benchmark.evaluation.tasks.pose_pictures import PICTURES_FILE, POSE_GALLERY, make_pose_pictures
-from benchmark.methods.pose.fitting import FitMethod
 from benchmark.methods.registry import MethodOptions, restorers
 from benchmark.metrics.pose import BoxIoU, PoseProtocol, PoseScoring, get_pose_protocol
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions
 
-FITS = tuple(fit.value for fit in FitMethod)
-
 # What both published evaluations ask for before angle and distance count.
 FOUND_MEANS_OVERLAP = 0.1
-
-GATES = ("all", "found")
-
-
-@dataclass(frozen=True, kw_only=True)
-class PoseConfig:
-    """What a user asks for; every method runs on every split with every depth and fit.
-
-    Attributes:
-        methods, splits: names.
-        depths: `raw`, `gt`, restorers, or `NAME=FOLDER` of depth that was saved.
-        fits: `ransac`, `paper`.
-        as_input: networks look at that depth, too.
-        data: folders; `SPLIT=ROOT` is for one split, `ROOT` for all others.
-        out: folder of results.
-        preset, precision, compile: of networks; see `preset_for`.
-        weights: `METHOD=FILE`, of pose methods and restorers; `FILE` where there is one of them.
-        settings: `METHOD.NAME=VALUE`, likewise.
-        label: name in tables, where there is one method.
-        devices, batch_size, limit: as in `PoseRun`.
-    """
-
-    methods: tuple[str, ...]
-    splits: tuple[str, ...]
-    depths: tuple[str, ...] = (RAW,)
-    fits: tuple[str, ...] = ("ransac",)
-    as_input: bool = False
-    data: tuple[str, ...]
-    out: Path
-    preset: str | None = None
-    precision: str = "fp32"
-    compile: bool = False
-    weights: tuple[str, ...] = ()
-    settings: tuple[str, ...] = ()
-    label: str | None = None
-    devices: tuple[str, ...] = ("cpu",)
-    batch_size: int = 8
-    limit: int | None = None
-    roots: dict[str | None, Path] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        check_lists(self, "methods", "splits", "depths", "fits", "data", "devices")
-        check_counts(self, "batch_size", "limit")
-        if strange := [fit for fit in self.fits if fit not in FITS]:
-            raise ToolkitError("no such fit", field="fit", value=strange[0], hint=", ".join(FITS))
-        if self.label is not None and len(self.methods) > 1:
-            raise ToolkitError("names one method, not several", field="label", value=self.label)
-        object.__setattr__(self, "roots", roots_of(self.data))
 
 
 def plan_pose_runs(config: PoseConfig) -> list[PoseRun]:
@@ -118,7 +60,7 @@ def plan_pose_runs(config: PoseConfig) -> list[PoseRun]:
             out=config.out,
             fit=fit,
             # Of raw depth nothing would change but the name.
-            as_input=config.as_input and depth.name != RAW,
+            as_input=config.depth_as_input and depth.name != RAW,
             devices=config.devices,
             batch_size=config.batch_size,
             limit=config.limit,

@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from benchmark.evaluation.config import FITS
 from benchmark.evaluation.tasks.pose_inputs import RAW, TRUE
 from benchmark.evaluation.tasks.pose_results import (
     ALL,
@@ -29,7 +30,6 @@ from benchmark.evaluation.tasks.pose_results import (
     scene_draws,
     score_run,
 )
-from benchmark.evaluation.tasks.pose_runs import FITS
 from benchmark.metrics.pose import PoseProtocol, get_pose_protocol
 from benchmark.metrics.pose.resampling import resampled_scores, scene_weights, side_by_side
 from benchmark.published.load import published_poses

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.evaluation.tasks.depth_runs import DepthConfig, plan_runs
+from benchmark.evaluation.config import DepthConfig
+from benchmark.evaluation.tasks.depth_runs import plan_runs
 from std_toolkit.errors import ToolkitError
 
 

@@ -12,8 +12,9 @@ import pytest
 from benchmark.cli.bench import main
 from benchmark.cli.report import PAGE
 from benchmark.cli.report import main as report
+from benchmark.evaluation.config import PoseConfig
 from benchmark.evaluation.tasks.pose_results import read_pose_results, score_run
-from benchmark.evaluation.tasks.pose_runs import PoseConfig, plan_pose_runs, wanted_protocols
+from benchmark.evaluation.tasks.pose_runs import plan_pose_runs, wanted_protocols
 from benchmark.metrics.bop import BopEstimate, open_bop, write_bop_results
 from benchmark.published.load import published_poses
 from benchmark.report.parts.pose import CSV, LATEX, MARKDOWN, findings
@@ -177,7 +178,7 @@ def test_raw_depth_is_raw_depth_also_as_input(tmp_path: Path) -> None:
         splits=(SPLIT,),
         depths=("raw", "swindrnet", "mine=/saved"),
         fits=("ransac", "paper"),
-        as_input=True,
+        depth_as_input=True,
         data=(f"{SPLIT}=/data",),
         out=tmp_path,
         weights=("nocs=/n", "swindrnet=/s"),

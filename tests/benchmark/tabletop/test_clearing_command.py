@@ -18,7 +18,7 @@ GRASP = ["--task", "grasp", "--depth", "gt"]
         (["--planner", "nobody"], "no such planner"),
         (["--rounds", "0"], "at least 1"),
         (["--seed", "-1"], "at least 0"),
-        (["--camera", "blurred"], "no such camera"),
+        (["--camera", "blurred"], "expected one of quick, simulated"),
         (["--split", "std-catknown"], "makes its own scenes"),
         (["--planner", "antipodal", "antipodal"], "twice"),
         (["--planner", "oracle", "--weights", "swindrnet=x.safetensors"], "weights"),

@@ -75,7 +75,7 @@ def test_two_items_of_one_name_are_refused(options: JobOptions) -> None:
 def test_options_are_checked() -> None:
     with pytest.raises(ToolkitError, match="workers: must be at least 1"):
         JobOptions(workers=0)
-    with pytest.raises(ToolkitError, match="unknown engine"):
+    with pytest.raises(ToolkitError, match="one of local, serial, ray"):
         JobOptions(engine="slurm")  # type: ignore[arg-type]
 
 

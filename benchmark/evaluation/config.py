@@ -1,0 +1,324 @@
+"""What a user asks of the benchmark: the options of each task, and what their texts mean.
+
+The command line is made from these dataclasses; see `std_toolkit.cli.command`. They import nothing
+heavy.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
+
+import msgspec
+
+from std_toolkit.errors import ToolkitError, check_options
+from std_toolkit.jobs.options import JobOptions
+
+if TYPE_CHECKING:
+    from benchmark.methods.registry import MethodOptions
+
+Count = Annotated[int, msgspec.Meta(ge=1)]
+Fit = Literal["ransac", "paper"]
+FITS: tuple[Fit, ...] = get_args(Fit)
+
+_LABEL = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*")
+_LONGEST_LABEL = 120  # file systems stop at 255 bytes
+
+
+def _option(name: str) -> dict[str, str]:
+    return {"option": name}
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchJobs(JobOptions):
+    """Where the work runs."""
+
+    gpus: Annotated[float, msgspec.Meta(ge=0)] = field(
+        default=0.0, metadata=_option("gpus-per-task")
+    )
+    """GPUs that Ray reserves for each task, which then sees no others; may be a share"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskConfig:
+    """What every task is asked."""
+
+    json: bool = False
+    """print the table as JSON"""
+    jobs: BenchJobs = field(default_factory=BenchJobs)
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetworkConfig(TaskConfig):
+    """What every task that runs methods is asked."""
+
+    out: Path = field(metadata=_option("out"))
+    """folder of results"""
+    preset: str | None = None
+    """network size: published or compact (compact if its weights ship and no --weights is given,
+    else published)"""
+    weights: tuple[str, ...] = ()
+    """[METHOD=]FILE of trained weights: safetensors, or a checkpoint of tensors alone"""
+    settings: tuple[str, ...] = field(default=(), metadata=_option("set"))
+    """[METHOD.]NAME=VALUE, a method's own settings"""
+    devices: tuple[str, ...] = field(default=("cpu",), metadata=_option("device"))
+    """torch devices: cpu, cuda:0 cuda:1, ..."""
+    precision: Literal["fp32", "bf16", "fp16"] = "fp32"
+    """arithmetic of networks"""
+    compile: bool = False
+    """run networks through torch.compile"""
+    gallery: bool = True
+    """keep no pictures of a few frames or rounds"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_lists(self, "devices")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameConfig(NetworkConfig):
+    """What a task over the frames of data sets is asked; every method runs on every split."""
+
+    methods: tuple[str, ...] = field(metadata=_option("method"))
+    """names of `std-bench list methods`, package.module:Class, or file.py:Class"""
+    splits: tuple[str, ...] = field(metadata=_option("split"))
+    """names of `std-bench list splits`"""
+    data: tuple[str, ...] = field(metadata=_option("data"))
+    """[SPLIT=]ROOT, folder above the data sets, or of one split"""
+    protocols: tuple[str, ...] = field(default=("strict",), metadata=_option("protocol"))
+    """how predictions are scored: strict, paper, ..."""
+    label: str | None = None
+    """name of the method in tables (its own name)"""
+    batch_size: Count = 8
+    """frames that a method receives at once"""
+    limit: Count | None = None
+    """score only N frames, evenly spaced"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_lists(self, "methods", "splits", "protocols", "data")
+        if self.label is not None and len(self.methods) > 1:
+            raise ToolkitError("names one method, not several", field="label", value=self.label)
+
+    @property
+    def roots(self) -> dict[str | None, Path]:
+        """Folders of data by split; None for those that are not named."""
+        return roots_of(self.data)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthConfig(FrameConfig):
+    """Score depth restorers: every method on every split by every protocol."""
+
+    depth_from: Path | None = None
+    """folder of depth saved by --save-depth that replaces the sensor's"""
+    save_depth: bool = False
+    """keep the restored depth beside the results"""
+    speed: bool = True
+    """do not measure how fast the methods are"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseConfig(FrameConfig):
+    """Score category-level pose methods: every method on every split with every depth and fit."""
+
+    depths: tuple[str, ...] = field(default=("raw",), metadata=_option("depth"))
+    """depth that poses are fitted to: raw, gt, restorers, or NAME=DIR of saved depth"""
+    fits: tuple[Fit, ...] = field(default=("ransac",), metadata=_option("fit"))
+    """how poses are fitted: RANSAC, or least squares as in the paper's program"""
+    depth_as_input: bool = False
+    """networks also receive the depth of --depth, not the raw depth"""
+    iou: Literal["oriented", "aabb", "nocs2019"] | None = None
+    """overlap of boxes, instead of the protocol's own"""
+    score: Literal["ap", "accuracy"] | None = None
+    """what a figure means, instead of the protocol's own"""
+    gates: Literal["all", "found"] | None = None
+    """angle and distance of all predictions, or of those that overlap a true box"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_lists(self, "depths", "fits")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspConfig(NetworkConfig):
+    """Clear tables in simulation: every planner on every depth, all on the same rounds."""
+
+    depths: tuple[str, ...] = field(default=("raw",), metadata=_option("depth"))
+    """depth that grasps are planned on: raw, gt, or restorers"""
+    planners: tuple[str, ...] = field(default=("antipodal",), metadata=_option("planner"))
+    """antipodal, graspnet, oracle (knows where the objects are), or package.module:Class"""
+    rounds: Count = 6
+    """tables to clear"""
+    seed: Annotated[int, msgspec.Meta(ge=0)] = 0
+    """decides every round and all noise"""
+    camera: Literal["quick", "simulated"] = "quick"
+    """quick: depth by a model fitted to the simulator; simulated: by the simulator itself"""
+    attempts: Count = 10
+    """most attempts in a round"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_lists(self, "depths", "planners")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BopConfig(TaskConfig):
+    """Score result files of instance-level poses on a data set in BOP's layout."""
+
+    data: Path = field(metadata=_option("data"))
+    """folder of the data set"""
+    results: tuple[Path, ...] = field(metadata=_option("results"))
+    """CSV files in BOP's format"""
+    bop_split: str = "test"
+    """folder of the scenes"""
+    out: Path | None = None
+    """folder of results (the table is only printed)"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_lists(self, "results")
+
+
+def options_by_method(config: NetworkConfig, methods: Sequence[str]) -> dict[str, MethodOptions]:
+    """Options of each method, by its name.
+
+    Raises:
+        ToolkitError: weights or settings for a method that is not asked for.
+    """
+    from benchmark.methods.registry import MethodOptions, preset_for
+
+    weights = weights_by_method(config.weights, methods)
+    settings = settings_by_method(config.settings, methods)
+    return {
+        method: MethodOptions(
+            preset=preset_for(method, config.preset, weights.get(method)),
+            weights=weights.get(method),
+            precision=config.precision,
+            compile=config.compile,
+            settings=settings[method],
+        )
+        for method in methods
+    }
+
+
+def check_lists(config: object, *names: str) -> None:
+    """Refuse lists that are empty, or tell something twice.
+
+    Raises:
+        ToolkitError: the field, and what is told twice.
+    """
+    for name in names:
+        values = getattr(config, name)
+        if not values:
+            raise ToolkitError("needs at least one value", field=name)
+        if twice := [v for v in values if values.count(v) > 1]:
+            raise ToolkitError("is given twice", field=name, value=twice[0])
+
+
+def roots_of(texts: Sequence[str]) -> dict[str | None, Path]:
+    """Folders of data by split; None for those that are not told otherwise.
+
+    Args:
+        texts: `SPLIT=ROOT`, or `ROOT`.
+    """
+    found: dict[str | None, Path] = {}
+    for text in texts:
+        split, equals, root = text.partition("=")
+        # A folder's own name may hold "=".
+        named = bool(equals) and not Path(text).exists()
+        found[split if named else None] = Path(root if named else text)
+    return found
+
+
+def data_of(split: str, roots: Mapping[str | None, Path]) -> Path:
+    """The folder of a split's data.
+
+    Raises:
+        ToolkitError: there is none for it.
+    """
+    root = roots.get(split, roots.get(None))
+    if root is None:
+        raise ToolkitError("no data for this split", field="data", value=split, hint="give ROOT")
+    return root
+
+
+def weights_by_method(texts: Sequence[str], methods: Sequence[str]) -> dict[str, Path]:
+    """Files of weights by the method that they are for.
+
+    Args:
+        texts: `METHOD=FILE`, or `FILE` where there is one method.
+        methods: that there are.
+
+    Raises:
+        ToolkitError: weights for none of them.
+    """
+    return {m: Path(text) for m, text in _by_method(texts, methods, "weights", "=")}
+
+
+def settings_by_method(texts: Sequence[str], methods: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Settings by the method that they are for, each of `methods` having some or none.
+
+    Args:
+        texts: `METHOD.NAME=VALUE`, or `NAME=VALUE` where there is one method.
+        methods: that there are.
+
+    Raises:
+        ToolkitError: a setting for none of them, or one without a value.
+    """
+    settings: dict[str, dict[str, str]] = {method: {} for method in methods}
+    for method, text in _by_method(texts, methods, "settings", "."):
+        name, equals, value = text.partition("=")
+        if not (name and equals):
+            raise ToolkitError("expected NAME=VALUE", field="settings", value=text)
+        settings[method][name] = value
+    return settings
+
+
+def _by_method(
+    texts: Sequence[str], methods: Sequence[str], field_name: str, separator: str
+) -> list[tuple[str, str]]:
+    """Pairs of a method and what is told of it."""
+    found = []
+    for text in texts:
+        method = next((m for m in methods if text.startswith(m + separator)), None)
+        if method is not None:
+            found.append((method, text.removeprefix(method + separator)))
+        elif len(methods) == 1:
+            found.append((methods[0], text))
+        else:
+            raise ToolkitError(
+                "does not say which method it is for",
+                field=field_name,
+                value=text,
+                hint=f"METHOD{separator}..., with one of {', '.join(methods)}",
+            )
+    return found
+
+
+def checked_label(text: str) -> str:
+    """A name of a method in tables and folders.
+
+    Raises:
+        ToolkitError: it cannot be a folder's name.
+    """
+    if len(text) > _LONGEST_LABEL:
+        raise ToolkitError(
+            f"must have at most {_LONGEST_LABEL} characters",
+            field="label",
+            value=f"{text[:40]}...",
+        )
+    if not _LABEL.fullmatch(text):
+        raise ToolkitError(
+            "must be usable as a folder's name",
+            field="label",
+            value=text,
+            hint="letters, digits and . _ + -",
+        )
+    return text
