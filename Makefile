@@ -9,7 +9,7 @@ DEMO ?= build/demo
 WORKERS ?= $(shell n=$$(nproc); echo $$((n < 4 ? n : 4)))
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
-.PHONY: help env demo test test-quick test-long test-random test-programs lint format perf schemas structure clean
+.PHONY: help env demo test test-quick test-long test-random test-programs lint format perf schemas structure mutants clean
 
 help:
 	@echo "make demo   record a synthetic scene, curate it, show the label error, exports, a leaderboard"
@@ -17,6 +17,7 @@ help:
 	@echo "            make test-random: in another order each time)"
 	@echo "make lint   ruff and mypy"
 	@echo "make perf   tables of timings and ratios"
+	@echo "make mutants   small changes of the code that no test notices (up to 2 hours)"
 	@echo "make structure   modules, circles of imports, files per flow"
 	@echo "make env    the environment in $(VENV) alone"
 
@@ -64,6 +65,10 @@ perf: env
 
 structure: env
 	@$(BIN)/python tools/structure.py --flows
+
+mutants: env
+	@tools/make-env "$(PYTHON)" "$(VENV)" mutants
+	@$(BIN)/python tools/mutants.py
 
 schemas: env
 	@$(BIN)/std-curate schema --out schemas
