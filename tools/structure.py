@@ -105,11 +105,11 @@ def code_lines(text: str) -> tuple[int, int]:
     hidden: set[int] = set()
     imports: set[int] = set()
     for node in ast.walk(tree):
-        body = getattr(node, "body", None)
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            first = body[0] if body else None
-            if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
-                hidden.update(range(first.lineno, (first.end_lineno or 0) + 1))
+            # Those of fields as well, which stand below them in the body of their class.
+            for entry in node.body if isinstance(node, ast.ClassDef) else node.body[:1]:
+                if isinstance(entry, ast.Expr) and isinstance(entry.value, ast.Constant):
+                    hidden.update(range(entry.lineno, (entry.end_lineno or 0) + 1))
         if isinstance(node, ast.Import | ast.ImportFrom):
             imports.update(range(node.lineno, (node.end_lineno or 0) + 1))
     lines = {

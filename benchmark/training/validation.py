@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -24,63 +25,45 @@ SUBSETS = ("specular_transparent", "objects", "all")
 SHOWN = ("rmse", "rel", "mae", "d105", "d110", "d125")
 _PICTURES = 6
 
-
-class Validator(Protocol):
-    """How good a network is, as sums over frames that several processes can add up."""
-
-    def states(
-        self,
-        network: nn.Module,
-        device: torch.device,
-        *,
-        rank: int = 0,
-        world: int = 1,
-        context: Callable[[], AbstractContextManager[Any]] = nullcontext,
-    ) -> np.ndarray:
-        """float64 sums over this process's share of the frames; those of processes add."""
-        ...
-
-    def scores(self, states: np.ndarray) -> dict[str, float]:
-        """What summed states mean, by name; NaN for what is not known."""
-        ...
-
-    def main_score(self, scores: dict[str, float]) -> tuple[str, float]:
-        """Name and value of what networks are ranked by, the less the better."""
-        ...
-
-    def gallery(self, network: nn.Module, device: torch.device, path: Path) -> None:
-        """Write a picture of a few frames."""
-        ...
+Context = Callable[[], AbstractContextManager[Any]]
 
 
-class DepthValidator:
-    """Validation of depth at the size of training; missing depth counts as missed.
+class Validator(ABC):
+    """How good a network is, as sums over frames that several processes can add up.
 
     Args:
         frames: packed frames.
-        chosen: those to judge by.
+        chosen: those to validate on.
         batch: frames that go through the network together.
-        loss: the method's, which does not matter here.
-        restore: (b, h, w) metres of a network and a batch.
+        loss: the method's.
     """
 
     def __init__(
-        self,
-        frames: PackedFrames,
-        chosen: Sequence[int],
-        batch: int,
-        loss: Any = None,  # noqa: ARG002
-        *,
-        restore: Callable[[nn.Module, Batch], Tensor] = network_depth,
+        self, frames: PackedFrames, chosen: Sequence[int], batch: int, loss: Any = None
     ) -> None:
-        self.frames, self.chosen, self.batch = frames, tuple(chosen), batch
-        self.restore = restore
+        self.frames, self.chosen, self.batch, self.loss = frames, tuple(chosen), batch, loss
 
+    @abstractmethod
+    def zeros(self, network: nn.Module) -> np.ndarray:
+        """float64 sums over no frame."""
+
+    @abstractmethod
+    def add(self, total: np.ndarray, network: nn.Module, batch: Batch, context: Context) -> None:
+        """Add the sums of a batch to `total`; the network runs within `context()`."""
+
+    @abstractmethod
     def scores(self, states: np.ndarray) -> dict[str, float]:
-        return scores_of(states)
+        """What summed states mean, by name; NaN for what is not known."""
 
+    @abstractmethod
     def main_score(self, scores: dict[str, float]) -> tuple[str, float]:
-        return main_score(scores)
+        """Name and value of what networks are ranked by, the less the better."""
+
+    @abstractmethod
+    def pictures(
+        self, network: nn.Module, shown: Sequence[int], batch: Batch
+    ) -> Sequence[np.ndarray]:
+        """(h, w, 3) uint8 rows of the gallery, of the frames `shown`."""
 
     @torch.no_grad()
     def states(
@@ -90,27 +73,68 @@ class DepthValidator:
         *,
         rank: int = 0,
         world: int = 1,
-        context: Callable[[], AbstractContextManager[Any]] = nullcontext,
+        context: Context = nullcontext,
     ) -> np.ndarray:
-        """(subsets, n) sums over this process's share of the frames; those of processes add."""
-        metrics = {name: DepthMetrics() for name in SUBSETS}
+        """Sums over this process's share of the frames; those of processes add."""
+        total = self.zeros(network)
+        own = self.chosen[rank::world]
         with evaluating(network):
-            for batch in batches(self.frames, self.chosen[rank::world], self.batch, device):
-                with context():
-                    found = self.restore(network, batch)
-                pixels = _subsets(batch)
-                for name, metric in metrics.items():
-                    metric.update(found.float(), batch["true"], pixels[name])
-        return np.stack([metric.state for metric in metrics.values()])
+            for begin in range(0, len(own), self.batch):
+                batch = self.frames[list(own[begin : begin + self.batch])]
+                self.add(total, network, {n: t.to(device) for n, t in batch.items()}, context)
+        return total
 
+    @torch.no_grad()
     def gallery(self, network: nn.Module, device: torch.device, path: Path) -> None:
-        """One picture of a few frames, evenly spread: colour, raw, restored, true, error."""
-        shown = shown_of(self.chosen)
+        """Write one picture of a few frames, evenly spread."""
+        count = min(_PICTURES, len(self.chosen))
+        shown = [self.chosen[(2 * k + 1) * len(self.chosen) // (2 * count)] for k in range(count)]
         batch = {name: tensor.to(device) for name, tensor in self.frames[shown].items()}
-        with evaluating(network), torch.no_grad():
-            found = self.restore(network, batch).float().cpu().numpy()
-        rows = [strip(self.frames.frame(i), d) for i, d in zip(shown, found, strict=True)]
+        with evaluating(network):
+            rows = self.pictures(network, shown, batch)
         write_color(path, np.vstack(rows), quality=88)
+
+
+class DepthValidator(Validator):
+    """Validation of depth at the size of training; missing depth counts as missed.
+
+    The sums are of (subsets, n).
+
+    Args:
+        restore: (b, h, w) metres of a network and a batch.
+    """
+
+    def __init__(
+        self, *args: Any, restore: Callable[[nn.Module, Batch], Tensor] = network_depth
+    ) -> None:
+        super().__init__(*args)
+        self.restore = restore
+
+    def zeros(self, network: nn.Module) -> np.ndarray:  # noqa: ARG002
+        return np.stack([DepthMetrics().state] * len(SUBSETS))
+
+    def add(self, total: np.ndarray, network: nn.Module, batch: Batch, context: Context) -> None:
+        with context():
+            found = self.restore(network, batch).float()
+        pixels = _subsets(batch)
+        for row, name in zip(total, SUBSETS, strict=True):
+            metrics = DepthMetrics()
+            metrics.merge_state(row)
+            metrics.update(found, batch["true"], pixels[name])
+            row[:] = metrics.state
+
+    def scores(self, states: np.ndarray) -> dict[str, float]:
+        return scores_of(states)
+
+    def main_score(self, scores: dict[str, float]) -> tuple[str, float]:
+        return main_score(scores)
+
+    def pictures(
+        self, network: nn.Module, shown: Sequence[int], batch: Batch
+    ) -> Sequence[np.ndarray]:
+        """Colour, raw, restored, true, error."""
+        found = self.restore(network, batch).float().cpu().numpy()
+        return [strip(self.frames.frame(i), d) for i, d in zip(shown, found, strict=True)]
 
 
 @contextmanager
@@ -123,21 +147,6 @@ def evaluating(network: nn.Module) -> Iterator[None]:
     finally:
         for module, training in modes:
             module.training = training
-
-
-def batches(
-    frames: PackedFrames, chosen: Sequence[int], size: int, device: torch.device
-) -> Iterator[dict[str, Tensor]]:
-    """Batches of the chosen frames, in their order, on a device."""
-    for begin in range(0, len(chosen), size):
-        batch = frames[list(chosen[begin : begin + size])]
-        yield {name: tensor.to(device) for name, tensor in batch.items()}
-
-
-def shown_of(chosen: Sequence[int]) -> list[int]:
-    """A few frames for a picture, evenly spread."""
-    count = min(_PICTURES, len(chosen))
-    return [chosen[(2 * k + 1) * len(chosen) // (2 * count)] for k in range(count)]
 
 
 def scores_of(states: np.ndarray) -> dict[str, float]:

@@ -1,9 +1,9 @@
 """OpenEXR files: headers checked before decoding, reading, writing.
 
-What an EXR file says about itself, and whether it is whole, before it goes to the decoder.
-
-The OpenEXR binding prints to the terminal when it meets a damaged file, and some damage passes it;
-the checks here need a few milliseconds and let only whole files through.
+The header is parsed here, not by the OpenEXR binding: read alone (`header_only`) it accepts cropped
+images, gigapixels and files that end behind the header, and it gives neither the pixel types nor
+the position of the chunk table, without which nothing can be said about the chunks. The decoder
+itself prints to the terminal when it meets a damaged chunk, and some damage passes it.
 
 Source: "OpenEXR File Layout", openexr.com.
 """

@@ -1,30 +1,33 @@
 """What a PNG or JPEG file says about itself, and whether it is whole, before pixels are decoded.
 
-The headers are parsed here instead of by an image library, because the answer must not depend on
-decoding anything, and because decoders are silent about what matters: OpenCV fills the missing
-part of a truncated JPEG with grey and reduces 16-bit colour to 8 bits.
+Pillow parses the headers and compares the checksums of a PNG; it decodes nothing for that. The end
+of a JPEG is looked for here: Pillow's `verify` does nothing for JPEG, and OpenCV fills the missing
+part of a truncated one with grey.
 """
 
 from __future__ import annotations
 
+import io
 import re
 import struct
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Literal
+
+from PIL.JpegImagePlugin import JpegImageFile
+from PIL.PngImagePlugin import PngImageFile
 
 from std_toolkit.errors import ToolkitError
 
 # A compressed file of a few kilobytes can claim gigapixels; no camera of this field does.
 LARGEST_PIXEL_COUNT = 64_000_000
 LARGEST_FILE_BYTES = 512 * 1024 * 1024
-PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
-# Start-of-frame markers; C4, C8 and CC in their midst mean other things.
-_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 # In the entropy-coded part, FF is followed by 00 (a stuffed byte), a restart marker, or the end.
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
+# Pillow does not compare the checksum of this last chunk; OpenCV then swaps red and blue.
+_PNG_END = b"\0\0\0\0IEND\xae\x42\x60\x82"
+# What Pillow raises when it meets damage.
+_DAMAGE = (OSError, SyntaxError, ValueError, LookupError, TypeError, struct.error)
 
 
 @dataclass(frozen=True)
@@ -69,17 +72,13 @@ def read_header(path: Path) -> ImageHeader:
         ToolkitError: not found, neither PNG nor JPEG, named as the other of the two, or of an
             implausible size.
     """
-    with open_regular(path) as file:
-        start = file.read(8)
-        header = None
-        if start == PNG_SIGNATURE:
-            header = _png_header(file)
-        elif start[:3] == b"\xff\xd8\xff":
-            header = _jpeg_header(file)
-    if header is None:
+    try:
+        with open_regular(path) as file:
+            header = _header(file)
+    except _DAMAGE as error:
         raise ToolkitError(
             "not a readable PNG or JPEG image (empty, truncated or mislabelled?)", path=path
-        )
+        ) from error
     expected = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg"}.get(path.suffix.lower())
     if expected != header.format:
         raise ToolkitError(
@@ -110,63 +109,32 @@ def check_whole(path: Path, data: bytes, header: ImageHeader) -> None:
     Raises:
         ToolkitError: truncated or damaged.
     """
-    if header.format == "png":
-        _check_whole_png(path, data)
-    elif not _jpeg_ends(data):
-        raise ToolkitError("the JPEG file is truncated", path=path)
+    if header.format == "jpeg":
+        if not _jpeg_ends(data):
+            raise ToolkitError("the JPEG file is truncated", path=path)
+        return
+    try:
+        PngImageFile(io.BytesIO(data)).verify()
+        if _PNG_END not in data:
+            raise ValueError("wrong checksum of its end")
+    except _DAMAGE as error:
+        raise ToolkitError(f"the PNG file is truncated or damaged: {error}", path=path) from error
 
 
-def _png_header(file: BinaryIO) -> ImageHeader | None:
-    chunk = file.read(25)
-    if len(chunk) < 25 or chunk[:8] != b"\x00\x00\x00\rIHDR":
-        return None
-    width, height, bits, colour = struct.unpack_from(">IIBB", chunk, 8)
-    if colour not in _PNG_CHANNELS or bits not in (1, 2, 4, 8, 16):
-        return None
-    # A palette's entries are 8-bit whatever the width of its indices.
-    return ImageHeader("png", width, height, 8 if colour == 3 else bits, _PNG_CHANNELS[colour])
-
-
-def _jpeg_header(file: BinaryIO) -> ImageHeader | None:
-    file.seek(2)
-    while True:
-        byte = file.read(1)
-        if byte != b"\xff":
-            return None
-        while byte == b"\xff":  # fill bytes
-            byte = file.read(1)
-        length = file.read(2)
-        if not byte or len(length) < 2 or byte in (b"\xd9", b"\xda"):
-            return None
-        if byte[0] in _JPEG_FRAMES:
-            frame = file.read(6)
-            if len(frame) < 6:
-                return None
-            bits, height, width, channels = struct.unpack(">BHHB", frame)
-            return ImageHeader("jpeg", width, height, bits, channels)
-        file.seek(struct.unpack(">H", length)[0] - 2, 1)
-
-
-def _check_whole_png(path: Path, data: bytes) -> None:
-    view = memoryview(data)
-    at = len(PNG_SIGNATURE)
-    pixels = False
-    while at + 12 <= len(view):
-        (length,) = struct.unpack_from(">I", view, at)
-        end = at + 12 + length
-        if end > len(view):
-            break
-        kind = bytes(view[at + 4 : at + 8])
-        (checksum,) = struct.unpack_from(">I", view, end - 4)
-        if zlib.crc32(view[at + 4 : end - 4]) != checksum:
-            raise ToolkitError("the PNG file is damaged (a checksum is wrong)", path=path)
-        pixels = pixels or kind == b"IDAT"
-        if kind == b"IEND":
-            if not pixels:
-                raise ToolkitError("the PNG file holds no pixels", path=path)
-            return
-        at = end
-    raise ToolkitError("the PNG file is truncated", path=path)
+def _header(file: BinaryIO) -> ImageHeader:
+    is_jpeg = file.read(3) == b"\xff\xd8\xff"
+    file.seek(0)
+    if is_jpeg:
+        jpeg = JpegImageFile(file)
+        return ImageHeader("jpeg", *jpeg.size, jpeg.bits, jpeg.layers)
+    png = PngImageFile(file)
+    # How pixels are stored, such as "L", "L;4", "RGB;16B", "P;2" or "1".
+    mode, _, bits = str(png.tile[0].args).partition(";")
+    if mode == "P":  # a palette's entries are 8-bit whatever the width of its indices
+        return ImageHeader("png", *png.size, 8, 3)
+    return ImageHeader(
+        "png", *png.size, int(bits.rstrip("B") or 8 if mode != "1" else 1), len(mode)
+    )
 
 
 def _jpeg_ends(data: bytes) -> bool:

@@ -3,7 +3,10 @@
 Steps make their items idempotent (skip what is done, write atomically), so that running a job
 again after any interruption goes on where it stopped.
 
-Items over processes of this machine. A worker that dies takes down no more than its item.
+Items over processes of this machine. A worker that dies takes down no more than its item. The pool
+is Python's own, made again after a crash: pebble, which replaces single workers, waits for ever
+for an item that ends its process with status 0, and for all items after one worker was killed
+while it sent its result.
 """
 
 from __future__ import annotations

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -27,10 +25,8 @@ from benchmark.training.depth.cleargrasp_losses import (
     ClearGraspTarget,
     outlines_of,
 )
-from benchmark.training.packed_frames import PackedFrames
 from benchmark.training.step import Batch, Loss, ModelInput, StepInfo, made_of, network_inputs
-from benchmark.training.validation import batches, evaluating, shown_of
-from std_toolkit.io.images import write_color
+from benchmark.training.validation import Context, Validator
 
 _NETWORKS = ("masks", "normals", "boundaries")
 
@@ -56,40 +52,23 @@ def cleargrasp_target(batch: Batch, loss: ClearGraspLoss) -> ClearGraspTarget:
     return ClearGraspTarget(made_of(batch, *dropped).long(), outlines)
 
 
-class ClearGraspValidator:
+class ClearGraspValidator(Validator):
     """Masks and boundaries by their overlap, normals by their angle; ranked by the loss.
 
-    Args: as of `Judge`.
+    The sums are pixels of both and of either for masks, occlusion boundaries and contact edges;
+    degrees and pixels of normals; losses of the frames, and frames.
     """
 
-    # Sums of a state: pixels of both and of either for masks, occlusion boundaries and contact
-    # edges; degrees and pixels of normals; losses of the frames, and frames.
-    def __init__(
-        self, frames: PackedFrames, chosen: Sequence[int], batch: int, loss: ClearGraspLoss
-    ) -> None:
-        self.frames, self.chosen, self.batch, self.loss = frames, tuple(chosen), batch, loss
+    def zeros(self, network: nn.Module) -> np.ndarray:  # noqa: ARG002
+        return np.zeros(10)
 
-    @torch.no_grad()
-    def states(
-        self,
-        network: nn.Module,
-        device: torch.device,
-        *,
-        rank: int = 0,
-        world: int = 1,
-        context: Callable[[], AbstractContextManager[Any]] = nullcontext,
-    ) -> np.ndarray:
-        total = np.zeros(10)
-        with evaluating(network):
-            for batch in batches(self.frames, self.chosen[rank::world], self.batch, device):
-                with context():
-                    color = network_inputs(batch)[0]
-                    answers = _answers(cast(ClearGraspNetwork, network), self.loss, color)
-                target = cleargrasp_target(batch, self.loss)
-                loss = float(self.loss(answers, target).total)
-                count = len(color)
-                total += [*_sums(answers, target), loss * count, count]
-        return total
+    def add(self, total: np.ndarray, network: nn.Module, batch: Batch, context: Context) -> None:
+        color = network_inputs(batch)[0]
+        with context():
+            answers = _answers(cast(ClearGraspNetwork, network), self.loss, color)
+        target = cleargrasp_target(batch, self.loss)
+        loss = float(self.loss(answers, target).total)
+        total += [*_sums(answers, target), loss * len(color), len(color)]
 
     def scores(self, states: np.ndarray) -> dict[str, float]:
         over = [a / b if b else float("nan") for a, b in states.reshape(-1, 2)]
@@ -99,18 +78,17 @@ class ClearGraspValidator:
     def main_score(self, scores: dict[str, float]) -> tuple[str, float]:
         return "loss", scores["loss"]
 
-    def gallery(self, network: nn.Module, device: torch.device, path: Path) -> None:
-        """As of `Judge`: the depth that the global optimisation makes of the maps."""
-        own, shown = cast(ClearGraspNetwork, network), shown_of(self.chosen)
-        color = network_inputs(self.frames[shown])[0].to(device)
-        with evaluating(network), torch.no_grad():
-            maps = own(color)
-        told = own.config.mask == "given"
+    def pictures(
+        self, network: nn.Module, shown: Sequence[int], batch: Batch
+    ) -> Sequence[np.ndarray]:
+        """The depth that the global optimisation makes of the maps."""
+        own = cast(ClearGraspNetwork, network)
+        maps = own(network_inputs(batch)[0])
         frames = [self.frames.frame(i) for i in shown]
-        views = [view_of(frame, None, with_mask=told) for frame in frames]
+        with_mask = own.config.mask == "given"
+        views = [view_of(frame, None, with_mask=with_mask) for frame in frames]
         found = DepthOfMaps(own.config)(maps, views)
-        rows = [strip(frame, depth) for frame, depth in zip(frames, found, strict=True)]
-        write_color(path, np.vstack(rows), quality=88)
+        return [strip(frame, depth) for frame, depth in zip(frames, found, strict=True)]
 
 
 def _answers(network: ClearGraspNetwork, loss: ClearGraspLoss, color: Tensor) -> ClearGraspAnswers:

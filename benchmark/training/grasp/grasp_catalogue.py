@@ -1,14 +1,9 @@
-"""Training of GraspNet, and its validation.
-
-How GraspNet is trained.
-"""
+"""How GraspNet is trained and validated."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -27,54 +22,37 @@ from benchmark.training.catalogue import Trainable
 from benchmark.training.config import Optimization
 from benchmark.training.grasp.grasp_step import GraspNetLoss, grasp_step
 from benchmark.training.grasp.packed_grasps import PackedGrasps
-from benchmark.training.step import StepInfo, model_input
-from benchmark.training.validation import batches, evaluating, shown_of
+from benchmark.training.step import Batch, StepInfo, model_input
+from benchmark.training.validation import Context, Validator
 from std_toolkit.geometry.camera import Camera
-from std_toolkit.io.images import write_color
 
 _DRAWN = 12  # grasps of a frame in the gallery
 
 
-class GraspValidator:
+class GraspValidator(Validator):
     """Validation: the loss, and GraspNet's average precision of the best grasps of each frame.
 
     No grasp is left out because it collides: what a planner does with the cloud is not the
-    network's merit.
-
-    Args:
-        frames: packed scenes.
-        chosen: those to judge by.
-        batch: frames that go through the network together.
-        loss: the method's.
+    network's merit. The sums are frames, their losses, and the precision at each friction.
     """
 
-    def __init__(self, frames: PackedGrasps, chosen: Sequence[int], batch: int, loss: Any) -> None:
-        self.frames, self.chosen, self.batch, self.loss = frames, tuple(chosen), batch, loss
+    frames: Any
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
         self._objects: dict[tuple[int, int], list[JudgedObject]] = {}
 
-    @torch.no_grad()
-    def states(
-        self,
-        network: nn.Module,
-        device: torch.device,
-        *,
-        rank: int = 0,
-        world: int = 1,
-        context: Callable[[], AbstractContextManager[Any]] = nullcontext,
-    ) -> np.ndarray:
-        """See `Judging`: frames, their losses, and the precision at each friction."""
-        total = np.zeros(2 + len(FRICTIONS))
-        frames: Any = self.frames
-        with evaluating(network):
-            for batch in batches(frames, self.chosen[rank::world], self.batch, device):
-                count = len(batch["index"])
-                with context():
-                    lost = grasp_step(network, self.loss, model_input(batch), StepInfo())
-                    found = _best(network, batch["cloud"])
-                total[:2] += count, count * float(lost.total)
-                for index, grasps in zip(batch["index"].tolist(), found, strict=True):
-                    total[2:] += precision_at(self.judged(index, grasps).friction).mean(axis=0)
-        return total
+    def zeros(self, network: nn.Module) -> np.ndarray:  # noqa: ARG002
+        return np.zeros(2 + len(FRICTIONS))
+
+    def add(self, total: np.ndarray, network: nn.Module, batch: Batch, context: Context) -> None:
+        count = len(batch["index"])
+        with context():
+            lost = grasp_step(network, self.loss, model_input(batch), StepInfo())
+            found = _best(network, batch["cloud"])
+        total[:2] += count, count * float(lost.total)
+        for index, grasps in zip(batch["index"].tolist(), found, strict=True):
+            total[2:] += precision_at(self.judged(index, grasps).friction).mean(axis=0)
 
     def judged(self, index: int, grasps: Grasps) -> Judged:
         """Grasps of a frame, judged as GraspNet does."""
@@ -88,7 +66,6 @@ class GraspValidator:
         return judge_grasps(grasps, self._objects[place], self.frames.poses(index), table)
 
     def scores(self, states: np.ndarray) -> dict[str, float]:
-        """See `Judging`."""
         frames = states[0]
         means = states[1:] / frames if frames else np.full(len(states) - 1, math.nan)
         by_friction = dict(zip(FRICTIONS, means[1:].tolist(), strict=True))
@@ -100,24 +77,20 @@ class GraspValidator:
         }
 
     def main_score(self, scores: dict[str, float]) -> tuple[str, float]:
-        """See `Judging`."""
         value = 1 - scores["ap"]
         return "1 - AP", math.inf if math.isnan(value) else value
 
-    def gallery(self, network: nn.Module, device: torch.device, path: Path) -> None:
-        """Depth of a few frames with the best grasps: green those that hold, red the others."""
-        shown = shown_of(self.chosen)
-        batch = {name: tensor.to(device) for name, tensor in self.frames[shown].items()}
-        with evaluating(network), torch.no_grad():
-            found = _best(network, batch["cloud"])
+    def pictures(
+        self, network: nn.Module, shown: Sequence[int], batch: Batch
+    ) -> Sequence[np.ndarray]:
+        """Depth with the best grasps: green those that hold, red the others."""
         pictures = []
-        for index, grasps in zip(shown, found, strict=True):
+        for index, grasps in zip(shown, _best(network, batch["cloud"]), strict=True):
             judged = self.judged(index, grasps)
             best, good = judged.grasps[:_DRAWN], judged.friction[:_DRAWN] > 0
             camera = self.frames.packs[self.frames.frames[index].pack].camera
-            depth = self.frames.look(index).depth
-            pictures.append(picture(depth, camera, best, good))
-        write_color(path, np.vstack(pictures), quality=88)
+            pictures.append(picture(self.frames.look(index).depth, camera, best, good))
+        return pictures
 
 
 def picture(

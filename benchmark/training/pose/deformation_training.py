@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +11,6 @@ import torch
 from torch import Tensor, nn
 
 from benchmark.methods.pose.deformation import Deformed
-from benchmark.training.packed_frames import PackedFrames
 from benchmark.training.pose.deformation_loss import (
     Objects,
     ObjectTruth,
@@ -21,9 +18,8 @@ from benchmark.training.pose.deformation_loss import (
     objects_of,
     of_batches,
 )
-from benchmark.training.step import Loss, ModelInput, StepInfo, model_input
-from benchmark.training.validation import batches, evaluating, shown_of
-from std_toolkit.io.images import write_color
+from benchmark.training.step import Batch, Loss, ModelInput, StepInfo, model_input
+from benchmark.training.validation import Context, Validator
 
 # An error of a coordinate that a fit by RANSAC with its metric threshold can use: 2 cm of 20.
 _NEAR = 0.1
@@ -42,55 +38,31 @@ def deformation_step(network: nn.Module, loss: Any, seen: ModelInput, step_info:
     return Loss(total, {**parts, "objects": torch.tensor(float(len(found.frames)))})
 
 
-class DeformationValidator:
+class DeformationValidator(Validator):
     """Validation by the error of coordinates, over all objects that are seen.
 
-    Args:
-        frames: packed frames.
-        chosen: those to judge by.
-        batch: frames, and objects, that go through the network together.
-        loss: the method's, which does not matter here.
+    `batch` frames, and objects, go through the network together. The sums are (categories, 3):
+    summed error, near points and number of objects.
     """
 
-    def __init__(
-        self,
-        frames: PackedFrames,
-        chosen: Sequence[int],
-        batch: int,
-        loss: Any = None,  # noqa: ARG002
-    ) -> None:
-        self.frames, self.chosen, self.batch = frames, tuple(chosen), batch
+    def zeros(self, network: nn.Module) -> np.ndarray:
+        self.names: tuple[str, ...] = _config(network).categories
+        return np.zeros((len(self.names), 3))
 
-    @torch.no_grad()
-    def states(
-        self,
-        network: nn.Module,
-        device: torch.device,
-        *,
-        rank: int = 0,
-        world: int = 1,
-        context: Callable[[], AbstractContextManager[Any]] = nullcontext,
-    ) -> np.ndarray:
-        """(categories, 3): summed error, near points and number of objects."""
-        names = _config(network).categories
-        sums = np.zeros((len(names), 3))
-        with evaluating(network):
-            for batch in batches(self.frames, self.chosen[rank::world], self.batch, device):
-                found = _objects(network, model_input(batch), one_each=False)
-                if found is None:
-                    continue
-                for some in of_batches(found, self.batch):
-                    with context():
-                        answer = _answered(network, some)
-                    error = coordinate_errors(answer.coordinates.float(), some.truth)
-                    known = some.truth.known
-                    count = known.sum(dim=1).clamp(min=1)
-                    mean = (error.masked_fill(~known, 0.0).sum(dim=1) / count).double()
-                    near = (((error < _NEAR) & known).sum(dim=1) / count).double()
-                    row = torch.stack([mean, near, torch.ones_like(mean)], dim=1).cpu().numpy()
-                    np.add.at(sums, some.category.cpu().numpy(), row)
-        self.names: tuple[str, ...] = names
-        return sums
+    def add(self, total: np.ndarray, network: nn.Module, batch: Batch, context: Context) -> None:
+        found = _objects(network, model_input(batch), one_each=False)
+        if found is None:
+            return
+        for some in of_batches(found, self.batch):
+            with context():
+                answer = _answered(network, some)
+            error = coordinate_errors(answer.coordinates.float(), some.truth)
+            known = some.truth.known
+            count = known.sum(dim=1).clamp(min=1)
+            mean = (error.masked_fill(~known, 0.0).sum(dim=1) / count).double()
+            near = (((error < _NEAR) & known).sum(dim=1) / count).double()
+            row = torch.stack([mean, near, torch.ones_like(mean)], dim=1).cpu().numpy()
+            np.add.at(total, some.category.cpu().numpy(), row)
 
     def scores(self, states: np.ndarray) -> dict[str, float]:
         """`coordinates`, the mean error, and `near`, the share of points below 0.1; by category."""
@@ -111,20 +83,21 @@ class DeformationValidator:
         value = scores["coordinates"]
         return "coordinates", math.inf if math.isnan(value) else value
 
-    def gallery(self, network: nn.Module, device: torch.device, path: Path) -> None:
-        """Of a few frames their colour, their true coordinates, and those of the network's points,
-        as colours."""
-        shown = shown_of(self.chosen)
-        batch = {name: tensor.to(device) for name, tensor in self.frames[shown].items()}
-        with evaluating(network), torch.no_grad():
-            found = _objects(network, model_input(batch), one_each=False)
-            answers = [] if found is None else list(_painted(network, found, self.batch))
-        told = torch.zeros_like(batch["nocs"])
+    def pictures(
+        self,
+        network: nn.Module,
+        shown: Sequence[int],  # noqa: ARG002
+        batch: Batch,
+    ) -> Sequence[np.ndarray]:
+        """Colour, true coordinates, and those of the network's points, as colours."""
+        found = _objects(network, model_input(batch), one_each=False)
+        answers = [] if found is None else list(_painted(network, found, self.batch))
+        predicted = torch.zeros_like(batch["nocs"])
         for frame, chosen, coordinates in answers:
             values = (255 * (coordinates + 0.5)).round().clamp(0, 255).to(torch.uint8)
-            told[frame].view(-1, 3)[chosen] = values
-        rows = torch.cat([batch["color"], batch["nocs"], told], dim=2)
-        write_color(path, rows.flatten(0, 1).cpu().numpy(), quality=88)
+            predicted[frame].view(-1, 3)[chosen] = values
+        rows = torch.cat([batch["color"], batch["nocs"], predicted], dim=2)
+        return list(rows.cpu().numpy())
 
 
 def coordinate_errors(found: Tensor, truth: ObjectTruth) -> Tensor:

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
-from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import cv2
@@ -25,7 +23,6 @@ from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs_network import (
     BACKGROUND_CLASS,
     SwinNOCSPrediction,
 )
-from benchmark.training.packed_frames import PackedFrames
 from benchmark.training.pose.nocs_losses import (
     NOCSLoss,
     NOCSTarget,
@@ -34,9 +31,8 @@ from benchmark.training.pose.nocs_losses import (
     nearest_turn,
 )
 from benchmark.training.step import Batch, Loss, ModelInput, StepInfo, network_inputs
-from benchmark.training.validation import batches, evaluating, shown_of
+from benchmark.training.validation import Context, Validator
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.images import write_color
 
 # Error of a pixel whose class is wrong: half the cube's side, about what a guess is off.
 MISSED = 0.5
@@ -59,7 +55,7 @@ NO_NOCS = ToolkitError(
 )
 
 
-class SeenPixels(NamedTuple):
+class PredictedPixels(NamedTuple):
     """What a network says of pixels.
 
     Attributes:
@@ -71,57 +67,37 @@ class SeenPixels(NamedTuple):
     nocs: Tensor
 
 
-class PoseValidator:
+class PoseValidator(Validator):
     """Validation of classes and coordinates of pixels; what is wrong or missed counts as half the
     cube's side.
 
+    The sums are pixels of objects, those of the right class, errors of the latter, and pixels
+    elsewhere that were taken for objects.
+
     Args:
-        frames: packed frames, with NOCS.
-        chosen: those to judge by.
-        batch: frames that go through the network together.
-        loss: the method's, which does not matter here.
-        look: what a network says of the pixels of a batch.
+        pixels_of: what a network predicts of the pixels of a batch.
 
     Raises:
         ToolkitError: the packs hold no NOCS.
     """
 
-    # Sums of a state: pixels of objects, those of the right class, errors of the latter, and
-    # pixels elsewhere that were taken for objects.
     def __init__(
-        self,
-        frames: PackedFrames,
-        chosen: Sequence[int],
-        batch: int,
-        loss: Any = None,  # noqa: ARG002
-        *,
-        look: Callable[[nn.Module, Batch], SeenPixels],
+        self, *args: Any, pixels_of: Callable[[nn.Module, Batch], PredictedPixels]
     ) -> None:
-        if not frames.has_nocs:
+        super().__init__(*args)
+        if not self.frames.has_nocs:
             raise NO_NOCS
-        self.frames, self.chosen, self.batch, self.look = frames, tuple(chosen), batch, look
+        self.pixels_of = pixels_of
 
-    @torch.no_grad()
-    def states(
-        self,
-        network: nn.Module,
-        device: torch.device,
-        *,
-        rank: int = 0,
-        world: int = 1,
-        context: Callable[[], AbstractContextManager[Any]] = nullcontext,
-    ) -> np.ndarray:
-        """See `Judging`."""
-        total = np.zeros(4)
-        with evaluating(network):
-            for batch in batches(self.frames, self.chosen[rank::world], self.batch, device):
-                with context():
-                    seen = self.look(network, batch)
-                total += sums_of(seen, pose_target(batch))
-        return total
+    def zeros(self, network: nn.Module) -> np.ndarray:  # noqa: ARG002
+        return np.zeros(4)
+
+    def add(self, total: np.ndarray, network: nn.Module, batch: Batch, context: Context) -> None:
+        with context():
+            found = self.pixels_of(network, batch)
+        total += sums_of(found, pose_target(batch))
 
     def scores(self, states: np.ndarray) -> dict[str, float]:
-        """See `Judging`."""
         objects, right, error, false = (float(value) for value in states)
         counted = objects + false
         return {
@@ -132,26 +108,26 @@ class PoseValidator:
         }
 
     def main_score(self, scores: dict[str, float]) -> tuple[str, float]:
-        """See `Judging`."""
         value = scores["nocs_error"]
         return "nocs_error", math.inf if math.isnan(value) else value
 
-    def gallery(self, network: nn.Module, device: torch.device, path: Path) -> None:
-        """One picture of a few frames: colour, true and found coordinates, true and found
-        classes."""
-        batch = {n: t.to(device) for n, t in self.frames[shown_of(self.chosen)].items()}
-        with evaluating(network), torch.no_grad():
-            seen = self.look(network, batch)
+    def pictures(
+        self,
+        network: nn.Module,
+        shown: Sequence[int],  # noqa: ARG002
+        batch: Batch,
+    ) -> Sequence[np.ndarray]:
+        """Colour, true and found coordinates, true and found classes."""
+        seen = self.pixels_of(network, batch)
         target = pose_target(batch)
         color = batch["color"].cpu().numpy()
         true = _pictures(target.nocs, target.known)
         found = _pictures(seen.nocs, (seen.classes > 0) & (seen.classes < BACKGROUND_CLASS))
         kinds = [_COLORS[c.cpu().numpy()] for c in (target.classes, seen.classes)]
-        columns = zip(color, true, found, *kinds, strict=True)
-        write_color(path, np.vstack([_strip(pictures) for pictures in columns]), quality=88)
+        return [_strip(columns) for columns in zip(color, true, found, *kinds, strict=True)]
 
 
-def sums_of(seen: SeenPixels, target: PoseTarget) -> NDArray[np.float64]:
+def sums_of(seen: PredictedPixels, target: PoseTarget) -> NDArray[np.float64]:
     """(4,) the sums of a batch."""
     right = target.known & (seen.classes == target.classes)
     found = (seen.classes > 0) & (seen.classes < BACKGROUND_CLASS)
@@ -166,14 +142,14 @@ def sums_of(seen: SeenPixels, target: PoseTarget) -> NDArray[np.float64]:
     return np.array([float(value) for value in sums])
 
 
-def look_of_swin(network: nn.Module, batch: Batch) -> SeenPixels:
+def pixels_of_swin(network: nn.Module, batch: Batch) -> PredictedPixels:
     """What SwinDRNet's pose network says of pixels."""
     color, depth = network_inputs(batch)
     answer: SwinNOCSPrediction = network(color, points_of(depth, batch["K"]))
-    return SeenPixels(answer.classes.argmax(dim=1), answer.nocs.float())
+    return PredictedPixels(answer.classes.argmax(dim=1), answer.nocs.float())
 
 
-def look_of_nocs(network: nn.Module, batch: Batch) -> SeenPixels:
+def pixels_of_nocs(network: nn.Module, batch: Batch) -> PredictedPixels:
     """What the objects that NOCS finds say of their pixels, the best of them where they overlap."""
     color, _ = network_inputs(batch)
     answer: NOCSPrediction = network(color)
@@ -182,7 +158,7 @@ def look_of_nocs(network: nn.Module, batch: Batch) -> SeenPixels:
     pixels = [painted(objects_of(answer, image, decode, (w, h)), (h, w)) for image in range(b)]
     classes = torch.from_numpy(np.stack([c for c, _ in pixels])).to(color.device)
     nocs = torch.from_numpy(np.stack([n for _, n in pixels])).to(color.device)
-    return SeenPixels(classes, nocs.permute(0, 3, 1, 2))
+    return PredictedPixels(classes, nocs.permute(0, 3, 1, 2))
 
 
 def painted(found: Found, shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:

@@ -1,7 +1,4 @@
-"""What pose networks are trained with.
-
-How SPD and SGPA are trained.
-"""
+"""How the pose networks are trained: network, loss and optimization of each."""
 
 from __future__ import annotations
 
@@ -27,9 +24,9 @@ from benchmark.training.pose.deformation_training import DeformationValidator, d
 from benchmark.training.pose.nocs_losses import NOCSLoss, SwinNOCSLoss
 from benchmark.training.pose.nocs_training import (
     PoseValidator,
-    look_of_nocs,
-    look_of_swin,
     nocs_step,
+    pixels_of_nocs,
+    pixels_of_swin,
     swin_nocs_step,
 )
 
@@ -87,7 +84,7 @@ SWINDRNET_NOCS_TRAINING = Trainable(
     frames=fitting_frames_with_nocs,
     loss=SwinNOCSLoss(),
     step=swin_nocs_step,
-    judge=partial(PoseValidator, look=look_of_swin),
+    judge=partial(PoseValidator, pixels_of=pixels_of_swin),
     # As SwinDRNet: what the paper says of both.
     optimization=Optimization(warmup_steps=500),
     colors=True,
@@ -102,7 +99,7 @@ NOCS_TRAINING = Trainable(
     frames=fitting_frames_with_nocs,
     loss=NOCSLoss(),
     step=nocs_step,
-    judge=partial(PoseValidator, look=look_of_nocs),
+    judge=partial(PoseValidator, pixels_of=pixels_of_nocs),
     # Own: what is published is for another detector, with parts of the network frozen by turns.
     optimization=Optimization(
         learning_rate=2e-4,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -61,6 +62,24 @@ def three_aborts(x: int) -> int:
         os.abort()
     time.sleep(0.02)
     return x
+
+
+def end_quietly(x: int) -> int:
+    if x == 1:
+        os._exit(0)
+    return x
+
+
+class KillsWhileSent:
+    """The process that sends it dies with the first half of it in the pipe."""
+
+    def __reduce__(self) -> tuple[type, tuple[bytes]]:
+        threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGKILL)).start()
+        return bytes, (b"x" * 200_000_000,)
+
+
+def killed_while_sending(x: int) -> object:
+    return KillsWhileSent() if x == 1 else x
 
 
 def sleep_long(job: tuple[int, Path]) -> int:

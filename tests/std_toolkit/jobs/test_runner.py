@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import job_items
@@ -107,6 +107,14 @@ def test_an_item_that_always_kills_its_worker_is_reported_and_the_others_are_don
     assert list(report.results.values()) == [i for i in range(12) if i != 3]
     assert list(report.failed) == ["3"]
     assert "died 3 times" in report.failed["3"]
+
+
+@pytest.mark.parametrize("fn", [job_items.end_quietly, job_items.killed_while_sending])
+def test_an_item_whose_process_ends_unexpectedly_fails_alone(fn: Callable[[int], object]) -> None:
+    """Status 0 is no success, and half of a result does not block those of the others."""
+    report = run_jobs(fn, range(4), name="ends", options=LOCAL)
+    assert list(report.results) == ["0", "2", "3"]
+    assert "died 3 times" in report.failed["1"]
 
 
 class CountedItems(Sequence[int]):
