@@ -98,7 +98,7 @@ def build_pack_parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("folder", type=Path, metavar="DIR", help="where the packed frames go")
     add("--debug", action="store_true", help="show the traceback of an error")
-    add("--split", required=True, metavar="NAME", help="see `std-bench --list-splits`")
+    add("--split", required=True, metavar="NAME", help="see `std-bench list splits`")
     add("--data", required=True, type=Path, metavar="ROOT", help="folder of the data set")
     add("--size", nargs=2, type=int, default=(224, 224), metavar=("W", "H"), help="(224 224)")
     add("--depth", choices=("float32", "float16"), default="float32")

@@ -280,7 +280,7 @@ def first_file(folder: Path, names: tuple[str, ...], what: str) -> Path:
     raise ToolkitError(
         f"the frame has no {what}: no such file{others}",
         path=folder / names[0],
-        hint="is the download complete? --check-data lists all that is missing",
+        hint="is the download complete? `std-bench check-data` lists all that is missing",
     )
 
 

@@ -4,8 +4,9 @@ A program is a table of commands. A command names a dataclass of options and a f
 an instance of it, both by `module:name`, so that `PROGRAM --help` imports neither. `tyro` makes the
 command line from the dataclass: the help of an option is the docstring below its field, its range
 is a `msgspec.Meta` in its annotation, its choices are an enum or a `Literal`. A field without a
-default is a positional argument. The field's metadata may say otherwise: `{"option": "set"}` makes
-it the option `--set`, `{"option": None}` keeps it off the command line.
+default is a positional argument, a mapping takes `NAME=VALUE ...`. The field's metadata may say
+otherwise: `{"option": "set"}` makes it the option `--set`, `{"option": None}` keeps it off the
+command line.
 
 Exit status of every program: 0 done, 1 failed or a gate failed, 2 wrong usage, 130 interrupted.
 """
@@ -17,6 +18,7 @@ import copy
 import dataclasses
 import functools
 import importlib
+import inspect
 import io
 import logging
 import os
@@ -24,7 +26,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.log import log_to_stderr
@@ -33,6 +35,7 @@ WRONG_USAGE = 2
 INTERRUPTED = 130
 SHELLS = ("bash", "zsh", "fish")
 COMPLETION = "--print-completion"
+_MAPPINGS = (dict, Mapping)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -315,9 +318,12 @@ def _options(kind: type[Any], given: Any = dataclasses.MISSING) -> Iterator[_Opt
 
 
 def _fields(kind: type[Any], given: Any) -> Iterator[tuple[dataclasses.Field[Any], Any, Any]]:
-    """Fields on the command line, their types and defaults."""
+    """Fields on the command line, their types and defaults; those of base classes come last."""
     hints = get_type_hints(kind, include_extras=True)
-    for field in dataclasses.fields(kind):
+    owners: dict[str, int] = {}
+    for place, owner in enumerate(kind.__mro__):
+        owners |= {name: place for name in inspect.get_annotations(owner) if name not in owners}
+    for field in sorted(dataclasses.fields(kind), key=lambda field: owners[field.name]):
         if not field.init or field.metadata.get("option", "") is None:
             continue
         default = field.default
@@ -330,13 +336,30 @@ def _fields(kind: type[Any], given: Any) -> Iterator[tuple[dataclasses.Field[Any
 
 def _build(kind: type[Any], values: Mapping[str, Any], given: Any = dataclasses.MISSING) -> Any:
     """The dataclass of the values of its options."""
-    found = {
-        field.name: _build(hint, values, default)
-        if isinstance(hint, type) and dataclasses.is_dataclass(hint)
-        else values[field.name]
-        for field, hint, default in _fields(kind, given)
-    }
+    found = {}
+    for field, hint, default in _fields(kind, given):
+        value: Any = values.get(field.name)
+        if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+            value = _build(hint, values, default)
+        elif get_origin(hint) in _MAPPINGS:
+            value = _pairs(field.name, value, get_args(hint)[1])
+        found[field.name] = value
     return kind(**found) if given is dataclasses.MISSING else dataclasses.replace(given, **found)
+
+
+def _pairs(name: str, words: Sequence[str], kind: type[Any]) -> dict[str, Any]:
+    """A mapping from `NAME=VALUE`."""
+    found = {}
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not (key and equals):
+            raise ToolkitError("expected NAME=VALUE", field=name, value=word)
+        try:
+            found[key] = kind(value)
+        except ValueError:
+            problem = f"expected NAME={kind.__name__.upper()}"
+            raise ToolkitError(problem, field=name, value=word) from None
+    return found
 
 
 def _with_verbosity(kind: type[Any]) -> type[Any]:
@@ -344,19 +367,25 @@ def _with_verbosity(kind: type[Any]) -> type[Any]:
     from tyro import conf
 
     fields: list[tuple[str, Any, Any]] = []
-    for option in (*_options(kind), *_options(Verbosity)):
-        says_nothing = option.default in (None, "", ()) or isinstance(option.default, bool)
+    options = sorted(_options(kind), key=lambda o: o.default is not dataclasses.MISSING)
+    for option in (*options, *_options(Verbosity)):
+        hint, default, metavar = option.type, option.default, None
+        if get_origin(hint) in _MAPPINGS:
+            hint, metavar = tuple[str, ...], "NAME=VALUE ..."
+            default = tuple(f"{name}={value}" for name, value in default.items())
+        says_nothing = default in (None, "", ()) or isinstance(default, bool)
         about = conf.arg(
             name=option.name or None,
+            metavar=metavar,
             help=option.help,
             help_behavior_hint="" if says_nothing else "(default: {})".format,
         )
-        annotated: Any = Annotated[option.type, about]
+        annotated: Any = Annotated[hint, about]
         if not option.name:
             annotated = conf.Positional[annotated]  # type: ignore[misc]
         place: Any = dataclasses.field()
-        if option.default is not dataclasses.MISSING:
-            place = dataclasses.field(default_factory=functools.partial(copy.copy, option.default))
+        if default is not dataclasses.MISSING:
+            place = dataclasses.field(default_factory=functools.partial(copy.copy, default))
         fields.append((option.field, annotated, place))
     call = dataclasses.make_dataclass(kind.__name__, fields, frozen=True, kw_only=True)
     call.__doc__ = kind.__doc__

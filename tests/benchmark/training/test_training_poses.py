@@ -83,8 +83,8 @@ def test_every_parameter_of_a_pose_network_receives_a_gradient(method, tmp_path)
 
 def test_std_bench_is_asked_for_the_task_of_a_method():
     assert bench_command("swindrnet") == "std-bench --method swindrnet"
-    assert bench_command("swindrnet-nocs") == "std-bench --task pose --method swindrnet-nocs"
-    assert bench_command("graspnet") == "std-bench --task grasp --planner graspnet"
+    assert bench_command("swindrnet-nocs") == "std-bench pose --method swindrnet-nocs"
+    assert bench_command("graspnet") == "std-bench grasp --planner graspnet"
     assert bench_command("mine:TRAINABLE") == "std-bench --method mine:TRAINABLE"
 
 
@@ -143,7 +143,7 @@ def test_from_packing_to_an_estimator(method, data, tmp_path, capsys):
     assert main([*command, "--accelerator", "cpu", "--debug"]) == 0
     told = capsys.readouterr()
     assert f"--weights {run / 'best.safetensors'}" in told.out
-    assert f"std-bench --task pose --method {method} --preset compact" in told.out
+    assert f"std-bench pose --method {method} --preset compact" in told.out
     best = json.loads((run / "best.json").read_text())
     assert best["ranked_by"] == "nocs_error"
     rows = list(csv.DictReader((run / "validation.csv").open()))

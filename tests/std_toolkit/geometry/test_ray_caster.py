@@ -14,7 +14,7 @@ BOX = trimesh.creation.box((2.0, 2.0, 2.0))
 def two_boxes() -> RayCaster:
     """Around the origin and around x = 5."""
     caster = RayCaster(BOX.vertices, BOX.faces)
-    caster.add(BOX.vertices + [5, 0, 0], BOX.faces)
+    caster.add(BOX.vertices + np.array([5, 0, 0]), BOX.faces)
     return caster
 
 
