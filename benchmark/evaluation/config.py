@@ -74,7 +74,7 @@ class NetworkConfig(TaskConfig):
     compile: bool = False
     """run networks through torch.compile"""
     gallery: bool = True
-    """keep no pictures of a few frames or rounds"""
+    """pictures of a few frames or rounds"""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -121,7 +121,7 @@ class DepthConfig(FrameConfig):
     save_depth: bool = False
     """keep the restored depth beside the results"""
     speed: bool = True
-    """do not measure how fast the methods are"""
+    """the time that the methods take"""
 
 
 @dataclass(frozen=True, kw_only=True)

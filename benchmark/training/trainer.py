@@ -29,7 +29,8 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import atomic_path
 
 if TYPE_CHECKING:
-    from benchmark.training.fit import Data, Machine
+    from benchmark.training.fit import Data
+    from benchmark.training.options import Machine
 
 _PRECISIONS: dict[str, Any] = {"fp32": "32-true", "bf16": "bf16-mixed"}
 
