@@ -24,7 +24,7 @@ PACKAGES = ("std_toolkit", "annotator", "sensors", "benchmark")
 # From the lowest to the highest; a folder imports only those before it.
 ORDER: dict[str, tuple[str, ...]] = {
     "std_toolkit": (
-        "errors", "log", "plugins", "renamed", "geometry", "io", "jobs", "scene", "html",
+        "errors", "log", "plugins", "geometry", "io", "jobs", "scene", "html",
         "rendering", "importers", "poses", "labels", "checks", "exporters", "scanning", "cli",
     ),
     "benchmark": (
