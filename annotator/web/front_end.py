@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from annotator.app.action_table import ACTION_OF, BY_ID
+from annotator.app.action_table import BY_ID, available_actions
 from annotator.app.background_updates import BackgroundUpdates
 from annotator.app.controller import Controller
 from annotator.app.dialogs import Dialogs
@@ -55,10 +55,10 @@ class FrontEnd:
         if session.state.objects:
             c.select(session.state.objects[0].name)
         self.dialogs = Dialogs(c, self._show_question)
-        c.dialogs = self.dialogs.names
+        self._action_of = {k: a.id for a in available_actions(c.dialogs) for k in a.keys}
         views = len(c.view_frames)
         self._build_page(server, views)
-        self.channel = ViewChannel(self, views=views + 1, keys=sorted(ACTION_OF))
+        self.channel = ViewChannel(self, views=views + 1, keys=sorted(self._action_of))
         self._streams = [self._stream(i) for i in range(views + 1)]
         repaint = {id(s.plotter): s.repaint for s in self._streams}
         self._views = ViewSet(
@@ -77,10 +77,10 @@ class FrontEnd:
 
     def _build_page(self, server: Any, views: int) -> None:
         session = self.controller.session
-        self._state.update(page_constants(session, dialogs=self.dialogs.names))
+        self._state.update(page_constants(session, dialogs=self.controller.dialogs))
         self._state.update({"dialog": None, "answers": {}, "thumbnails": {}, "notices": []})
-        self._state.update({"busy_share": None, "sliding": None, "mistyped": 0})
-        self._state.client_only("sliding")
+        self._state.update({"busy_share": None, "sliding": None, "mistyped": 0, "sought": ""})
+        self._state.client_only("sliding", "sought")
         self._refresh()
         for name in ("act", "select", "show_frame", "answer", "close_notice", "add_object",
                      "set_number", "remove_point"):  # fmt: skip
@@ -140,7 +140,7 @@ class FrontEnd:
         if question is None:
             self._set(dialog=None)
         else:
-            self._set(dialog=question.shown(), answers=question.first_answers())
+            self._set(dialog=question.as_dict(), answers=question.first_answers(), sought="")
 
     def _on_event(self, event: Event) -> None:
         if event.kind == "message":
@@ -205,7 +205,7 @@ class FrontEnd:
             self._streams[view].let_go()
 
     def key(self, event: Key) -> None:
-        id = ACTION_OF.get(event.name)
+        id = self._action_of.get(event.name)
         if id is not None and (BY_ID[id].repeats or not event.repeat):
             self.act(id)
 
