@@ -106,9 +106,9 @@ def test_a_wrong_import_would_be_seen(tmp_path: Path) -> None:
 # One may import what stands in a line above its own, and nothing of its own line but itself.
 ORDER = {
     "std_toolkit": (
-        ("",),
         ("errors",),
         ("log", "plugins"),
+        ("",),
         ("geometry", "io", "jobs"),
         ("html", "scene"),
         ("importers", "poses", "rendering"),
