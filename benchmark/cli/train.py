@@ -185,7 +185,8 @@ def _train(args: argparse.Namespace) -> int:
                 "is needed", field=f"--{name}", hint="`std-train --help` tells all options"
             )
     _needs_torch()
-    from benchmark.training.fit import Machine, fit, process_rank
+    from benchmark.training.config import Machine
+    from benchmark.training.fit import fit, process_rank
     from benchmark.training.plan import TrainWishes, plan_training
 
     if process_rank() > 0:  # the first of several processes tells for all

@@ -102,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     from benchmark.recipes.recipe_page import write_pages
     from benchmark.recipes.recipe_run import run_recipe
-    from benchmark.training.fit import Machine
+    from benchmark.training.config import Machine
 
     machine = Machine(
         accelerator=args.accelerator, readers=args.readers, progress=sys.stderr.isatty()

@@ -15,7 +15,7 @@ from std_toolkit.jobs import JobOptions
 from std_toolkit.log import logger
 
 if TYPE_CHECKING:
-    from benchmark.training.fit import Machine
+    from benchmark.training.config import Machine
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from benchmark.training.catalogue import Trainable, get_trainable
 from benchmark.training.config import Optimization, TrainConfig
-from benchmark.training.fit import Beginning, Data
+from benchmark.training.fit import Beginning
 from benchmark.training.frame_order import (
     BatchOrder,
     check_no_leak,
@@ -17,6 +17,7 @@ from benchmark.training.frame_order import (
     hold_out,
     thinned,
 )
+from benchmark.training.packed_frames import Data
 from std_toolkit.errors import ToolkitError
 from std_toolkit.scene.document import digest_file
 

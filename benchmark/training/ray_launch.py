@@ -9,7 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from benchmark.training.fit import Machine, fit
+from benchmark.training.config import Machine
+from benchmark.training.fit import fit
 from benchmark.training.plan import TrainWishes, plan_training
 from benchmark.training.run_files import BEST
 from std_toolkit.errors import ToolkitError

@@ -27,8 +27,6 @@ from std_toolkit.geometry.se3 import SE3
 if TYPE_CHECKING:
     import trimesh
 
-    from std_toolkit.labels.refine.problem import RefineObject
-
 Array = NDArray[np.float64]
 
 
@@ -174,20 +172,20 @@ _kept: dict[tuple[int, int], _Kept] = {}
 _lock = threading.Lock()
 
 
-def surface_of(obj: RefineObject) -> ObjectSurface:
-    """The surface of an object, made once for its arrays and kept as long as they live."""
-    key = id(obj.vertices), id(obj.faces)
+def surface_of(vertices: Array, faces: NDArray[np.int64]) -> ObjectSurface:
+    """The surface of a mesh, made once for its arrays and kept as long as they live."""
+    key = id(vertices), id(faces)
     with _lock:
         known = _kept.get(key)
-        if known is not None and known[0]() is obj.vertices and known[1]() is obj.faces:
+        if known is not None and known[0]() is vertices and known[1]() is faces:
             return known[2]
-    surface = ObjectSurface(obj.vertices, obj.faces)
+    surface = ObjectSurface(vertices, faces)
 
     def drop(_: object) -> None:
         _kept.pop(key, None)
 
     with _lock:
-        _kept[key] = weakref.ref(obj.vertices, drop), weakref.ref(obj.faces, drop), surface
+        _kept[key] = weakref.ref(vertices, drop), weakref.ref(faces, drop), surface
     return surface
 
 

@@ -8,7 +8,8 @@ from typing import Any
 
 import torch
 
-from benchmark.training.fit import Machine, fit
+from benchmark.training.config import Machine
+from benchmark.training.fit import fit
 from benchmark.training.pack import PackOptions, pack_split
 from benchmark.training.plan import TrainWishes, plan_training
 from std_toolkit.jobs import JobOptions

@@ -11,7 +11,8 @@ import pytest
 from benchmark.cli.train import main as train_main
 from benchmark.methods.grasp.graspnet.cloud import GraspNetConfig
 from benchmark.training.catalogue import get_trainable
-from benchmark.training.fit import Machine, fit
+from benchmark.training.config import Machine
+from benchmark.training.fit import fit
 from benchmark.training.grasp.packed_grasps import PackedGrasps
 from benchmark.training.plan import TrainWishes, plan_training
 from std_toolkit.errors import ToolkitError
