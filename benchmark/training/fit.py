@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from benchmark.methods.weights import save_weights
 from benchmark.training.catalogue import Trainable, get_trainable
 from benchmark.training.config import TrainConfig, begin, seed_of
 from benchmark.training.options import Machine
-from benchmark.training.packed_frames import PackedFrames
+from benchmark.training.packed_frames import Data
 from benchmark.training.run_files import BEST, CHECKPOINT, LAST
 from benchmark.training.run_note import RUN_NOTE, note_of
 from std_toolkit.errors import ToolkitError
@@ -34,16 +33,6 @@ class Beginning:
 
     weights: Path | None = None
     imagenet: Path | None = None
-
-
-@dataclass(frozen=True)
-class Data:
-    """Frames to train on and frames to judge by."""
-
-    training: PackedFrames
-    of_training: Sequence[int]
-    validation: PackedFrames
-    of_validation: Sequence[int]
 
 
 def fit(

@@ -7,7 +7,7 @@ from typing import Any
 
 from benchmark.training.catalogue import Trainable, get_trainable
 from benchmark.training.config import Optimization, TrainConfig
-from benchmark.training.fit import Beginning, Data
+from benchmark.training.fit import Beginning
 from benchmark.training.frame_order import (
     BatchOrder,
     check_no_leak,
@@ -16,6 +16,7 @@ from benchmark.training.frame_order import (
     thinned,
 )
 from benchmark.training.options import TrainOptions
+from benchmark.training.packed_frames import Data
 from std_toolkit.errors import ToolkitError
 from std_toolkit.scene.document import digest_file
 
