@@ -15,6 +15,7 @@ from benchmark.cli.bench_tasks import (
     add_pose_arguments,
     list_planners,
     list_pose_methods,
+    score,
     score_bop_results,
     score_grasps,
     score_poses,
@@ -152,8 +153,6 @@ def _check_task(args: argparse.Namespace) -> None:
 
 def _score_depth(args: argparse.Namespace) -> int:
     from benchmark.evaluation.config import DepthConfig
-    from benchmark.evaluation.tasks.depth_results import read_run, results_table
-    from benchmark.evaluation.tasks.depth_runs import plan_runs, run_all
 
     config = DepthConfig(
         methods=tuple(args.method),
@@ -172,14 +171,10 @@ def _score_depth(args: argparse.Namespace) -> int:
         limit=args.limit,
         save_depth=args.save_depth,
         depth_from=args.depth_from,
+        speed=not args.no_speed,
+        gallery=not args.no_gallery,
     )
-    jobs = replace(job_options(args), gpus=args.gpus_per_task)
-    report = run_all(plan_runs(config), jobs, speed=not args.no_speed, gallery=not args.no_gallery)
-    if report.finished:
-        print(results_table([read_run(run.folder) for run in report.finished]))
-    for title, error in report.failed.items():
-        print(f"error: {title}: {error}", file=sys.stderr)
-    return 1 if report.failed or report.failed_frames else 0
+    return score("depth", config, replace(job_options(args), gpus=args.gpus_per_task))
 
 
 def _list_methods(task: str) -> int:

@@ -11,10 +11,13 @@ import argparse
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from std_toolkit.cli.command_line import job_options
 from std_toolkit.errors import ToolkitError
-from std_toolkit.log import logger
+
+if TYPE_CHECKING:
+    from std_toolkit.jobs import JobOptions
 
 OWN = ("planner", "rounds", "seed", "camera", "attempts")
 
@@ -49,14 +52,7 @@ def add_pose_arguments(parser: argparse.ArgumentParser) -> None:
 def score_poses(args: argparse.Namespace) -> int:
     """Run and score pose methods; returns the exit status."""
     from benchmark.evaluation.config import PoseConfig
-    from benchmark.evaluation.tasks.pose_results import poses_table, read_pose_run
-    from benchmark.evaluation.tasks.pose_runs import (
-        plan_pose_runs,
-        run_all_poses,
-        wanted_protocols,
-    )
 
-    protocols = wanted_protocols(args.protocol, iou=args.iou, score=args.score, gates=args.gates)
     config = PoseConfig(
         methods=tuple(args.method),
         splits=tuple(args.split),
@@ -74,11 +70,24 @@ def score_poses(args: argparse.Namespace) -> int:
         devices=tuple(args.device),
         batch_size=args.batch_size,
         limit=args.limit,
+        protocols=tuple(args.protocol),
+        iou=args.iou,
+        score=args.score,
+        gates=args.gates,
+        gallery=not args.no_gallery,
     )
-    jobs = replace(job_options(args), gpus=args.gpus_per_task)
-    report = run_all_poses(plan_pose_runs(config), jobs, gallery=not args.no_gallery)
+    return score("pose", config, replace(job_options(args), gpus=args.gpus_per_task))
+
+
+def score(name: str, config: Any, jobs: JobOptions) -> int:
+    """Run a task and print its table; returns the exit status."""
+    from benchmark.evaluation.engine import run_all
+    from benchmark.evaluation.tasks import get_task
+
+    task = get_task(name)
+    report = run_all(task, task.plan(config), jobs)
     if report.finished:
-        print(poses_table([read_pose_run(run.folder) for run in report.finished], protocols))
+        print(task.table([task.read(run.folder, run) for run in report.finished], config))
     for title, error in report.failed.items():
         print(f"error: {title}: {error}", file=sys.stderr)
     return 1 if report.failed or report.failed_frames else 0
@@ -156,8 +165,6 @@ def add_grasp_arguments(parser: argparse.ArgumentParser) -> None:
 def score_grasps(args: argparse.Namespace) -> int:
     """Clear the tables; returns the exit status."""
     from benchmark.evaluation.config import GraspConfig
-    from benchmark.evaluation.tasks.grasp import plan_grasp_runs, run_clearing
-    from benchmark.evaluation.tasks.grasp_results import grasp_table, read_grasp_run
 
     config = GraspConfig(
         depths=tuple(args.depth),
@@ -181,22 +188,7 @@ def score_grasps(args: argparse.Namespace) -> int:
             field="--method, --data, --split, --limit",
             hint="--depth names restorers, --rounds how many tables",
         )
-    jobs = replace(job_options(args), gpus=args.gpus_per_task)
-    finished, failed = [], {}
-    for run in plan_grasp_runs(config):
-        logger.info("%s: %d rounds", run.title, run.rounds)
-        try:
-            run_clearing(run, jobs)
-        except ToolkitError as error:
-            # Weights that are not at hand keep no other depth or planner from its table.
-            failed[run.title] = str(error)
-        else:
-            finished.append(read_grasp_run(run.folder, rounds=run.rounds))
-    if finished:
-        print(grasp_table(finished))
-    for title, why in failed.items():
-        print(f"error: {title}: {why}", file=sys.stderr)
-    return 1 if failed else 0
+    return score("grasp", config, replace(job_options(args), gpus=args.gpus_per_task))
 
 
 def list_planners() -> int:
