@@ -167,7 +167,7 @@ def find_runs(
         begun = sorted(path.parent for path in folder.rglob(manifest))
         finished = [path for path in begun if (path / table).exists()]
         if not finished:
-            problem = "no finished run here" if begun else "no results of std-bench here"
+            problem = "no finished run here" + ("" if begun else ", no results of std-bench at all")
             hint = "run the same std-bench command again to go on" if begun else None
             raise ToolkitError(problem, path=folder, hint=hint)
         for path in begun:
