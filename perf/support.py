@@ -89,15 +89,13 @@ def crowded(gap_m: float, meshes: list[trimesh.Trimesh]) -> list[PlacedObject]:
 
 
 def naive(things: list[PlacedObject]) -> None:
-    import open3d as o3d
-
     for a, b in permutations(things, 2):
         points = (
             b.T_frame_obj.inverse() @ a.T_frame_obj @ (a.solid.mesh.vertices + a.solid.centre)
             - b.solid.centre
         )
-        query = o3d.core.Tensor.from_numpy(points.astype(np.float32))
-        b.solid.structure.compute_signed_distance(query)
+        b.solid.caster.distance(points)
+        b.solid.caster.inside(points)
 
 
 def penetration() -> None:

@@ -1,19 +1,17 @@
 """All actions in one table, from which menus, tool bar, keys and the guide are made.
 
-All keys and what the mouse does, for the sheet of the page.
-
-The keys and the mouse as tables for the guide: python -m annotator.app.action_table GUIDE.
-
-Rewrites what stands between the marks in the guide.
+`python -m annotator.app.action_table GUIDE` rewrites the tables between the marks in the guide.
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Collection
 from pathlib import Path
 
-from annotator.app.action import MOUSE
+from annotator.app.action import MOUSE, Action
 from annotator.app.object_actions import ALIGN_ACTIONS, OBJECT_ACTIONS
+from annotator.app.questions import Group
 from annotator.app.view_actions import SCENE_ACTIONS, VIEW_ACTIONS
 
 ACTIONS = (*SCENE_ACTIONS, *VIEW_ACTIONS, *OBJECT_ACTIONS, *ALIGN_ACTIONS)
@@ -24,34 +22,25 @@ MENUS = ("File", "Edit", "View", "Frame", "Object", "Align", "Help")
 
 BY_ID = {a.id: a for a in ACTIONS}
 
-# What the page has no dialog for.
-LEFT_OUT = ("open", "close")
-
 BEGIN = "<!-- keys: written by `python -m annotator.app.action_table docs/annotating.md` -->"
 
 END = "<!-- end of keys -->"
 
 
-def key_rows() -> list[tuple[str, list[tuple[str, str]]]]:
-    """Keys (or gestures) and what they do, by menu."""
+def available_actions(dialogs: Collection[str]) -> tuple[Action, ...]:
+    """The actions of a front end that has these dialogs; see `Action.asks`."""
+    return tuple(a for a in ACTIONS if not a.asks or a.asks in dialogs)
+
+
+def key_rows(dialogs: Collection[str]) -> tuple[Group, ...]:
+    """Keys (or gestures) and what they do, by menu, for the sheet of a front end."""
+    actions = [a for a in available_actions(dialogs) if a.keys]
     groups = [
-        (
-            menu,
-            [
-                (" or ".join(a.keys), a.title)
-                for a in ACTIONS
-                if a.menu == menu and a.keys and a.id not in LEFT_OUT
-            ],
-        )
+        Group(menu, tuple((" or ".join(a.keys), a.title) for a in actions if a.menu == menu), True)
         for menu in MENUS
     ]
-    return [
-        *((m, rows) for m, rows in groups if rows),
-        ("Mouse", [(m.gesture, m.effect) for m in MOUSE]),
-    ]
-
-
-ACTION_OF = {key: id for id, action in BY_ID.items() if id not in LEFT_OUT for key in action.keys}
+    mouse = Group("Mouse", tuple((m.gesture, m.effect) for m in MOUSE))
+    return (*(g for g in groups if g.rows), mouse)
 
 
 def key_table() -> str:

@@ -7,23 +7,30 @@ meanwhile keeps the hand's pose: the person is told, and nothing is overwritten.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
 
 from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.app.tasks import Task
 from annotator.session import ClearPose
 from annotator.session.saving import PropagationResult, propagate_saved_labels
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.mesh import UNITS_IN_M, load_mesh, mesh_extents
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from annotator.session.merge import Side
     from annotator.session.requests import Outcome, Request
     from std_toolkit.labels.propagate import PropagateOptions
 
 Unit = Literal["m", "cm", "mm"]
+UNITS: tuple[Unit, ...] = ("m", "mm", "cm")
+# Usual size of an object on a table; it decides which of two plausible units comes first.
+_USUAL_SIZE_M = 0.15
 # A message of more lines would hide the view.
 MOST_LINES = 8
 # What the residuals of objects that are not selected are measured under.
@@ -212,6 +219,59 @@ def propagate(controller: Controller, options: PropagateOptions | None = None) -
     controller.start(
         "Propagate", lambda _: propagate_saved_labels(root, options), finish, alone=True
     )
+
+
+@dataclass(frozen=True)
+class MeshSize:
+    """Size of a mesh, and the units in which a table-top object has it.
+
+    Attributes:
+        extents: (x, y, z) of the bounding box in the numbers of the file.
+        units: plausible ones, the likeliest first; metres alone where they are plausible.
+    """
+
+    extents: tuple[float, float, float]
+    units: tuple[Unit, ...]
+
+    def in_mm(self, unit: Unit) -> tuple[float, float, float]:
+        """Extents in millimetres if the file is in `unit`."""
+        factor = 1000 * UNITS_IN_M[unit]
+        x, y, z = self.extents
+        return x * factor, y * factor, z * factor
+
+
+def measure_mesh(path: Path) -> MeshSize:
+    """Size and plausible units of a mesh file.
+
+    Raises:
+        ToolkitError: unreadable, without faces, or of a size that no table-top object has in any
+            unit.
+    """
+    found: dict[Unit, np.ndarray] = {}
+    first: ToolkitError | None = None
+    for unit in UNITS:
+        try:
+            found[unit] = mesh_extents(load_mesh(path, unit=unit)) / UNITS_IN_M[unit]
+        except ToolkitError as error:
+            first = first or error
+            if "implausibly" not in error.problem:
+                raise
+        else:
+            if unit == "m":
+                break
+    if not found:
+        assert first is not None
+        raise ToolkitError(
+            "the mesh has a size that no object on a table has, in metres, centimetres or "
+            "millimetres",
+            path=path,
+            value=first.value,
+            hint="scale it in the program that made it",
+        )
+    x, y, z = (float(v) for v in next(iter(found.values())))
+    size = max(x, y, z)
+    order = sorted(found, key=lambda u: abs(np.log(size * UNITS_IN_M[u] / _USUAL_SIZE_M)))
+    return MeshSize((x, y, z), tuple(order))
 
 
 def import_meshes(controller: Controller, files: Sequence[tuple[Path, Unit]]) -> None:

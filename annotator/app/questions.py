@@ -1,70 +1,60 @@
-"""Questions as data: text, fields and buttons, which every front end renders.
-
-In which unit a mesh file is written, as far as its size tells.
-
-Sentences about a session that the window and the page say alike.
-
-Which turns of a mesh look the same, asked so that nobody needs to know a syntax.
-"""
+"""Questions as data: text, fields and buttons, which every front end renders."""
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
+import msgspec
 
+from annotator.app.events import Level
+from annotator.app.pose_text import local_minute
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.mesh import UNITS_IN_M, load_mesh, mesh_extents
-from std_toolkit.scene import Model
+from std_toolkit.labels.propagate import PropagateOptions
 
 if TYPE_CHECKING:
+    from annotator.app.operations import MeshSize
     from annotator.session import Session
-    from std_toolkit.scene import SymmetryModel
+    from annotator.session.recovery import Recovery
+    from std_toolkit.scene import Model, SymmetryModel
 
 Answers = dict[str, Any]
 
-Reaction = Callable[[str, Answers], None]
-
-Button = dict[str, str]
+Reaction = Callable[[str, Answers], object]
 
 _numbers = itertools.count(1)
 
-Unit = Literal["m", "cm", "mm"]
+_UNITS = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
 
-UNITS: tuple[Unit, ...] = ("m", "mm", "cm")
-
-# What lies on a table is about so large; it decides which of two plausible units comes first.
-_USUAL_SIZE_M = 0.15
-
-_AXIS_NAMES = ("x", "y", "z")
-
-_TURN_AXES = ("x", "y", "z")
+_AXES = ("x", "y", "z")
 
 
-def button(id: str, text: str) -> Button:
-    """A button; the first of a question is the usual answer."""
-    return {"id": id, "text": text}
+@dataclass(frozen=True)
+class Button:
+    """A button of a question.
 
-
-CANCEL = button("", "Cancel")
-
-
-def whole_number(answers: Answers, name: str) -> int:
-    """A number that was filled in.
-
-    Raises:
-        ToolkitError: it is none.
+    Attributes:
+        id: what the reaction is called with; "" cancels the question.
+        tip: what it does.
     """
-    try:
-        return int(str(answers.get(name, "")).strip())
-    except ValueError:
-        raise ToolkitError(
-            "this is not a whole number", field=name, value=answers.get(name)
-        ) from None
+
+    id: str
+    text: str
+    tip: str = ""
+
+
+CANCEL = Button("", "Cancel")
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One value of a field that lets choose."""
+
+    value: str
+    text: str
 
 
 @dataclass(frozen=True)
@@ -73,26 +63,72 @@ class Field:
 
     Attributes:
         name: key of its value in the answers.
-        choices: titles and values of a field that lets choose.
-        value: what stands in it first.
-        when: name and value of another field: it is shown only if that has the value.
+        value: what it holds first.
+        choices: of a field of the kind "choice".
+        least, most: range of a number.
+        unit: of a number, such as "frames".
+        tip: what it means, in a sentence.
+        when: another field and its values with which this one is asked; None: always.
     """
 
     name: str
     label: str
     kind: Literal["line", "lines", "number", "switch", "choice"] = "line"
-    choices: tuple[tuple[str, str], ...] = ()
     value: str | int | bool = ""
-    when: tuple[str, Any] | None = None
+    choices: tuple[Choice, ...] = ()
+    least: int = 0
+    most: int = 1_000_000
+    unit: str = ""
+    tip: str = ""
+    when: tuple[str, tuple[str | bool, ...]] | None = None
 
-    def shown(self) -> dict[str, Any]:
-        return {
-            "name": self.name,
-            "label": self.label,
-            "kind": self.kind,
-            "choices": [{"title": title, "value": value} for title, value in self.choices],
-            "when": None if self.when is None else list(self.when),
-        }
+    def is_asked(self, answers: Answers) -> bool:
+        """Whether it is to be filled in now."""
+        return self.when is None or answers.get(self.when[0]) in self.when[1]
+
+    def read(self, answers: Answers) -> Any:
+        """Its value in the answers: str, int or bool by its kind; its first one where not asked.
+
+        Raises:
+            ToolkitError: not a number in the range, or none of the choices.
+        """
+        value = answers.get(self.name, self.value)
+        if not self.is_asked(answers):
+            return self.value
+        if self.kind == "switch":
+            return bool(value)
+        if self.kind == "number":
+            return self._number(value)
+        text = str(value).strip()
+        if self.kind == "choice" and text not in [c.value for c in self.choices]:
+            raise ToolkitError("this is none of the choices", field=self.name, value=value)
+        return text
+
+    def _number(self, value: Any) -> int:
+        try:
+            number = int(str(value).strip())
+        except ValueError:
+            number = self.least - 1
+        if not self.least <= number <= self.most:
+            raise ToolkitError(
+                f"expected a whole number from {self.least} to {self.most}",
+                field=self.name,
+                value=value,
+            )
+        return number
+
+
+@dataclass(frozen=True)
+class Group:
+    """A table to read.
+
+    Attributes:
+        keys: the first cell of each row names keys: "Ctrl+Y or Ctrl+Shift+Z".
+    """
+
+    heading: str
+    rows: tuple[tuple[str, str], ...]
+    keys: bool = False
 
 
 @dataclass(frozen=True)
@@ -100,114 +136,153 @@ class Question:
     """A dialog.
 
     Attributes:
-        react: called with the button's id and the answers, unless it is cancelled.
-        groups: tables to read: a heading each, and rows of two cells.
-        must: it goes away only by one of its buttons.
+        react: called with the button's id and the values of the fields, unless it is cancelled.
+        cancelled: called if it is cancelled.
+        buttons: the first is the usual answer.
+        searchable: the groups have a search field.
+        must_answer: it closes only by one of its buttons.
         number: tells it from every other.
     """
 
     title: str
-    react: Reaction
+    react: Reaction = lambda *_: None
     text: str = ""
-    fields: list[Field] = field(default_factory=list)
-    buttons: list[Button] = field(default_factory=list)
-    groups: list[tuple[str, list[tuple[str, str]]]] = field(default_factory=list)
-    must: bool = False
+    level: Level = "info"
+    fields: tuple[Field, ...] = ()
+    buttons: tuple[Button, ...] = (Button("close", "Close"),)
+    groups: tuple[Group, ...] = ()
+    searchable: bool = False
+    must_answer: bool = False
+    cancelled: Callable[[], object] = lambda: None
     number: int = field(default_factory=lambda: next(_numbers))
 
-    def shown(self) -> dict[str, Any]:
-        """As plain values for the page."""
-        return {
-            "number": self.number,
-            "title": self.title,
-            "text": self.text,
-            "fields": [f.shown() for f in self.fields],
-            "buttons": self.buttons,
-            "groups": [
-                {"name": name, "rows": [list(r) for r in rows]} for name, rows in self.groups
-            ],
-            "must": self.must,
-        }
+    def as_dict(self) -> dict[str, Any]:
+        """As plain JSON values, without its reactions."""
+        names = [f.name for f in dataclasses.fields(self) if f.name not in ("react", "cancelled")]
+        shown: dict[str, Any] = msgspec.to_builtins({n: getattr(self, n) for n in names})
+        return shown
 
     def first_answers(self) -> Answers:
         return {f.name: f.value for f in self.fields}
 
+    def answer(self, pressed: str, answers: Answers) -> None:
+        """React to a button and what was filled in.
 
-@dataclass(frozen=True)
-class MeshSize:
-    """Size of a mesh, and the units in which a table-top object has it.
-
-    Attributes:
-        extents: (x, y, z) of the bounding box in the numbers of the file.
-        units: plausible ones, the likeliest first; metres alone where they are plausible.
-    """
-
-    extents: tuple[float, float, float]
-    units: tuple[Unit, ...]
-
-    def in_mm(self, unit: Unit) -> tuple[float, float, float]:
-        """Extents in millimetres if the file is in `unit`."""
-        factor = 1000 * UNITS_IN_M[unit]
-        x, y, z = self.extents
-        return x * factor, y * factor, z * factor
-
-
-def measure_mesh(path: Path) -> MeshSize:
-    """Size and plausible units of a mesh file.
-
-    Raises:
-        ToolkitError: unreadable, without faces, or of a size that no table-top object has in any
-            unit.
-    """
-    found: dict[Unit, np.ndarray] = {}
-    first: ToolkitError | None = None
-    for unit in UNITS:
-        try:
-            found[unit] = mesh_extents(load_mesh(path, unit=unit)) / UNITS_IN_M[unit]
-        except ToolkitError as error:
-            first = first or error
-            if "implausibly" not in error.problem:
-                raise
+        Raises:
+            ToolkitError: see `Field.read`; and what the reaction raises.
+        """
+        if pressed:
+            self.react(pressed, {f.name: f.read(answers) for f in self.fields})
         else:
-            if unit == "m":
-                break
-    if not found:
-        assert first is not None
-        raise ToolkitError(
-            "the mesh has a size that no object on a table has, in metres, centimetres or "
-            "millimetres",
-            path=path,
-            value=first.value,
-            hint="scale it in the program that made it",
-        )
-    x, y, z = (float(v) for v in next(iter(found.values())))
-    size = max(x, y, z)
-    order = sorted(found, key=lambda u: abs(np.log(size * UNITS_IN_M[u] / _USUAL_SIZE_M)))
-    return MeshSize((x, y, z), tuple(order))
+            self.cancelled()
 
 
-def propagation_text(session: Session) -> str:
-    """What propagating does now, and which objects are not done yet."""
-    placed = [o for o in session.state.objects if o.placements]
-    undone = [o.name for o in placed if o.status != "done"]
-    text = (
-        f"The labels are saved, and the poses of {len(placed)} objects are carried to "
-        f"{len(session.frames)} frames through the camera poses."
+# --- edits that are not saved ---------------------------------------------------------------------
+
+
+def recovery_question(
+    found: Recovery, react: Reaction = lambda *_: None, *, can_leave: bool = True
+) -> Question:
+    """Ask what to do with edits of an earlier session: "recover", "discard" or "" for later.
+
+    Args:
+        can_leave: the scene may stay closed, so that this is decided later.
+    """
+    edits = "1 edit" if found.count == 1 else f"{found.count} edits"
+    who = f" by {found.annotator}" if found.annotator else ""
+    buttons: tuple[Button, ...] = (
+        Button("recover", "Recover", "Undo and redo will work as before."),
+        Button("discard", "Discard", "Open the scene as it was saved; the journal is kept aside."),
+        Button("", "Decide later", "Close the scene; nothing is lost."),
     )
-    if undone:
-        text += f"\n\nNot marked as done yet: {', '.join(undone)}."
-    return text
+    text = "The last session on this scene ended before it saved. Restore its edits?"
+    if found.problem:
+        buttons = buttons[1:]
+        text = f"They cannot be restored: {found.problem}. Their journal is kept aside."
+    else:
+        if found.changed:
+            text += (
+                f"\n\n{', '.join(found.changed)} was written by others since. Their changes are "
+                "kept where these edits touched nothing."
+            )
+        if found.damage:
+            text += f"\n\nThe end of the journal cannot be read ({found.damage}): the rest can."
+    return Question(
+        f"{edits}{who} from {local_minute(found.time)} were not saved",
+        react,
+        text=text,
+        level="warning",
+        buttons=buttons if can_leave else buttons[:-1],
+        must_answer=not can_leave,
+    )
+
+
+def closing_question(edits: int) -> Question:
+    """Ask what to do with unsaved edits: "save" or "keep"."""
+    count = "1 edit is" if edits == 1 else f"{edits} edits are" if edits else "The edits are"
+    return Question(
+        f"{count} not saved",
+        text="Save the labels now, or leave the edits in the journal: the scene offers to recover "
+        "them when it is opened next.",
+        level="warning",
+        buttons=(
+            Button("save", "Save", "Write the labels into the scene, then close."),
+            Button("keep", "Keep for next time", "Close; they can be recovered."),
+            Button("", "Cancel", "Go on annotating."),
+        ),
+    )
+
+
+def conflict_question(names: str, react: Reaction) -> Question:
+    """Ask whose version of objects to save: "mine" or "theirs"."""
+    return Question(
+        "Others changed the same objects",
+        react,
+        text="While you edited them, another program or person wrote these into the scene: "
+        f"{names}.\n\nWhose version shall be saved? Everything else is kept from both, and undo "
+        "restores what you give up.",
+        level="warning",
+        buttons=(
+            Button("mine", "Keep mine", "Your version of these objects is written."),
+            Button("theirs", "Keep theirs", "Their version of these objects is taken over."),
+            Button("", "Cancel", "Nothing is saved yet."),
+        ),
+    )
+
+
+# --- meshes ---------------------------------------------------------------------------------------
+
+
+def unit_question(
+    name: str, size: MeshSize, react: Reaction, cancelled: Callable[[], object]
+) -> Question:
+    """Ask for the unit of a mesh file: one of the plausible ones."""
+    numbers = " × ".join(f"{x:.4g}" for x in size.extents)
+    extents = {u: " × ".join(f"{x:.4g}" for x in size.in_mm(u)) + " mm" for u in size.units}
+    lines = [f"As {_UNITS[unit]} it is {extent}." for unit, extent in extents.items()]
+    return Question(
+        f"{name} is not in metres",
+        react,
+        text=f"In metres the mesh would be {numbers} m large, which no object on a table is. "
+        "Scenes hold meshes in metres: in which unit is this file?\n\n" + "\n".join(lines),
+        level="warning",
+        buttons=(
+            *(Button(u, f"It is in {_UNITS[u]}", extent) for u, extent in extents.items()),
+            Button("", "Cancel", "The mesh is not added."),
+        ),
+        cancelled=cancelled,
+    )
 
 
 def symmetry_text(symmetry: SymmetryModel) -> str:
     """A symmetry in full, for who is about to change it."""
     parts = []
     for one in symmetry.continuous:
-        axis = next((a for a, x in zip(_AXIS_NAMES, one.axis, strict=True) if abs(x) > 0.999), None)
+        axis = next((a for a, x in zip(_AXES, one.axis, strict=True) if abs(x) > 0.999), None)
         parts.append(f"any turn about {axis or 'an axis of its own'}")
     if symmetry.discrete:
         parts.append(f"{len(symmetry.discrete)} turns")
-    return ", ".join(parts) or "none told"
+    return ", ".join(parts) or "none set"
 
 
 def symmetry_summary(symmetry: SymmetryModel) -> str:
@@ -216,48 +291,118 @@ def symmetry_summary(symmetry: SymmetryModel) -> str:
         return "symmetric about an axis"
     if symmetry.discrete:
         return f"{len(symmetry.discrete)} turns that look the same"
-    return "no symmetry told"
-
-
-_CHOICES = (
-    ("No turn looks the same", "none"),
-    *((f"Any turn about {axis} (bottle, can, bowl)", f"axis:{axis}") for axis in _TURN_AXES),
-    ("Half turns about x, y and z (box)", "box"),
-    *((f"Equal turns about {axis}", f"fold:{axis}") for axis in _TURN_AXES),
-)
+    return "no symmetry set"
 
 
 def symmetry_question(model: Model, react: Reaction) -> Question:
     """Ask for the symmetry of a mesh; see `symmetry_words`."""
-    folds = [Field(f"count_{axis}", "How many turns make a full one", kind="number", value=2,
-                   when=("symmetry", f"fold:{axis}")) for axis in _TURN_AXES]  # fmt: skip
+    choices = (
+        Choice("keep", f"As it is: {symmetry_text(model.symmetry)}"),
+        Choice("none", "No turn looks the same"),
+        *(Choice(f"axis:{a}", f"Any turn about {a} (bottle, can, bowl)") for a in _AXES),
+        Choice("box", "Half turns about x, y and z (box)"),
+        *(Choice(f"fold:{a}", f"Equal turns about {a}") for a in _AXES),
+    )
+    folds = tuple(f"fold:{a}" for a in _AXES)
     return Question(
         f"Symmetry of {model.id}",
         react,
         text="Refining and comparing treat turns that look the same as equal. Axes are the mesh's "
         "own, through the middle of its bounding box: the handles along the object's axes (A) "
         "show them.",
-        fields=[
+        fields=(
+            Field("symmetry", "Symmetry", kind="choice", choices=choices, value="keep"),
             Field(
-                "symmetry",
-                "Symmetry",
-                kind="choice",
-                choices=((f"As it is: {symmetry_text(model.symmetry)}", "keep"), *_CHOICES),
-                value="keep",
+                "count",
+                "Turns of a full circle",
+                kind="number",
+                value=2,
+                least=2,
+                most=36,
+                unit="turns",
+                when=("symmetry", folds),
             ),
-            *folds,
-        ],
-        buttons=[button("set", "Set"), CANCEL],
+        ),
+        buttons=(Button("set", "Set"), CANCEL),
     )
 
 
 def symmetry_words(answers: Answers) -> list[str] | None:
     """What was chosen, as `parse_symmetry` reads it; None if it stays as it is."""
-    chosen = str(answers.get("symmetry", "keep"))
-    if chosen not in [value for _, value in _CHOICES]:
+    chosen = answers["symmetry"]
+    if chosen == "keep":
         return None
     if chosen == "box":
-        return [f"fold:{axis}:2" for axis in _TURN_AXES]
-    if chosen.startswith("fold:"):
-        return [f"{chosen}:{whole_number(answers, f'count_{chosen[-1]}')}"]
-    return [chosen]
+        return [f"fold:{axis}:2" for axis in _AXES]
+    return [f"{chosen}:{answers['count']}" if chosen.startswith("fold:") else chosen]
+
+
+# --- propagating ----------------------------------------------------------------------------------
+
+
+def propagate_question(session: Session, react: Reaction) -> Question:
+    """Ask for the options of propagating; see `propagate_options`."""
+    placed = [o for o in session.state.objects if o.placements]
+    undone = [o.name for o in placed if o.status != "done"]
+    objects = "1 object" if len(placed) == 1 else f"{len(placed)} objects"
+    text = (
+        f"The labels are saved, and the poses of {objects} are carried to "
+        f"{len(session.frames)} frames through the camera poses."
+    )
+    if undone:
+        text += f"\n\nNot marked as done yet: {', '.join(undone)}."
+    refining = ("refine", (True,))
+    return Question(
+        "Save and propagate",
+        react,
+        text=text,
+        fields=(
+            Field(
+                "refine",
+                "Adjust each pose to several frames at once",
+                kind="switch",
+                value=False,
+                tip="Takes minutes; the images decide, not the poses set by hand.",
+            ),
+            Field(
+                "scale",
+                "Estimate the scale of the camera poses as well",
+                kind="switch",
+                value=False,
+                tip="Rewrites poses.json with it: for scenes whose metric scale comes from sensor "
+                "depth alone.",
+                when=refining,
+            ),
+            Field(
+                "depth",
+                "Use the sensor depth on raw and diffuse objects",
+                kind="switch",
+                value=True,
+                when=refining,
+            ),
+            Field(
+                "keyframes",
+                "Adjust to",
+                kind="number",
+                value=10,
+                least=2,
+                most=200,
+                unit="frames",
+                when=refining,
+            ),
+        ),
+        buttons=(
+            Button("go", "Save and propagate"),
+            Button("", "Cancel", "Nothing is written."),
+        ),
+    )
+
+
+def propagate_options(answers: Answers) -> PropagateOptions:
+    """The options that were chosen."""
+    return PropagateOptions(
+        refine=answers["refine"],
+        refine_scale=answers["scale"],
+        use_depth=answers["depth"],
+        keyframes=answers["keyframes"],
+    )

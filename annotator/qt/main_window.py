@@ -13,14 +13,16 @@ from PySide6.QtCore import QEventLoop, QObject, Qt, QTimer, Signal, Slot
 from PySide6.QtGui import QCloseEvent
 from PySide6.QtWidgets import QApplication, QFileDialog, QMainWindow
 
+from annotator.app import operations
 from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.app.image_cache import ImageCache
+from annotator.app.questions import closing_question, recovery_question
 from annotator.app.tasks import ThreadRunner
 from annotator.app.view_options import choose_view_frames
 from annotator.qt.commands import TypingGuard
 from annotator.qt.graphics import prepare_window
-from annotator.qt.question_dialog import closing_question, recovery_question
+from annotator.qt.question_dialog import QuestionDialog, WindowDialogs
 from annotator.qt.settings import remember_scene, restore_window
 from annotator.qt.start_page import OpeningPage, StartPage
 from annotator.session import Session
@@ -28,7 +30,6 @@ from annotator.startup import quick_imports
 from std_toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
-    from annotator.qt.window_dialogs import WindowDialogs
     from annotator.qt.workspace import Workspace
 
 Recover = Literal["ask", "yes", "no"]
@@ -52,7 +53,6 @@ class Shell(QMainWindow):
         self.controller: Controller | None = None
         self.start_page: StartPage | None = None
         self._runner: QtRunner | None = None
-        self._asking: WindowDialogs | None = None
         prepare_window(self)
         self.setMinimumSize(*SMALLEST)
         if not restore_window(self):
@@ -119,12 +119,12 @@ class Shell(QMainWindow):
     def _decide_recovery(self, session: Session) -> bool:
         """Ask about edits that were not saved; False to leave the scene alone for now."""
         assert session.recovery is not None
-        answer = recovery_question(self, session.recovery).ask()
+        answer, _ = QuestionDialog(self, recovery_question(session.recovery)).ask()
         if answer == "recover":
             session.recover()
         elif answer == "discard":
             session.discard_recovery()
-        return answer != "close"
+        return answer != ""
 
     def _show_scene(self, session: Session) -> None:
         frames = choose_view_frames(session.scene, session)
@@ -133,7 +133,6 @@ class Shell(QMainWindow):
         images.prefetch(frames[1:])  # decoded while the window is built
         # What draws in three dimensions is loaded after the first image is seen.
         with quick_imports():
-            from annotator.qt.window_dialogs import WindowDialogs
             from annotator.qt.workspace import Workspace
 
         self._runner = QtRunner()
@@ -143,7 +142,10 @@ class Shell(QMainWindow):
             self.controller.select(objects[0].name)
         self.workspace = Workspace(self, self.controller)
         self.setCentralWidget(self.workspace)
-        self._asking = WindowDialogs(self, self.workspace, self.controller)
+        dialogs = WindowDialogs(
+            self.workspace, self.controller, {"open": self.browse, "close": self.close_soon}
+        )
+        self.workspace.files_dropped.connect(dialogs.add_meshes)
         who = f" · {session.annotator}" if session.annotator else ""
         how = "" if session.writable else " · read-only"
         self.setWindowTitle(f"{session.scene.info.name}{who}{how} · std-annotate[*]")
@@ -184,9 +186,8 @@ class Shell(QMainWindow):
             return False
         controller.cancel_drag()
         if session.writable and session.unsaved:
-            assert self._asking is not None
-            answer = closing_question(self, len(session.steps)).ask()
-            if answer == "cancel" or (answer == "save" and not self._asking.save()):
+            answer, _ = QuestionDialog(self, closing_question(len(session.steps))).ask()
+            if not answer or (answer == "save" and not operations.save(controller)):
                 return False
         if controller.task is not None:
             controller.task.cancel()
@@ -196,7 +197,7 @@ class Shell(QMainWindow):
             self._runner.close(timeout=2.0)
         controller.images.close()
         session.close()
-        self.workspace = self.controller = self._runner = self._asking = None
+        self.workspace = self.controller = self._runner = None
         self.takeCentralWidget()
         workspace.deleteLater()
         return True

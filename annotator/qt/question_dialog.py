@@ -1,319 +1,313 @@
-"""A question with a few named answers.
-
-Questions about edits: recover them, save them, and whose version to keep.
-
-Which turns of a mesh look the same.
-
-How labels are carried to all frames.
-"""
+"""Questions as windows of Qt, and the dialogs of a workspace."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
 
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QObject, Qt
+from PySide6.QtGui import QKeySequence
 from PySide6.QtWidgets import (
+    QAbstractButton,
     QButtonGroup,
     QCheckBox,
     QDialog,
+    QFileDialog,
     QFormLayout,
     QHBoxLayout,
     QLabel,
+    QLineEdit,
+    QPlainTextEdit,
     QPushButton,
     QRadioButton,
+    QScrollArea,
     QSpinBox,
     QVBoxLayout,
     QWidget,
 )
 
 from annotator.app.controller import Controller
-from annotator.app.events import Level
-from annotator.app.pose_text import local_minute
-from annotator.app.questions import propagation_text, symmetry_text
+from annotator.app.dialogs import Dialogs
+from annotator.app.events import Event
+from annotator.app.questions import Answers, Field, Group, Question
 from annotator.qt import theme
+from annotator.qt.graphics import renderer_name
 from annotator.qt.theme import pixmap
-from annotator.session.recovery import Recovery
-from std_toolkit.labels.propagate import PropagateOptions
-from std_toolkit.labels.symmetry_argument import parse_symmetry
-from std_toolkit.scene import Model
-from std_toolkit.scene.model import SymmetryModel
+from std_toolkit.geometry.mesh import MESH_SUFFIXES
 
-_INK = {"info": theme.ACCENT, "warning": theme.WARNING, "error": theme.BAD}
-
-_TURN_AXES = ("x", "y", "z")
+_COLUMNS = 3
 
 
-@dataclass(frozen=True)
-class Answer:
-    """A button.
-
-    Attributes:
-        name: what the dialog returns.
-        title: what stands on the button.
-        tip: what it does.
-    """
-
-    name: str
-    title: str
-    tip: str = ""
-
-
-class Question(QDialog):
-    """Asks; closing it or Esc is the last answer.
+class WindowDialogs(QObject):
+    """Shows the dialogs that the actions of one controller ask for.
 
     Args:
-        heading: the matter, in one line.
-        text: what a person must know to decide.
-        answers: the first is the usual one, the last one changes nothing.
-        middle: fields between the text and the buttons.
+        parent: window over which they appear.
+        own: dialogs of the window itself, by name.
     """
 
     def __init__(
-        self,
-        parent: QWidget | None,
-        heading: str,
-        text: str,
-        answers: Sequence[Answer],
-        *,
-        level: Level = "info",
-        middle: QWidget | None = None,
+        self, parent: QWidget, controller: Controller, own: dict[str, Callable[[], object]]
     ) -> None:
         super().__init__(parent)
+        self._parent = parent
+        self._dialogs = Dialogs(
+            controller,
+            self._show,
+            own={**own, "add_mesh": self._browse_meshes},
+            drawn_by=lambda: renderer_name() or "an unknown renderer",
+        )
+        self.add_meshes = self._dialogs.add_meshes
+        controller.subscribe(self._on_event)
+
+    def _on_event(self, event: Event) -> None:
+        if event.kind == "ask":
+            self._dialogs.ask(event.text)
+
+    def _show(self, question: Question | None) -> None:
+        if question is None:
+            return
+        dialog = QuestionDialog(self._parent, question)
+        if question.groups:  # a table stays open beside the work
+            dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+            dialog.show()
+        else:
+            self._dialogs.answer(question.number, *dialog.ask())
+
+    def _browse_meshes(self) -> None:
+        kinds = " ".join(f"*{s}" for s in MESH_SUFFIXES)
+        names, _ = QFileDialog.getOpenFileNames(self._parent, "Add mesh", "", f"Meshes ({kinds})")
+        self.add_meshes([Path(n) for n in names])
+
+
+class QuestionDialog(QDialog):
+    """Asks a question; closing it or Esc cancels, unless it must be answered.
+
+    Attributes:
+        buttons: by the button's id.
+        widgets: editors of the fields, by name.
+    """
+
+    def __init__(self, parent: QWidget | None, question: Question) -> None:
+        super().__init__(parent)
         self.setWindowTitle("std-annotate")
-        self.heading = heading
-        self.answer = answers[-1].name
+        self.heading = question.title
+        self._question = question
+        self._pressed = ""
         self.buttons: dict[str, QPushButton] = {}
-        sign = QLabel()
-        sign.setPixmap(pixmap(level, 32, _INK[level], self.devicePixelRatioF()))
-        head = QLabel(heading)
-        head.setObjectName("heading")
-        head.setWordWrap(True)
-        self.text = QLabel(text)
-        self.text.setTextFormat(Qt.TextFormat.PlainText)
-        self.text.setWordWrap(True)
-        self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        words = QVBoxLayout()
-        words.setSpacing(8)
-        words.addWidget(head)
-        words.addWidget(self.text)
-        if middle is not None:
-            words.addWidget(middle)
-        words.addStretch(1)
+        self.widgets = {field.name: _editor(field) for field in question.fields}
         top = QHBoxLayout()
         top.setSpacing(14)
-        top.addWidget(sign, 0, Qt.AlignmentFlag.AlignTop)
-        top.addLayout(words, 1)
+        if not question.groups:
+            ink = {"info": theme.ACCENT, "warning": theme.WARNING, "error": theme.BAD}
+            sign = QLabel()
+            ratio = self.devicePixelRatioF()
+            sign.setPixmap(pixmap(question.level, 32, ink[question.level], ratio))
+            top.addWidget(sign, 0, Qt.AlignmentFlag.AlignTop)
+        top.addLayout(self._words(), 1)
         row = QHBoxLayout()
         row.addStretch(1)
-        for place, answer in enumerate(answers):
-            button = QPushButton(answer.title)
-            button.setToolTip(answer.tip)
-            button.setDefault(place == 0)
-            button.setAutoDefault(place == 0)
-            button.clicked.connect(lambda _=False, name=answer.name: self._give(name))
-            self.buttons[answer.name] = button
-        for answer in reversed(answers):
-            row.addWidget(self.buttons[answer.name])
+        for place, button in reversed(list(enumerate(question.buttons))):
+            widget = self.buttons[button.id] = QPushButton(button.text)
+            widget.setToolTip(button.tip)
+            widget.setDefault(place == 0)
+            widget.setAutoDefault(place == 0)
+            widget.clicked.connect(lambda _=False, id=button.id: self._press(id))
+            row.addWidget(widget)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(18, 16, 18, 14)
         layout.setSpacing(14)
         layout.addLayout(top, 1)
         layout.addLayout(row)
         self.setMinimumWidth(460)
-        self.buttons[answers[0].name].setFocus()
+        if question.groups:
+            self.resize(1180, 720)
+        first = next(iter(self.widgets.values()), self.buttons[question.buttons[0].id])
+        first.setFocus()
+        if isinstance(first, QLineEdit):
+            first.selectAll()
 
-    def ask(self) -> str:
-        """Show it and wait; the name of the answer."""
+    def ask(self) -> tuple[str, Answers]:
+        """Show it and wait; the id of the button ("" if it was cancelled) and the answers."""
         self.exec()
-        return self.answer
+        return self._pressed, self.answers()
 
-    def _give(self, name: str) -> None:
-        self.answer = name
+    def answers(self) -> Answers:
+        """What the fields hold, by name."""
+        return {name: _value(widget) for name, widget in self.widgets.items()}
+
+    def reject(self) -> None:
+        if not self._question.must_answer:
+            super().reject()
+
+    def _press(self, id: str) -> None:
+        self._pressed = id
         self.accept()
 
+    def _enable(self, form: QFormLayout) -> None:
+        """Only the fields that are asked now."""
+        answers = self.answers()
+        for field in self._question.fields:
+            widget = self.widgets[field.name]
+            for part in (widget, form.labelForField(widget)):
+                if part is not None:
+                    part.setEnabled(field.is_asked(answers))
 
-def recovery_question(parent: QWidget | None, found: Recovery) -> Question:
-    """Answers "recover", "discard" or "close"."""
-    edits = "1 edit" if found.count == 1 else f"{found.count} edits"
-    who = f" by {found.annotator}" if found.annotator else ""
-    heading = f"{edits}{who} from {local_minute(found.time)} were not saved"
-    discard = Answer(
-        "discard", "Discard", "Open the scene as it was saved; the journal is kept aside."
-    )
-    close = Answer("close", "Decide later", "Close the scene; nothing is lost.")
-    if found.problem:
-        text = f"They cannot be brought back: {found.problem}. Their journal is kept aside."
-        return Question(parent, heading, text, [discard, close], level="warning")
-    text = "The last session on this scene ended before it saved. Bring its edits back?"
-    if found.changed:
-        text += (
-            f"\n\n{', '.join(found.changed)} was written by others since. What they changed and "
-            "these edits left alone is kept."
-        )
-    if found.damage:
-        text += f"\n\nThe end of the journal cannot be read ({found.damage}): the rest can."
-    recover = Answer("recover", "Recover", "Undo and redo will work as before.")
-    return Question(parent, heading, text, [recover, discard, close], level="warning")
-
-
-def closing_question(parent: QWidget | None, edits: int) -> Question:
-    """Answers "save", "keep" or "cancel"."""
-    told = "1 edit is" if edits == 1 else f"{edits} edits are" if edits else "The edits are"
-    return Question(
-        parent,
-        f"{told} not saved",
-        "Save the labels now, or leave the edits in the journal: the scene offers to recover "
-        "them when it is opened next.",
-        [
-            Answer("save", "Save", "Write the labels into the scene, then close."),
-            Answer("keep", "Keep for next time", "Close; they can be recovered."),
-            Answer("cancel", "Cancel", "Go on annotating."),
-        ],
-        level="warning",
-    )
-
-
-def conflict_question(parent: QWidget | None, names: str) -> Question:
-    """Answers "mine", "theirs" or "cancel"."""
-    return Question(
-        parent,
-        "Others changed the same objects",
-        f"While you edited them, another program or person wrote these into the scene: {names}.\n\n"
-        "Whose version shall be saved? Everything else is kept from both, and what you give up "
-        "can be brought back by undo.",
-        [
-            Answer("mine", "Keep mine", "Your version of these objects is written."),
-            Answer("theirs", "Keep theirs", "Their version of these objects is taken over."),
-            Answer("cancel", "Cancel", "Nothing is saved yet."),
-        ],
-        level="warning",
-    )
-
-
-class SymmetryDialog:
-    """Asks for the symmetry of one mesh."""
-
-    def __init__(self, parent: QWidget | None, controller: Controller, model: Model) -> None:
-        self._controller, self._model = controller, model
-        fields = QWidget()
-        column = QVBoxLayout(fields)
-        column.setContentsMargins(0, 4, 0, 0)
-        self.group = QButtonGroup(fields)
-        self.choices: dict[str, QRadioButton] = {}
-        titles = {
-            "keep": f"As it is: {symmetry_text(model.symmetry)}",
-            "none": "No turn looks the same",
-            **{f"axis:{a}": f"Any turn about {a} (bottle, can, bowl)" for a in _TURN_AXES},
-            "box": "Half turns about x, y and z (box)",
-            "fold": "Equal turns about one axis:",
-        }
-        for name, title in titles.items():
-            button = self.choices[name] = QRadioButton(title)
-            self.group.addButton(button)
-            column.addWidget(button)
-        self.choices["keep"].setChecked(True)
-        self.fold_axis = QButtonGroup(fields)
-        turns = QWidget()
-        row = QHBoxLayout(turns)
-        row.setContentsMargins(22, 0, 0, 0)
-        for place, axis in enumerate(_TURN_AXES):
-            button = QRadioButton(axis)
-            button.setChecked(axis == "z")
-            self.fold_axis.addButton(button, place)
-            row.addWidget(button)
-        self.count = QSpinBox()
-        self.count.setRange(2, 36)
-        self.count.setSuffix(" turns")
-        row.addWidget(self.count)
-        row.addStretch(1)
-        column.addWidget(turns)
-        self.choices["fold"].toggled.connect(turns.setEnabled)
-        turns.setEnabled(False)
-        note = QLabel(
-            "Axes are the mesh's own, through the middle of its bounding box: the handles along "
-            "the object's axes (A) show them."
-        )
-        note.setObjectName("muted")
-        note.setWordWrap(True)
-        column.addWidget(note)
-        self.question = Question(
-            parent,
-            f"Symmetry of {model.id}",
-            "Refining and comparing treat turns that look the same as equal.",
-            [Answer("set", "Set"), Answer("cancel", "Cancel")],
-            middle=fields,
-        )
-
-    def ask(self) -> SymmetryModel | None:
-        """Show it and wait; None if it stays as it is."""
-        return self.symmetry() if self.question.ask() == "set" else None
-
-    def symmetry(self) -> SymmetryModel | None:
-        """What is chosen; None for what the mesh has."""
-        chosen = next(k for k, button in self.choices.items() if button.isChecked())
-        if chosen == "keep":
-            return None
-        words = [chosen]
-        if chosen == "fold":
-            words = [f"fold:{_TURN_AXES[self.fold_axis.checkedId()]}:{self.count.value()}"]
-        elif chosen == "box":
-            words = [f"fold:{axis}:2" for axis in _TURN_AXES]
-        centre = self._controller.session.centre(self._model.id).tolist()
-        return parse_symmetry(words, centre=centre)
-
-
-class PropagateDialog:
-    """Asks for the options of propagating."""
-
-    def __init__(self, parent: QWidget | None, controller: Controller) -> None:
-        session = controller.session
-        text = propagation_text(session)
-        fields = QWidget()
-        form = QFormLayout(fields)
+    def _words(self) -> QVBoxLayout:
+        head = QLabel(self.heading)
+        head.setObjectName("heading")
+        head.setWordWrap(True)
+        self.text = QLabel(self._question.text)
+        self.text.setTextFormat(Qt.TextFormat.PlainText)
+        self.text.setWordWrap(True)
+        self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.text.setVisible(bool(self._question.text))
+        words = QVBoxLayout()
+        words.setSpacing(8)
+        words.addWidget(head)
+        words.addWidget(self.text)
+        form = QFormLayout()
         form.setContentsMargins(0, 4, 0, 0)
-        self.refine = QCheckBox("Adjust each pose to several frames at once")
-        self.refine.setToolTip("Takes minutes; the images decide, not the poses set by hand.")
-        self.scale = QCheckBox("Estimate the scale of the camera poses as well")
-        self.scale.setToolTip(
-            "Rewrites poses.json with it: for scenes whose metres come from sensor depth alone."
-        )
-        self.depth = QCheckBox("Use the sensor depth on raw and diffuse objects")
-        self.depth.setChecked(True)
-        self.keyframes = QSpinBox()
-        self.keyframes.setRange(2, 200)
-        self.keyframes.setValue(10)
-        self.keyframes.setSuffix(" frames")
-        form.addRow(self.refine)
-        form.addRow(self.scale)
-        form.addRow(self.depth)
-        form.addRow("Adjust to", self.keyframes)
-        self.refine.toggled.connect(self._update)
-        self._update()
-        self.question = Question(
-            parent,
-            "Save and propagate",
-            text,
-            [
-                Answer("go", "Save and propagate"),
-                Answer("cancel", "Cancel", "Nothing is written."),
-            ],
-            middle=fields,
-        )
+        for field in self._question.fields:
+            widget = self.widgets[field.name]
+            widget.setToolTip(field.tip)
+            if field.kind in ("line", "number"):
+                form.addRow(field.label, widget)
+            elif field.kind == "lines":
+                form.addRow(QLabel(field.label))
+                form.addRow(widget)
+            else:  # a switch has its label, choices speak for themselves
+                form.addRow(widget)
+        for widget in self.widgets.values():
+            for button in widget.findChildren(QRadioButton) or [widget]:
+                if isinstance(button, QAbstractButton):
+                    button.toggled.connect(lambda _: self._enable(form))
+        self._enable(form)
+        words.addLayout(form)
+        if self._question.groups:
+            self.tables = GroupTables(self._question.groups, searchable=self._question.searchable)
+            words.addWidget(self.tables, 1)
+        else:
+            words.addStretch(1)
+        return words
 
-    def _update(self) -> None:
-        for field in (self.scale, self.depth, self.keyframes):
-            field.setEnabled(self.refine.isChecked())
 
-    def ask(self) -> PropagateOptions | None:
-        """Show it and wait; None if nothing shall be done."""
-        return self.options() if self.question.ask() == "go" else None
+class GroupTables(QWidget):
+    """Tables to read in columns of about the same height, with a field to search them."""
 
-    def options(self) -> PropagateOptions:
-        refine = self.refine.isChecked()
-        return PropagateOptions(
-            refine=refine,
-            refine_scale=refine and self.scale.isChecked(),
-            use_depth=self.depth.isChecked(),
-            keyframes=self.keyframes.value(),
-        )
+    def __init__(self, groups: Sequence[Group], *, searchable: bool) -> None:
+        super().__init__()
+        self._groups = [
+            (g.heading, [(_native(r[0], g.keys), r[1]) for r in g.rows]) for g in groups
+        ]
+        self.search = QLineEdit()
+        self.search.setPlaceholderText("Search")
+        self.search.setClearButtonEnabled(True)
+        self.search.textChanged.connect(self._show)
+        self.search.setVisible(searchable)
+        self.columns = [QLabel() for _ in range(_COLUMNS)]
+        row = QHBoxLayout()
+        row.setSpacing(28)
+        for column in self.columns:
+            column.setTextFormat(Qt.TextFormat.RichText)
+            column.setAlignment(Qt.AlignmentFlag.AlignTop)
+            column.setWordWrap(True)
+            row.addWidget(column, 1)
+        body = QWidget()
+        body.setLayout(row)
+        scroll = QScrollArea()
+        scroll.setWidget(body)
+        scroll.setWidgetResizable(True)
+        scroll.setFrameShape(QScrollArea.Shape.NoFrame)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addWidget(self.search)
+        layout.addWidget(scroll, 1)
+        self._show("")
+
+    def rows(self, wanted: str = "") -> dict[str, list[tuple[str, str]]]:
+        """The rows that hold `wanted`, by heading."""
+        wanted = wanted.lower()
+        return {
+            heading: found
+            for heading, rows in self._groups
+            if (found := [r for r in rows if wanted in " ".join(r).lower()])
+        }
+
+    def _show(self, wanted: str) -> None:
+        groups = self.rows(wanted)
+        # Groups are kept whole and in order.
+        total = sum(len(rows) + 2 for rows in groups.values())
+        texts = [""] * _COLUMNS
+        filled, at = 0, 0
+        for heading, rows in groups.items():
+            if filled + (len(rows) + 2) / 2 > (at + 1) * total / _COLUMNS and at < _COLUMNS - 1:
+                at += 1
+            texts[at] += _table(heading, rows)
+            filled += len(rows) + 2
+        for column, text in zip(self.columns, texts, strict=True):
+            column.setText(text)
+
+
+def _editor(field: Field) -> Any:
+    if field.kind == "line":
+        return QLineEdit(str(field.value))
+    if field.kind == "lines":
+        editor = QPlainTextEdit(str(field.value))
+        editor.setTabChangesFocus(True)
+        editor.setFixedHeight(110)
+        return editor
+    if field.kind == "number":
+        number = QSpinBox()
+        number.setMaximumWidth(140)
+        number.setRange(field.least, field.most)
+        number.setSuffix(f" {field.unit}" if field.unit else "")
+        number.setValue(int(field.value))
+        return number
+    if field.kind == "switch":
+        switch = QCheckBox(field.label)
+        switch.setChecked(bool(field.value))
+        return switch
+    choices = QWidget()
+    column = QVBoxLayout(choices)
+    column.setContentsMargins(0, 0, 0, 0)
+    group = QButtonGroup(choices)
+    for choice in field.choices:
+        button = QRadioButton(choice.text)
+        button.setProperty("choice", choice.value)
+        button.setChecked(choice.value == field.value)
+        group.addButton(button)
+        column.addWidget(button)
+    return choices
+
+
+def _value(widget: Any) -> str | int | bool:
+    if isinstance(widget, QLineEdit):
+        return widget.text()
+    if isinstance(widget, QPlainTextEdit):
+        return widget.toPlainText()
+    if isinstance(widget, QSpinBox):
+        return widget.value()
+    if isinstance(widget, QCheckBox):
+        return widget.isChecked()
+    chosen = widget.findChild(QButtonGroup).checkedButton()
+    return str(chosen.property("choice"))
+
+
+def _native(text: str, keys: bool) -> str:
+    """Keys as the system writes them; any other text as it is."""
+    native = QKeySequence.SequenceFormat.NativeText
+    if not keys:
+        return text
+    return " or ".join(QKeySequence(key).toString(native) for key in text.split(" or "))
+
+
+def _table(heading: str, rows: list[tuple[str, str]]) -> str:
+    cells = "".join(
+        f"<tr><td style='color:{theme.ACCENT}; padding:1px 12px 1px 0; white-space:nowrap'>"
+        f"{escape(key)}</td><td style='padding:1px 0'>{escape(what)}</td></tr>"
+        for key, what in rows
+    )
+    return f"<p style='margin:10px 0 2px 0'><b>{heading}</b></p><table>{cells}</table>"

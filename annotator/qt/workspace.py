@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from PySide6.QtCore import Qt, QTimer
+from PySide6.QtCore import Qt, QTimer, Signal
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QMainWindow, QSplitter, QTabWidget, QVBoxLayout, QWidget
 
@@ -25,7 +25,13 @@ UPKEEP_AFTER_MS = 500
 
 
 class Workspace(QWidget):
-    """The central widget while a scene is open."""
+    """The central widget while a scene is open.
+
+    Signals:
+        files_dropped: mesh files (list of Path) that were dropped onto the library or a view.
+    """
+
+    files_dropped = Signal(list)
 
     def __init__(self, window: QMainWindow, controller: Controller) -> None:
         super().__init__(window)
@@ -90,6 +96,9 @@ class Workspace(QWidget):
         layout.addWidget(self.split, 1)
         layout.addWidget(self.status)
 
+        self.library.files_dropped.connect(self.files_dropped)
+        for tile in self.views.tiles:
+            tile.view.files_dropped.connect(self.files_dropped)
         self.pose.left.connect(self.focus_views)
         self.frame_bar.left.connect(self.focus_views)
         self._unsubscribe = controller.subscribe(self._on_event)
@@ -162,6 +171,6 @@ class Workspace(QWidget):
 
     def _on_event(self, event: Event) -> None:
         if event.kind == "message":
-            self.banner.tell(event.text, event.level)
+            self.banner.notices.tell(event.text, event.level)
         elif event.kind == "tool" and self.controller.clicking:
             self.tabs.setCurrentWidget(self.points)

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from abc import ABC, abstractmethod
 
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.app.view_options import Mode
+from annotator.app.controller import Controller
+from annotator.app.view_options import CloudSource, Gizmo, Mode
 from annotator.session import Click
 from annotator.views.cloud_layer import draw_camera
-from annotator.views.gizmo import draw_gizmo
+from annotator.views.gizmo import GizmoFrame, Handle, draw_gizmo
 from annotator.views.layers import FAINT, PAPER, Captions
+from annotator.views.solids import Solid
 from annotator.views.triangles import Color, Strokes, rgba
+from annotator.views.viewpoint import Viewpoint
 from std_toolkit.html.plots import object_color
 
-if TYPE_CHECKING:
-    from annotator.views.scene_view import SceneView
+# Handles: part of the drawing area, smallest and largest length of an arrow.
+GIZMO_SHARE, SMALLEST_GIZMO_PX, LARGEST_GIZMO_PX = 0.16, 38.0, 92.0
 
 _CAMERA: Color = (0.93, 0.86, 0.62, 0.9)
 
@@ -42,7 +45,48 @@ _RESIDUAL: Color = (1.0, 0.35, 0.3, 1.0)
 _SHADOW: Color = (0.0, 0.0, 0.0, 0.6)
 
 
-def draw_overlay(strokes: Strokes, captions: Captions, view: SceneView) -> None:
+class OverlaidView(Viewpoint, ABC):
+    """A view with what lies over its picture.
+
+    Attributes:
+        pixel_ratio: physical pixels per logical one.
+        hovered, held: handles under the pointer and in its hand.
+        dragged_marker: index of a clicked pixel in the pointer's hand, and where it is now.
+        problem: why there is no image or cloud, for people.
+    """
+
+    def __init__(
+        self, controller: Controller, *, slot: int, size: tuple[int, int], pixel_ratio: float
+    ) -> None:
+        super().__init__(controller, slot=slot, size=size)
+        self.pixel_ratio = pixel_ratio
+        self.hovered: Handle | None = None
+        self.held: Handle | None = None
+        self.dragged_marker: tuple[int, ScreenPoints] | None = None
+        self.problem = ""
+
+    @abstractmethod
+    def solid(self, name: str | None) -> Solid | None:
+        """An object as drawn here; None if its mesh is not there yet."""
+
+    def gizmo_frame(self) -> GizmoFrame | None:
+        """The handles of the selected object; None where there are none."""
+        controller = self.controller
+        hidden = controller.gizmo is Gizmo.OFF or controller.clicking or controller.options.hidden
+        solid = self.solid(controller.selected)
+        if hidden or solid is None or solid.T_eye_obj is None or not controller.session.writable:
+            return None
+        T_eye_obj = solid.T_eye_obj
+        centre = T_eye_obj @ solid.shape.centre
+        if centre[2] < 0.02:
+            return None
+        axes = T_eye_obj.R if controller.axes == "object" else self.T_eye_cam.R
+        largest = LARGEST_GIZMO_PX * self.pixel_ratio
+        size = float(np.clip(GIZMO_SHARE * min(self.size), SMALLEST_GIZMO_PX, largest))
+        return GizmoFrame(self.screen, centre, axes, size)
+
+
+def draw_overlay(strokes: Strokes, captions: Captions, view: OverlaidView) -> None:
     """Everything that lies over image, cloud and meshes."""
     if view.mode is Mode.CLOUD:
         _draw_cameras(strokes, captions, view)
@@ -60,7 +104,7 @@ def draw_overlay(strokes: Strokes, captions: Captions, view: SceneView) -> None:
     _say_captions(captions, view)
 
 
-def _draw_cameras(strokes: Strokes, captions: Captions, view: SceneView) -> None:
+def _draw_cameras(strokes: Strokes, captions: Captions, view: OverlaidView) -> None:
     """Where the frames of the views were taken from."""
     T_eye_world = view.T_eye_world
     session, scale = view.controller.session, view.pixel_ratio
@@ -88,7 +132,7 @@ def _draw_cameras(strokes: Strokes, captions: Captions, view: SceneView) -> None
             )
 
 
-def _say_captions(captions: Captions, view: SceneView) -> None:
+def _say_captions(captions: Captions, view: OverlaidView) -> None:
     """Which frame it is, the name of the selected object, and what is missing."""
     session, scale = view.controller.session, view.pixel_ratio
     frame = session.scene.frame(view.frame)
@@ -124,7 +168,7 @@ def _say_captions(captions: Captions, view: SceneView) -> None:
         )
 
 
-def _first_step(view: SceneView) -> str:
+def _first_step(view: OverlaidView) -> str:
     """What there is to do in a scene without objects."""
     session = view.controller.session
     if not session.writable:
@@ -134,7 +178,7 @@ def _first_step(view: SceneView) -> str:
     return "No objects yet\nDrag a mesh from the library onto the image, or double-click it."
 
 
-def _say_name(captions: Captions, view: SceneView) -> None:
+def _say_name(captions: Captions, view: OverlaidView) -> None:
     """The selected object's name above it."""
     controller, scale = view.controller, view.pixel_ratio
     name = controller.selected
@@ -160,9 +204,7 @@ def _say_name(captions: Captions, view: SceneView) -> None:
     )
 
 
-def _fused(view: SceneView) -> bool:
-    from annotator.app.view_options import CloudSource
-
+def _fused(view: OverlaidView) -> bool:
     return view.controller.options.cloud is CloudSource.FUSED and view.controller.session.posed
 
 
@@ -182,7 +224,7 @@ def _wrapped(text: str, width: float) -> str:
     )
 
 
-def clicks_of(view: SceneView) -> list[Click]:
+def clicks_of(view: OverlaidView) -> list[Click]:
     """The correspondences of the selected object in the frame of the view."""
     name = view.controller.selected
     if name is None:
@@ -190,7 +232,7 @@ def clicks_of(view: SceneView) -> list[Click]:
     return view.controller.session.object(name).clicks.get(view.frame, [])
 
 
-def pixels(view: SceneView) -> ScreenPoints:
+def pixels(view: OverlaidView) -> ScreenPoints:
     """(N, 2) screen positions of the clicked pixels."""
     clicks = clicks_of(view)
     if not clicks:
@@ -209,7 +251,7 @@ def _beside(ends: ScreenPoints, gap: float) -> ScreenPoints:
     return along * np.divide(gap, length, out=np.ones_like(length), where=length > gap)
 
 
-def draw_markers(strokes: Strokes, captions: Captions, view: SceneView) -> None:
+def draw_markers(strokes: Strokes, captions: Captions, view: OverlaidView) -> None:
     """The pixels, the points of the mesh as posed, and the residual between them."""
     controller, scale = view.controller, view.pixel_ratio
     name = controller.selected

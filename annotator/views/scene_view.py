@@ -1,7 +1,4 @@
-"""One drawing area: a frame of the session as image or as cloud, with the objects over it.
-
-Where on a frame's image something lands that is dropped onto a view.
-"""
+"""One drawing area: a frame of the session as image or as cloud, with the objects over it."""
 
 from __future__ import annotations
 
@@ -13,18 +10,16 @@ from numpy.typing import NDArray
 
 from annotator.app.controller import Controller
 from annotator.app.events import Event
-from annotator.app.view_options import Gizmo, Mode, Style
+from annotator.app.view_options import Mode, Style
 from annotator.views.cloud_layer import CloudLayer, TableLayer
 from annotator.views.clouds import Cloud, CloudReader
-from annotator.views.gizmo import GizmoFrame, Handle
 from annotator.views.layers import Captions, Drawing, Layers
 from annotator.views.meshes import ShapeStore
 from annotator.views.object_layer import ObjectLayer
-from annotator.views.overlay import draw_overlay
+from annotator.views.overlay import OverlaidView, draw_overlay
 from annotator.views.picture import Picture
 from annotator.views.solids import Solid
 from annotator.views.triangles import Strokes
-from annotator.views.viewpoint import Viewpoint
 from std_toolkit.errors import ToolkitError
 
 Array = NDArray[np.float64]
@@ -32,11 +27,8 @@ Array = NDArray[np.float64]
 # Where a table-top scene is, as long as nothing better is known.
 USUAL_DEPTH_M = 0.7
 
-# Handles: part of the drawing area, smallest and largest length of an arrow.
-GIZMO_SHARE, SMALLEST_GIZMO_PX, LARGEST_GIZMO_PX = 0.16, 38.0, 92.0
 
-
-class SceneView(Viewpoint):
+class SceneView(OverlaidView):
     """Draws one of the controller's views into a plotter.
 
     Args:
@@ -50,9 +42,6 @@ class SceneView(Viewpoint):
     Attributes:
         moving: light meshes and few points are drawn.
         blinked_off: no meshes are drawn.
-        hovered, held: handles under the pointer and in its hand.
-        dragged_marker: index of a clicked pixel in the pointer's hand, and where it is now.
-        problem: why there is no image or cloud, for people.
         cloud: the points shown; None in an image.
         captions: the text.
     """
@@ -70,14 +59,9 @@ class SceneView(Viewpoint):
     ) -> None:
         self.plotter = plotter
         self.layers = Layers(plotter)
-        super().__init__(controller, slot=slot, size=self.layers.size)
-        self.pixel_ratio = pixel_ratio
+        super().__init__(controller, slot=slot, size=self.layers.size, pixel_ratio=pixel_ratio)
         self.moving = False
         self.blinked_off = False
-        self.hovered: Handle | None = None
-        self.held: Handle | None = None
-        self.dragged_marker: tuple[int, Array] | None = None
-        self.problem = ""
         self.cloud: Cloud | None = None
         self._clouds = clouds or CloudReader(controller)
         self._repaint = repaint or repainter(plotter)
@@ -94,22 +78,6 @@ class SceneView(Viewpoint):
     def solid(self, name: str | None) -> Solid | None:
         """An object as drawn here; None if its mesh is not there yet."""
         return self.objects.solid(name)
-
-    def gizmo_frame(self) -> GizmoFrame | None:
-        """The handles of the selected object; None where there are none."""
-        controller = self.controller
-        hidden = controller.gizmo is Gizmo.OFF or controller.clicking or controller.options.hidden
-        solid = self.solid(controller.selected)
-        if hidden or solid is None or solid.T_eye_obj is None or not controller.session.writable:
-            return None
-        T_eye_obj = solid.T_eye_obj
-        centre = T_eye_obj @ solid.shape.centre
-        if centre[2] < 0.02:
-            return None
-        axes = T_eye_obj.R if controller.axes == "object" else self.T_eye_cam.R
-        largest = LARGEST_GIZMO_PX * self.pixel_ratio
-        size = float(np.clip(GIZMO_SHARE * min(self.size), SMALLEST_GIZMO_PX, largest))
-        return GizmoFrame(self.screen, centre, axes, size)
 
     def point_under(self, xy: Array) -> Array:
         """(3,) what lies under a screen position, eye coordinates; a guess where nothing does."""

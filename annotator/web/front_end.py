@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from typing import Any
 
-from annotator.app.action_table import ACTION_OF, BY_ID
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from annotator.app.action_table import BY_ID, available_actions
 from annotator.app.background_updates import BackgroundUpdates
 from annotator.app.controller import Controller
 from annotator.app.dialogs import Dialogs
-from annotator.app.events import Event, Notices
+from annotator.app.events import Event, Notice, Notices
 from annotator.app.image_cache import ImageCache
 from annotator.app.placing import add_object, drop_model, drop_object
 from annotator.app.pose_text import type_number
@@ -20,11 +26,12 @@ from annotator.app.tasks import ThreadRunner
 from annotator.app.view_options import choose_view_frames
 from annotator.session import ChangeClick, Session
 from annotator.views import ViewSet
+from annotator.views.mesh_picker import MeshPicker
 from annotator.views.scene_view import recorded_pixel_under
 from annotator.views.thumbnails import Thumbnails
 from annotator.web.channel import Drop, Key, Pointer, ViewChannel
 from annotator.web.page import build_page, page_constants, page_pose, page_state
-from annotator.web.stream import MeshPicker, StreamedPlotter
+from annotator.web.stream import StreamedPlotter
 from std_toolkit.log import logger
 
 # The panels follow the mouse, and the work under way, no oftener than this.
@@ -43,7 +50,7 @@ class FrontEnd:
         self._loop = asyncio.get_running_loop()
         self._refresh_planned = False
         self._wanted_frame: int | None = None
-        self._notices = Notices(lambda notices: self._set(notices=notices), self._later)
+        self._notices = Notices(self._show_notices, self._later)
         self._runner = ThreadRunner(self._call_soon)
         self._images = ImageCache(session.scene)
         c = self.controller = Controller(
@@ -55,10 +62,10 @@ class FrontEnd:
         if session.state.objects:
             c.select(session.state.objects[0].name)
         self.dialogs = Dialogs(c, self._show_question)
-        c.dialogs = self.dialogs.names
+        self._action_of = {k: a.id for a in available_actions(c.dialogs) for k in a.keys}
         views = len(c.view_frames)
         self._build_page(server, views)
-        self.channel = ViewChannel(self, views=views + 1, keys=sorted(ACTION_OF))
+        self.channel = ViewChannel(self, views=views + 1, keys=sorted(self._action_of))
         self._streams = [self._stream(i) for i in range(views + 1)]
         repaint = {id(s.plotter): s.repaint for s in self._streams}
         self._views = ViewSet(
@@ -69,18 +76,27 @@ class FrontEnd:
         )
         for stream, view in zip(self._streams, self._views.views, strict=False):
             stream.view = view
-        self._picker = MeshPicker(c, self._streams[-1], self._views.shapes, self._later)
+        last = self._streams[-1]
+        self._picker = MeshPicker(
+            c,
+            last.plotter,
+            self._views.shapes,
+            self._later,
+            is_seen=lambda: c.clicking,
+            repaint=last.repaint,
+        )
+        last.view = self._picker.view
         c.subscribe(self._on_event)
         self._upkeep = BackgroundUpdates(c)
-        self._thumbnails = Thumbnails(c, lambda pictures: self._set(thumbnails=pictures))
+        self._thumbnails = Thumbnails(c, self._show_thumbnails)
         self._tell_first()
 
     def _build_page(self, server: Any, views: int) -> None:
         session = self.controller.session
-        self._state.update(page_constants(session, dialogs=self.dialogs.names))
+        self._state.update(page_constants(session, dialogs=self.controller.dialogs))
         self._state.update({"dialog": None, "answers": {}, "thumbnails": {}, "notices": []})
-        self._state.update({"busy_share": None, "sliding": None, "mistyped": 0})
-        self._state.client_only("sliding")
+        self._state.update({"busy_share": None, "sliding": None, "mistyped": 0, "sought": ""})
+        self._state.client_only("sliding", "sought")
         self._refresh()
         for name in ("act", "select", "show_frame", "answer", "close_notice", "add_object",
                      "set_number", "remove_point"):  # fmt: skip
@@ -136,11 +152,17 @@ class FrontEnd:
         self._refresh_planned = False
         self._set(**page_pose(self.controller))
 
+    def _show_notices(self, notices: list[Notice]) -> None:
+        self._set(notices=[asdict(notice) for notice in notices])
+
+    def _show_thumbnails(self, pictures: dict[str, NDArray[np.uint8] | None]) -> None:
+        self._set(thumbnails={i: _as_png(p) for i, p in pictures.items() if p is not None})
+
     def _show_question(self, question: Question | None) -> None:
         if question is None:
             self._set(dialog=None)
         else:
-            self._set(dialog=question.shown(), answers=question.first_answers())
+            self._set(dialog=question.as_dict(), answers=question.first_answers(), sought="")
 
     def _on_event(self, event: Event) -> None:
         if event.kind == "message":
@@ -205,7 +227,7 @@ class FrontEnd:
             self._streams[view].let_go()
 
     def key(self, event: Key) -> None:
-        id = ACTION_OF.get(event.name)
+        id = self._action_of.get(event.name)
         if id is not None and (BY_ID[id].repeats or not event.repeat):
             self.act(id)
 
@@ -263,3 +285,10 @@ class FrontEnd:
             # The field is made anew, with the number as it is.
             self._set(mistyped=self._state["mistyped"] + 1)
         self._refresh()
+
+
+def _as_png(rgb: NDArray[np.uint8]) -> str:
+    """A data URL."""
+    done, data = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
+    assert done
+    return "data:image/png;base64," + base64.b64encode(data.tobytes()).decode("ascii")

@@ -13,7 +13,7 @@ from typing import Any
 from trame.ui.vuetify3 import VAppLayout
 
 from annotator.app.action import Action
-from annotator.app.action_table import ACTIONS, BY_ID, MENUS
+from annotator.app.action_table import ACTIONS, BY_ID, MENUS, available_actions
 from annotator.app.controller import Controller
 from annotator.app.object_summary import click_rows, next_hint, progress, summarize
 from annotator.app.pose_text import RotationForm, rotation_numbers
@@ -134,8 +134,8 @@ def _menu(name: str, dialogs: frozenset[str]) -> dict[str, Any]:
     """The entries of one menu; what would need a dialog that the page lacks is left out."""
     entries: list[dict[str, Any]] = []
     group = None
-    for action in ACTIONS:
-        if action.menu != name or (action.asks and action.asks not in dialogs):
+    for action in available_actions(dialogs):
+        if action.menu != name:
             continue
         entries.append(
             {

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from benchmark.data.splits import DepthSource, SceneFiles, Split, get_split
 from std_toolkit.errors import ToolkitError
@@ -56,6 +57,20 @@ class SplitReport:
     def is_complete(self) -> bool:
         """Frames are there, every one has its files, and those that were tried could be read."""
         return self.frames > 0 and not self.missing and not self.unreadable
+
+    def record(self) -> dict[str, Any]:
+        """What was found, as plain values."""
+        return {
+            "split": self.split.name,
+            "root": str(self.root),
+            "complete": self.is_complete,
+            "problem": self.problem,
+            "scenes": len(self.scenes),
+            "frames": self.frames,
+            "missing": self.missing,
+            "unreadable": self.unreadable,
+            "notes": self.notes,
+        }
 
     def text(self) -> str:
         """Some lines for a terminal."""

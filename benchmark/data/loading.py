@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 from benchmark.data.frame import BACKGROUND
 from benchmark.data.splits import FrameKey, SceneFiles
 from std_toolkit.errors import ToolkitError
-from std_toolkit.importers.foreign_files import FARTHEST_MEDIAN_M
-from std_toolkit.importers.pairing import natural_key
+from std_toolkit.importers.foreign_files import FARTHEST_MEDIAN_M, natural_key
 from std_toolkit.io.exr import read_exr_channel
 from std_toolkit.io.images import read_png
 
@@ -280,7 +279,7 @@ def first_file(folder: Path, names: tuple[str, ...], what: str) -> Path:
     raise ToolkitError(
         f"the frame has no {what}: no such file{others}",
         path=folder / names[0],
-        hint="is the download complete? --check-data lists all that is missing",
+        hint="is the download complete? `std-bench check-data` lists all that is missing",
     )
 
 

@@ -309,6 +309,10 @@ class Task(Generic[R, D, M]):
         """Results for a terminal."""
         raise NotImplementedError
 
+    def records(self, results: Sequence[Any], config: Any) -> Sequence[Any]:
+        """The figures of the table, for JSON."""
+        raise NotImplementedError
+
 
 def run_task(task: Task[R, Any, Any], run: R, jobs: JobOptions | None = None) -> pd.DataFrame:
     """Do what has not been done yet of a run.

@@ -209,11 +209,11 @@ def bench_command(method: str) -> str:
     """The command and the name of a method, without its preset and weights.
 
     >>> bench_command("swindrnet"), bench_command("nocs")
-    ('std-bench --method swindrnet', 'std-bench --task pose --method nocs')
+    ('std-bench --method swindrnet', 'std-bench pose --method nocs')
     """
     if method not in restorers.names():
         if method in pose_methods.names():
-            return f"std-bench --task pose --method {method}"
+            return f"std-bench pose --method {method}"
         if method in grasp_planners.names():
-            return f"std-bench --task grasp --planner {method}"
+            return f"std-bench grasp --planner {method}"
     return f"std-bench --method {method}"

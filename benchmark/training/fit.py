@@ -3,46 +3,23 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import torch
 
 from benchmark.methods.weights import save_weights
 from benchmark.training.catalogue import Trainable, get_trainable
 from benchmark.training.config import TrainConfig, begin, seed_of
-from benchmark.training.packed_frames import PackedFrames
+from benchmark.training.options import Machine
+from benchmark.training.packed_frames import Data
 from benchmark.training.run_files import BEST, CHECKPOINT, LAST
 from benchmark.training.run_note import RUN_NOTE, note_of
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import hold_lock, sweep_temporaries
 from std_toolkit.io.documents import write_document
 from std_toolkit.log import logger
-
-
-@dataclass(frozen=True, kw_only=True)
-class Machine:
-    """Where a training runs; it may go on elsewhere.
-
-    Attributes:
-        accelerator: `cpu`, `gpu`, or `auto`.
-        devices, nodes: processes of a machine, and machines.
-        readers: processes that read data, for each device.
-        log_every: steps between rows of the log.
-        progress: whether to show a bar.
-        in_ray: this is a process that Ray Train started; it knows how many there are.
-    """
-
-    accelerator: Literal["auto", "cpu", "gpu"] = "auto"
-    devices: int = 1
-    nodes: int = 1
-    readers: int = 2
-    log_every: int = 50
-    progress: bool = True
-    in_ray: bool = False
 
 
 @dataclass(frozen=True)
@@ -56,16 +33,6 @@ class Beginning:
 
     weights: Path | None = None
     imagenet: Path | None = None
-
-
-@dataclass(frozen=True)
-class Data:
-    """Frames to train on and frames to judge by."""
-
-    training: PackedFrames
-    of_training: Sequence[int]
-    validation: PackedFrames
-    of_validation: Sequence[int]
 
 
 def fit(

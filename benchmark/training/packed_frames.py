@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -197,3 +198,13 @@ def fitting_frames_with_nocs(folders: Sequence[Path], config: Any) -> PackedFram
                 hint="pack them with `std-train pack --nocs`",
             )
     return frames
+
+
+@dataclass(frozen=True)
+class Data:
+    """Frames to train on and frames to judge by."""
+
+    training: PackedFrames
+    of_training: Sequence[int]
+    validation: PackedFrames
+    of_validation: Sequence[int]

@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytorch_lightning as pl
 import torch
@@ -24,12 +24,10 @@ from benchmark.training.callbacks import Watch
 from benchmark.training.catalogue import Trainable
 from benchmark.training.config import TrainConfig
 from benchmark.training.frame_order import BatchOrder, Steps
-from benchmark.training.packed_frames import PackedFrames
+from benchmark.training.options import Machine
+from benchmark.training.packed_frames import Data, PackedFrames
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import atomic_path
-
-if TYPE_CHECKING:
-    from benchmark.training.fit import Data, Machine
 
 _PRECISIONS: dict[str, Any] = {"fp32": "32-true", "bf16": "bf16-mixed"}
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from sensors.assets.asset import NO_SYMMETRY, TURN_Y, Asset, canonical_frame, welded
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import MESH_SUFFIXES, UNITS_IN_M, check_mesh_size
+from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.symmetry import Symmetry
 from std_toolkit.log import logger
 
@@ -198,8 +199,6 @@ def turn_symmetry(
         tolerance: how far the turned surface may lie from itself, as a share of the diagonal; one
             point in a hundred may be further away.
     """
-    import open3d as o3d
-
     corners = np.asarray(vertices, dtype=np.float64)[faces]
     area = np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
@@ -211,17 +210,10 @@ def turn_symmetry(
     a, b = np.sort(rng.random((2, _SAMPLES)), axis=0)
     weights = np.stack([a, b - a, 1 - b], axis=1)
     points = np.einsum("nk,nkd->nd", weights, corners[face])
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        o3d.core.Tensor.from_numpy(np.ascontiguousarray(vertices, dtype=np.float32)),
-        o3d.core.Tensor.from_numpy(np.ascontiguousarray(faces, dtype=np.uint32)),
-    )
+    caster = RayCaster(vertices, faces)
     for angle in _ANGLES:
         c, s = np.cos(angle), np.sin(angle)
         turned = points @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T
-        distance = scene.compute_distance(
-            o3d.core.Tensor.from_numpy(turned.astype(np.float32))
-        ).numpy()
-        if np.quantile(distance, 0.99) > tolerance:
+        if np.quantile(caster.distance(turned), 0.99) > tolerance:
             return NO_SYMMETRY
     return TURN_Y

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
 from sensors.synthetic.shapes import Shape, printed_texture, sample, wrap
+from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.se3 import SE3
 
 Array = NDArray[np.float64]
@@ -56,9 +56,13 @@ class World:
             for s, T in zip(shapes, poses, strict=True)
         ]
         self._normals = [np.asarray(m.vertex_normals) for m in self._meshes]
-        opaque = [i for i in range(len(self._meshes)) if not self._is_glass(i)]
-        self._everything = _Caster(self._meshes, list(range(len(self._meshes))))
-        self._opaque = _Caster(self._meshes, opaque)
+        self._everything, self._opaque = RayCaster(), RayCaster()
+        self._opaque_entities: list[int] = []
+        for i, mesh in enumerate(self._meshes):
+            self._everything.add(mesh.vertices, mesh.faces)
+            if not self._is_glass(i):
+                self._opaque.add(mesh.vertices, mesh.faces)
+                self._opaque_entities.append(i)
         self._table = printed_texture(
             rng,
             width=2048,
@@ -85,13 +89,16 @@ class World:
     def cast(self, origins: Array, directions: Array, *, through_glass: bool = False) -> Hits:
         """First hits of rays (N, 3); `through_glass` ignores transparent objects."""
         caster = self._opaque if through_glass else self._everything
-        t, entity, primitive, uv = caster(origins, directions)
+        met = caster.cast(np.concatenate([origins, directions], axis=1))
+        t = met.distance.astype(np.float64)
+        known = self._opaque_entities if through_glass else range(len(self._meshes))
+        entity = np.array([*known, -1])[np.where(np.isfinite(t), met.mesh.astype(np.int64), -1)]
         points = origins + np.where(np.isfinite(t), t, 0)[:, None] * directions
         normals = np.zeros_like(points)
         for i in np.unique(entity[entity >= 0]):
             rows = entity == i
-            corner = self._normals[i][self._meshes[i].faces[primitive[rows]]]
-            u, v = uv[rows].T
+            corner = self._normals[i][self._meshes[i].faces[met.face[rows]]]
+            u, v = met.uv[rows].T
             weights = np.stack([1 - u - v, u, v], axis=1)
             normals[rows] = np.einsum("nk,nkc->nc", weights, corner)
         length = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -158,7 +165,8 @@ class World:
         n = hits.normals[rows]
         sun = np.clip(n @ SUN, 0, 1)
         origins = hits.points[rows] + 1e-4 * n
-        blocked = self._opaque.occluded(origins, np.broadcast_to(SUN, origins.shape))
+        rays = np.concatenate([origins, np.broadcast_to(SUN, origins.shape)], axis=1)
+        blocked = self._opaque.occluded(rays)
         return 0.42 + 0.16 * n[:, 2] + 0.52 * sun * np.where(blocked, 0.25, 1.0)
 
     def _is_glass(self, entity: int) -> bool:
@@ -166,38 +174,6 @@ class World:
 
 
 _KIND = {"raw": 0, "diffuse": 0, "specular": 1, "transparent": 2}
-
-
-class _Caster:
-    """Embree over some of the world's meshes."""
-
-    def __init__(self, meshes: list[trimesh.Trimesh], chosen: list[int]) -> None:
-        import open3d as o3d
-
-        self._scene = o3d.t.geometry.RaycastingScene()
-        self._entity = np.array([*chosen, -1])
-        for i in chosen:
-            self._scene.add_triangles(
-                o3d.core.Tensor.from_numpy(np.asarray(meshes[i].vertices, np.float32)),
-                o3d.core.Tensor.from_numpy(np.asarray(meshes[i].faces, np.uint32)),
-            )
-
-    def __call__(self, origins: Array, directions: Array) -> tuple[Any, Any, Any, Any]:
-        answer = self._scene.cast_rays(_rays(origins, directions))
-        t = answer["t_hit"].numpy().astype(np.float64)
-        geometry = answer["geometry_ids"].numpy().astype(np.int64)
-        entity = self._entity[np.where(np.isfinite(t), geometry, -1)]
-        return t, entity, answer["primitive_ids"].numpy(), answer["primitive_uvs"].numpy()
-
-    def occluded(self, origins: Array, directions: Array) -> NDArray[np.bool_]:
-        return self._scene.test_occlusions(_rays(origins, directions)).numpy()
-
-
-def _rays(origins: Array, directions: Array) -> Any:
-    import open3d as o3d
-
-    rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
-    return o3d.core.Tensor.from_numpy(rays)
 
 
 def _paints(count: int) -> list[tuple[float, float, float]]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.scene import Scene
 
@@ -214,19 +215,14 @@ class LabelCaster:
     """
 
     def __init__(self, objects: Mapping[int, tuple[NDArray[Any], NDArray[Any]]]) -> None:
-        import open3d as o3d
-
         self.object_ids = sorted(objects)
-        self._all = o3d.t.geometry.RaycastingScene(nthreads=1)
-        self._single: dict[int, Any] = {}
+        self._all = RayCaster(threads=1)
+        self._single: dict[int, RayCaster] = {}
         self.corners: dict[int, NDArray[np.float64]] = {}
         for object_id in self.object_ids:
             vertices, faces = objects[object_id]
-            v = o3d.core.Tensor.from_numpy(np.ascontiguousarray(vertices, dtype=np.float32))
-            f = o3d.core.Tensor.from_numpy(np.ascontiguousarray(faces, dtype=np.uint32))
-            self._all.add_triangles(v, f)
-            self._single[object_id] = o3d.t.geometry.RaycastingScene(nthreads=1)
-            self._single[object_id].add_triangles(v, f)
+            self._all.add(vertices, faces)
+            self._single[object_id] = RayCaster(vertices, faces, threads=1)
             used = np.asarray(vertices, dtype=np.float64)[np.unique(faces)]
             low, high = used.min(axis=0), used.max(axis=0)
             self.corners[object_id] = np.array(
@@ -266,8 +262,6 @@ class LabelCaster:
             uv: (..., 2) pixel coordinates, anywhere.
             only: look at this object alone, as if the others were not there.
         """
-        import open3d as o3d
-
         # Directions with z = 1 in the camera frame make the distance that comes back the z-depth.
         directions = camera.unproject(uv) @ T_world_cam.R.T
         rays = np.empty((*directions.shape[:-1], 6), dtype=np.float32)
@@ -277,11 +271,11 @@ class LabelCaster:
         if not self.object_ids:
             shape = directions.shape[:-1]
             return Hits(np.zeros(shape, np.int32), np.zeros(shape, np.float32))
-        answer = structure.cast_rays(o3d.core.Tensor.from_numpy(rays), nthreads=1)
-        depth = answer["t_hit"].numpy()
+        answer = structure.cast(rays)
+        depth = answer.distance
         hit = np.isfinite(depth) & (depth > 0)
         table = np.array(self.object_ids if only is None else [only], dtype=np.int32)
-        index = np.where(hit, answer["geometry_ids"].numpy().astype(np.int64), 0)
+        index = np.where(hit, answer.mesh.astype(np.int64), 0)
         return Hits(
             np.where(hit, table[index], NOTHING).astype(np.int32),
             np.where(hit, depth, 0).astype(np.float32),

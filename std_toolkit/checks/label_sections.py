@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 from math import hypot
 
 from std_toolkit.checks import figures
@@ -11,9 +10,19 @@ from std_toolkit.checks.gates import depth_excess_mm, scale_share, shift_px
 from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.overlay import FramePictures
 from std_toolkit.checks.result import CheckReport, ObjectCheck
-from std_toolkit.html import markup
-from std_toolkit.html.markup import Cell, amount, number, percent, tag, text
+from std_toolkit.html.page import (
+    Block,
+    Figure,
+    Gallery,
+    Heading,
+    Legend,
+    LegendEntry,
+    Paragraph,
+    Plot,
+    Terms,
+)
 from std_toolkit.html.plots import object_color
+from std_toolkit.html.table import NONE, Cell, Column, Row, Table, number
 
 _MEANINGS = {
     "edge distance": "from the contour of the label, along its normal, to the nearest edge of the "
@@ -26,34 +35,47 @@ _MEANINGS = {
     "without bias": "what is left of it after the part that all diffuse objects share",
     "seems off by": "length of the one shift in the world that best moves the label onto the edges "
     "of all frames",
-    "drift": "what that shift leaves in the single frames and no pose of the object can mend: "
+    "drift": "what that shift leaves in the single frames and no pose of the object can repair: "
     "camera poses, scale, or an object that moved",
 }
 
 
-def labels_section(report: CheckReport, options: CheckOptions) -> str:
+_COLUMNS = (
+    Column(heading="object", numeric=False),
+    Column(heading="verdict", numeric=False),
+    Column(heading="edge distance", unit="px, median", digits=2),
+    Column(heading="p90", unit="px, frames", digits=2),
+    Column(heading="by chance", unit="px", digits=2),
+    Column(heading="shift", unit="px", digits=2),
+    Column(heading="depth residual", unit="mm, ± MAD", signed=True),
+    Column(heading="without bias", unit="mm", signed=True),
+    Column(heading="seems off by", unit="mm"),
+    Column(heading="drift", unit="px", digits=2),
+    Column(heading="drift", unit="mm"),
+    Column(heading="label std", unit="mm"),
+    Column(heading="visible", unit="%, median", factor=100, digits=0),
+)
+
+
+def label_blocks(report: CheckReport, options: CheckOptions) -> list[Block]:
     """Table of the objects and figures over frames."""
     if not report.objects:
-        return markup.paragraph("The scene has no objects (objects.json).")
-    heads = [
-        ("object", ""), ("verdict", ""), ("edge distance", "px, median"), ("p90", "px, frames"),
-        ("by chance", "px"), ("shift", "px"), ("depth residual", "mm, ± MAD"),
-        ("without bias", "mm"),
-        ("seems off by", "mm"), ("drift", "px"), ("drift", "mm"), ("label std", "mm"),
-        ("visible", "median"),
-    ]  # fmt: skip
-    share = scale_share(report.summary)
-    body = ""
+        return [Paragraph("The scene has no objects (`objects.json`).")]
     if any(o.frames_seen for o in report.objects):
-        body += markup.table(heads, [_label_row(report, o, share, options) for o in report.objects])
-        body += markup.definitions(_MEANINGS)
+        share = scale_share(report.summary)
+        rows = [_label_row(report, o, share, options) for o in report.objects]
+        blocks: list[Block] = [Table(columns=_COLUMNS, rows=rows), Terms(_MEANINGS)]
     else:
-        rows = [[name_cell(report, o), tag(o.verdict), text(o.label)] for o in report.objects]
-        body += markup.table([("object", ""), ("verdict", ""), ("label", "")], rows)
-    return body + _label_figures(report, options)
+        rows = [
+            Row([name_cell(report, o), Cell(text=o.verdict, tag=o.verdict), Cell(text=o.label)])
+            for o in report.objects
+        ]
+        columns = (*_COLUMNS[:2], Column(heading="label", numeric=False))
+        blocks = [Table(columns=columns, rows=rows)]
+    return blocks + _label_figures(report, options)
 
 
-def _label_figures(report: CheckReport, options: CheckOptions) -> str:
+def _label_figures(report: CheckReport, options: CheckOptions) -> list[Block]:
     bias = report.summary.depth_bias
     residual_title = "Depth residual over frames, diffuse objects"
     if bias is not None:
@@ -82,62 +104,57 @@ def _label_figures(report: CheckReport, options: CheckOptions) -> str:
         ),
         "Visible part over frames": figures.visibility_figure(report.objects),
     }
-    return "".join(
-        f"<h3>{escape(title)}</h3>{markup.plot(f'frames-{place}', figure)}"
-        for place, (title, figure) in enumerate(found.items())
-        if figure is not None
-    )
+    blocks: list[Block] = []
+    for place, (title, figure) in enumerate(found.items()):
+        if figure is not None:
+            blocks += [Heading(title), Plot(f"frames-{place}", figure)]
+    return blocks
 
 
-def _label_row(
-    report: CheckReport, item: ObjectCheck, share: float, options: CheckOptions
-) -> list[Cell]:
-    excess = depth_excess_mm(item, share)
-    residual = number(item.depth_mm, 1, sign=True)
-    if item.depth_mad_mm is not None:
-        residual += f" ± {item.depth_mad_mm:.1f}"
-    return [
-        name_cell(report, item),
-        tag(item.verdict),
-        amount(item.edge_px, 2, over=(item.edge_px or 0) > options.max_edge_px),
-        amount(item.edge_p90_px, 2),
-        amount(item.edge_chance_px, 2),
-        amount(item.shift_px, 2, over=(shift_px(item, options) or 0) > options.max_shift_px),
-        Cell(residual, numeric=True, over=(excess or 0) > options.max_depth_mm),
-        amount(item.depth_unscaled_mm, 1, sign=True),
-        amount(item.offset_norm_mm, 1),
-        amount(item.drift_px, 2, over=(item.drift_px or 0) > options.max_drift_px),
-        amount(item.drift_mm, 1),
-        amount(item.label_std_mm, 1, over=(item.label_std_mm or 0) > options.max_label_std_mm),
-        percent(item.visible_fraction),
+def _label_row(report: CheckReport, item: ObjectCheck, share: float, options: CheckOptions) -> Row:
+    spread = "" if item.depth_mad_mm is None else f"± {item.depth_mad_mm:.1f}"
+    # Value, what is compared with the limit, the limit, and what is written behind the value.
+    figures_of: list[tuple[float | None, float | None, float, str]] = [
+        (item.edge_px, item.edge_px, options.max_edge_px, ""),
+        (item.edge_p90_px, None, 0, ""),
+        (item.edge_chance_px, None, 0, ""),
+        (item.shift_px, shift_px(item, options), options.max_shift_px, ""),
+        (item.depth_mm, depth_excess_mm(item, share), options.max_depth_mm, spread),
+        (item.depth_unscaled_mm, None, 0, ""),
+        (item.offset_norm_mm, None, 0, ""),
+        (item.drift_px, item.drift_px, options.max_drift_px, ""),
+        (item.drift_mm, None, 0, ""),
+        (item.label_std_mm, item.label_std_mm, options.max_label_std_mm, ""),
+        (item.visible_fraction, None, 0, ""),
     ]
+    cells = [name_cell(report, item), Cell(text=item.verdict, tag=item.verdict)]
+    for column, (value, judged, limit, behind) in zip(_COLUMNS[2:], figures_of, strict=True):
+        text = f"{column.text(value) or NONE} {behind}".rstrip()
+        over = judged is not None and judged > limit
+        cells.append(Cell(text=text, mark="bad" if over else ""))
+    return Row(cells)
 
 
-def overlays_section(report: CheckReport, pictures: Sequence[FramePictures]) -> str:
+def overlay_blocks(report: CheckReport, pictures: Sequence[FramePictures]) -> list[Block]:
     """Whole frames with all outlines, then the close-ups of every object."""
     colors = _colors(report)
-    shown = [p for p in pictures if p.overview is not None]
-    if not shown:
-        return ""
     names = {f.frame: f.name for f in report.frames}
+    whole = [
+        Figure(p.overview, f"frame {p.frame} ({names[p.frame]})", colors)
+        for p in pictures
+        if p.overview is not None
+    ]
+    if not whole:
+        return []
     labelled = [o for o in report.objects if o.label in ("propagated", "refined")]
-    body = markup.paragraph(
+    about = (
         "Outlines of the labels over the image; where the label is right the line runs along the "
         "object's edge. Click a picture to enlarge it; the key o hides the outlines."
         if labelled
         else "Frames spread over the recording; there are no labels to draw over them."
     )
-    body += (
-        '<div class="legend">'
-        + "".join(markup.chip(colors[o.object], o.name) for o in labelled)
-        + "</div>"
-    )
-    cards = [
-        markup.picture(p.overview, colors, f"frame {p.frame} ({escape(names[p.frame])})")
-        for p in shown
-        if p.overview is not None
-    ]
-    body += f'<div class="gallery wide">{"".join(cards)}</div>'
+    legend = Legend([LegendEntry(colors[o.object], o.name) for o in labelled])
+    blocks: list[Block] = [Paragraph(about), legend, Gallery(whole, layout="wide")]
     for item in labelled:
         rows = {f.frame: f for f in item.frames}
         cards = []
@@ -149,19 +166,17 @@ def overlays_section(report: CheckReport, pictures: Sequence[FramePictures]) -> 
                     notes.append("annotated here")
                 if edge is not None:
                     notes.append(f"edge {edge:.2f} px")
-                caption = escape(", ".join(notes))
-                cards.append(markup.picture(p.closeups[item.object], colors, caption))
+                cards.append(Figure(p.closeups[item.object], ", ".join(notes), colors))
         if cards:
-            body += f"<h3>{markup.chip(colors[item.object], item.name)}</h3>"
-            body += f'<div class="gallery small">{"".join(cards)}</div>'
-    return body
+            blocks.append(Heading(item.name, color=colors[item.object]))
+            blocks.append(Gallery(cards, layout="small"))
+    return blocks
 
 
 def name_cell(report: CheckReport, item: ObjectCheck) -> Cell:
     """An object's name in its colour, material and state of its label below."""
-    color = _colors(report)[item.object]
-    note = f"<small>{escape(item.material)}, {escape(item.label)}</small>"
-    return Cell(markup.chip(color, item.name) + note)
+    note = f"{item.material}, {item.label}"
+    return Cell(text=item.name, note=note, color=_colors(report)[item.object])
 
 
 def _colors(report: CheckReport) -> dict[int, str]:

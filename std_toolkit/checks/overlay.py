@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from std_toolkit.checks.contours import Contour, svg_path
 from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.residuals import LabelledView, open_for_work, render_view
-from std_toolkit.html.markup import Picture
+from std_toolkit.html.page import Picture
 
 CROP_MARGIN = 0.25
 SMALLEST_CROP_PX = 96

@@ -4,17 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 
 from std_toolkit import __version__
 from std_toolkit.checks import figures
-from std_toolkit.checks.label_sections import labels_section, name_cell, overlays_section
+from std_toolkit.checks.label_sections import label_blocks, name_cell, overlay_blocks
 from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.overlay import FramePictures
 from std_toolkit.checks.result import CheckGate, CheckReport
-from std_toolkit.html import markup
-from std_toolkit.html.markup import CSS, SCRIPT, Cell, amount, number, percent, tag, text
+from std_toolkit.html.page import (
+    Block,
+    Bullets,
+    Fact,
+    Figure,
+    Gallery,
+    Heading,
+    Legend,
+    LegendEntry,
+    Page,
+    Paragraph,
+    Plot,
+    Section,
+    Verdict,
+)
 from std_toolkit.html.plots import MATERIAL_COLORS
+from std_toolkit.html.table import MINUS, NONE, Cell, Column, Row, Table, number
 
 
 @dataclass(frozen=True)
@@ -32,265 +45,230 @@ class PageParts:
     pictures: Sequence[FramePictures]
 
 
+_TEXT = Column(heading="", numeric=False)
+
+
 def render_page(report: CheckReport, parts: PageParts, options: CheckOptions) -> str:
     """The report as HTML."""
-    from plotly.offline import get_plotlyjs
-
-    sections = [
-        ("gates", "Gates", _gates(report)),
-        ("warnings", "Warnings", _warnings(report)),
-        ("labels", "Labels", labels_section(report, options)),
-        ("overlays", "Overlays", overlays_section(report, parts.pictures)),
-        ("scene", "Scene", _scene(report, parts, options)),
-        ("coverage", "Coverage", _coverage(report, parts)),
-        ("depth", "Sensor depth", _depth(report, parts)),
-        ("missing", "Not in this report", _missing(report)),
-    ]
-    links = "".join(f'<a href="#{k}">{t}</a>' for k, t, body in sections if body)
-    state = "pass" if report.passed else "fail"
     word, _, rest = report.verdict.partition(": ")
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width,initial-scale=1">'
-        f"<title>{escape(report.scene)}: {escape(word)}</title>"
-        '<link rel="icon" href="data:,">'
-        f"<style>{CSS}</style></head><body>"
-        f'<header><div class="inner"><div class="kind">Label check</div>'
-        f"<h1>{escape(report.scene)}</h1>"
-        f'<div class="verdict {state}"><b>{escape(word)}</b><span>{escape(rest)}</span></div>'
-        f"{_facts(report)}</div></header>"
-        f'<nav><div class="inner">{links}<label title="key: o">'
-        '<input type="checkbox" id="outlines" checked> outlines</label></div></nav>'
-        f"<main>{''.join(markup.section(k, t, body) for k, t, body in sections)}"
-        f"<footer>std-toolkit {__version__}, std-curate check. The same numbers: report.json, "
-        "report.csv (objects), frames.csv (frames).</footer></main>"
-        '<dialog id="large"></dialog>'
-        f"<script>{get_plotlyjs()}</script><script>{SCRIPT}</script></body></html>\n"
-    )
+    return Page(
+        kind="Label check",
+        title=report.scene,
+        tab_title=f"{report.scene}: {word}",
+        verdicts=[Verdict(rest, word, "pass" if report.passed else "fail")],
+        facts=_facts(report),
+        outlines=True,
+        sections=[
+            Section("gates", "Gates", [_gates(report)]),
+            Section("warnings", "Warnings", [_warnings(report)]),
+            Section("labels", "Labels", label_blocks(report, options)),
+            Section("overlays", "Overlays", overlay_blocks(report, parts.pictures)),
+            Section("scene", "Scene", _scene(report, parts, options)),
+            Section("coverage", "Coverage", _coverage(report, parts)),
+            Section("depth", "Sensor depth", _depth(report, parts)),
+            Section(
+                "missing", "Not in this report", [Bullets([Paragraph(m) for m in report.missing])]
+            ),
+        ],
+        footer=f"std-toolkit {__version__}, `std-curate check`. The same numbers: `report.json`, "
+        "`report.csv` (objects), `frames.csv` (frames).",
+    ).html()
 
 
-def _facts(report: CheckReport) -> str:
+def _facts(report: CheckReport) -> list[Fact]:
     s = report.summary
-    edges = [o.edge_px for o in report.objects if o.edge_px is not None]
+    edges = sorted(o.edge_px for o in report.objects if o.edge_px is not None)
     gates = [g for g in report.gates if g.status != "open"]
-    rows = [
-        ("gates passed", f"{len(gates) - len(report.failed_gates())} of {len(gates)}", ""),
-        ("frames registered", f"{s.registered} of {s.frames}", f"{s.looked_at} looked at"),
-        (
-            "reprojection",
-            f"{number(s.reprojection_px, 2)} px" if s.reprojection_px is not None else "–",
-            "",
-        ),
-        ("objects labelled", f"{s.labelled} of {s.objects}", ""),
-        (
-            "contour to edge",
-            f"{sorted(edges)[len(edges) // 2]:.2f} px" if edges else "–",
-            f"worst {max(edges):.2f} px" if edges else "",
-        ),
-        ("metres from", _scalename_cell(report), _scale_note(report)),
+    reprojection = number(s.reprojection_px, 2)
+    return [
+        Fact("gates passed", f"{len(gates) - len(report.failed_gates())} of {len(gates)}"),
+        Fact("frames registered", f"{s.registered} of {s.frames}", f"{s.looked_at} checked"),
+        Fact("reprojection", reprojection if reprojection == NONE else f"{reprojection} px"),
+        Fact("objects labelled", f"{s.labelled} of {s.objects}"),
+        Fact("contour to edge", f"{edges[len(edges) // 2]:.2f} px", f"worst {edges[-1]:.2f} px")
+        if edges
+        else Fact("contour to edge", NONE),
+        Fact("scale from", *_scale_fact(report)),
     ]
-    return (
-        '<div class="facts">'
-        + "".join(
-            f"<div><span>{escape(a)}</span><b>{b}</b><i>{escape(c)}</i></div>" for a, b, c in rows
-        )
-        + "</div>"
-    )
 
 
-def _gates(report: CheckReport) -> str:
+def _gates(report: CheckReport) -> Table:
     rows = [
         [
-            tag(g.status, {"open": "not measured"}.get(g.status, g.status)),
-            text(g.title, small=g.detail),
-            Cell(_with_unit(g, g.value), numeric=True, over=g.status == "fail"),
-            Cell(f"{g.rule} {_with_unit(g, g.limit)}", numeric=True),
+            Cell(text={"open": "not measured"}.get(g.status, g.status), tag=g.status),
+            Cell(text=g.title, note=g.detail),
+            Cell(text=_with_unit(g, g.value), mark="bad" if g.status == "fail" else ""),
+            Cell(text=f"{g.rule} {_with_unit(g, g.limit)}"),
+            Cell(text=g.advice if g.status == "fail" else ""),
         ]
         for g in report.gates
     ]
-    heads = [("", ""), ("gate", ""), ("measured", ""), ("limit", "")]
-    if report.failed_gates():
-        heads.append(("what to do", ""))
-        for row, gate in zip(rows, report.gates, strict=True):
-            row.append(text(gate.advice) if gate.status == "fail" else Cell(""))
-    return markup.table(heads, rows)
+    columns = [
+        _TEXT,
+        Column(heading="gate", numeric=False),
+        Column(heading="measured"),
+        Column(heading="limit"),
+        Column(heading="what to do", numeric=False),
+    ]
+    shown = len(columns) if report.failed_gates() else len(columns) - 1
+    return Table(columns=columns[:shown], rows=[Row(row[:shown]) for row in rows])
 
 
-def _warnings(report: CheckReport) -> str:
+def _warnings(report: CheckReport) -> Block:
     rows = [
-        [tag(w.severity), text(w.about), text(w.problem), text(w.advice)]
+        Row([Cell(text=w.severity, tag=w.severity), *_texts(w.about, w.problem, w.advice)])
         for w in report.warnings
         if not w.gate
     ]
     if not rows:
-        return markup.paragraph("None besides the gates.")
-    return markup.table([("", ""), ("about", ""), ("what", ""), ("what to do", "")], rows)
+        return Paragraph("None besides the gates.")
+    heads = ("about", "problem", "what to do")
+    return Table(columns=[_TEXT, *(Column(heading=h, numeric=False) for h in heads)], rows=rows)
 
 
-def _scene(report: CheckReport, parts: PageParts, options: CheckOptions) -> str:
-    body = ""
+def _scene(report: CheckReport, parts: PageParts, options: CheckOptions) -> list[Block]:
+    blocks: list[Block] = []
     if parts.view3d is not None:
-        body += markup.paragraph(
-            "Drag to turn, scroll to zoom, click a name to hide it. The view is turned upright; "
-            "lengths are metres."
-        )
-        body += markup.plot("scene", parts.view3d)
+        blocks += [
+            Paragraph(
+                "Drag to rotate, scroll to zoom, click a name to hide it. The vertical axis is up; "
+                "lengths are metres."
+            ),
+            Plot("scene", parts.view3d),
+        ]
     scale = report.summary.scale
     if scale is not None and scale.estimates:
-        rows = [
-            [
-                text(e.source, small="used" if e.source == scale.chosen else ""),
-                amount(e.factor, 5),
-                amount(100 * (e.factor / _chosen_factor(report) - 1), 2, sign=True),
-                amount(100 * e.spread, 2),
-                amount(100 * e.standard_error, 3),
-                amount(e.count, 0),
-                text(e.note),
-            ]
-            for e in scale.estimates
+        columns = [
+            Column(heading="source", numeric=False),
+            Column(heading="factor", unit="m per unit", digits=5),
+            Column(heading="against the used one", unit="%", factor=100, digits=2, signed=True),
+            Column(heading="spread", unit="%, IQR", factor=100, digits=2),
+            Column(heading="standard error", unit="%", factor=100, digits=3),
+            Column(heading="measurements", digits=0),
+            _TEXT,
         ]
-        body += "<h3>Sources of metres</h3>" + markup.table(
-            [("source", ""), ("factor", "m per unit"), ("against the used one", "%"),
-             ("spread", "%, IQR"), ("standard error", "%"), ("measurements", ""), ("", "")],
-            rows,
-        )  # fmt: skip
+        used = next((e for e in scale.estimates if e.source == scale.chosen), scale.estimates[0])
+        rows = []
+        for e in scale.estimates:
+            values = (e.factor, e.factor / used.factor - 1, e.spread, e.standard_error, e.count)
+            name = Cell(text=e.source, note="used" if e.source == scale.chosen else "")
+            rows.append(Row([name, *_cells(columns[1:-1], values), Cell(text=e.note)]))
+        blocks.append(Table(title="Sources of metric scale", columns=columns, rows=rows))
     figure = figures.registration_figure(report, limit_px=options.max_reprojection_px)
     if figure is not None:
-        body += "<h3>Camera poses over frames</h3>" + markup.plot("registration", figure)
-    return body
+        blocks += [Heading("Camera poses over frames"), Plot("registration", figure)]
+    return blocks
 
 
-def _coverage(report: CheckReport, parts: PageParts) -> str:
+def _coverage(report: CheckReport, parts: PageParts) -> list[Block]:
     if parts.sky is None:
-        return ""
-    shown = [o for o in report.objects if o.azimuth_span_deg is not None]
-    rows = [
-        [
-            name_cell(report, o),
-            amount(o.frames_seen, 0),
-            amount(o.azimuth_span_deg, 0),
-            Cell(
-                f"{number(o.elevation_deg[0], 0)} to {number(o.elevation_deg[1], 0)}"
-                if o.elevation_deg
-                else markup.DASH,
-                numeric=True,
-            ),
-            amount(o.parallax_deg, 0),
-            amount(o.largest_step_deg, 0),
-        ]
-        for o in shown
+        return []
+    columns = [
+        Column(heading="object", numeric=False),
+        Column(heading="views", unit="frames", digits=0),
+        Column(heading="azimuth span", unit="degrees", digits=0),
+        Column(heading="elevation", unit="degrees"),
+        Column(heading="widest pair", unit="degrees", digits=0),
+        Column(heading="largest step", unit="degrees", digits=0),
     ]
-    heads = [
-        ("object", ""), ("views", "frames"), ("azimuth span", "degrees"),
-        ("elevation", "degrees"), ("widest pair", "degrees"), ("largest step", "degrees"),
-    ]  # fmt: skip
-    return (
-        markup.paragraph(
+    rows = []
+    for o in report.objects:
+        if o.azimuth_span_deg is None:
+            continue
+        low, high = o.elevation_deg or (None, None)
+        elevation = f"{number(low, 0)} to {number(high, 0)}" if o.elevation_deg else NONE
+        cells = [
+            name_cell(report, o),
+            *_cells(columns[1:3], (o.frames_seen, o.azimuth_span_deg)),
+            Cell(text=elevation),
+            *_cells(columns[4:], (o.parallax_deg, o.largest_step_deg)),
+        ]
+        rows.append(Row(cells))
+    return [
+        Paragraph(
             "Each dot is a frame that sees the object: the centre is straight from above, the rim "
             "level with it, and the angle the side it was seen from, 0 degrees being the side of "
             "the first frame. Paler dots see less of it; the star is the annotated frame."
-        )
-        + markup.plot("sky", parts.sky)
-        + markup.table(heads, rows)
-    )
+        ),
+        Plot("sky", parts.sky),
+        Table(columns=columns, rows=rows),
+    ]
 
 
-def _depth(report: CheckReport, parts: PageParts) -> str:
+def _depth(report: CheckReport, parts: PageParts) -> list[Block]:
     if not report.materials:
-        return ""
+        return []
     source = {
         "rendered maps": "the rendered ground truth",
-        "labels cast here": "the labels themselves (no rendered ground truth is there)",
+        "labels cast here": "the labels themselves (no ground truth is rendered)",
     }.get(report.summary.truth_source, "the labels")
-    rows = [
-        [
-            Cell(markup.chip(MATERIAL_COLORS[m.material], m.material)),
-            amount(m.objects, 0),
-            percent(m.completeness, 1),
-            percent(m.within_10mm, 1),
-            amount(m.median_mm, 1, sign=True),
-            amount(m.mae_mm, 1),
-            amount(m.rmse_mm, 1),
-            Cell(f"{number(m.p05_mm, 0)} to {number(m.p95_mm, 0)}", numeric=True),
-        ]
-        for m in report.materials
+    columns = [
+        Column(heading="material", numeric=False),
+        Column(heading="objects", digits=0),
+        Column(heading="measured", unit="% of the pixels", factor=100),
+        Column(heading="within 10 mm", unit="% of the pixels", factor=100),
+        Column(heading="median", unit="mm", signed=True),
+        Column(heading="MAE", unit="mm"),
+        Column(heading="RMSE", unit="mm"),
+        Column(heading="5 % to 95 %", unit="mm"),
     ]
-    heads = [
-        ("material", ""), ("objects", ""), ("measured", "of the pixels"),
-        ("within 10 mm", "of the pixels"), ("median", "mm"), ("MAE", "mm"), ("RMSE", "mm"),
-        ("5 % to 95 %", "mm"),
-    ]  # fmt: skip
-    body = markup.paragraph(
-        f"Raw sensor depth minus {source}: negative where the sensor reads in front of the object, "
-        "positive where it reads behind it, through glass for instance. Errors are over the pixels "
-        "that have a reading."
-    )
-    body += markup.table(heads, rows) + markup.plot(
-        "errors", figures.error_figure(report.materials)
-    )
-    panels = [p for p in parts.pictures if p.depth is not None]
+    rows = []
+    for m in report.materials:
+        values = (m.objects, m.completeness, m.within_10mm, m.median_mm, m.mae_mm, m.rmse_mm)
+        bounds = Cell(text=f"{number(m.p05_mm, 0)} to {number(m.p95_mm, 0)}")
+        texture = "original texture (`raw`)" if m.material == "raw" else m.material
+        name = Cell(text=texture, color=MATERIAL_COLORS[m.material])
+        rows.append(Row([name, *_cells(columns[1:-1], values), bounds]))
+    blocks: list[Block] = [
+        Paragraph(
+            f"Raw sensor depth minus {source}: negative where the sensor reads in front of the "
+            "object, positive where it reads behind it, through glass for instance. Errors are "
+            "over the pixels that have a reading."
+        ),
+        Table(columns=columns, rows=rows),
+        Plot("errors", figures.error_figure(report.materials)),
+    ]
+    panels = [(p.frame, p.depth) for p in parts.pictures if p.depth is not None]
     if panels:
-        body += (
-            '<h3>Where it is missing or wrong</h3><div class="scalebar">'
-            '<span>raw minus truth:</span><span>−20 mm</span><i style="background:linear-gradient('
-            '90deg,#2166ac,#92c5de,#fafafa,#f4a582,#b2182b)"></i><span>+20 mm</span>'
-            '<i class="chip" style="background:#3a3a40;width:12px"></i>'
-            "<span>no reading</span></div>"
+        gradient = "linear-gradient(90deg,#2166ac,#92c5de,#fafafa,#f4a582,#b2182b)"
+        blocks += [
+            Heading("Where it is missing or wrong"),
+            Legend(
+                [
+                    LegendEntry(gradient, "raw minus truth, −20 to +20 mm", 180),
+                    LegendEntry("#3a3a40", "no reading"),
+                ]
+            ),
+        ]
+    for frame, depth in panels:
+        span = f"{depth.near_m:.2f} m (bright) to {depth.far_m:.2f} m"
+        shown = (
+            Figure(depth.sensor, f"frame {frame}: sensor, {span}"),
+            Figure(depth.truth, "labels"),
+            Figure(depth.error, "raw minus truth"),
         )
-    for p in panels:
-        assert p.depth is not None
-        near, far = p.depth.near_m, p.depth.far_m
-        body += (
-            '<div class="gallery three">'
-            + "".join(
-                markup.picture(image, {}, escape(caption))
-                for image, caption in (
-                    (
-                        p.depth.sensor,
-                        f"frame {p.frame}: sensor, {near:.2f} m (bright) to {far:.2f} m",
-                    ),
-                    (p.depth.truth, "labels"),
-                    (p.depth.error, "raw minus truth"),
-                )
-            )
-            + "</div>"
-        )
-    return body
+        blocks.append(Gallery(shown, abreast=3))
+    return blocks
 
 
-def _missing(report: CheckReport) -> str:
-    if not report.missing:
-        return ""
-    return (
-        '<ul class="missing">'
-        + "".join(f"<li>{markup.words(m)}</li>" for m in report.missing)
-        + "</ul>"
-    )
+def _texts(*texts: str) -> list[Cell]:
+    return [Cell(text=text) for text in texts]
+
+
+def _cells(columns: Sequence[Column], values: Sequence[float | None]) -> list[Cell]:
+    return [c.cell(v, missing=NONE) for c, v in zip(columns, values, strict=True)]
 
 
 def _with_unit(gate: CheckGate, value: float | None) -> str:
-    if value is None:
-        return markup.DASH
-    return f"{value:.4g} {gate.unit}".rstrip().replace("-", markup.MINUS)
+    return NONE if value is None else f"{value:.4g} {gate.unit}".rstrip().replace("-", MINUS)
 
 
-def _chosen_factor(report: CheckReport) -> float:
-    scale = report.summary.scale
-    assert scale is not None
-    return next(
-        (e.factor for e in scale.estimates if e.source == scale.chosen), scale.estimates[0].factor
-    )
-
-
-def _scalename_cell(report: CheckReport) -> str:
+def _scale_fact(report: CheckReport) -> tuple[str, str]:
+    """Where the metric scale comes from, and how far its sources differ."""
     scale = report.summary.scale
     if scale is None:
-        return "given" if report.summary.registered else "–"
-    return "unknown" if scale.unit == "unknown" else escape(scale.chosen)
-
-
-def _scale_note(report: CheckReport) -> str:
-    scale = report.summary.scale
-    if scale is None or len(scale.estimates) < 2:
-        return ""
-    return f"{len(scale.estimates)} sources, differ by {100 * scale.disagreement:.2f} %"
+        return "given" if report.summary.registered else NONE, ""
+    name = "unknown" if scale.unit == "unknown" else scale.chosen
+    if len(scale.estimates) < 2:
+        return name, ""
+    return name, f"{len(scale.estimates)} sources, differ by {100 * scale.disagreement:.2f} %"

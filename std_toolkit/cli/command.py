@@ -4,8 +4,10 @@ A program is a table of commands. A command names a dataclass of options and a f
 an instance of it, both by `module:name`, so that `PROGRAM --help` imports neither. `tyro` makes the
 command line from the dataclass: the help of an option is the docstring below its field, its range
 is a `msgspec.Meta` in its annotation, its choices are an enum or a `Literal`. A field without a
-default is a positional argument. The field's metadata may say otherwise: `{"option": "set"}` makes
-it the option `--set`, `{"option": None}` keeps it off the command line.
+default is a positional argument, a mapping takes `NAME=VALUE ...`. The field's metadata may say
+otherwise: `{"option": "set"}` makes it the option `--set`, `{"option": None}` keeps it off the
+command line, `{"option": ""}` makes it positional. The help of a flag `--no-NAME`, which is on by
+default, is a noun: "pictures" becomes "without pictures".
 
 Exit status of every program: 0 done, 1 failed or a gate failed, 2 wrong usage, 130 interrupted.
 """
@@ -17,6 +19,7 @@ import copy
 import dataclasses
 import functools
 import importlib
+import inspect
 import io
 import logging
 import os
@@ -24,7 +27,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.log import log_to_stderr
@@ -33,6 +36,7 @@ WRONG_USAGE = 2
 INTERRUPTED = 130
 SHELLS = ("bash", "zsh", "fish")
 COMPLETION = "--print-completion"
+_MAPPINGS = (dict, Mapping)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,6 +214,25 @@ def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[
     return options, Verbosity(quiet=call.quiet, debug=call.debug)
 
 
+def words_of(options: Any) -> list[str]:
+    """The words that `parse_options` makes equal options of; defaults are left out."""
+    words: list[str] = []
+    for option in _options(type(options), options):
+        plain = {o.field: o.default for o in _options(type(options))}[option.field]
+        value = option.default
+        if value == plain:
+            continue
+        if isinstance(value, Mapping):
+            values = [f"{key}={item}" for key, item in value.items()]
+        elif isinstance(value, bool):
+            values = []
+        else:
+            values = [str(v) for v in (value if isinstance(value, tuple) else (value,))]
+        name = f"--no-{option.name}" if value is False else f"--{option.name}"
+        words += [name, *values] if option.name else values
+    return words
+
+
 def exit_status(
     run: Callable[[], int],
     *,
@@ -315,9 +338,18 @@ def _options(kind: type[Any], given: Any = dataclasses.MISSING) -> Iterator[_Opt
 
 
 def _fields(kind: type[Any], given: Any) -> Iterator[tuple[dataclasses.Field[Any], Any, Any]]:
-    """Fields on the command line, their types and defaults."""
+    """Fields on the command line, their types and defaults.
+
+    Those of base classes come late, nested dataclasses last.
+    """
     hints = get_type_hints(kind, include_extras=True)
-    for field in dataclasses.fields(kind):
+    owners: dict[str, int] = {}
+    for place, owner in enumerate(kind.__mro__):
+        owners |= {name: place for name in inspect.get_annotations(owner) if name not in owners}
+    for field in sorted(
+        dataclasses.fields(kind),
+        key=lambda field: (dataclasses.is_dataclass(hints[field.name]), owners[field.name]),
+    ):
         if not field.init or field.metadata.get("option", "") is None:
             continue
         default = field.default
@@ -330,13 +362,30 @@ def _fields(kind: type[Any], given: Any) -> Iterator[tuple[dataclasses.Field[Any
 
 def _build(kind: type[Any], values: Mapping[str, Any], given: Any = dataclasses.MISSING) -> Any:
     """The dataclass of the values of its options."""
-    found = {
-        field.name: _build(hint, values, default)
-        if isinstance(hint, type) and dataclasses.is_dataclass(hint)
-        else values[field.name]
-        for field, hint, default in _fields(kind, given)
-    }
+    found = {}
+    for field, hint, default in _fields(kind, given):
+        value: Any = values.get(field.name)
+        if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+            value = _build(hint, values, default)
+        elif get_origin(hint) in _MAPPINGS:
+            value = _pairs(field.name, value, get_args(hint)[1])
+        found[field.name] = value
     return kind(**found) if given is dataclasses.MISSING else dataclasses.replace(given, **found)
+
+
+def _pairs(name: str, words: Sequence[str], kind: type[Any]) -> dict[str, Any]:
+    """A mapping from `NAME=VALUE`."""
+    found = {}
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not (key and equals):
+            raise ToolkitError("expected NAME=VALUE", field=name, value=word)
+        try:
+            found[key] = kind(value)
+        except ValueError:
+            problem = f"expected NAME={kind.__name__.upper()}"
+            raise ToolkitError(problem, field=name, value=word) from None
+    return found
 
 
 def _with_verbosity(kind: type[Any]) -> type[Any]:
@@ -344,19 +393,25 @@ def _with_verbosity(kind: type[Any]) -> type[Any]:
     from tyro import conf
 
     fields: list[tuple[str, Any, Any]] = []
-    for option in (*_options(kind), *_options(Verbosity)):
-        says_nothing = option.default in (None, "", ()) or isinstance(option.default, bool)
+    options = sorted(_options(kind), key=lambda o: o.default is not dataclasses.MISSING)
+    for option in (*options, *_options(Verbosity)):
+        hint, default, metavar = option.type, option.default, None
+        if get_origin(hint) in _MAPPINGS:
+            hint, metavar = tuple[str, ...], "NAME=VALUE ..."
+            default = tuple(f"{name}={value}" for name, value in default.items())
+        says_nothing = default in (None, "", ()) or isinstance(default, bool)
         about = conf.arg(
             name=option.name or None,
-            help=option.help,
+            metavar=metavar,
+            help=f"without {option.help}" if default is True else option.help,
             help_behavior_hint="" if says_nothing else "(default: {})".format,
         )
-        annotated: Any = Annotated[option.type, about]
+        annotated: Any = Annotated[hint, about]
         if not option.name:
             annotated = conf.Positional[annotated]  # type: ignore[misc]
         place: Any = dataclasses.field()
-        if option.default is not dataclasses.MISSING:
-            place = dataclasses.field(default_factory=functools.partial(copy.copy, option.default))
+        if default is not dataclasses.MISSING:
+            place = dataclasses.field(default_factory=functools.partial(copy.copy, default))
         fields.append((option.field, annotated, place))
     call = dataclasses.make_dataclass(kind.__name__, fields, frozen=True, kw_only=True)
     call.__doc__ = kind.__doc__

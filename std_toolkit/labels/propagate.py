@@ -97,7 +97,13 @@ def propagate_labels(scene: Scene, options: PropagateOptions | None = None) -> L
         if options.refine:
             from std_toolkit.labels.refine_step import refine_labels
 
-            refined = refine_labels(scene, placed, options)
+            refined = refine_labels(
+                scene,
+                placed,
+                keyframes=options.keyframes,
+                use_depth=options.use_depth,
+                refine_scale=options.refine_scale,
+            )
             placed = refined.labels
             if options.refine_scale:
                 from std_toolkit.poses.publish import rescaled_poses

@@ -29,8 +29,6 @@ from std_toolkit.scene.scene import Scene
 if TYPE_CHECKING:
     import trimesh
 
-    from std_toolkit.labels.propagate import PropagateOptions
-
 # Frames about one viewpoint from which the sharpest is taken.
 _CANDIDATES = 3
 
@@ -54,7 +52,12 @@ class RefinedLabels:
 
 
 def refine_labels(
-    scene: Scene, labels: Mapping[int, Label], options: PropagateOptions
+    scene: Scene,
+    labels: Mapping[int, Label],
+    *,
+    keyframes: int,
+    use_depth: bool,
+    refine_scale: bool,
 ) -> RefinedLabels:
     """Labels with refined world poses; the caller saves them while holding the scene's lock.
 
@@ -75,10 +78,10 @@ def refine_labels(
     frames = choose_keyframes(
         scene,
         {i: start[i] for i in placed},
-        count=options.keyframes,
+        count=keyframes,
         always=sorted({f for x in placed.values() for f in annotated_views(x)}),
     )
-    views = load_views(scene, frames, use_depth=options.use_depth)
+    views = load_views(scene, frames, use_depth=use_depth)
     objects = [
         replace(
             scene_object(scene, i, start[i], fixed=i not in placed),
@@ -90,7 +93,7 @@ def refine_labels(
     result = refine_poses(
         views,
         objects,
-        RefineOptions(use_depth=options.use_depth, refine_scale=options.refine_scale),
+        RefineOptions(use_depth=use_depth, refine_scale=refine_scale),
     )
     _report(result)
     refined = dict(labels)

@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 
 from std_toolkit.geometry.camera import on_depth_step, undistort_image
+from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.atomic import atomic_path
 from std_toolkit.log import logger
@@ -224,14 +225,9 @@ def _cut(
         box = np.flatnonzero((np.abs(local) <= reach).all(axis=1))
         if len(box) == 0:
             continue
-        structure = o3d.t.geometry.RaycastingScene()
-        structure.add_triangles(
-            o3d.core.Tensor.from_numpy(mesh.vertices.astype(np.float32)),
-            o3d.core.Tensor.from_numpy(mesh.faces.astype(np.uint32)),
-        )
-        query = o3d.core.Tensor.from_numpy(np.ascontiguousarray(local[box], np.float32))
-        near[box] |= structure.compute_distance(query).numpy() < options.clearance_m
-        near[box] |= structure.compute_occupancy(query).numpy() > 0.5
+        caster = RayCaster(mesh.vertices, mesh.faces)
+        near[box] |= caster.distance(local[box]) < options.clearance_m
+        near[box] |= caster.inside(local[box])
     faces = faces[~near[faces].any(axis=1)]
     if len(faces) == 0:
         return vertices[:0], faces

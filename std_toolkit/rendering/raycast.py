@@ -8,10 +8,11 @@ makes the distance that Embree returns the z-depth.
 from __future__ import annotations
 
 from collections import OrderedDict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.rendering.mesh import RenderMesh
 from std_toolkit.rendering.renderer import NEAR_M, Raster, Window, normalised_rays
 
@@ -23,7 +24,7 @@ _KEPT_STRUCTURES = 64
 
 
 class RaycastRenderer:
-    """Ray caster on `open3d.t.geometry.RaycastingScene`.
+    """Renderer on `RayCaster`.
 
     Args:
         threads: threads per cast; 1 leaves the cores to the job layer's processes, 0 takes all.
@@ -35,18 +36,13 @@ class RaycastRenderer:
     def __init__(self, *, threads: int = 1) -> None:
         self._threads = threads
         # The meshes are kept beside their structures: an id() is unique only among the living.
-        self._structures: OrderedDict[int, tuple[RenderMesh, Any]] = OrderedDict()
+        self._structures: OrderedDict[int, tuple[RenderMesh, RayCaster]] = OrderedDict()
 
     def draw(self, camera: Camera, mesh: RenderMesh, T_cam_obj: SE3, *, window: Window) -> Raster:
         """See `Renderer.draw`. Both sides of triangles are hit; distortion is honoured."""
-        import open3d as o3d
-
-        rays = _rays(camera, mesh, T_cam_obj, window)
-        hits = self._structure(mesh).cast_rays(
-            o3d.core.Tensor.from_numpy(rays), nthreads=self._threads
-        )
-        depth = hits["t_hit"].numpy()
-        face = hits["primitive_ids"].numpy().view(np.int32)
+        hits = self._structure(mesh).cast(_rays(camera, mesh, T_cam_obj, window))
+        depth = hits.distance
+        face = hits.face.view(np.int32)
         missed = ~np.isfinite(depth) | (depth <= NEAR_M)
         depth[missed] = 0
         face[missed] = -1
@@ -56,31 +52,20 @@ class RaycastRenderer:
         self, camera: Camera, mesh: RenderMesh, T_cam_obj: SE3, *, where: np.ndarray
     ) -> np.ndarray:
         """(N,) float32 z-depth at the N true pixels of `where` (H,W), 0 where the mesh is not."""
-        import open3d as o3d
-
         inside = Window(0, 0, camera.width, camera.height)
         x, y = (np.broadcast_to(a, where.shape)[where] for a in normalised_rays(camera, inside))
         rays = np.empty((len(x), 6), np.float32)
         _fill(rays, x, y, mesh, T_cam_obj)
-        hits = self._structure(mesh).cast_rays(
-            o3d.core.Tensor.from_numpy(rays), nthreads=self._threads
-        )
-        depth = hits["t_hit"].numpy()
+        depth = self._structure(mesh).cast(rays).distance
         depth[~np.isfinite(depth) | (depth <= NEAR_M)] = 0
         return depth
 
-    def _structure(self, mesh: RenderMesh) -> Any:
+    def _structure(self, mesh: RenderMesh) -> RayCaster:
         kept = self._structures.get(id(mesh))
         if kept is not None:
             self._structures.move_to_end(id(mesh))
             return kept[1]
-        import open3d as o3d
-
-        structure = o3d.t.geometry.RaycastingScene(nthreads=self._threads)
-        structure.add_triangles(
-            o3d.core.Tensor.from_numpy(mesh.vertices.astype(np.float32)),
-            o3d.core.Tensor.from_numpy(mesh.faces.astype(np.uint32)),
-        )
+        structure = RayCaster(mesh.vertices, mesh.faces, threads=self._threads)
         self._structures[id(mesh)] = (mesh, structure)
         while len(self._structures) > _KEPT_STRUCTURES:
             self._structures.popitem(last=False)

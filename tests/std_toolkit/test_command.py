@@ -5,6 +5,7 @@ from __future__ import annotations
 import enum
 import subprocess
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -36,6 +37,8 @@ class Named:
     """which splits"""
     settings: tuple[str, ...] = field(default=(), metadata={"option": "set"})
     """a method's own"""
+    phases: Mapping[str, int] = field(default_factory=dict)
+    """steps of each phase"""
     jobs: Jobs = field(default_factory=lambda: Jobs(workers=3, bar=False))
 
     def __post_init__(self) -> None:
@@ -132,9 +135,9 @@ def test_failures_and_failed_gates_are_status_1(capsys: pytest.CaptureFixture[st
 
 
 def test_metadata_name_require_and_hide_options(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--split", "a", "b", "--set", "x=1"]
+    words = ["--split", "a", "b", "--set", "x=1", "--phases", "one=3", "two=4"]
     options, _ = parse_options(Named, words, "std-draw")
-    assert options == Named(split=("a", "b"), settings=("x=1",))
+    assert options == Named(split=("a", "b"), settings=("x=1",), phases={"one": 3, "two": 4})
     assert options.jobs == Jobs(workers=3, bar=False)
     with pytest.raises(SystemExit):
         parse_options(Named, ["--help"], "std-draw")
@@ -145,7 +148,13 @@ def test_metadata_name_require_and_hide_options(capsys: pytest.CaptureFixture[st
 
 
 @pytest.mark.parametrize(
-    ("words", "told"), [([], "--split: needed"), (["--split"], "at least one")]
+    ("words", "told"),
+    [
+        ([], "--split: needed"),
+        (["--split"], "at least one"),
+        (["--split", "a", "--phases", "one"], "--phases: expected NAME=VALUE"),
+        (["--split", "a", "--phases", "one=x"], "--phases: expected NAME=INT"),
+    ],
 )
 def test_what_options_refuse_themselves_is_wrong_usage(
     words: list[str], told: str, capsys: pytest.CaptureFixture[str]

@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 
 from benchmark.evaluation.results import aligned
+from benchmark.metrics.bop import BopDataset, read_bop_results, score_bop
 from std_toolkit.io.documents import read_document, write_document
 
 FOLDER, FILE = "bop", "bop.json"
@@ -36,6 +37,33 @@ class BopResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     ar_mssd: float
     ar_mspd: float
     seconds_per_image: float | None
+
+
+def bop_result(dataset: BopDataset, path: Path, *, data: str, split: str) -> BopResult:
+    """Score a result file.
+
+    Args:
+        dataset: with the true poses.
+        path: CSV in BOP's format.
+        data, split: as in `BopResult`.
+
+    Raises:
+        ToolkitError: the file cannot be read, or does not fit the data set.
+    """
+    estimates = read_bop_results(path)
+    scores = score_bop(dataset, estimates)
+    return BopResult(
+        results=path.stem,
+        data=data,
+        split=split,
+        targets=sum(target.inst_count for target in dataset.targets),
+        estimates=len(estimates),
+        ar=scores.ar,
+        ar_vsd=scores.vsd,
+        ar_mssd=scores.mssd,
+        ar_mspd=scores.mspd,
+        seconds_per_image=scores.seconds_per_image,
+    )
 
 
 def write_bop_result(out: Path, result: BopResult) -> None:

@@ -31,7 +31,12 @@ from benchmark.evaluation.frames import (
 )
 from benchmark.evaluation.manifest import MANIFEST, Manifest, Setup, circumstances
 from benchmark.evaluation.results import ERROR, FRAME, INDEX, NOT_FINITE, SCENE, TABLE, UNREAD
-from benchmark.evaluation.tasks.depth_results import RunResult, read_run, results_table
+from benchmark.evaluation.tasks.depth_results import (
+    RunResult,
+    depth_records,
+    read_run,
+    results_table,
+)
 from benchmark.methods.depth.filling.filler import Filler, Raw
 from benchmark.methods.depth.full_size import restorer_view
 from benchmark.methods.protocol import Restored, Restorer
@@ -178,6 +183,9 @@ class DepthTask(FrameTask[Run, DepthSource, Restorer]):
 
     def table(self, results: Sequence[RunResult], config: DepthConfig) -> str:  # noqa: ARG002
         return results_table(results)
+
+    def records(self, results: Sequence[RunResult], config: DepthConfig) -> list[dict[str, Any]]:  # noqa: ARG002
+        return depth_records(results)
 
 
 TASK = DepthTask()

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -186,17 +187,30 @@ def read_results(folders: Iterable[Path]) -> list[RunResult]:
 def results_table(results: Sequence[RunResult]) -> str:
     """Means over frames on the protocols' first grid, for all objects and for the hard ones."""
     blocks = []
+    for (split, protocol, grid), means in _means(results):
+        shown = "no frame has a pixel to compare" if means.empty else _table(means)
+        blocks.append(f"{split}, protocol {protocol}, {grid}\n{shown}")
+    return "\n\n".join(blocks) or "no frame could be scored"
+
+
+def depth_records(results: Sequence[RunResult]) -> list[dict[str, Any]]:
+    """The figures of `results_table`, in metres and shares."""
+    return [
+        {"split": split, "protocol": protocol, "grid": grid, **row}
+        for (split, protocol, grid), means in _means(results)
+        for row in means.to_dict("records")
+    ]
+
+
+def _means(results: Sequence[RunResult]) -> Iterator[tuple[tuple[str, str, str], pd.DataFrame]]:
+    """Split, protocol and grid, and the means of each method."""
     rows = pd.concat([result.table for result in results], ignore_index=True)
     rows = rows[rows["grid"] != ""]
-    if rows.empty:
-        return "no frame could be scored"
     for (split, protocol), part in rows.groupby(["split", "protocol"], sort=False):
         grid, first = get_protocol(str(protocol)).main
         means = summarise(part[part["grid"] == grid], by=("method", "subset"))
         means = means[means["subset"].isin((first, *_SUBSETS)) & (means["frames"] > 0)]
-        shown = "no frame has a pixel to compare" if means.empty else _table(means)
-        blocks.append(f"{split}, protocol {protocol}, {grid}\n{shown}")
-    return "\n\n".join(blocks)
+        yield (str(split), str(protocol), grid), means
 
 
 def _table(means: pd.DataFrame) -> str:

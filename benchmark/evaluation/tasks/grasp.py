@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 from benchmark.evaluation.config import GraspConfig, checked_label, options_by_method
 from benchmark.evaluation.engine import Task, weights_digest
@@ -14,7 +15,12 @@ from benchmark.evaluation.frames import restore_views
 from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest, GraspSetup, circumstances
 from benchmark.evaluation.results import write_part
 from benchmark.evaluation.tasks.grasp_pictures import attempt_strip
-from benchmark.evaluation.tasks.grasp_results import GraspResult, grasp_table, read_grasp_run
+from benchmark.evaluation.tasks.grasp_results import (
+    GraspResult,
+    grasp_records,
+    grasp_table,
+    read_grasp_run,
+)
 from benchmark.evaluation.tasks.grasp_table import ATTEMPTS, rows_of_round, scene_name
 from benchmark.methods.depth.full_size import at_full_size, restorer_view
 from benchmark.methods.protocol import GraspView, Restorer
@@ -237,6 +243,9 @@ class GraspTask(Task[GraspRun, None, Methods]):
 
     def table(self, results: Sequence[GraspResult], config: GraspConfig) -> str:  # noqa: ARG002
         return grasp_table(results)
+
+    def records(self, results: Sequence[GraspResult], config: GraspConfig) -> list[dict[str, Any]]:  # noqa: ARG002
+        return grasp_records(results)
 
 
 TASK = GraspTask()

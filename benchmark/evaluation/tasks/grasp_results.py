@@ -22,8 +22,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -242,6 +243,12 @@ def grasp_table(results: Sequence[GraspResult]) -> str:
         blocks.append(f"table clearing, {camera} camera, seed {seed}\n{cleared}")
         blocks.append(f"grasps planned on the first view of each table\n{planned}")
     return "\n\n".join(blocks)
+
+
+def grasp_records(results: Sequence[GraspResult]) -> list[dict[str, Any]]:
+    """The figures of `grasp_table`, as shares."""
+    names = ("camera", "seed", "planner", "depth")
+    return [{**dict(zip(names, r.name, strict=True)), **asdict(r.rates)} for r in results]
 
 
 def cells(result: GraspResult) -> list[str]:

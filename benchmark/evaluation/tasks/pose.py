@@ -32,6 +32,7 @@ from benchmark.evaluation.tasks.pose_inputs import (
 )
 from benchmark.evaluation.tasks.pose_results import (
     PoseResult,
+    pose_records,
     poses_table,
     read_pose_run,
     wanted_protocols,
@@ -188,6 +189,9 @@ class PoseTask(FrameTask[PoseRun, DepthSource, Methods]):
 
     def table(self, results: Sequence[PoseResult], config: PoseConfig) -> str:
         return poses_table(results, _protocols(config))
+
+    def records(self, results: Sequence[PoseResult], config: PoseConfig) -> list[dict[str, Any]]:
+        return pose_records(results, _protocols(config))
 
 
 TASK = PoseTask()

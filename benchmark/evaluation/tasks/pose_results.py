@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -262,6 +263,24 @@ def poses_table(results: Sequence[PoseResult], protocols: Sequence[PoseProtocol]
             shown = _table(scored, protocol) if scored else "no true object in any frame"
             blocks.append(f"{split}, protocol {protocol.name}, poses right in %\n{shown}")
     return "\n\n".join(blocks)
+
+
+def pose_records(
+    results: Sequence[PoseResult], protocols: Sequence[PoseProtocol]
+) -> list[dict[str, Any]]:
+    """The figures of `poses_table`, as shares."""
+    return [
+        {
+            "split": split,
+            "protocol": protocol.name,
+            **dict(zip(_TEXTS, (*scored.result.name, scored.subset), strict=True)),
+            "true": scored.objects,
+            **{column: float(scored.scores.mean[column]) for column in protocol.columns},
+        }
+        for split in dict.fromkeys(result.split for result in results)
+        for protocol in protocols
+        for scored in score_runs([r for r in results if r.split == split], protocol, (ALL, HARD))
+    ]
 
 
 def _table(scored: Sequence[Scored], protocol: PoseProtocol) -> str:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from benchmark.metrics.grasp.grasp import Grasps
 from benchmark.metrics.grasp.gripper import Boxes, Gripper
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.se3 import SE3
 
 Floats = NDArray[np.float64]
@@ -222,17 +223,7 @@ def hits_mesh(
         close = (triangles[near.all(axis=1)] - t) @ R
         hit[n] = boxes_meet_triangles(low, high, close).any()
     if len(grasps) and trimesh.Trimesh(vertices, faces, process=False).is_volume:
-        import open3d as o3d
-
-        scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-        scene.add_triangles(
-            o3d.core.Tensor.from_numpy(np.asarray(vertices, dtype=np.float32)),
-            o3d.core.Tensor.from_numpy(np.asarray(faces, dtype=np.uint32)),
-        )
         middle = (boxes.low + boxes.high) / 2
         places = np.einsum("nij,nbj->nbi", grasps.rotations, middle) + grasps.translations[:, None]
-        inside = scene.compute_occupancy(
-            o3d.core.Tensor.from_numpy(np.ascontiguousarray(places, dtype=np.float32)), nthreads=1
-        )
-        hit |= (inside.numpy() > 0.5).any(axis=1)
+        hit |= RayCaster(vertices, faces, threads=1).inside(places).any(axis=1)
     return hit

@@ -6,13 +6,13 @@ Points that stand for a surface.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from benchmark.metrics.grasp.grasp import Grasps
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.ray_caster import RayCaster
 
 Floats = NDArray[np.float64]
 
@@ -69,16 +69,12 @@ class GraspedMesh:
     """
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike) -> None:
-        import open3d as o3d
         import trimesh
 
-        # Embree works in float32: near the origin of the frame a micrometre is still far away.
-        v = np.ascontiguousarray(vertices, dtype=np.float32)
         f = np.ascontiguousarray(faces, dtype=np.uint32)
         if f.ndim != 2 or not len(f):
             raise ToolkitError("the mesh holds no faces", value=f.shape)
-        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-        self._scene.add_triangles(o3d.core.Tensor.from_numpy(v), o3d.core.Tensor.from_numpy(f))
+        self._caster = RayCaster(vertices, f, threads=1)
         corners = np.asarray(vertices, dtype=np.float64)[np.asarray(faces)]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -101,10 +97,10 @@ class GraspedMesh:
         half = np.asarray(widths, dtype=np.float64)[:, None] / 2
         directions = np.stack([closings, -closings], axis=1)
         starts = tips[:, None] - half[:, None] * directions
-        rays = np.concatenate([starts, directions], axis=-1).astype(np.float32)
-        distance, face = self._cast(rays)
+        hits = self._caster.cast(np.concatenate([starts, directions], axis=-1))
+        distance = hits.distance.astype(np.float64)
         met = distance <= half
-        normals = self._normals[np.where(met, face, 0)]
+        normals = self._normals[np.where(met, hits.face, 0)]
         if self._solid:
             met &= np.einsum("nki,nki->nk", normals, directions) < 0
         found = np.asarray(met.all(axis=1))
@@ -112,14 +108,6 @@ class GraspedMesh:
         points = starts + reach[..., None] * directions
         nothing = ~found[:, None, None]
         return Contacts(found, np.where(nothing, 0, points), np.where(nothing, 0, normals))
-
-    def _cast(self, rays: NDArray[np.float32]) -> tuple[Floats, NDArray[np.int64]]:
-        import open3d as o3d
-
-        tensor = o3d.core.Tensor.from_numpy(np.ascontiguousarray(rays))
-        answer: Any = self._scene.cast_rays(tensor, nthreads=1)
-        face = answer["primitive_ids"].numpy().astype(np.int64)
-        return answer["t_hit"].numpy().astype(np.float64), face
 
     def friction_scores(self, grasps: Grasps) -> Floats:
         """(N,) smallest friction of 0.2, 0.4, ... 1.2 at which each grasp holds, -1 if none."""

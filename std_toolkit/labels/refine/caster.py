@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.labels.refine.object_surface import ObjectSurface, rotated, surface_of, turned
+from std_toolkit.labels.refine.object_surface import ObjectSurface, rotated, turned
 from std_toolkit.labels.refine.problem import RefineObject
 
 NONE = -1
@@ -64,7 +64,7 @@ class WorldCaster:
         poses: Sequence[SE3],
         layers: LayerStore | None = None,
     ) -> None:
-        self._placed = [(surface_of(obj), T) for obj, T in zip(objects, poses, strict=True)]
+        self._placed = [(obj.surface, T) for obj, T in zip(objects, poses, strict=True)]
         self._layers = LayerStore() if layers is None else layers
 
     def cast(
@@ -164,7 +164,7 @@ def cast_patch(
     margin: int,
 ) -> Patch | None:
     """All pixels around an object, `margin` wide; None where the object is out of view."""
-    around = image_box(surface_of(obj), T_world_cam.inverse() @ T_world_obj, camera)
+    around = image_box(obj.surface, T_world_cam.inverse() @ T_world_obj, camera)
     if around is None:
         return None
     x0, y0 = max(around[0] - margin, 0), max(around[1] - margin, 0)

@@ -21,12 +21,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.se3 import SE3
 
 if TYPE_CHECKING:
     import trimesh
-
-    from std_toolkit.labels.refine.problem import RefineObject
 
 Array = NDArray[np.float64]
 
@@ -85,8 +84,6 @@ class ObjectSurface:
     """
 
     def __init__(self, vertices: Array, faces: NDArray[np.integer]) -> None:
-        import open3d as o3d
-
         used = vertices[np.unique(faces)]
         self.centre: Array = (used.min(axis=0) + used.max(axis=0)) / 2
         self.thickness = float(np.ptp(used, axis=0).min())
@@ -94,13 +91,7 @@ class ObjectSurface:
         outermost = ((used - self.centre) @ _directions().T).argmax(axis=0)
         self.outer: Array = used[np.unique(outermost)]
         self.slack = _SLACK * self.radius
-        self._tensor = o3d.core.Tensor.from_numpy
-        self._scene = o3d.t.geometry.RaycastingScene()
-        # Embree works in float32: coordinates near the centre keep their digits.
-        self._scene.add_triangles(
-            self._tensor((vertices - self.centre).astype(np.float32)),
-            self._tensor(faces.astype(np.uint32)),
-        )
+        self._caster = RayCaster(vertices - self.centre, faces)
 
     def cast(self, directions: NDArray[np.floating], T_cam_obj: SE3) -> SurfaceHits:
         """Rays of a camera against the object at a pose.
@@ -123,16 +114,11 @@ class ObjectSurface:
         rays = np.empty((len(directions), 6), np.float32)
         rays[:, :3] = T_obj_world @ origins - self.centre
         rays[:, 3:] = turned(directions, T_obj_world.R)
-        found = self._scene.cast_rays(self._tensor(rays))
-        normal = found["primitive_normals"].numpy()
+        found = self._caster.cast(rays)
+        normal = found.normal
         away = np.einsum("ij,ij->i", normal, rays[:, 3:]) > 0
         normal[away] *= -1
-        return SurfaceHits(
-            found["t_hit"].numpy(),
-            normal,
-            found["primitive_ids"].numpy(),
-            found["primitive_uvs"].numpy(),
-        )
+        return SurfaceHits(found.distance, normal, found.face, found.uv)
 
     def meet(self, rays: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Ray parameter (...) of what rays meet, inf for nothing, and its normal (..., 3), unit.
@@ -140,8 +126,8 @@ class ObjectSurface:
         Args:
             rays: (..., 6) origin and direction in the object frame, the origin less `centre`.
         """
-        found = self._scene.cast_rays(self._tensor(rays))
-        return found["t_hit"].numpy(), found["primitive_normals"].numpy()
+        found = self._caster.cast(rays)
+        return found.distance, found.normal
 
     def may_meet(self, directions: NDArray[np.floating], T_cam_obj: SE3) -> NDArray[np.bool_]:
         """(N,) whether rays come near the object: the others need not be cast."""
@@ -157,12 +143,8 @@ class ObjectSurface:
 
     def closest(self, points: Array) -> tuple[Array, Array]:
         """Nearest surface points (N, 3) and the unit normals there (either sign), object frame."""
-        shifted = (points - self.centre).astype(np.float32)
-        found = self._scene.compute_closest_points(self._tensor(shifted))
-        return (
-            found["points"].numpy().astype(np.float64) + self.centre,
-            found["primitive_normals"].numpy().astype(np.float64),
-        )
+        nearest, normal = self._caster.closest(points - self.centre)
+        return nearest.astype(np.float64) + self.centre, normal.astype(np.float64)
 
 
 def rotated(vectors: NDArray[np.float32], R: Array) -> NDArray[np.float32]:
@@ -190,20 +172,20 @@ _kept: dict[tuple[int, int], _Kept] = {}
 _lock = threading.Lock()
 
 
-def surface_of(obj: RefineObject) -> ObjectSurface:
-    """The surface of an object, made once for its arrays and kept as long as they live."""
-    key = id(obj.vertices), id(obj.faces)
+def surface_of(vertices: Array, faces: NDArray[np.int64]) -> ObjectSurface:
+    """The surface of a mesh, made once for its arrays and kept as long as they live."""
+    key = id(vertices), id(faces)
     with _lock:
         known = _kept.get(key)
-        if known is not None and known[0]() is obj.vertices and known[1]() is obj.faces:
+        if known is not None and known[0]() is vertices and known[1]() is faces:
             return known[2]
-    surface = ObjectSurface(obj.vertices, obj.faces)
+    surface = ObjectSurface(vertices, faces)
 
     def drop(_: object) -> None:
         _kept.pop(key, None)
 
     with _lock:
-        _kept[key] = weakref.ref(obj.vertices, drop), weakref.ref(obj.faces, drop), surface
+        _kept[key] = weakref.ref(vertices, drop), weakref.ref(faces, drop), surface
     return surface
 
 

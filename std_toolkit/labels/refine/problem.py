@@ -117,17 +117,17 @@ class RefineObject:
     @property
     def centre(self) -> NDArray[np.float64]:
         """(3,) centre of the bounding box, mesh frame."""
-        return self._surface.centre
+        return self.surface.centre
 
     @property
     def radius(self) -> float:
         """Largest distance of a vertex from `centre`, metres."""
-        return self._surface.radius
+        return self.surface.radius
 
     @property
-    def _surface(self) -> ObjectSurface:
+    def surface(self) -> ObjectSurface:
         # Known once for all copies of the object at other poses.
-        return surface_of(self)
+        return surface_of(self.vertices, self.faces)
 
 
 @dataclass(frozen=True, kw_only=True)

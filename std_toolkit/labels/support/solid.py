@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.support.resting import RestingFaces, resting_faces, sphere_directions
 from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
@@ -184,23 +185,17 @@ class Solid:
         return Samples(points[order], vertex[order], face[order])
 
     @cached_property
-    def structure(self) -> Any:
-        """open3d RaycastingScene of the centred mesh."""
-        import open3d as o3d
-
-        scene = o3d.t.geometry.RaycastingScene()
-        scene.add_triangles(
-            o3d.core.Tensor.from_numpy(self.mesh.vertices.astype(np.float32)),
-            o3d.core.Tensor.from_numpy(self.mesh.faces.astype(np.uint32)),
-        )
+    def caster(self) -> RayCaster:
+        """The centred mesh."""
+        caster = RayCaster(self.mesh.vertices, self.mesh.faces)
         # The first question builds the tree: not while another thread asks.
-        scene.compute_distance(o3d.core.Tensor.from_numpy(np.zeros((1, 3), np.float32)))
-        return scene
+        caster.distance(np.zeros((1, 3)))
+        return caster
 
     def prepare(self) -> None:
         """Make what `inside` and `depth` need; safe to call from several threads."""
         with self._lock:
-            _ = self.structure, self.gap_m, self.samples, self.hull, self._corners
+            _ = self.caster, self.gap_m, self.samples, self.hull, self._corners
 
     def inside(self, points: NDArray[np.floating]) -> tuple[NDArray[np.bool_], Array]:
         """Whether points (N, 3), centred coordinates, lie inside.
@@ -225,13 +220,10 @@ class Solid:
 
     def _odd(self, points: NDArray[np.floating], directions: Array) -> NDArray[np.int64]:
         """(N,) how many of the rays from a point (N, 3) cross the surface oddly often."""
-        import open3d as o3d
-
         rays = np.empty((len(directions), len(points), 6), np.float32)
         rays[..., :3] = points
         rays[..., 3:] = directions[:, None]
-        crossings = self.structure.count_intersections(o3d.core.Tensor.from_numpy(rays)).numpy()
-        return (crossings & 1).sum(axis=0, dtype=np.int64)
+        return (self.caster.crossings(rays) & 1).sum(axis=0, dtype=np.int64)
 
     def faces_with(self, marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """(F,) which faces have a marked vertex (V,)."""
@@ -244,11 +236,8 @@ class Solid:
 
     def nearest(self, points: NDArray[np.floating]) -> tuple[Array, Array]:
         """Nearest points of the surface (N, 3), centred coordinates, and their distances (N,)."""
-        import open3d as o3d
-
         query = np.ascontiguousarray(points, dtype=np.float32)
-        answer = self.structure.compute_closest_points(o3d.core.Tensor.from_numpy(query))
-        surface = answer["points"].numpy().astype(np.float64)
+        surface = self.caster.closest(query)[0].astype(np.float64)
         x, y, z = (surface - query).T
         return surface, np.sqrt(x * x + y * y + z * z)
 
@@ -259,12 +248,9 @@ class Solid:
 
     def exit_distance(self, points: NDArray[np.floating], direction: Array) -> Array:
         """(N,) metres from points (N, 3), centred, along a unit direction to the surface; inf."""
-        import open3d as o3d
-
         rays = np.empty((len(points), 6), np.float32)
         rays[:, :3], rays[:, 3:] = points, direction
-        answer = self.structure.cast_rays(o3d.core.Tensor.from_numpy(rays))
-        return answer["t_hit"].numpy().astype(np.float64)
+        return self.caster.cast(rays).distance.astype(np.float64)
 
 
 @dataclass(frozen=True, eq=False)

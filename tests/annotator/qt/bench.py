@@ -17,7 +17,7 @@ from pytestqt.qtbot import QtBot
 from annotator.app.controller import Controller
 from annotator.qt.main_window import Shell
 from annotator.qt.qt_app import make_application
-from annotator.qt.question_dialog import Question
+from annotator.qt.question_dialog import QuestionDialog
 from annotator.qt.workspace import Workspace
 from annotator.session import Session
 from std_toolkit.geometry import SE3
@@ -107,12 +107,12 @@ class Bench:
         QApplication.processEvents()
 
     def answering(self, *answers: str) -> None:
-        """Give these answers to the next questions, as they come up."""
-        waiting = list(answers)
+        """Press these buttons of the next questions, as they come up; "cancel" has no id."""
+        waiting = ["" if answer == "cancel" else answer for answer in answers]
 
         def look() -> None:
             dialog = QApplication.activeModalWidget()
-            if isinstance(dialog, Question) and waiting:
+            if isinstance(dialog, QuestionDialog) and waiting:
                 answer = waiting[0]
                 if answer in dialog.buttons:
                     waiting.pop(0)

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from PySide6.QtCore import QMimeData, Qt, QUrl
 from PySide6.QtGui import QImage
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QLabel
+from PySide6.QtWidgets import QDialog, QLabel, QRadioButton
 from window_scene import write_box
 
 from annotator.app import operations
 from annotator.qt.library_panel import MODEL_MIME
 from annotator.qt.object_panel import OBJECT_MIME
+from annotator.qt.question_dialog import QuestionDialog
 
 
 def _dragged(mime: str, text: str) -> QMimeData:
@@ -91,8 +92,8 @@ def test_a_mesh_in_millimetres_is_asked_about_and_stored_in_metres(
     _idle(bench)
     (question,) = bench.questions
     assert "brick.obj is not in metres" in question
-    assert "60 x 40 x 20 m large" in question
-    assert "As millimetres it is 60 x 40 x 20 mm." in question
+    assert "60 × 40 × 20 m large" in question
+    assert "As millimetres it is 60 × 40 × 20 mm." in question
     assert bench.session.state.model("brick").size_m == pytest.approx([0.06, 0.04, 0.02])
 
 
@@ -136,12 +137,10 @@ def test_an_empty_scene_tells_what_to_do_first(
 
 
 def test_names_notes_and_materials_are_edits(bench: Bench) -> None:
-    from PySide6.QtWidgets import QInputDialog
-
-    def type_name(dialog: object) -> None:
-        assert isinstance(dialog, QInputDialog)
-        dialog.setTextValue("cereal")
-        dialog.accept()
+    def type_name(dialog: QDialog) -> None:
+        assert isinstance(dialog, QuestionDialog)
+        QTest.keyClicks(dialog.widgets["name"], "cereal")
+        QTest.keyClick(dialog.widgets["name"], Qt.Key.Key_Return)
 
     bench.in_dialog(type_name)
     bench.press(Qt.Key.Key_F2)
@@ -158,12 +157,10 @@ def test_names_notes_and_materials_are_edits(bench: Bench) -> None:
 
 
 def test_a_note_is_kept_and_shown(bench: Bench) -> None:
-    from PySide6.QtWidgets import QInputDialog
-
-    def write(dialog: object) -> None:
-        assert isinstance(dialog, QInputDialog)
-        dialog.setTextValue("look at the cap again")
-        dialog.accept()
+    def write(dialog: QDialog) -> None:
+        assert isinstance(dialog, QuestionDialog)
+        QTest.keyClicks(dialog.widgets["note"], "look at the cap again")
+        dialog.buttons["keep"].click()
 
     bench.in_dialog(write)
     bench.press(Qt.Key.Key_F3)
@@ -175,12 +172,8 @@ def test_a_note_is_kept_and_shown(bench: Bench) -> None:
 
 
 def test_a_symmetry_is_set_for_the_mesh(bench: Bench) -> None:
-    from annotator.qt.question_dialog import Question
-
-    def choose(dialog: object) -> None:
-        assert isinstance(dialog, Question)
-        from PySide6.QtWidgets import QRadioButton
-
+    def choose(dialog: QDialog) -> None:
+        assert isinstance(dialog, QuestionDialog)
         wanted = next(b for b in dialog.findChildren(QRadioButton) if "box" in b.text())
         wanted.setChecked(True)
         dialog.buttons["set"].click()

@@ -95,7 +95,7 @@ def test_deciding_later_leaves_everything_as_it_is(
     pose = bench.pose().flat()
     bench.leave("keep")
     again = open_bench()
-    again.answering("close")
+    again.answering("cancel")
     assert not again.open(root)
     assert again.shell.start_page is not None
     again.answering("recover")

@@ -104,7 +104,7 @@ def test_name_note_and_symmetry_are_asked_for(served: Served, page: Page) -> Non
     page.keyboard.press("F4")
     page.locator("[data-field='symmetry']").click()
     page.get_by_text("Equal turns about z").click()
-    page.locator("[data-field='count_z'] input").fill("4")
+    page.locator("[data-field='count'] input").fill("4")
     answer(page, "set")
     page.wait_for_selector("#dialog", state="detached")
     page.keyboard.press("F4")

@@ -53,7 +53,7 @@ def test_a_missing_file_is_named(folder: Path, suffix: str, what: str) -> None:
     (folder / f"0000{suffix}").unlink()
     told = message(folder)
     assert f"{folder / f'0000{suffix}'}: the frame has no {what}" in told
-    assert "--check-data" in told
+    assert "std-bench check-data" in told
     assert opened(folder).load(1).name == "0001"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -78,7 +79,6 @@ def test_frames_that_fail_end_with_another_status(root: Path, tmp_path: Path) ->
         (["--method", "swindrnet", "--set", "fusion=new"], "fusion.*expected one of"),
         (["--method", "nlspn", "--device", "cuda", "--preset", "compact"], "cuda"),
         (["--method", "raw", "--depth-from", "/nowhere"], "/nowhere"),
-        ([], "--method: is needed"),
     ],
 )
 def test_one_line_for_what_is_wrong(
@@ -97,17 +97,54 @@ def test_one_line_for_what_is_wrong(
     assert re.search(told, errors[0])
 
 
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ([], "--method: needed"),
+        (["--method", "raw", "--fit", "paper"], "--fit paper: not an option of std-bench depth"),
+        (["--method", "raw", "--batch-size", "0"], "--batch-size: must be at least 1"),
+        (["--method", "raw", "raw"], "--method: is given twice"),
+        (["--method", "raw", "--precision", "int8"], "expected one of fp32, bf16, fp16"),
+    ],
+)
+def test_wrong_usage_has_a_status_of_its_own(
+    root: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    told: str,
+) -> None:
+    assert bench(root, tmp_path / "out", *arguments) == 2
+    errors = capsys.readouterr().err.strip().splitlines()
+    assert len(errors) == 1, errors
+    assert told in errors[0]
+    assert not (tmp_path / "out").exists()
+
+
+def test_figures_as_json(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert bench(root, tmp_path, "--method", "raw", "--no-speed", "--no-gallery", "--json") == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert rows[0]["split"] == SPLIT
+    assert (rows[0]["method"], rows[0]["protocol"], rows[0]["frames"]) == ("raw", "strict", 4)
+    assert rows[0]["mae"] > 0
+
+
 def test_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--list-methods"]) == 0
     methods = capsys.readouterr().out
     assert main(["--list-splits"]) == 0
     assert all(f"{name} " in methods for name in ("raw", "swindrnet", "nlspn"))
     assert "std-catknown" in capsys.readouterr().out
+    assert main(["list", "methods", "--json"]) == 0
+    names = [row["name"] for row in json.loads(capsys.readouterr().out)]
+    assert names == [line.split()[0] for line in methods.splitlines()]
 
 
 def test_what_of_a_split_is_there(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--check-data", str(root), "--split", SPLIT]) == 0
     assert "4" in capsys.readouterr().out
+    assert main(["check-data", str(root), "--split", SPLIT, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)[0]["frames"] == 4
     assert main(["--check-data", str(root), "--split", "dreds-catnovel"]) == 1
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -120,10 +121,7 @@ def test_what_the_paper_prints_of_poses() -> None:
         (["--method", "gt-nocs", "--protocol", "strikt"], "strikt"),
         (["--method", "gt-nocs", "--depth", "swinnet"], "swinnet"),
         (["--method", "gt-nocs", "--depth", "raw=/x"], "name of its own"),
-        (["--method", "gt-nocs", "--depth", "raw", "raw"], "twice"),
-        (["--method", "gt-nocs", "--save-depth"], "--save-depth: is no option of --task pose"),
         (["--method", "gt-nocs", "--depth", "swindrnet", "--weights", "/x"], "which method"),
-        ([], "--method: is needed"),
     ],
 )
 def test_one_line_for_what_is_wrong(
@@ -139,11 +137,31 @@ def test_one_line_for_what_is_wrong(
     assert re.search(told, errors[0])
 
 
-def test_options_of_poses_are_refused_for_depth(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--method", "gt-nocs", "--depth", "raw", "raw"], "--depth: is given twice"),
+        (["--method", "gt-nocs", "--save-depth"], "--save-depth: not an option of std-bench pose"),
+        (["--method", "gt-nocs", "--fit", "p3p"], "--fit: p3p: expected one of ransac, paper"),
+        ([], "--method: needed"),
+    ],
+)
+def test_wrong_usage_has_a_status_of_its_own(
+    root: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    told: str,
 ) -> None:
-    assert main(["--method", "raw", "--fit", "paper", "--data", str(tmp_path)]) == 1
-    assert "--fit: is no option of --task depth" in capsys.readouterr().err
+    assert bench(root, tmp_path, *arguments) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_figures_as_json(results: Path, root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert bench(root, results, "--method", "gt-nocs", "--json") == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert {row["split"] for row in rows} == {SPLIT}
+    assert all(0 <= row["iou25"] <= 1 and row["true"] > 0 for row in rows)
 
 
 @pytest.mark.slow
@@ -168,8 +186,11 @@ def test_result_files_of_bop(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert re.search(r"mine_set-test +set, test +\d+( +100\.0){4}", capsys.readouterr().out)
     assert report([str(tmp_path / "out")]) == 0
     assert "Average recalls" in (tmp_path / "out" / PAGE).read_text()
-    assert main(words[:4]) == 1
-    assert "--results: is needed" in capsys.readouterr().err
+    capsys.readouterr()
+    assert main([*words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)[0]["ar"] == 1
+    assert main(words[:4]) == 2
+    assert "--results: needed" in capsys.readouterr().err
 
 
 def test_raw_depth_is_raw_depth_also_as_input(tmp_path: Path) -> None:

@@ -13,20 +13,20 @@ GRASP = ["--task", "grasp", "--depth", "gt"]
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "told", "status"),
     [
-        (["--planner", "nobody"], "no such planner"),
-        (["--rounds", "0"], "at least 1"),
-        (["--seed", "-1"], "at least 0"),
-        (["--camera", "blurred"], "expected one of quick, simulated"),
-        (["--split", "std-catknown"], "makes its own scenes"),
-        (["--planner", "antipodal", "antipodal"], "twice"),
-        (["--planner", "oracle", "--weights", "swindrnet=x.safetensors"], "weights"),
-        (["--iou", "aabb"], "no option of --task grasp"),
+        (["--planner", "nobody"], "no such planner", 1),
+        (["--rounds", "0"], "at least 1", 2),
+        (["--seed", "-1"], "at least 0", 2),
+        (["--camera", "blurred"], "expected one of quick, simulated", 2),
+        (["--split", "std-catknown"], "not an option of std-bench grasp", 2),
+        (["--planner", "antipodal", "antipodal"], "twice", 2),
+        (["--planner", "oracle", "--weights", "swindrnet=x.safetensors"], "weights", 1),
+        (["--iou", "aabb"], "not an option of std-bench grasp", 2),
     ],
 )
-def test_wrong_input_is_one_line(tmp_path, capsys, words, told):
-    assert main([*GRASP, "--out", str(tmp_path / "out"), *words]) == 1
+def test_wrong_input_is_one_line(tmp_path, capsys, words, told, status):
+    assert main([*GRASP, "--out", str(tmp_path / "out"), *words]) == status
     lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("error")]
     assert len(lines) == 1
     assert told in lines[0]

@@ -18,7 +18,8 @@ from benchmark.methods.registry import MethodOptions, make_pose_method
 from benchmark.training.catalogue import get_trainable
 from benchmark.training.export import bench_command
 from benchmark.training.fit import make_network
-from benchmark.training.plan import TrainWishes, plan_training
+from benchmark.training.options import TrainOptions
+from benchmark.training.plan import plan_training
 from benchmark.training.step import StepInfo, model_input
 from std_toolkit.errors import ToolkitError
 from tests.benchmark.methods.pose.learnt_poses import packed_things, write_things
@@ -55,7 +56,7 @@ def pack(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return packed(tmp_path_factory.mktemp("poses") / "pack", data, nocs=True)
 
 
-def asked(method: str, pack: Path, **changes: Any) -> TrainWishes:
+def asked(method: str, pack: Path, **changes: Any) -> TrainOptions:
     plain = wishes("dfnet", pack, settings=TINY[method])
     return replace(plain, **{"method": method, "loss": LOSS[method], **changes})
 
@@ -83,8 +84,8 @@ def test_every_parameter_of_a_pose_network_receives_a_gradient(method, tmp_path)
 
 def test_std_bench_is_asked_for_the_task_of_a_method():
     assert bench_command("swindrnet") == "std-bench --method swindrnet"
-    assert bench_command("swindrnet-nocs") == "std-bench --task pose --method swindrnet-nocs"
-    assert bench_command("graspnet") == "std-bench --task grasp --planner graspnet"
+    assert bench_command("swindrnet-nocs") == "std-bench pose --method swindrnet-nocs"
+    assert bench_command("graspnet") == "std-bench grasp --planner graspnet"
     assert bench_command("mine:TRAINABLE") == "std-bench --method mine:TRAINABLE"
 
 
@@ -143,7 +144,7 @@ def test_from_packing_to_an_estimator(method, data, tmp_path, capsys):
     assert main([*command, "--accelerator", "cpu", "--debug"]) == 0
     told = capsys.readouterr()
     assert f"--weights {run / 'best.safetensors'}" in told.out
-    assert f"std-bench --task pose --method {method} --preset compact" in told.out
+    assert f"std-bench pose --method {method} --preset compact" in told.out
     best = json.loads((run / "best.json").read_text())
     assert best["ranked_by"] == "nocs_error"
     rows = list(csv.DictReader((run / "validation.csv").open()))

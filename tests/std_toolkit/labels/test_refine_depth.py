@@ -17,7 +17,7 @@ from std_toolkit.labels.refine.depth.depth_steps import measure_depth
 from std_toolkit.labels.refine.depth.icp import DepthFitOptions, refine_on_depth
 from std_toolkit.labels.refine.depth.observed import fit_background, observe, plane_depth
 from std_toolkit.labels.refine.depth.pose_search import DepthCost
-from std_toolkit.labels.refine.object_surface import SurfaceColors, surface_of
+from std_toolkit.labels.refine.object_surface import SurfaceColors
 from std_toolkit.labels.refine.problem import RefineObject
 
 BOX = mesh_object(
@@ -139,7 +139,7 @@ def test_the_print_tells_the_front_of_a_box_from_its_back():
     colors = SurfaceColors.of(mesh)
     box = mesh_object(mesh, BOX.T_world_obj, "carton", colors=colors)
     view = photograph([box])
-    hits = surface_of(box).cast(
+    hits = box.surface.cast(
         CAMERA.rays().reshape(-1, 3), view.T_world_cam.inverse() @ box.T_world_obj
     )
     shown = np.isfinite(hits.depth)
@@ -192,7 +192,7 @@ def test_a_mesh_out_of_view_is_said():
 def test_the_truth_costs_least():
     """Surface in free space costs, and so does measured surface that nothing explains."""
     view = photograph([BOX], noise_m=0.0005)
-    surface = surface_of(BOX)
+    surface = BOX.surface
     (window,) = observe([view], BOX, [], surface, reach_m=0.05)
     cost = DepthCost(surface, [window.thinned(4000)], 0.01)
     truth = cost(BOX.T_world_obj)
@@ -210,7 +210,7 @@ def test_the_truth_costs_least():
 
 def test_the_table_behind_an_object_is_found():
     view = photograph([BOX], noise_m=0.001)
-    (window,) = observe([view], BOX, [], surface_of(BOX), reach_m=0.05)
+    (window,) = observe([view], BOX, [], BOX.surface, reach_m=0.05)
     assert window.plane is not None
     up = view.T_world_cam.R.T @ [0, 0, 1]
     assert abs(window.plane[:3] @ up) > np.cos(np.deg2rad(0.3))
@@ -235,7 +235,7 @@ def test_plane_of_points_and_none_of_clutter():
 def test_shares_and_distances_of_the_agreement():
     """A box 10 mm in front of its readings: none explains it."""
     view = photograph([BOX], noise_m=0.0, holes=0.0)
-    surface = surface_of(BOX)
+    surface = BOX.surface
     windows = observe([view], BOX, [], surface, reach_m=0.05)
     exact = measure_depth(surface, windows, BOX.T_world_obj)
     assert exact.median_m < 1e-4 and exact.explained > 0.99 and exact.measured > 0.99
@@ -251,7 +251,7 @@ def test_shares_and_distances_of_the_agreement():
 
 def test_neighbours_hide_what_is_behind_them():
     view = photograph([BOX, AHEAD], noise_m=0.0, holes=0.0)
-    surface = surface_of(BOX)
+    surface = BOX.surface
     alone = measure_depth(surface, observe([view], BOX, [], surface, reach_m=0.05), BOX.T_world_obj)
     known = measure_depth(
         surface, observe([view], BOX, [AHEAD, table()], surface, reach_m=0.05), BOX.T_world_obj

@@ -10,7 +10,6 @@ from tiny_camera import camera_pose
 
 from std_toolkit.geometry.se3 import SE3, so3_exp
 from std_toolkit.labels.refine.caster import LayerStore, WorldCaster, cast_patch, image_box
-from std_toolkit.labels.refine.object_surface import surface_of
 from std_toolkit.labels.refine.problem import RefineObject
 
 VIEW = camera_pose(0.2, radius=0.45, height=0.3)
@@ -46,12 +45,12 @@ def test_layers_put_together_are_what_single_rays_meet(first: int) -> None:
 def test_only_what_moved_is_cast_again() -> None:
     box, bottle = things()
     layers = LayerStore()
-    surface = surface_of(box)
+    surface = box.surface
     first = layers.layer(surface, BACK, CAMERA, VIEW)
     assert layers.layer(surface, SE3(BACK.R.copy(), BACK.t.copy()), CAMERA, VIEW) is first
     moved = layers.layer(surface, SE3(BACK.R, BACK.t + np.array([0.001, 0, 0])), CAMERA, VIEW)
     assert moved is not first
-    assert layers.layer(surface_of(bottle), BACK, CAMERA, VIEW) is not first
+    assert layers.layer(bottle.surface, BACK, CAMERA, VIEW) is not first
     smaller = CAMERA.resized(160, 120)
     assert layers.layer(surface, BACK, smaller, VIEW).depth.size < 0.4 * first.depth.size
 
@@ -59,7 +58,7 @@ def test_only_what_moved_is_cast_again() -> None:
 def test_the_box_around_an_image_holds_all_of_it_and_little_else() -> None:
     can = mesh_object(trimesh.creation.cylinder(0.03, 0.1, sections=90), BACK, "can")
     T = VIEW.inverse() @ BACK
-    x0, y0, x1, y1 = image_box(surface_of(can), T, CAMERA)
+    x0, y0, x1, y1 = image_box(can.surface, T, CAMERA)
     rays = WorldCaster([can], [BACK]).cast(CAMERA, VIEW, CAMERA.pixel_grid())
     v, u = np.nonzero(rays.object == 0)
     assert x0 <= u.min() and y0 <= v.min() and x1 >= u.max() and y1 >= v.max()
@@ -68,19 +67,19 @@ def test_the_box_around_an_image_holds_all_of_it_and_little_else() -> None:
 
 def test_what_reaches_beside_the_camera_is_cast_in_the_whole_image() -> None:
     board = mesh_object(trimesh.creation.box((2.0, 2.0, 0.01)), SE3.identity(), "board")
-    assert image_box(surface_of(board), VIEW.inverse(), CAMERA) is None
-    layer = LayerStore().layer(surface_of(board), SE3.identity(), CAMERA, VIEW)
+    assert image_box(board.surface, VIEW.inverse(), CAMERA) is None
+    layer = LayerStore().layer(board.surface, SE3.identity(), CAMERA, VIEW)
     assert layer.depth.shape == (CAMERA.height, CAMERA.width)
     behind = SE3(np.eye(3), VIEW.t + 3 * (VIEW.t - np.array([0, 0, 0.05])))
     can = mesh_object(trimesh.creation.cylinder(0.03, 0.1), behind, "can")
-    assert LayerStore().layer(surface_of(can), behind, CAMERA, VIEW) is None
+    assert LayerStore().layer(can.surface, behind, CAMERA, VIEW) is None
 
 
 def test_layers_that_were_not_used_for_longest_are_dropped(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("std_toolkit.labels.refine.caster._MOST_BYTES", 1_500_000)
-    layers, surface = LayerStore(), surface_of(things()[0])
+    layers, surface = LayerStore(), things()[0].surface
     poses = [SE3(BACK.R, BACK.t + np.array([0.0002 * k, 0, 0])) for k in range(40)]
     kept = [layers.layer(surface, T, CAMERA, VIEW) for T in poses]
     assert sum(x.depth.nbytes + x.normal.nbytes for x in kept) > 3_000_000

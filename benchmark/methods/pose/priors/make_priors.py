@@ -15,21 +15,16 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
+from benchmark.methods.pose.priors.options import PriorOptions
 from benchmark.methods.pose.priors.prior_file import Priors
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
-
-How = Literal["autoencoder", "barycentre"]
-
-Split = Literal["train", "test", "all"]
 
 _OTHER = "other"
 
@@ -37,41 +32,6 @@ Floats = NDArray[np.float32]
 
 # A source tells no list of its shapes: it is drawn from until so many draws bring nothing new.
 _FRUITLESS = 50
-
-
-@dataclass(frozen=True, kw_only=True)
-class PriorOptions:
-    """How priors are made.
-
-    Attributes:
-        assets: `builtin`, `shapenet`, `folder`, or another source of `sensors.assets`.
-        root, unit: where its files are and what their unit is, for sources that read files.
-        split: shapes of which split; those of the test split should not be known.
-        categories: None for all but distractors.
-        instances: shapes of each category, at most.
-        points: of a prior.
-        how: `autoencoder` as published for SPD; `barycentre` needs no training.
-        epochs: of the auto-encoder.
-        seed: of all that is drawn.
-        device: of the auto-encoder.
-    """
-
-    assets: str = "builtin"
-    root: Path | None = None
-    unit: str | None = None
-    split: Split = "train"
-    categories: tuple[str, ...] | None = None
-    instances: int = 50
-    points: int = 1024
-    how: How = "autoencoder"
-    epochs: int = 50
-    seed: int = 0
-    device: str = "cpu"
-
-    def __post_init__(self) -> None:
-        for name in ("instances", "points", "epochs"):
-            if getattr(self, name) < 1:
-                raise ToolkitError("must be at least 1", field=name, value=getattr(self, name))
 
 
 def make_priors(options: PriorOptions | None = None) -> Priors:

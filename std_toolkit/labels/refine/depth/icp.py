@@ -26,7 +26,7 @@ from std_toolkit.labels.refine.depth.depth_steps import (
 from std_toolkit.labels.refine.depth.observed import ObservedRays, ObservedView, observe
 from std_toolkit.labels.refine.depth.pose_search import THOROUGH, SearchRange, search_pose
 from std_toolkit.labels.refine.edges.solver import refine_poses
-from std_toolkit.labels.refine.object_surface import ObjectSurface, surface_of
+from std_toolkit.labels.refine.object_surface import ObjectSurface
 from std_toolkit.labels.refine.problem import (
     Progress,
     RefineObject,
@@ -133,7 +133,7 @@ def refine_on_depth(
     options = options or DepthFitOptions()
     progress(0)
     searched = 0.7 if options.use_edges else 1.0
-    surface = surface_of(obj)
+    surface = obj.surface
     reach_m = options.reach_m or max(_REACH_M, _REACH * obj.radius)
     observed = observe(views, obj, others, surface, reach_m=reach_m, layers=layers)
     _check(views, obj, observed)
@@ -199,7 +199,7 @@ def depth_agreement(
         depth_factor: true depth = depth_factor * sensor depth.
         layers: of the neighbours, where they were cast before.
     """
-    surface = surface_of(obj)
+    surface = obj.surface
     observed = observe(views, obj, others, surface, reach_m=0.0, background=False, layers=layers)
     return measure_depth(surface, observed, obj.T_world_obj, depth_factor=depth_factor)
 

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.labels.refine.object_surface import surface_of
 from std_toolkit.labels.refine.problem import RefineObject
 
 Array = NDArray[np.float64]
@@ -97,7 +96,7 @@ class OutlineCaster:
     """Outlines of an object at any pose."""
 
     def __init__(self, obj: RefineObject) -> None:
-        self._surface = surface_of(obj)
+        self._surface = obj.surface
 
     def outlines(self, window: Window, R: Array, t: Array) -> Outlines:
         """Outlines at the poses T_world_obj = (R (N, 3, 3), t (N, 3))."""

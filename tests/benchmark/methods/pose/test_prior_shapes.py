@@ -177,10 +177,10 @@ def test_the_command_makes_priors_of_a_folder_of_meshes(how, tmp_path, capsys):
 def test_the_command_tells_what_is_wrong_in_a_line(tmp_path, capsys):
     root = _meshes(tmp_path / "m")
     out = str(tmp_path / "p.safetensors")
-    assert main(["priors", "--assets", "folder", "--root", str(root), "--out", "p.npz"]) == 1
+    assert main(["priors", "--assets", "folder", "--root", str(root), "--out", "p.npz"]) == 2
     command = ["priors", "--assets", "folder", "--root", str(root), "--split", "all"]
     assert main([*command, "--categories", "spoon", "--out", out]) == 1
-    assert main([*command, "--instances", "0", "--out", out]) == 1
+    assert main([*command, "--instances", "0", "--out", out]) == 2
     told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error")]
     assert len(told) == 3 and "spoon" in told[1]
     assert not (tmp_path / "p.safetensors").exists()

@@ -1,0 +1,89 @@
+"""Rays, distances and insides against triangles: the one place that calls Embree (Open3D)."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+class RayHits(NamedTuple):
+    """What rays meet first, each in the shape of the rays.
+
+    Attributes:
+        distance: (...) float32 in lengths of the ray's direction, inf where nothing is met.
+        mesh: (...) uint32 number of the mesh, in the order of `RayCaster.add`.
+        face: (...) uint32 index of the face in its mesh.
+        uv: (..., 2) float32 barycentric weights of the face's second and third corner.
+        normal: (..., 3) float32 unit normal of the face, as its corners turn.
+    """
+
+    distance: NDArray[np.float32]
+    mesh: NDArray[np.uint32]
+    face: NDArray[np.uint32]
+    uv: NDArray[np.float32]
+    normal: NDArray[np.float32]
+
+
+class RayCaster:
+    """Triangle meshes in one frame.
+
+    Embree works in float32: coordinates near the origin of the frame keep their digits.
+
+    Args:
+        vertices: (V, 3) metres of the first mesh; None to begin without any.
+        faces: (F, 3) indices of its corners.
+        threads: per question; 1 leaves the cores to other processes, 0 takes all.
+    """
+
+    def __init__(
+        self, vertices: ArrayLike | None = None, faces: ArrayLike = (), *, threads: int = 0
+    ) -> None:
+        import open3d as o3d
+
+        self._threads = threads
+        self._tensor = o3d.core.Tensor.from_numpy
+        self._scene = o3d.t.geometry.RaycastingScene(nthreads=threads)
+        if vertices is not None:
+            self.add(vertices, faces)
+
+    def add(self, vertices: ArrayLike, faces: ArrayLike) -> None:
+        """Add a mesh: vertices (V, 3) in metres, faces (F, 3)."""
+        self._scene.add_triangles(
+            self._floats(vertices), self._tensor(np.ascontiguousarray(faces, dtype=np.uint32))
+        )
+
+    def cast(self, rays: ArrayLike) -> RayHits:
+        """First hits of rays (..., 6), origin and direction; both sides of a triangle are hit."""
+        found = self._scene.cast_rays(self._floats(rays), nthreads=self._threads)
+        names = "t_hit", "geometry_ids", "primitive_ids", "primitive_uvs", "primitive_normals"
+        return RayHits(*(found[name].numpy() for name in names))
+
+    def occluded(self, rays: ArrayLike) -> NDArray[np.bool_]:
+        """(...) whether rays (..., 6) meet anything."""
+        found = self._scene.test_occlusions(self._floats(rays), nthreads=self._threads)
+        return np.asarray(found.numpy())
+
+    def crossings(self, rays: ArrayLike) -> NDArray[np.int32]:
+        """(...) how many triangles rays (..., 6) cross."""
+        found = self._scene.count_intersections(self._floats(rays), nthreads=self._threads)
+        return np.asarray(found.numpy())
+
+    def distance(self, points: ArrayLike) -> NDArray[np.float32]:
+        """(...) metres from points (..., 3) to the nearest triangle, without sign."""
+        found = self._scene.compute_distance(self._floats(points), nthreads=self._threads)
+        return np.asarray(found.numpy())
+
+    def closest(self, points: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Nearest surface points (..., 3) of points (..., 3) and the unit normals there."""
+        found = self._scene.compute_closest_points(self._floats(points), nthreads=self._threads)
+        return found["points"].numpy(), found["primitive_normals"].numpy()
+
+    def inside(self, points: ArrayLike) -> NDArray[np.bool_]:
+        """(...) whether points (..., 3) are inside the meshes, which must be closed."""
+        found = self._scene.compute_occupancy(self._floats(points), nthreads=self._threads)
+        return np.asarray(found.numpy() > 0.5)
+
+    def _floats(self, values: ArrayLike) -> Any:
+        return self._tensor(np.ascontiguousarray(values, dtype=np.float32))

@@ -1,0 +1,262 @@
+"""One page for every report: a file that needs nothing but itself.
+
+A page is data: sections of blocks, which the templates beside this module turn into HTML. No report
+writes HTML itself, so that every text is escaped in one place.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import ClassVar, Protocol
+
+from std_toolkit.html.templates import environment
+
+
+class Block(Protocol):
+    """A part of a section: a `Table`, or one of the classes below."""
+
+    kind: ClassVar[str]
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """A paragraph; `lead` is bold in front of it, `tone` "good" or "bad" colours the lead."""
+
+    text: str
+    lead: str = ""
+    tone: str = ""
+    kind: ClassVar[str] = "paragraph"
+
+
+@dataclass(frozen=True)
+class Bullets:
+    """A list of sentences."""
+
+    items: Sequence[Paragraph]
+    kind: ClassVar[str] = "bullets"
+
+    @property
+    def empty(self) -> bool:
+        return not self.items
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A heading below that of the section, with a sample of a colour."""
+
+    text: str
+    level: int = 3
+    color: str = ""
+    kind: ClassVar[str] = "heading"
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A Plotly figure as JSON, safe inside a script (`figure_json`); None for no figure."""
+
+    name: str
+    figure: str | None
+    kind: ClassVar[str] = "plot"
+
+    @property
+    def empty(self) -> bool:
+        return self.figure is None
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What the columns of a table mean."""
+
+    meanings: Mapping[str, str]
+    kind: ClassVar[str] = "terms"
+
+
+@dataclass(frozen=True)
+class LegendEntry:
+    """A colour or a gradient (CSS), its width in pixels, and what it stands for."""
+
+    background: str
+    text: str
+    width: int = 11
+
+
+@dataclass(frozen=True)
+class Legend:
+    """What colours stand for."""
+
+    entries: Sequence[LegendEntry]
+    kind: ClassVar[str] = "legend"
+
+    @property
+    def empty(self) -> bool:
+        return not self.entries
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An image and outlines above it.
+
+    Attributes:
+        data: the image file.
+        mime: its type, such as "image/jpeg".
+        width, height: size of the image in pixels, the unit of the outlines.
+        outlines: (object id, SVG path data).
+    """
+
+    data: bytes
+    mime: str
+    width: int
+    height: int
+    outlines: list[tuple[int, str]] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A picture with its caption; `colors` of the outlines by object id."""
+
+    picture: Picture
+    caption: str = ""
+    colors: Mapping[int, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Gallery:
+    """Pictures side by side; a click enlarges one.
+
+    Attributes:
+        figures: the pictures.
+        layout: "wide", "small" (as many in a row as fit) or "fixed".
+        abreast: pictures in a row of the layout "fixed".
+        heads: titles above the panels that every picture shows.
+    """
+
+    figures: Sequence[Figure]
+    layout: str = "fixed"
+    abreast: int = 1
+    heads: Sequence[str] = ()
+    kind: ClassVar[str] = "gallery"
+
+    @property
+    def empty(self) -> bool:
+        return not self.figures
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Blocks side by side where there is room."""
+
+    blocks: Sequence[Block]
+    kind: ClassVar[str] = "columns"
+
+    @property
+    def shown(self) -> list[Block]:
+        return shown(self.blocks)
+
+    @property
+    def empty(self) -> bool:
+        return not self.shown
+
+
+@dataclass(frozen=True)
+class Details:
+    """Blocks that a click on the title shows."""
+
+    title: str
+    blocks: Sequence[Block]
+    open: bool = False
+    kind: ClassVar[str] = "details"
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section; one without anything to show is left out.
+
+    Attributes:
+        anchor: its element id, unique on the page.
+        title: its heading, and its link in the navigation.
+        blocks: what it holds.
+        mark: a small warning beside the heading.
+    """
+
+    anchor: str
+    title: str
+    blocks: Sequence[Block]
+    mark: str = ""
+
+    @property
+    def shown(self) -> list[Block]:
+        return shown(self.blocks)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A line in the head of the page; `state` is "pass", "fail" or empty."""
+
+    text: str
+    word: str = ""
+    state: str = ""
+
+
+@dataclass(frozen=True)
+class Fact:
+    """A figure in the head of the page."""
+
+    name: str
+    value: str
+    note: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Page:
+    """A page; the same content gives the same bytes.
+
+    Attributes:
+        kind: of report, such as "Label check".
+        title: its heading.
+        sections: its content.
+        footer: what made it.
+        tab_title: of the browser's tab; empty for `title`.
+        verdicts, intro, facts: the head of the page.
+        outlines: with a switch that hides the outlines above the pictures.
+    """
+
+    kind: str
+    title: str
+    sections: Sequence[Section]
+    footer: str
+    tab_title: str = ""
+    verdicts: Sequence[Verdict] = ()
+    intro: Sequence[Block] = ()
+    facts: Sequence[Fact] = ()
+    outlines: bool = False
+
+    def html(self) -> str:
+        """The page as one file."""
+        sections = [section for section in self.sections if section.shown]
+        drawn = any(_has_plot(section.shown) for section in sections)
+        template = environment().get_template("page.html")
+        return template.render(page=self, sections=sections, plotly=_plotly() if drawn else None)
+
+
+def shown(blocks: Sequence[Block]) -> list[Block]:
+    """Blocks without those that are empty."""
+    return [block for block in blocks if not getattr(block, "empty", False)]
+
+
+def _has_plot(blocks: Sequence[Block]) -> bool:
+    return any(b.kind == "plot" or _has_plot(getattr(b, "blocks", ())) for b in blocks)
+
+
+@lru_cache(maxsize=1)
+def _plotly() -> dict[str, str]:
+    """Plotly, compressed to a third of its 5 MB, and the notice of its licence."""
+    from plotly.offline import get_plotlyjs
+
+    source = get_plotlyjs()
+    notice = source[: source.index("*/")].replace("/**", "").replace("\n* ", "\n").strip()
+    packed = gzip.compress(source.encode(), 9, mtime=0)
+    return {"notice": notice, "data": base64.b64encode(packed).decode("ascii")}

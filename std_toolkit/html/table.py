@@ -1,0 +1,268 @@
+"""One table for the terminal, Markdown, LaTeX and HTML: columns, rows, and notes under the heading.
+
+The four forms have the same cells. What only one of them can show (colours, shades, sorting) adds
+to the text of a cell and never replaces it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+MINUS = "\u2212"
+NONE = "\u2013"
+_LATEX = {
+    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
+    "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
+    "δ": r"$\delta$", "°": r"$^\circ$", "≈": r"$\approx$", "±": r"$\pm$", "≤": r"$\leq$",
+    "≥": r"$\geq$", MINUS: "$-$", NONE: "--", "<": r"\textless{}", ">": r"\textgreater{}",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """A cell.
+
+    Attributes:
+        text: as it is read in every form.
+        note: a smaller addition, such as an interval in brackets.
+        value: what an HTML table sorts by; NaN for none.
+        mark: "best" is bold, "bad" is over a limit, "none" is faint.
+        tag: the text is a coloured word of this kind (HTML).
+        color: CSS colour of a sample before the text (HTML).
+        shade: CSS colour of the background (HTML).
+    """
+
+    text: str
+    note: str = ""
+    value: float = math.nan
+    mark: Literal["", "best", "bad", "none"] = ""
+    tag: str = ""
+    color: str = ""
+    shade: str = ""
+
+    @property
+    def plain(self) -> str:
+        """Text and note on one line."""
+        return f"{self.text} {self.note}".strip()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Column:
+    """A column.
+
+    Attributes:
+        heading, unit: as people read them.
+        name: of the figure in a table of results; empty where cells are made by hand.
+        numeric: numbers are set flush right and can be sorted by value.
+        factor: from the stored to the written unit.
+        digits: after the point.
+        published_digits: of figures that a paper prints, which has fewer; None for `digits`.
+        signed: a plus is written.
+        lower_is_better: None where neither direction is.
+    """
+
+    heading: str
+    unit: str = ""
+    name: str = ""
+    numeric: bool = True
+    factor: float = 1.0
+    digits: int = 1
+    published_digits: int | None = None
+    signed: bool = False
+    lower_is_better: bool | None = None
+
+    @property
+    def title(self) -> str:
+        """Heading and unit.
+
+        >>> Column(heading="RMSE", unit="mm").title
+        'RMSE [mm]'
+        """
+        return f"{self.heading} [{self.unit}]" if self.unit else self.heading
+
+    def text(self, value: float | None, *, published: bool = False) -> str:
+        """A figure as it is written; empty where there is none."""
+        if value is None or math.isnan(value):
+            return ""
+        printed = published and self.published_digits is not None
+        digits = self.published_digits if printed else self.digits
+        return number(value * self.factor, digits or 0, signed=self.signed)
+
+    def cell(
+        self,
+        value: float | None,
+        *,
+        interval: tuple[float, float] = (math.nan, math.nan),
+        published: bool = False,
+        mark: Literal["", "best", "bad", "none"] = "",
+        missing: str = "",
+    ) -> Cell:
+        """A figure with its interval in brackets; `missing` where there is none."""
+        low, high = interval
+        known = not (math.isnan(low) or math.isnan(high))
+        return Cell(
+            text=self.text(value, published=published) or missing,
+            note=f"[{self.text(low)}, {self.text(high)}]" if known else "",
+            value=math.nan if value is None else float(value),
+            mark=mark,
+        )
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row.
+
+    Attributes:
+        cells: one for each column.
+        kind: "published" rows stand below the measured ones and in italics; "bound" rows are no
+            candidates, such as results on true depth, and are faint.
+    """
+
+    cells: Sequence[Cell]
+    kind: Literal["", "published", "bound"] = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A table.
+
+    Attributes:
+        columns, rows: its content; measured rows come before published ones whatever the order.
+        title: its heading.
+        notes: sentences under the heading.
+        sortable: a click on a heading sorts the HTML table, measured and published rows apart.
+
+    Raises:
+        ValueError: a row has not one cell for each column.
+    """
+
+    columns: Sequence[Column]
+    rows: Sequence[Row]
+    title: str = ""
+    notes: Sequence[str] = ()
+    sortable: bool = False
+    kind: ClassVar[str] = "table"
+
+    def __post_init__(self) -> None:
+        if any(len(row.cells) != len(self.columns) for row in self.rows):
+            raise ValueError("every row needs one cell for each column")
+
+    @property
+    def empty(self) -> bool:
+        return not self.rows
+
+    @property
+    def groups(self) -> list[list[Row]]:
+        """The measured rows, then the published ones; a group without rows is left out."""
+        published = [row for row in self.rows if row.kind == "published"]
+        measured = [row for row in self.rows if row.kind != "published"]
+        return [group for group in (measured, published) if group]
+
+    def terminal(self, *, notes: bool = True, star: str = "* ") -> str:
+        """Aligned text; published rows begin with a star.
+
+        Args:
+            notes: with the notes of the cells.
+            star: what a published row begins with.
+        """
+        lines = [[column.title for column in self.columns]]
+        for row in self._ordered():
+            cells = [cell.plain if notes else cell.text for cell in row.cells]
+            cells[0] = (star if row.kind == "published" else "") + cells[0]
+            lines.append(cells)
+        head = [self.title] if self.title else []
+        numeric = [column.numeric for column in self.columns]
+        return "\n".join([*head, *self.notes, _aligned(lines, numeric)])
+
+    def markdown(self) -> str:
+        """GitHub's Markdown; published rows in italics, best figures bold."""
+        lines = [f"### {self.title}", ""] if self.title else []
+        lines += [*self.notes, ""] if self.notes else []
+        lines.append(_bar(_pipes(column.title) for column in self.columns))
+        lines.append("|" + "|".join("---:" if c.numeric else "---" for c in self.columns) + "|")
+        for row in self._ordered():
+            lines.append(_bar(_framed(_pipes, c, row, "**{}**", "*{}*") for c in row.cells))
+        return "\n".join(lines)
+
+    def latex(self) -> str:
+        """LaTeX with booktabs; published rows in italics, best figures bold."""
+        title = ". ".join([self.title, *(note.rstrip(".") for note in self.notes)])
+        lines = [r"\begin{table}[t]", r"\centering", rf"\caption{{{escape_latex(title)}}}"]
+        lines.append(
+            rf"\begin{{tabular}}{{{''.join('r' if c.numeric else 'l' for c in self.columns)}}}"
+        )
+        heads = " & ".join(escape_latex(column.title) for column in self.columns)
+        lines += [r"\toprule", rf"{heads} \\"]
+        for group in self.groups:
+            lines.append(r"\midrule")
+            for row in group:
+                cells = [
+                    _framed(escape_latex, c, row, r"\textbf{{{}}}", r"\textit{{{}}}")
+                    for c in row.cells
+                ]
+                lines.append(" & ".join(cells) + r" \\")
+        return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}"])
+
+    def html(self) -> str:
+        """The table as an element, all texts escaped."""
+        from std_toolkit.html.templates import environment
+
+        return str(environment().get_template("blocks.html").module.block(self))  # type: ignore[attr-defined]
+
+    def _ordered(self) -> list[Row]:
+        return [row for group in self.groups for row in group]
+
+
+def number(value: float | None, digits: int = 1, *, signed: bool = False) -> str:
+    """A number with fixed digits and a true minus; a dash for a missing one.
+
+    >>> number(-0.04), number(2.5, signed=True), number(None)
+    ('0.0', '+2.5', '–')
+    """
+    if value is None or math.isnan(value):
+        return NONE
+    text = f"{value:+.{digits}f}" if signed else f"{value:.{digits}f}"
+    if float(text) == 0:
+        text = text.lstrip("+-")
+    return text.replace("-", MINUS)
+
+
+def escape_latex(text: str) -> str:
+    r"""Text with the characters that mean something to LaTeX made plain.
+
+    >>> escape_latex("5 % of a_b")
+    '5 \\% of a\\_b'
+    """
+    return "".join(_LATEX.get(c, c) for c in text)
+
+
+def _framed(escape: Callable[[str], str], cell: Cell, row: Row, best: str, published: str) -> str:
+    """A cell's text, bold or italic, and its note behind it."""
+    text = escape(cell.text)
+    if text and row.kind == "published":
+        text = published.format(text)
+    elif text and cell.mark == "best":
+        text = best.format(text)
+    return f"{text} {escape(cell.note)}".strip()
+
+
+def _aligned(lines: Sequence[Sequence[str]], numeric: Sequence[bool]) -> str:
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return "\n".join(
+        "  ".join(
+            cell.rjust(width) if flush else cell.ljust(width)
+            for cell, width, flush in zip(line, widths, numeric, strict=True)
+        ).rstrip()
+        for line in lines
+    )
+
+
+def _pipes(text: str) -> str:
+    return text.replace("|", r"\|").replace("<", "&lt;").replace("\n", " ")
+
+
+def _bar(cells: Iterable[str]) -> str:
+    return "| " + " | ".join(cells) + " |"

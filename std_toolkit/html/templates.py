@@ -1,0 +1,50 @@
+"""The Jinja2 environment of reports: every text is escaped, every element id is made safe."""
+
+from __future__ import annotations
+
+import base64
+import re
+import zlib
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+
+def slug(name: str) -> str:
+    """An element id made from any name; different names give different ids.
+
+    >>> slug("std-catknown")
+    'std-catknown'
+    >>> slug("a b")
+    'a-b-14f9cd07'
+    """
+    safe = re.sub(r"[^A-Za-z0-9_-]+", "-", name)
+    return safe if safe == name else f"{safe}-{zlib.crc32(name.encode()):08x}"
+
+
+@lru_cache(maxsize=1)
+def environment() -> Environment:
+    """Templates of the folder `templates`, with the filters that they use."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup, escape
+
+    def words(text: str) -> Markup:
+        """Escaped text in which commands between backticks look like commands."""
+        parts = str(escape(text)).split("`")
+        return Markup("").join(
+            Markup(f"<code>{part}</code>" if i % 2 else part) for i, part in enumerate(parts)
+        )
+
+    found = Environment(
+        loader=PackageLoader("std_toolkit.html"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    found.filters["words"] = words
+    found.filters["slug"] = slug
+    found.filters["base64"] = lambda data: base64.b64encode(data).decode("ascii")
+    return found

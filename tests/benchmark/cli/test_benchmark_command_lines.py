@@ -1,0 +1,64 @@
+"""Help of every command of the benchmark: each option once, with a text, and soon."""
+
+from __future__ import annotations
+
+import re
+import resource
+import subprocess
+import sys
+
+import pytest
+
+from benchmark.cli import bench, report, train
+from std_toolkit.cli.command import Command, Program
+
+PROGRAMS: tuple[Program, ...] = (bench.PROGRAM, train.PROGRAM, report.PROGRAM)
+COMMANDS = [(program, command) for program in PROGRAMS for command in program.commands]
+
+
+def words_of(program: Program, command: Command) -> list[str]:
+    return [command.name, "--help"] if len(program.commands) > 1 else ["--help"]
+
+
+@pytest.mark.parametrize(
+    ("program", "command"), COMMANDS, ids=[f"{p.name} {c.name}" for p, c in COMMANDS]
+)
+def test_each_option_has_one_text(
+    program: Program, command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        program.main(words_of(program, command))
+    assert end.value.code == 0
+    page = capsys.readouterr().out
+    # An option begins its line; its text follows there or below.
+    names = re.findall(r"^  (?:-h, )?(--?[\w-]+|[A-Z_]+)", page, re.M)
+    assert len(names) == len(set(names)) >= 5
+    texts = re.split(r"^  (?=\S)", page.partition("options\n")[2], flags=re.M)[1:]
+    for text in texts:
+        told = re.sub(r"^\S+|\{.*?\}|\((default: .*|required)\)", "", text, flags=re.S)
+        assert re.search(r"\b[a-z]{2,}", told), text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("module", "words", "seconds"),
+    [
+        (f"benchmark.cli.{program.name.removeprefix('std-')}", words, seconds)
+        for program in PROGRAMS
+        for words, seconds in [
+            (["--help"], 0.2 if program is bench.PROGRAM else 0.35),
+            *((words_of(program, command), 0.35) for command in program.commands),
+        ]
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else str(value),
+)
+def test_help_takes_little_processor_time(module: str, words: list[str], seconds: float) -> None:
+    code = f"import sys; from {module} import main; sys.exit(main({words}))"
+    taken = []
+    for _ in range(5):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run([sys.executable, "-c", code], stdout=subprocess.DEVNULL, check=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        taken.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+    # The least: other processes on the machine make the same work dearer.
+    assert min(taken) <= seconds, taken
