@@ -88,7 +88,7 @@ class FrameConfig(NetworkConfig):
     """What a task over the frames of data sets is asked; every method runs on every split."""
 
     methods: tuple[str, ...] = field(metadata=_option("method"))
-    """names of `std-bench list methods`, package.module:Class, or file.py:Class"""
+    """names of `std-bench list methods`, or package.module:Class"""
     splits: tuple[str, ...] = field(metadata=_option("split"))
     """names of `std-bench list splits`"""
     data: tuple[str, ...] = field(metadata=_option("data"))
