@@ -26,10 +26,9 @@ PACKAGES = ("std_toolkit", "annotator", "sensors", "benchmark")
 # tests/test_import_arrows.py tests the same order.
 ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
     "std_toolkit": (
-        ("renamed",),
-        ("",),
         ("errors",),
         ("log", "plugins"),
+        ("",),
         ("geometry", "io", "jobs"),
         ("html", "scene"),
         ("importers", "poses", "rendering"),

@@ -11,7 +11,8 @@ import torch
 
 from benchmark.methods.weights import save_weights
 from benchmark.training.catalogue import Trainable, get_trainable
-from benchmark.training.config import Machine, TrainConfig, begin, seed_of
+from benchmark.training.config import TrainConfig, begin, seed_of
+from benchmark.training.options import Machine
 from benchmark.training.packed_frames import Data
 from benchmark.training.run_files import BEST, CHECKPOINT, LAST
 from benchmark.training.run_note import RUN_NOTE, note_of
