@@ -27,7 +27,7 @@ def compiled(function: F) -> F:
     cache where nothing may be written there; where neither can be, it is compiled in each process.
     """
     try:
-        dispatcher = numba.njit(nogil=True, cache=True)(function)
+        dispatcher: Any = numba.njit(nogil=True, cache=True)(function)
     except RuntimeError:  # no place for a cache
         return cast(F, numba.njit(nogil=True)(function))
     # On a full disk the code that was just compiled still runs. Numba has no public hook for it.
