@@ -1,5 +1,5 @@
 """The annotation GUI over a headless session."""
 
-from std_toolkit.renamed import install
+from std_toolkit.plugins import install
 
 install()

@@ -1,5 +1,5 @@
 """Data sets, methods, metrics and reports of the benchmark."""
 
-from std_toolkit.renamed import install
+from std_toolkit.plugins import install
 
 install()

@@ -24,7 +24,8 @@ from benchmark.data.splits import open_split
 from benchmark.data.torch_dataset import DepthDataset
 from benchmark.training.frame_order import BatchOrder, Steps
 from benchmark.training.module import network_inputs, target_of
-from benchmark.training.pack import PackOptions, pack_split
+from benchmark.training.options import PackOptions
+from benchmark.training.pack import pack_split
 from benchmark.training.packed_frames import PackedFrames
 from std_toolkit.jobs import JobOptions
 

@@ -1,5 +1,5 @@
 """Cameras, recordings and simulated sensors."""
 
-from std_toolkit.renamed import install
+from std_toolkit.plugins import install
 
 install()

@@ -7,7 +7,7 @@ libraries that the steps need.
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from std_toolkit.renamed import install
+from std_toolkit.plugins import install
 
 if TYPE_CHECKING:
     from std_toolkit.checks.check_step import run_check

@@ -1,15 +1,81 @@
-"""Registries of interchangeable parts: built in, installed as entry points, or named by path."""
+"""Plug-ins: registries of interchangeable parts, and modules under their names of version 0.1.
+
+A part is built in, installed as an entry point, or named as `package.module:attribute`. `import
+benchmark.pose_methods.protocol` gives the module `benchmark.methods.protocol` itself, with a
+`DeprecationWarning`: a plug-in written for 0.1 goes on working. The four packages call `install`
+when they are imported.
+"""
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator
-from importlib.metadata import entry_points
-from typing import Any, Generic, TypeVar
+import sys
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from std_toolkit.errors import ToolkitError
 
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
 T = TypeVar("T")
+
+# Names that the guides of version 0.1 gave to users' own code.
+RENAMED: dict[str, str] = {
+    "annotator.agreement": "annotator.compare",
+    "benchmark.data.selection": "benchmark.data.frame",
+    "benchmark.data.source": "benchmark.data.splits",
+    "benchmark.grasp_methods.protocol": "benchmark.methods.protocol",
+    "benchmark.grasp_methods.registry": "benchmark.methods.registry",
+    "benchmark.grasping": "benchmark.metrics.grasp",
+    "benchmark.grasping.ap": "benchmark.metrics.grasp.ap",
+    "benchmark.grasping.collision": "benchmark.metrics.grasp.collision",
+    "benchmark.grasping.force_closure": "benchmark.metrics.grasp.force_closure",
+    "benchmark.grasping.graspnet_format": "benchmark.metrics.grasp.grasp",
+    "benchmark.methods.cleargrasp": "benchmark.methods.depth.cleargrasp",
+    "benchmark.methods.cleargrasp.global_optimization": (
+        "benchmark.methods.depth.cleargrasp.global_optimization"
+    ),
+    "benchmark.methods.cleargrasp.join": "benchmark.methods.depth.cleargrasp.join",
+    "benchmark.methods.full_size": "benchmark.methods.depth.full_size",
+    "benchmark.methods.settings": "benchmark.methods.registry",
+    "benchmark.metrics.depth_torch": "benchmark.metrics.depth.depth_torch",
+    "benchmark.metrics.resize": "benchmark.data.frame",
+    "benchmark.pose_methods.fitting": "benchmark.methods.pose.fitting",
+    "benchmark.pose_methods.protocol": "benchmark.methods.protocol",
+    "benchmark.pose_methods.registry": "benchmark.methods.registry",
+    "benchmark.pose_running.results": "benchmark.evaluation.tasks.pose_results",
+    "benchmark.pose_running.scoring": "benchmark.evaluation.tasks.pose_results",
+    "benchmark.protocols": "benchmark.metrics.protocols",
+    "benchmark.protocols.summary": "benchmark.evaluation.tasks.depth_results",
+    "benchmark.running.results": "benchmark.evaluation.tasks.depth_results",
+    "std_toolkit.checks.step": "std_toolkit.checks.check_step",
+    "std_toolkit.exporters.protocol": "std_toolkit.exporters.exporter",
+    "std_toolkit.geometry.depth": "std_toolkit.geometry.camera",
+    "std_toolkit.importers.protocol": "std_toolkit.importers.importer",
+    "std_toolkit.labels.refine.auto": "std_toolkit.labels.auto_refine",
+    "std_toolkit.labels.refine.solver": "std_toolkit.labels.refine.edges.solver",
+    "std_toolkit.poses.scale": "std_toolkit.poses.scale_sources",
+    "std_toolkit.poses.scale.source": "std_toolkit.poses.scale_sources",
+    "std_toolkit.poses.step": "std_toolkit.poses.pose_step",
+    "std_toolkit.rendering.protocol": "std_toolkit.rendering.renderer",
+}
+
+# Packages that no longer exist; their modules went to different places.
+_GONE = frozenset(
+    {
+        "benchmark.grasp_methods",
+        "benchmark.pose_methods",
+        "benchmark.pose_running",
+        "benchmark.running",
+        "std_toolkit.poses.scale",
+    }
+)
 
 
 class Registry(Generic[T]):
@@ -30,9 +96,12 @@ class Registry(Generic[T]):
 
     def names(self) -> list[str]:
         """All known names, built-in ones first."""
-        return list(
-            dict.fromkeys([*self._targets, *(e.name for e in entry_points(group=self.group))])
-        )
+        return list(dict.fromkeys([*self._targets, *(e.name for e in self._entries())]))
+
+    def _entries(self) -> Iterable[EntryPoint]:
+        from importlib.metadata import entry_points
+
+        return entry_points(group=self.group)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.names())
@@ -45,7 +114,7 @@ class Registry(Generic[T]):
         """
         if name in self._targets:
             return self._import(self._targets[name])
-        for entry in entry_points(group=self.group):
+        for entry in self._entries():
             if entry.name == name:
                 return self._loaded(entry.load, entry.value)
         if ":" in name:
@@ -68,3 +137,60 @@ class Registry(Generic[T]):
             raise ToolkitError(
                 f"cannot import plug-in for {self.group}: {told}", value=target
             ) from error
+
+
+class _Alias(Loader):
+    def __init__(self, new: str) -> None:
+        self.new = new
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Put the module of the new name in the place of the old one."""
+        old = module.__name__
+        warnings.warn(f"{old} is now {self.new}", DeprecationWarning, stacklevel=2)
+        sys.modules[old] = importlib.import_module(self.new)
+
+
+class _GonePackage(Loader):
+    def exec_module(self, module: ModuleType) -> None:
+        """Leave the package empty; names that it had itself come from their new module."""
+        new = RENAMED.get(module.__name__)
+        if new is None:
+            return
+
+        def attribute(name: str) -> object:
+            if name.startswith("__"):
+                raise AttributeError(name)
+            return getattr(importlib.import_module(new), name)
+
+        module.__dict__["__getattr__"] = attribute
+
+
+class _Finder(MetaPathFinder):
+    def find_spec(
+        self,
+        fullname: str,
+        path: Sequence[str] | None = None,  # noqa: ARG002 (Python passes both)
+        target: ModuleType | None = None,  # noqa: ARG002
+    ) -> ModuleSpec | None:
+        """The alias of a renamed module; None for every other."""
+        if fullname in _GONE:
+            return ModuleSpec(fullname, _GonePackage(), is_package=True)
+        new = RENAMED.get(fullname)
+        if new is None:
+            parent, _, name = fullname.rpartition(".")
+            if parent in _GONE or parent not in RENAMED:
+                return None
+            new = f"{importlib.import_module(RENAMED[parent]).__name__}.{name}"
+            if find_spec(new) is None:
+                return None
+        return ModuleSpec(fullname, _Alias(new))
+
+
+_FINDER = _Finder()
+
+
+def install() -> None:
+    """Let Python find modules under their old names."""
+    if _FINDER not in sys.meta_path:
+        # Ahead of the others: below a renamed package they would load its modules a second time.
+        sys.meta_path.insert(0, _FINDER)

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tools.structure import ORDER
+
 REPOSITORY = Path(__file__).resolve().parent.parent
 PACKAGES = ("std_toolkit", "annotator", "sensors", "benchmark")
 QT = ("PySide6", "pyvistaqt")
@@ -102,47 +104,6 @@ def test_a_wrong_import_would_be_seen(tmp_path: Path) -> None:
     assert not within("annotator.viewpoint", SCREENS)
 
 
-# The folders and single modules of each package from the lowest layer up; "" is the package itself.
-# One may import what stands in a line above its own, and nothing of its own line but itself.
-ORDER = {
-    "std_toolkit": (
-        ("renamed",),
-        ("",),
-        ("errors",),
-        ("log", "plugins"),
-        ("geometry", "io", "jobs"),
-        ("html", "scene"),
-        ("importers", "poses", "rendering"),
-        ("checks", "exporters", "labels"),
-        ("cli",),
-    ),
-    "annotator": (
-        ("", "startup"),
-        ("session",),
-        ("app", "compare"),
-        ("views",),
-        ("qt", "web"),
-        ("cli",),
-    ),
-    "sensors": (
-        ("", "assets", "compiled", "materials", "output", "specs", "viewpoints"),
-        ("align", "lighting", "pattern", "physics", "stereo"),
-        ("record", "render"),
-        ("simulation",),
-        ("synthetic",),
-    ),
-    "benchmark": (
-        ("", "data", "published", "weights"),
-        ("metrics",),
-        ("methods",),
-        ("tabletop",),
-        ("evaluation",),
-        ("training",),
-        ("report",),
-        ("recipes",),
-        ("cli",),
-    ),
-}
 Graph = dict[str, set[str]]
 
 

@@ -1,14 +1,11 @@
-"""Events of the controller, and the messages that stay until they are read.
-
-What the page has to tell: messages that stay until they are read.
-"""
+"""Events of the controller, and the messages that stay until they are read."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
 
 Kind = Literal[
     "edited",  # an edit, undo or redo: `objects` lost or gained something
@@ -29,10 +26,8 @@ Kind = Literal[
 
 Level = Literal["info", "warning", "error"]
 
-# News vanish when there was time to read them; warnings and errors stay until they are closed.
-INFO_S = 8.0
-
-MOST = 30
+# News vanish when there was time to read them; what has no time here stays until it is closed.
+SHOWN_S: dict[Level, float] = {"info": 8.0}
 
 
 @dataclass(frozen=True)
@@ -61,19 +56,24 @@ class Notice:
 
 
 class Notices:
-    """The messages on the page, the newest last.
+    """The messages that are shown, the newest last.
 
     Args:
-        show: hands all of them to the page, as plain values.
+        show: called with all of them.
         later: calls a function after some seconds.
+        seconds: for which messages of a level are shown.
+        most: this many are shown at most.
     """
 
     def __init__(
         self,
-        show: Callable[[list[dict[str, Any]]], None],
+        show: Callable[[list[Notice]], None],
         later: Callable[[float, Callable[[], None]], None],
+        *,
+        seconds: Mapping[Level, float] = SHOWN_S,
+        most: int = 30,
     ) -> None:
-        self._show, self._later = show, later
+        self._show, self._later, self._seconds, self._most = show, later, seconds, most
         self._numbers = itertools.count(1)
         self.notices: list[Notice] = []
 
@@ -85,9 +85,13 @@ class Notices:
             for n in self.notices
             if n.text != text and not (n.level == "info" and level == "info")
         ]
-        self._set([*kept, notice][-MOST:])
-        if level == "info":
-            self._later(INFO_S, lambda: self.close(notice.number))
+        self._set([*kept, notice][-self._most :])
+        if level in self._seconds:
+            self._later(self._seconds[level], lambda: self.close(notice.number))
+
+    def clear(self) -> None:
+        """Close all messages."""
+        self._set([])
 
     def close(self, number: int) -> None:
         """A message was read."""
@@ -96,4 +100,4 @@ class Notices:
 
     def _set(self, notices: list[Notice]) -> None:
         self.notices = notices
-        self._show([asdict(n) for n in notices])
+        self._show(notices)

@@ -24,10 +24,9 @@ from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.app.placing import add_object
 from annotator.app.questions import symmetry_summary
-from annotator.app.tasks import Task
 from annotator.qt.commands import Commands
 from annotator.qt.theme import pixmap
-from annotator.session.meshes import Version
+from annotator.views.thumbnails import Thumbnails
 from std_toolkit.geometry.mesh import MESH_SUFFIXES
 from std_toolkit.scene import Model
 
@@ -48,9 +47,8 @@ class LibraryPanel(QWidget):
     def __init__(self, controller: Controller, commands: Commands) -> None:
         super().__init__()
         self._controller = controller
-        # By id, with the meshes that there were: how boxes stand is told by the others.
-        self._pictures: dict[str, tuple[Version, QIcon]] = {}
-        self._asked_for: frozenset[Version] = frozenset()
+        self._icons: dict[str, QIcon] = {}
+        self._thumbnails: Thumbnails | None = None
         self.list = _Meshes()
         self.list.itemDoubleClicked.connect(
             lambda item: add_object(controller, item.data(Qt.ItemDataRole.UserRole))
@@ -86,6 +84,8 @@ class LibraryPanel(QWidget):
 
     def close_panel(self) -> None:
         self._unsubscribe()
+        if self._thumbnails is not None:
+            self._thumbnails.close()
 
     def refresh(self) -> None:
         """Show the meshes that the session has now."""
@@ -99,44 +99,24 @@ class LibraryPanel(QWidget):
                 item.setSizeHint(self.list.gridSize())
                 item.setData(Qt.ItemDataRole.UserRole, model.id)
                 self.list.addItem(item)
+        drawing = QIcon(pixmap("style_wireframe", 32))
         for i, model in enumerate(models):
             self.list.item(i).setToolTip(_described(model))
-            self.list.item(i).setIcon(self._picture(model))
+            self.list.item(i).setIcon(self._icons.get(model.id, drawing))
         self.stack.setCurrentIndex(0 if models else 1)
 
     def draw_pictures(self) -> None:
-        """Draw the thumbnails that are missing, beside the work."""
-        snapshot = self._controller.session.snapshot()
-        models = snapshot.state.models
-        versions = {m.id: snapshot.meshes.version(m) for m in models}
-        wanted = frozenset(versions.values())
+        """Draw the thumbnails, beside the work, and those of the meshes that come later."""
         size = round(THUMBNAIL * self.devicePixelRatioF())
-        if wanted <= self._asked_for:
-            return
-        self._asked_for = wanted
+        self._thumbnails = Thumbnails(self._controller, self._show_pictures, size=size)
 
-        def draw(_: Task) -> list[NDArray[np.uint8] | None]:
-            from annotator.views import model_picture
-
-            return [model_picture(snapshot, m, size) for m in models]
-
-        def finish(pictures: list[NDArray[np.uint8] | None]) -> None:
-            for model, picture in zip(models, pictures, strict=True):
-                self._pictures[model.id] = versions[model.id], _as_icon(picture)
-            self.refresh()
-
-        self._controller.start_aside("Thumbnails", draw, finish)
-
-    def _picture(self, model: Model) -> QIcon:
-        version, picture = self._pictures.get(model.id, (None, None))
-        if picture is None or version != self._controller.session.meshes.version(model):
-            return QIcon(pixmap("style_wireframe", 32))
-        return picture
+    def _show_pictures(self, pictures: dict[str, NDArray[np.uint8] | None]) -> None:
+        self._icons = {id: _as_icon(picture) for id, picture in pictures.items()}
+        self.refresh()
 
     def _on_event(self, event: Event) -> None:
         if event.kind == "edited":
             self.refresh()
-            self.draw_pictures()
 
     # --- mesh files from the desktop -------------------------------------------------------------
 

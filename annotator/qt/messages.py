@@ -1,7 +1,4 @@
-"""The line below: what to do next, what is being computed, what is saved.
-
-Messages over the views: they tell, and do not stop the work.
-"""
+"""The line below with hint, progress and saved state, and the messages over the views."""
 
 from __future__ import annotations
 
@@ -18,13 +15,13 @@ from PySide6.QtWidgets import (
 )
 
 from annotator.app.controller import Controller
-from annotator.app.events import Event, Level
+from annotator.app.events import Event, Level, Notice, Notices
 from annotator.app.object_summary import next_hint
 from annotator.qt import theme
 from annotator.qt.theme import icon, pixmap
 
 # Long enough to read; errors stay until they are closed or newer messages replace them.
-SHOWN_MS: dict[Level, int] = {"info": 8000, "warning": 20_000}
+SHOWN_S: dict[Level, float] = {"info": 8, "warning": 20}
 
 MOST = 3
 
@@ -143,25 +140,32 @@ class Banner(QWidget):
         self._layout.setContentsMargins(0, 0, 0, 0)
         self._layout.setSpacing(2)
         self.messages: list[Message] = []
+        self.notices = Notices(
+            self._show,
+            lambda seconds, call: QTimer.singleShot(round(1000 * seconds), self, call),
+            seconds=SHOWN_S,
+            most=MOST,
+        )
         self.hide()
 
-    def tell(self, text: str, level: Level = "info") -> None:
-        """Show a message; the same one again is not shown twice."""
-        for old in list(self.messages):
-            # News of success and progress replace each other.
-            if old.text == text or (old.level == "info" and level == "info"):
-                self._remove(old)
-        message = Message(text, level)
-        message.close_button.clicked.connect(lambda: self._remove(message))
-        if level in SHOWN_MS:
-            QTimer.singleShot(SHOWN_MS[level], message, lambda: self._remove(message))
-        self.messages.append(message)
+    def _show(self, notices: list[Notice]) -> None:
+        shown = {message.notice: message for message in self.messages}
+        self.messages = [shown[n] if n in shown else self._added(n) for n in notices]
+        for message in shown.values():
+            if message in self.messages:
+                continue
+            self._layout.removeWidget(message)
+            message.hide()
+            message.deleteLater()
+        self._arrange()
+
+    def _added(self, notice: Notice) -> Message:
+        message = Message(notice)
+        message.close_button.clicked.connect(lambda: self.notices.close(notice.number))
         self._layout.addWidget(message)
         # Until it is shown the layout has no room for it.
         message.show()
-        while len(self.messages) > MOST:
-            self._remove(self.messages[0])
-        self._arrange()
+        return message
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         if watched is self._over and event.type() == QEvent.Type.Resize:
@@ -180,25 +184,13 @@ class Banner(QWidget):
             self.move(MARGIN, self._over.height() - self.height() - MARGIN)
             self.raise_()
 
-    def clear(self) -> None:
-        for message in list(self.messages):
-            self._remove(message)
-
-    def _remove(self, message: Message) -> None:
-        if message in self.messages:
-            self.messages.remove(message)
-            self._layout.removeWidget(message)
-            message.hide()
-            message.deleteLater()
-        self._arrange()
-
 
 class Message(QFrame):
     """One message: what it is by a coloured edge and an icon."""
 
-    def __init__(self, text: str, level: Level) -> None:
+    def __init__(self, notice: Notice) -> None:
         super().__init__()
-        self.text, self.level = text, level
+        self.notice, self.text, level = notice, notice.text, notice.level
         self.setObjectName("message")
         self.setStyleSheet(
             f"QFrame#message {{ background: {theme.RAISED}; border: 1px solid {theme.BORDER};"
@@ -206,7 +198,7 @@ class Message(QFrame):
         )
         sign = QLabel()
         sign.setPixmap(pixmap(level, 16, _INK[level], self.devicePixelRatioF()))
-        label = QLabel(text)
+        label = QLabel(self.text)
         label.setTextFormat(Qt.TextFormat.PlainText)
         label.setWordWrap(True)
         label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)

@@ -1,12 +1,9 @@
-"""2D-3D correspondences: the mesh to click on, and the list of clicked points.
-
-The selected object's mesh by itself, to click points on it that the image hides.
-"""
+"""2D-3D correspondences: the mesh to click on, and the list of clicked points."""
 
 from __future__ import annotations
 
 from PySide6.QtCore import Qt, QTimer
-from PySide6.QtGui import QColor
+from PySide6.QtGui import QColor, QShowEvent
 from PySide6.QtWidgets import (
     QAbstractItemView,
     QHBoxLayout,
@@ -24,15 +21,14 @@ from PySide6.QtWidgets import (
 from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.app.object_summary import ClickRow, click_rows
-from annotator.app.placing import standing_axis
 from annotator.qt import theme
 from annotator.qt.commands import Commands
 from annotator.qt.theme import icon
 from annotator.qt.view_area import ViewWidget
 from annotator.session import ChangeClick, Click
 from annotator.views import ModelView
+from annotator.views.mesh_picker import MeshPicker
 from annotator.views.meshes import ShapeStore
-from std_toolkit.html.plots import object_color
 
 # Clicks of a careful hand are about a pixel off; a point much farther was clicked wrongly.
 GOOD_PX, BAD_PX = 2.0, 5.0
@@ -41,8 +37,6 @@ _EMPTY = (
     "No points yet.\n\nClick a point on the mesh above, then the same point in the image. "
     "Four or more points give the pose; spread them over the object."
 )
-
-_POLL_MS = 60
 
 
 class PointsPanel(QWidget):
@@ -103,7 +97,7 @@ class PointsPanel(QWidget):
         layout.setContentsMargins(6, 6, 6, 4)
         layout.setSpacing(4)
         layout.addLayout(buttons)
-        self.picker = MeshPicker(controller)
+        self.picker = MeshPickerWidget(controller)
         layout.addWidget(self.picker, 3)
         layout.addWidget(below, 2)
         layout.addLayout(edit)
@@ -185,22 +179,23 @@ def _ink(residual_px: float) -> str:
     return theme.WARNING if residual_px <= BAD_PX else theme.BAD
 
 
-class MeshPicker(QWidget):
+class MeshPickerWidget(QWidget):
     """Built when it is first seen: most objects are labelled without it."""
 
     def __init__(self, controller: Controller) -> None:
         super().__init__()
         self._controller = controller
         self._shapes: ShapeStore | None = None
+        self._picker: MeshPicker | None = None
         self.widget: ViewWidget | None = None
-        self.view: ModelView | None = None
         self._layout = QVBoxLayout(self)
         self._layout.setContentsMargins(0, 0, 0, 0)
         self.setMinimumHeight(120)
         self.setToolTip("Drag to turn the mesh, wheel to come closer, click to choose a point.")
-        self._again = QTimer(self, singleShot=True, interval=_POLL_MS)
-        self._again.timeout.connect(self.refresh)
-        self._unsubscribe = controller.subscribe(self._on_event)
+
+    @property
+    def view(self) -> ModelView | None:
+        return None if self._picker is None else self._picker.view
 
     def start(self, shapes: ShapeStore) -> None:
         """From now on meshes can be had."""
@@ -209,58 +204,28 @@ class MeshPicker(QWidget):
             self._build()
 
     def close_panel(self) -> None:
-        self._unsubscribe()
-        self._again.stop()
-        if self.view is not None:
-            self.view.close()
+        if self._picker is not None:
+            self._picker.close()
         if self.widget is not None:
             self.widget.close()
 
-    def showEvent(self, event: object) -> None:
-        super().showEvent(event)  # type: ignore[arg-type]
+    def showEvent(self, event: QShowEvent) -> None:
+        super().showEvent(event)
         self._build()
 
-    def refresh(self) -> None:
-        """Show the selected object's mesh with its points in the view in hand."""
-        c = self._controller
-        if self.view is None or self._shapes is None or not self.isVisible():
-            return
-        if c.selected is None:
-            self.view.show(None)
-            self.view.set_points([])
-        else:
-            obj = c.session.object(c.selected)
-            model = c.session.state.model(obj.model)
-            shape = self._shapes.get(model)
-            if shape is None and self._shapes.pending:
-                self._again.start()
-            ids = [o.id for o in c.session.state.objects]
-            # Where there is no shape its mesh may be what cannot be read.
-            up = 2 if shape is None else standing_axis(c.session, model)
-            self.view.show(shape, object_color(ids, obj.id), up=up)
-            clicks = obj.clicks.get(c.active_frame, [])
-            self.view.set_points([x.point for x in clicks], c.pending_point)
-        self.view.draw()
-
     def _build(self) -> None:
-        if self.view is None and self._shapes is not None:
+        if self._shapes is None:
+            return
+        if self._picker is None:
             self.widget = ViewWidget(self)
             self.widget.setAcceptDrops(False)
             self._layout.addWidget(self.widget)
-            self.view = ModelView(
-                self.widget, on_click=self._clicked, pixel_ratio=self.devicePixelRatioF()
+            self._picker = MeshPicker(
+                self._controller,
+                self.widget,
+                self._shapes,
+                lambda seconds, call: QTimer.singleShot(round(1000 * seconds), self, call),
+                is_seen=self.isVisible,
+                pixel_ratio=self.devicePixelRatioF(),
             )
-        self.refresh()
-
-    def _clicked(self, point: tuple[float, float, float]) -> None:
-        c = self._controller
-        if c.selected is None or not c.session.writable:
-            return
-        if not c.clicking:
-            c.set_tool(clicking=True)
-        c.pending_point = point
-        c.emit(Event("tool"))
-
-    def _on_event(self, event: Event) -> None:
-        if event.kind in ("edited", "selected", "tool", "frames"):
-            self.refresh()
+        self._picker.refresh()

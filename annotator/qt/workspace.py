@@ -171,6 +171,6 @@ class Workspace(QWidget):
 
     def _on_event(self, event: Event) -> None:
         if event.kind == "message":
-            self.banner.tell(event.text, event.level)
+            self.banner.notices.tell(event.text, event.level)
         elif event.kind == "tool" and self.controller.clicking:
             self.tabs.setCurrentWidget(self.points)

@@ -1,11 +1,7 @@
-"""Small pictures of meshes, drawn without OpenGL in the background and kept on disk.
-
-Pictures of the meshes in the library, drawn beside the work.
-"""
+"""Small pictures of meshes, drawn without OpenGL in the background and kept on disk."""
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -127,17 +123,25 @@ def _shaded(normals: NDArray[np.floating], mask: NDArray[np.bool_]) -> NDArray[n
 
 
 class Thumbnails:
-    """Draws the pictures that are missing, one after the other.
+    """Draws the pictures of the library that are missing, one after the other.
 
     Args:
-        show: hands the pictures (data URLs by the id of the model) to the page.
+        show: called with the pictures that there are, by the id of the model: (size, size, 3) RGB,
+            or None for a mesh that cannot be read.
+        size: pixels.
     """
 
-    def __init__(self, controller: Controller, show: Callable[[dict[str, str]], None]) -> None:
-        self._c, self._show = controller, show
+    def __init__(
+        self,
+        controller: Controller,
+        show: Callable[[dict[str, NDArray[np.uint8] | None]], None],
+        *,
+        size: int = SIZE_PX,
+    ) -> None:
+        self._c, self._show, self._size = controller, show, size
         # By mesh, with the meshes that there were: how boxes stand is told by the others.
-        self._pictures: dict[Version, tuple[frozenset[Version], str]] = {}
-        self._shown: dict[str, str] = {}
+        self._pictures: dict[Version, tuple[frozenset[Version], NDArray[np.uint8] | None]] = {}
+        self._shown: dict[str, tuple[Version, frozenset[Version]]] = {}
         self._asked_for: tuple[Version, frozenset[Version]] | None = None
         self._unsubscribe = controller.subscribe(self._on_event)
         self._draw_next()
@@ -157,7 +161,7 @@ class Thumbnails:
         library = frozenset(versions.values())
 
         def is_missing(model: Model) -> bool:
-            drawn, _ = self._pictures.get(versions[model.id], (frozenset(), ""))
+            drawn, _ = self._pictures.get(versions[model.id], (frozenset(), None))
             return not library <= drawn
 
         model = next((m for m in models if is_missing(m)), None)
@@ -166,10 +170,9 @@ class Thumbnails:
         self._asked_for = versions[model.id], library
 
         def work(_: Task) -> NDArray[np.uint8] | None:
-            return model_picture(snapshot, model, SIZE_PX)
+            return model_picture(snapshot, model, self._size)
 
-        def finish(rgb: NDArray[np.uint8] | None) -> None:
-            picture = "" if rgb is None else _as_png(rgb)
+        def finish(picture: NDArray[np.uint8] | None) -> None:
             self._pictures[versions[model.id]] = library, picture
             self._show_all()
             self._draw_next()
@@ -179,13 +182,7 @@ class Thumbnails:
     def _show_all(self) -> None:
         session = self._c.session
         versions = {m.id: session.meshes.version(m) for m in session.state.models}
-        pictures = {i: self._pictures.get(v, (None, ""))[1] for i, v in versions.items()}
-        if pictures != self._shown:
-            self._shown = pictures
-            self._show(pictures)
-
-
-def _as_png(rgb: NDArray[np.uint8]) -> str:
-    done, data = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
-    assert done
-    return "data:image/png;base64," + base64.b64encode(data.tobytes()).decode("ascii")
+        drawn = {i: (v, self._pictures[v][0]) for i, v in versions.items() if v in self._pictures}
+        if drawn != self._shown:
+            self._shown = drawn
+            self._show({i: self._pictures[v][1] for i, (v, _) in drawn.items()})

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
 
 from annotator.app.action_table import BY_ID, available_actions
 from annotator.app.background_updates import BackgroundUpdates
 from annotator.app.controller import Controller
 from annotator.app.dialogs import Dialogs
-from annotator.app.events import Event, Notices
+from annotator.app.events import Event, Notice, Notices
 from annotator.app.image_cache import ImageCache
 from annotator.app.placing import add_object, drop_model, drop_object
 from annotator.app.pose_text import type_number
@@ -20,11 +26,12 @@ from annotator.app.tasks import ThreadRunner
 from annotator.app.view_options import choose_view_frames
 from annotator.session import ChangeClick, Session
 from annotator.views import ViewSet
+from annotator.views.mesh_picker import MeshPicker
 from annotator.views.scene_view import recorded_pixel_under
 from annotator.views.thumbnails import Thumbnails
 from annotator.web.channel import Drop, Key, Pointer, ViewChannel
 from annotator.web.page import build_page, page_constants, page_pose, page_state
-from annotator.web.stream import MeshPicker, StreamedPlotter
+from annotator.web.stream import StreamedPlotter
 from std_toolkit.log import logger
 
 # The panels follow the mouse, and the work under way, no oftener than this.
@@ -43,7 +50,7 @@ class FrontEnd:
         self._loop = asyncio.get_running_loop()
         self._refresh_planned = False
         self._wanted_frame: int | None = None
-        self._notices = Notices(lambda notices: self._set(notices=notices), self._later)
+        self._notices = Notices(self._show_notices, self._later)
         self._runner = ThreadRunner(self._call_soon)
         self._images = ImageCache(session.scene)
         c = self.controller = Controller(
@@ -69,21 +76,32 @@ class FrontEnd:
         )
         for stream, view in zip(self._streams, self._views.views, strict=False):
             stream.view = view
-        self._picker = MeshPicker(c, self._streams[-1], self._views.shapes, self._later)
+        last = self._streams[-1]
+        self._picker = MeshPicker(
+            c,
+            last.plotter,
+            self._views.shapes,
+            self._later,
+            is_seen=lambda: c.clicking,
+            repaint=last.repaint,
+        )
+        last.view = self._picker.view
         c.subscribe(self._on_event)
         self._upkeep = BackgroundUpdates(c)
-        self._thumbnails = Thumbnails(c, lambda pictures: self._set(thumbnails=pictures))
+        self._thumbnails = Thumbnails(c, self._show_thumbnails)
         self._tell_first()
 
     def _build_page(self, server: Any, views: int) -> None:
         session = self.controller.session
         self._state.update(page_constants(session, dialogs=self.controller.dialogs))
         self._state.update({"dialog": None, "answers": {}, "thumbnails": {}, "notices": []})
-        self._state.update({"busy_share": None, "sliding": None, "mistyped": 0, "sought": ""})
-        self._state.client_only("sliding", "sought")
+        self._state.update(
+            {"busy_share": None, "sliding": None, "fading": None, "mistyped": 0, "sought": ""}
+        )
+        self._state.client_only("sliding", "fading", "sought")
         self._refresh()
         for name in ("act", "select", "show_frame", "answer", "close_notice", "add_object",
-                     "set_number", "remove_point"):  # fmt: skip
+                     "set_number", "set_opacity", "remove_point"):  # fmt: skip
             server.trigger(name)(getattr(self, name))
         server.controller.on_client_connected.add(self._connected)
         build_page(server, views=views)
@@ -135,6 +153,12 @@ class FrontEnd:
     def _refresh_pose(self) -> None:
         self._refresh_planned = False
         self._set(**page_pose(self.controller))
+
+    def _show_notices(self, notices: list[Notice]) -> None:
+        self._set(notices=[asdict(notice) for notice in notices])
+
+    def _show_thumbnails(self, pictures: dict[str, NDArray[np.uint8] | None]) -> None:
+        self._set(thumbnails={i: _as_png(p) for i, p in pictures.items() if p is not None})
 
     def _show_question(self, question: Question | None) -> None:
         if question is None:
@@ -257,9 +281,19 @@ class FrontEnd:
             edit = ChangeClick(object=self.controller.selected, frame=frame, index=number)
             self.controller.apply(edit)
 
+    def set_opacity(self, percent: float) -> None:
+        self.controller.set_options(opacity=min(max(float(percent), 10), 100) / 100)
+
     def set_number(self, what: str, axis: int, text: str) -> None:
         """A number of the pose was typed: position in mm, turn (rotation vector) in degrees."""
         if not self.controller.attempt(lambda: type_number(self.controller, what, axis, text)):
             # The field is made anew, with the number as it is.
             self._set(mistyped=self._state["mistyped"] + 1)
         self._refresh()
+
+
+def _as_png(rgb: NDArray[np.uint8]) -> str:
+    """A data URL."""
+    done, data = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
+    assert done
+    return "data:image/png;base64," + base64.b64encode(data.tobytes()).decode("ascii")

@@ -2,8 +2,6 @@
 
 The scene is drawn on the server into a plotter without a window, and goes out as JPEG images, when
 there is something new and a browser can take it.
-
-The selected object's mesh by itself, to click points on it that the image hides.
 """
 
 from __future__ import annotations
@@ -15,15 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.app.controller import Controller
-from annotator.app.events import Event
-from annotator.app.placing import standing_axis
-from annotator.views import ModelView
 from annotator.views.interaction import interactor_of
-from annotator.views.meshes import ShapeStore
 from annotator.web.channel import Pointer
 from std_toolkit.errors import ToolkitError
-from std_toolkit.html.plots import object_color
 
 Later = Callable[[float, Callable[[], None]], None]
 
@@ -33,8 +25,6 @@ MOVING_QUALITY, STILL_QUALITY = 75, 94
 LARGEST_PX = 4096
 
 _BUTTONS = ("Left", "Middle", "Right")
-
-_POLL_S = 0.06
 
 
 class Drawn(Protocol):
@@ -195,60 +185,3 @@ def as_jpeg(rgb: NDArray[np.uint8], quality: int) -> bytes:
     if not done:
         raise ToolkitError("the picture cannot be encoded", value=rgb.shape)
     return data.tobytes()
-
-
-class MeshPicker:
-    """Draws the mesh while points are clicked.
-
-    Args:
-        stream: what it is drawn into.
-        shapes: shared with the other views.
-        later: calls a function after some seconds.
-    """
-
-    def __init__(
-        self, controller: Controller, stream: StreamedPlotter, shapes: ShapeStore, later: Later
-    ) -> None:
-        self._c, self._shapes, self._later = controller, shapes, later
-        self._view = ModelView(stream.plotter, on_click=self._clicked, repaint=stream.repaint)
-        stream.view = self._view
-        self._waiting = self._closed = False
-        self._unsubscribe: Callable[[], None] = controller.subscribe(self._on_event)
-
-    def close(self) -> None:
-        self._closed = True
-        self._unsubscribe()
-        self._view.close()
-
-    def _refresh(self) -> None:
-        c = self._c
-        self._waiting = False
-        if self._closed or not c.clicking:
-            return
-        if c.selected is None:
-            self._view.show(None)
-            self._view.set_points([])
-        else:
-            obj = c.session.object(c.selected)
-            model = c.session.state.model(obj.model)
-            shape = self._shapes.get(model)
-            if shape is None and self._shapes.pending and not self._waiting:
-                self._waiting = True
-                self._later(_POLL_S, self._refresh)
-            ids = [o.id for o in c.session.state.objects]
-            # Where there is no shape its mesh may be what cannot be read.
-            up = 2 if shape is None else standing_axis(c.session, model)
-            self._view.show(shape, object_color(ids, obj.id), up=up)
-            clicks = obj.clicks.get(c.active_frame, [])
-            self._view.set_points([x.point for x in clicks], c.pending_point)
-        self._view.draw()
-
-    def _clicked(self, point: tuple[float, float, float]) -> None:
-        c = self._c
-        if c.selected is not None and c.session.writable:
-            c.pending_point = point
-            c.emit(Event("tool"))
-
-    def _on_event(self, event: Event) -> None:
-        if event.kind in ("edited", "selected", "tool", "frames"):
-            self._refresh()

@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 from benchmark.data.frame import BACKGROUND
 from benchmark.data.splits import FrameKey, SceneFiles
 from std_toolkit.errors import ToolkitError
-from std_toolkit.importers.foreign_files import FARTHEST_MEDIAN_M
-from std_toolkit.importers.pairing import natural_key
+from std_toolkit.importers.foreign_files import FARTHEST_MEDIAN_M, natural_key
 from std_toolkit.io.exr import read_exr_channel
 from std_toolkit.io.images import read_png
 

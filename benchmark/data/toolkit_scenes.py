@@ -37,7 +37,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters.frame_maps import check_fresh
 from std_toolkit.geometry.alignment import Similarity
 from std_toolkit.geometry.mesh import nocs_frame
-from std_toolkit.importers.pairing import natural_key
+from std_toolkit.importers.foreign_files import natural_key
 from std_toolkit.rendering.ground_truth import info_path, load_nocs, map_paths, read_frame_truth
 from std_toolkit.scene.model import MATERIAL_IDS, Frame
 from std_toolkit.scene.scene import Scene

@@ -9,12 +9,15 @@ How large a recipe is run: scenes, views, image size, steps, size of the network
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
 
-from std_toolkit.errors import ToolkitError
+from benchmark.training.options import Machine, Precision
+from std_toolkit.errors import ToolkitError, check_options
+from std_toolkit.jobs.options import JobOptions
 
 FOLDER = Path(__file__).with_name("experiments")
 
@@ -108,15 +111,15 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     protocols: list[str] = msgspec.field(default_factory=lambda: ["paper", "strict"])
 
     def __post_init__(self) -> None:
-        for field in ("variants", "tests", "sets"):
-            for name in getattr(self, field):
+        for part in ("variants", "tests", "sets"):
+            for name in getattr(self, part):
                 if not _NAME.fullmatch(name):
                     raise ToolkitError(
-                        "names are lower-case letters, digits, . and -", field=field, value=name
+                        "names are lower-case letters, digits, . and -", field=part, value=name
                     )
-        for field in ("variants", "tests", "protocols"):
-            if not getattr(self, field):
-                raise ToolkitError("needs at least one", field=field)
+        for part in ("variants", "tests", "protocols"):
+            if not getattr(self, part):
+                raise ToolkitError("needs at least one", field=part)
         for name, derived in self.sets.items():
             if name in BASE_SETS:
                 raise ToolkitError("the scale has this set", field="sets", value=name)
@@ -128,10 +131,10 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         known = (*BASE_SETS, *self.sets)
         used = {f"variants.{n}.set": v.set for n, v in self.variants.items()}
         used |= {f"tests.{n}.set": t.set for n, t in self.tests.items() if t.set}
-        for field, value in used.items():
+        for part, value in used.items():
             if value not in known:
                 raise ToolkitError(
-                    "no such set", field=field, value=value, hint=f"one of {', '.join(known)}"
+                    "no such set", field=part, value=value, hint=f"one of {', '.join(known)}"
                 )
         for name, variant in self.variants.items():
             if not 0 < variant.share <= 1:
@@ -140,6 +143,56 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
                     field=f"variants.{name}.share",
                     value=variant.share,
                 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecipeMachine(Machine):
+    """Where networks are trained: one process of this machine."""
+
+    devices: int = field(default=1, metadata={"option": None})
+    nodes: int = field(default=1, metadata={"option": None})
+    log_every: int = field(default=50, metadata={"option": None})
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecipeConfig:
+    """Run an experiment: simulate and pack frames, train and score every variant, write the table.
+
+    Published rows stand beside it. Run the same command again to resume. Without RECIPE: list
+    recipes and scales.
+    """
+
+    recipe: str = field(default="", metadata={"option": ""})
+    """name of a recipe, or FILE.toml"""
+    scale: str = ""
+    """tiny (plumbing only), small (hours), paper (full size)"""
+    out: Path = Path("recipe-runs")
+    """folder of all recipes: what several need is made once"""
+    plan: bool = False
+    """print what would be done, and do nothing"""
+    only: tuple[str, ...] = ()
+    """variants to run (all)"""
+    seed: int = 0
+    """of weights, order and held-out scenes"""
+    steps: Annotated[int | None, msgspec.Meta(ge=1)] = None
+    """of every training (the scale's)"""
+    data: tuple[str, ...] = ()
+    """[TEST=]ROOT of STD, DREDS, ClearGrasp to test on: folders above them, or of one test"""
+    train_data: tuple[str, ...] = ()
+    """[SET=]DIR of DREDS or of std-sim to train on, instead of simulating a set"""
+    test_data: tuple[str, ...] = ()
+    """[SET=]DIR, the same to test on"""
+    validation_data: Path | None = None
+    """set that chooses the best weights (scenes of the training data are held out)"""
+    precision: Precision = "fp32"
+    """arithmetic of training"""
+    machine: RecipeMachine = field(default_factory=RecipeMachine)
+    jobs: JobOptions = field(default_factory=JobOptions)
+    devices: tuple[str, ...] = field(default=("cpu",), metadata={"option": None})
+    """torch devices to score on"""
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
 
 def recipe_names() -> list[str]:
@@ -208,7 +261,7 @@ class Training(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """How a network is trained; what is not said is as published for it.
 
     Attributes:
-        steps, batch_size, learning_rate, geometry: as in `TrainWishes`.
+        steps, batch_size, learning_rate, geometry: as in `TrainOptions`.
         settings: of the network, on top of its preset.
     """
 

@@ -8,46 +8,27 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from msgspec.structs import asdict
+
 from benchmark.evaluation.tasks.depth import Run
 from benchmark.methods.registry import MethodOptions, make_restorer
 from benchmark.published.load import published_table
 from benchmark.recipes.frame_sets import FrameSet, given_set, parse_given, plan_set
-from benchmark.recipes.recipe import Printed, Recipe, Scale, Variant, get_scale, load_recipe
+from benchmark.recipes.recipe import (
+    Printed,
+    Recipe,
+    RecipeConfig,
+    Scale,
+    Variant,
+    get_scale,
+    load_recipe,
+)
 from benchmark.recipes.targets import Target, find_targets
 from benchmark.training.run_files import BEST
 from std_toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
-    from benchmark.training.plan import TrainWishes
-
-
-@dataclass(frozen=True, kw_only=True)
-class RecipeConfig:
-    """What a user asks for.
-
-    Attributes:
-        recipe, scale: names.
-        out: folder of all recipes: what several need is made once.
-        train_data, test_data: `[SET=]DIR` of sets that are not to be simulated.
-        validation_data: set that chooses the best weights; else scenes are held out.
-        data: `[TEST=]ROOT` of data sets to test on.
-        only: variants; all where it is empty.
-        seed: of weights, order and held-out scenes.
-        steps: of every training; else the scale's.
-        devices: torch devices to score on.
-    """
-
-    recipe: str
-    scale: str
-    out: Path
-    train_data: Sequence[str] = ()
-    test_data: Sequence[str] = ()
-    validation_data: Path | None = None
-    data: Sequence[str] = ()
-    only: Sequence[str] = ()
-    seed: int = 0
-    steps: int | None = None
-    devices: tuple[str, ...] = ("cpu",)
+    from benchmark.training.options import TrainOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +52,7 @@ class Entry:
         method, preset, settings: of the restorer.
         published: the printed row beside it.
         packs: that it is trained on, and judged by where those are others.
-        wishes: of the training, and `folder` of it; None without learning.
+        training: its options, and `folder` of it; None without learning.
         problem: why it cannot run.
     """
 
@@ -83,7 +64,7 @@ class Entry:
     settings: Mapping[str, str] = field(default_factory=dict)
     published: Printed | None = None
     packs: tuple[Pack, ...] = ()
-    wishes: TrainWishes | None = None
+    training: TrainOptions | None = None
     folder: Path | None = None
     problem: str = ""
 
@@ -147,6 +128,7 @@ class RecipePlan:
                         out=self.out / "results" / name,
                         devices=self.devices if entry.folder else ("cpu",),
                         limit=self.scale.limit,
+                        speed=False,
                     ),
                 )
                 for protocol in self.recipe.protocols
@@ -154,7 +136,7 @@ class RecipePlan:
         return found
 
 
-def plan_recipe(wishes: RecipeConfig) -> RecipePlan:
+def plan_recipe(config: RecipeConfig) -> RecipePlan:
     """Everything that is to be done; nothing is made yet.
 
     A variant that cannot be trained here is in the plan with its problem.
@@ -162,29 +144,27 @@ def plan_recipe(wishes: RecipeConfig) -> RecipePlan:
     Raises:
         ToolkitError: no such recipe, scale, variant, set, test or folder.
     """
-    name, recipe = load_recipe(wishes.recipe)
-    scale = get_scale(wishes.scale)
+    name, recipe = load_recipe(config.recipe)
+    scale = get_scale(config.scale)
     if recipe.table:
         published_table(recipe.table)  # a wrong name is told before anything is made
-    if strange := [v for v in wishes.only if v not in recipe.variants]:
+    if strange := [v for v in config.only if v not in recipe.variants]:
         raise ToolkitError(
             "the recipe has no such variant",
             field="--only",
             value=strange[0],
             hint=f"it has {', '.join(recipe.variants)}",
         )
-    if wishes.steps is not None and wishes.steps < 1:
-        raise ToolkitError("must be at least 1", field="--steps", value=wishes.steps)
-    out = wishes.out / wishes.scale
-    train = parse_given(wishes.train_data, "train", recipe)
-    test = parse_given(wishes.test_data, "test", recipe)
+    out = config.out / config.scale
+    train = parse_given(config.train_data, "train", recipe)
+    test = parse_given(config.test_data, "test", recipe)
     if twice := train.keys() & test.keys():
         raise ToolkitError("two folders for one set", value=min(twice))
     given = train | test
-    judged_by = wishes.validation_data
+    judged_by = config.validation_data
     validation = None if judged_by is None else given_set("validation", judged_by, "val")
-    targets = find_targets(recipe, wishes.data)
-    variants = {k: v for k, v in recipe.variants.items() if not wishes.only or k in wishes.only}
+    targets = find_targets(recipe, config.data)
+    variants = {k: v for k, v in recipe.variants.items() if not config.only or k in config.only}
     needed = [v.set for v in variants.values()] + [t.set for t in targets if t.set]
     sets = {one: plan_set(one, recipe, scale, given, out) for one in dict.fromkeys(needed)}
     if unused := [one for one in given if one not in sets and one not in _likes(recipe, sets)]:
@@ -196,18 +176,18 @@ def plan_recipe(wishes: RecipeConfig) -> RecipePlan:
         for method in recipe.baselines
     ]
     trained = {
-        key: _entry(key, variant, wishes, scale, sets[variant.set], validation, out)
+        key: _entry(key, variant, config, scale, sets[variant.set], validation, out)
         for key, variant in variants.items()
     }
     usable = {key: entry for key, entry in trained.items() if not entry.problem}
     packs = {pack.folder: pack for entry in usable.values() for pack in entry.packs}
     used = {variants[key].set for key in usable} | {t.set for t in targets if t.set}
-    extra = "" if not wishes.seed else f".seed-{wishes.seed}"
-    extra += "" if wishes.steps is None else f".steps-{wishes.steps}"
+    extra = "" if not config.seed else f".seed-{config.seed}"
+    extra += "" if config.steps is None else f".steps-{config.steps}"
     return RecipePlan(
         name=name,
         recipe=recipe,
-        scale_name=wishes.scale,
+        scale_name=config.scale,
         scale=scale,
         folder=out / f"{name}{extra}",
         sets={key: frames for key, frames in sets.items() if key in used},
@@ -215,7 +195,7 @@ def plan_recipe(wishes: RecipeConfig) -> RecipePlan:
         entries=[*baselines, *trained.values()],
         targets=[_told(target, recipe, sets) for target in targets],
         out=out,
-        devices=wishes.devices,
+        devices=config.devices,
     )
 
 
@@ -234,19 +214,19 @@ def _likes(recipe: Recipe, sets: Mapping[str, FrameSet]) -> set[str]:
 def _entry(
     name: str,
     variant: Variant,
-    wishes: RecipeConfig,
+    config: RecipeConfig,
     scale: Scale,
     frames: FrameSet,
     validation: FrameSet | None,
     out: Path,
 ) -> Entry:
     from benchmark.training.catalogue import get_trainable
-    from benchmark.training.plan import TrainWishes
+    from benchmark.training.options import TrainOptions
 
     told = Entry(
         name=name,
         title=variant.title,
-        label=_label(variant, frames, validation, wishes),
+        label=_label(variant, frames, validation, config),
         method=variant.method,
         preset=scale.preset,
         published=variant.published,
@@ -268,25 +248,24 @@ def _entry(
         for one in (frames, validation)
         if one is not None
     ]
-    train = TrainWishes(
+    own = {k: v for k, v in asdict(how).items() if v is not None}
+    own |= {} if config.steps is None else {"steps": config.steps}
+    training = TrainOptions(
+        **own | {"settings": {**how.settings, **variant.settings}},
         method=variant.method,
         preset=scale.preset,
-        settings={**how.settings, **variant.settings},
-        data=[packs[0].folder],
-        validation=[pack.folder for pack in packs[1:]],
+        data=(packs[0].folder,),
+        validation=tuple(pack.folder for pack in packs[1:]),
         hold_out=scale.hold_out,
         share=variant.share,
-        steps=how.steps if wishes.steps is None else wishes.steps,
-        batch_size=how.batch_size,
-        learning_rate=how.learning_rate,
-        geometry=how.geometry or "published",
-        seed=wishes.seed,
+        precision=config.precision,
+        seed=config.seed,
     )
     return replace(
         told,
         settings=settings,
         packs=tuple(packs),
-        wishes=train,
+        training=training,
         folder=out / "training" / told.label,
     )
 
@@ -297,7 +276,7 @@ def _pack_name(frames: FrameSet, size: tuple[int, int], raw: str) -> str:
 
 
 def _label(
-    variant: Variant, frames: FrameSet, validation: FrameSet | None, wishes: RecipeConfig
+    variant: Variant, frames: FrameSet, validation: FrameSet | None, config: RecipeConfig
 ) -> str:
     """Tells trainings apart; equal ones of several recipes have one label, and are one."""
     parts = [variant.method.replace(":", "."), frames.name]
@@ -305,6 +284,6 @@ def _label(
     parts += [f"share-{variant.share:g}"] if variant.share != 1 else []
     parts += [f"{k}-{v.replace(',', '+')}" for k, v in sorted(variant.settings.items())]
     parts += [f"judged-by-{validation.name}"] if validation else []
-    parts += [f"seed-{wishes.seed}"] if wishes.seed else []
-    parts += [f"steps-{wishes.steps}"] if wishes.steps is not None else []
+    parts += [f"seed-{config.seed}"] if config.seed else []
+    parts += [f"steps-{config.steps}"] if config.steps is not None else []
     return ".".join(parts)

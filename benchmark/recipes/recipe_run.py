@@ -6,8 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from benchmark.evaluation.engine import run_all
+from benchmark.evaluation.tasks.depth import TASK
 from benchmark.evaluation.tasks.depth_results import RunResult, read_run
-from benchmark.evaluation.tasks.depth_runs import run_all
 from benchmark.recipes.frame_sets import FrameSet, simulate
 from benchmark.recipes.recipe_plan import Entry, Pack, RecipePlan
 from std_toolkit.errors import ToolkitError
@@ -15,7 +16,7 @@ from std_toolkit.jobs import JobOptions
 from std_toolkit.log import logger
 
 if TYPE_CHECKING:
-    from benchmark.training.config import Machine
+    from benchmark.training.options import Machine
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,6 @@ def run_recipe(
     machine: Machine,
     jobs: JobOptions | None = None,
     *,
-    precision: str = "fp32",
     after: Callable[[Outcome], None] = lambda outcome: None,  # noqa: ARG005
 ) -> Outcome:
     """Simulate, pack, train and score what is not done yet.
@@ -66,7 +66,6 @@ def run_recipe(
         plan: all steps.
         machine: where networks are trained.
         jobs: where all else runs.
-        precision: of the training's arithmetic.
         after: is told what there is so far, after every variant; at least once.
 
     Raises:
@@ -95,13 +94,13 @@ def run_recipe(
             logger.error("%s: %s", entry.title, entry.problem)
             continue
         try:
-            if entry.wishes is not None:
-                outcome.trained[entry.name] = train(entry, machine, precision)
+            if entry.training is not None:
+                outcome.trained[entry.name] = train(entry, machine)
             _score(plan, entry, jobs, outcome)
         except ToolkitError as error:
             logger.error("%s: %s", entry.title, error)
             outcome.problems[entry.title] = str(error)
-        if entry.wishes is not None:
+        if entry.training is not None:
             after(outcome)
     if not outcome.trained:
         after(outcome)
@@ -131,7 +130,8 @@ def make_pack(pack: Pack, jobs: JobOptions) -> dict[str, str]:
     Raises:
         ToolkitError: the folder holds another pack, or no frame could be packed.
     """
-    from benchmark.training.pack import PackOptions, pack_split
+    from benchmark.training.options import PackOptions
+    from benchmark.training.pack import pack_split
     from benchmark.training.shards import PackSetup
 
     options = PackOptions(size=pack.size, raw=pack.raw)
@@ -151,24 +151,21 @@ def make_pack(pack: Pack, jobs: JobOptions) -> dict[str, str]:
     return packed.failed
 
 
-def train(entry: Entry, machine: Machine, precision: str) -> Trained:
+def train(entry: Entry, machine: Machine) -> Trained:
     """Train a variant, or go on with it; what is finished is left alone.
 
     Raises:
         ToolkitError: the training there was begun with another configuration, or it fails.
     """
-    from dataclasses import replace
-
     from benchmark.training.config import CONFIG, begin
     from benchmark.training.fit import fit
     from benchmark.training.plan import plan_training
     from benchmark.training.run_files import BEST, LAST, SCORES
     from std_toolkit.io.documents import read_document
 
-    assert entry.wishes is not None
+    assert entry.training is not None
     assert entry.folder is not None
-    wishes = replace(entry.wishes, precision=precision)  # type: ignore[arg-type]
-    config, data, beginning = plan_training(wishes)
+    config, data, beginning = plan_training(entry.training)
     folder = entry.folder
     if (folder / CONFIG).is_file():
         begin(folder, config)
@@ -196,7 +193,7 @@ def _score(plan: RecipePlan, entry: Entry, jobs: JobOptions, outcome: Outcome) -
     for target in dict.fromkeys(target.name for target, _ in runs):
         mine = [run for of, run in runs if of.name == target]
         try:
-            report = run_all(mine, jobs, speed=False)
+            report = run_all(TASK, mine, jobs)
         except ToolkitError as error:
             outcome.problems[f"{entry.title} on {target}"] = str(error)
             continue

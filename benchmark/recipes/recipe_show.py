@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING
 from benchmark.recipes.recipe import load_recipe, recipe_names, scales
 from benchmark.recipes.recipe_page import scale_line
 from benchmark.recipes.recipe_plan import Entry, RecipePlan
+from benchmark.training.options import TrainCommand
 from benchmark.training.run_files import LAST
 from benchmark.training.shards import PACK
+from std_toolkit.cli.command import words_of
 
 if TYPE_CHECKING:
     from sensors.simulation.options import SimulationOptions
@@ -100,7 +102,7 @@ def plan_text(plan: RecipePlan) -> str:
     lines += _packs(plan) or ["  none"]
     lines.append("trainings")
     for entry in plan.entries:
-        if entry.wishes is not None or entry.problem:
+        if entry.training is not None or entry.problem:
             lines += _training(entry)
     lines.append("tests")
     for target in plan.targets:
@@ -148,11 +150,11 @@ def _packs(plan: RecipePlan) -> list[str]:
 def _training(entry: Entry) -> list[str]:
     if entry.problem:
         return [f"  {entry.title}: {entry.problem}"]
-    assert entry.wishes is not None
+    assert entry.training is not None
     assert entry.folder is not None
-    wishes = entry.wishes
-    long = "as published" if wishes.steps is None else f"{wishes.steps} steps"
-    of = "" if wishes.batch_size is None else f" of {wishes.batch_size}"
+    training = entry.training
+    long = "as published" if training.steps is None else f"{training.steps} steps"
+    of = "" if training.batch_size is None else f" of {training.batch_size}"
     done = (entry.folder / LAST).is_file()
     return [
         f"  {entry.title}: {long}{of}; {'done' if done else 'to do'}",
@@ -162,20 +164,6 @@ def _training(entry: Entry) -> list[str]:
 
 def train_command(entry: Entry, folder: Path) -> str:
     """The same training by itself: on several devices, for instance."""
-    wishes = entry.wishes
-    assert wishes is not None
-    words = ["std-train", "--method", wishes.method, "--preset", wishes.preset]
-    if wishes.settings:
-        words += ["--set", *(f"{name}={value}" for name, value in wishes.settings.items())]
-    words += ["--data", *map(str, wishes.data)]
-    if wishes.validation:
-        words += ["--validation", *map(str, wishes.validation)]
-    words += ["--hold-out", f"{wishes.hold_out:g}"]
-    words += ["--share", f"{wishes.share:g}"] if wishes.share != 1 else []
-    words += ["--steps", str(wishes.steps)] if wishes.steps is not None else []
-    words += ["--batch-size", str(wishes.batch_size)] if wishes.batch_size is not None else []
-    if wishes.learning_rate is not None:
-        words += ["--learning-rate", f"{wishes.learning_rate:g}"]
-    words += ["--geometry", wishes.geometry] if wishes.geometry != "published" else []
-    words += ["--seed", str(wishes.seed)] if wishes.seed else []
-    return shlex.join([*words, "--out", str(folder)])
+    assert entry.training is not None
+    words = words_of(TrainCommand(**vars(entry.training), out=folder))
+    return shlex.join(["std-train", *words])

@@ -25,28 +25,6 @@ CONFIG = "config.json"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Machine:
-    """Where a training runs; it may go on elsewhere.
-
-    Attributes:
-        accelerator: `cpu`, `gpu`, or `auto`.
-        devices, nodes: processes of a machine, and machines.
-        readers: processes that read data, for each device.
-        log_every: steps between rows of the log.
-        progress: whether to show a bar.
-        in_ray: this is a process that Ray Train started; it knows how many there are.
-    """
-
-    accelerator: Literal["auto", "cpu", "gpu"] = "auto"
-    devices: int = 1
-    nodes: int = 1
-    readers: int = 2
-    log_every: int = 50
-    progress: bool = True
-    in_ray: bool = False
-
-
-@dataclass(frozen=True, kw_only=True)
 class Optimization:
     """Optimizer and schedule.
 

@@ -11,7 +11,8 @@ import torch
 
 from benchmark.methods.weights import save_weights
 from benchmark.training.catalogue import Trainable, get_trainable
-from benchmark.training.config import Machine, TrainConfig, begin, seed_of
+from benchmark.training.config import TrainConfig, begin, seed_of
+from benchmark.training.options import Machine
 from benchmark.training.packed_frames import Data
 from benchmark.training.run_files import BEST, CHECKPOINT, LAST
 from benchmark.training.run_note import RUN_NOTE, note_of
@@ -79,8 +80,10 @@ def fit(
                 write_document(folder / RUN_NOTE, note)
         quieten()
         module = RestorerTraining(config, network, trainable.step, loss, data.training.key)
-        judge = trainable.judge(data.validation, data.of_validation, _judged_at_once(config), loss)
-        watch = Watch(folder, judge, log_every=machine.log_every)
+        validator = trainable.validator(
+            data.validation, data.of_validation, _validation_batch(config), loss
+        )
+        watch = Watch(folder, validator, log_every=machine.log_every)
         trainer = lightning_trainer(trainable, config, machine, watch, folder)
         checkpoint = folder / CHECKPOINT
         trainer.fit(
@@ -124,7 +127,7 @@ def make_network(
     return network
 
 
-def _judged_at_once(config: TrainConfig) -> int:
+def _validation_batch(config: TrainConfig) -> int:
     return max(1, config.optimization.batch_size // config.accumulate)
 
 

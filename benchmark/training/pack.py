@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 
@@ -12,12 +12,10 @@ import numpy as np
 
 from benchmark.data.frame import BACKGROUND, DepthFrame, Material, resize_nearest
 from benchmark.data.splits import names_digest, open_split
+from benchmark.training.options import PackOptions
 from benchmark.training.shards import (
     PACK,
-    ColorWay,
-    DepthKind,
     PackSetup,
-    RawKind,
     ShardIndex,
     index_path,
     record_type,
@@ -30,37 +28,6 @@ from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.jobs.options import error_of
 
 _WAYS = {"cubic": cv2.INTER_CUBIC, "area": cv2.INTER_AREA}
-
-
-@dataclass(frozen=True, kw_only=True)
-class PackOptions:
-    """How frames are packed.
-
-    Attributes:
-        size: (width, height) of all maps; the aspect need not be kept.
-        depth: float32, or float16, which halves the largest part of the files and rounds depths
-            of 0.5 to 1 m by up to 0.25 mm.
-        color: how colour is resized; `cubic` as published. Depth and masks go by the nearest
-            pixel.
-        shard: frames per shard: what is lost at most when packing is killed.
-        nocs: also NOCS and classes, for pose networks.
-        raw: the sensor's depth, or `cut`: exact depth from which specular and transparent objects
-            are cut out, as `std-sim --depth cut` makes it: training input without any simulation
-            of a sensor.
-    """
-
-    size: tuple[int, int] = (224, 224)
-    depth: DepthKind = "float32"
-    color: ColorWay = "cubic"
-    shard: int = 64
-    nocs: bool = False
-    raw: RawKind = "sensor"
-
-    def __post_init__(self) -> None:
-        if min(self.size) < 1:
-            raise ToolkitError("must be positive", field="size", value=self.size)
-        if self.shard < 1:
-            raise ToolkitError("must be at least 1", field="shard", value=self.shard)
 
 
 @dataclass(frozen=True)
@@ -95,12 +62,7 @@ def pack_split(
         root=str(root.resolve()),
         frames=len(source),
         frames_sha256=names_digest(source.keys()),
-        size=options.size,
-        depth=options.depth,
-        color=options.color,
-        shard=options.shard,
-        nocs=options.nocs,
-        raw=options.raw,
+        **{field.name: getattr(options, field.name) for field in fields(PackOptions)},
     )
     folder.mkdir(parents=True, exist_ok=True)
     with hold_lock(folder, "lock", doing="packing into"):

@@ -9,9 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from benchmark.training.config import Machine
 from benchmark.training.fit import fit
-from benchmark.training.plan import TrainWishes, plan_training
+from benchmark.training.options import Machine, TrainOptions
+from benchmark.training.plan import plan_training
 from benchmark.training.run_files import BEST
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions
@@ -20,7 +20,7 @@ from std_toolkit.log import log_to_stderr, logger
 
 
 def fit_on_ray(
-    folder: Path, wishes: TrainWishes, machine: Machine, address: str | None = None
+    folder: Path, options: TrainOptions, machine: Machine, address: str | None = None
 ) -> Path:
     """As `fit`, in `machine.devices * machine.nodes` processes of a cluster.
 
@@ -29,17 +29,17 @@ def fit_on_ray(
 
     Args:
         folder: of the training.
-        wishes: the training.
+        options: the training.
         machine: how many processes, on CPUs or GPUs.
         address: of a running cluster; None starts one on this machine.
 
     Raises:
         ToolkitError: what `plan_training` and `fit` raise, no cluster, or one that is too small.
     """
-    folder, wishes, count = folder.resolve(), _with_whole_paths(wishes), _count(machine)
+    folder, options, count = folder.resolve(), _with_whole_paths(options), _count(machine)
     own = folder / ".std" / "ray"  # what Ray keeps of a training; all that matters is in `folder`
-    options = JobOptions(engine="ray", workers=count, ray_address=address)
-    with ray_cluster(options, tell=True):
+    jobs = JobOptions(engine="ray", workers=count, ray_address=address)
+    with ray_cluster(jobs, tell=True):
         import ray
         from ray.train import FailureConfig, RunConfig, ScalingConfig
         from ray.train.torch import TorchTrainer
@@ -52,7 +52,7 @@ def fit_on_ray(
         logging.getLogger("ray.train").setLevel(logging.WARNING)
         trainer = TorchTrainer(
             _train,
-            train_loop_config={"folder": folder, "wishes": wishes, "machine": inside},
+            train_loop_config={"folder": folder, "options": options, "machine": inside},
             scaling_config=ScalingConfig(num_workers=count, use_gpu=gpu),
             run_config=RunConfig(
                 name="training",
@@ -77,22 +77,22 @@ def _train(told: dict[str, Any]) -> None:
     rank = ray.train.get_context().get_world_rank()
     log_to_stderr(logging.INFO if rank == 0 else logging.WARNING)
     logger.propagate = False  # Ray has a handler of its own
-    config, data, beginning = plan_training(told["wishes"])
+    config, data, beginning = plan_training(told["options"])
     fit(told["folder"], config, data, told["machine"], beginning)
 
 
-def _with_whole_paths(wishes: TrainWishes) -> TrainWishes:
+def _with_whole_paths(options: TrainOptions) -> TrainOptions:
     """Processes of the cluster run in other folders."""
 
-    def whole(paths: Sequence[Path]) -> list[Path]:
-        return [path.resolve() for path in paths]
+    def whole(paths: Sequence[Path]) -> tuple[Path, ...]:
+        return tuple(path.resolve() for path in paths)
 
     return replace(
-        wishes,
-        data=whole(wishes.data),
-        validation=whole(wishes.validation),
-        weights=wishes.weights and wishes.weights.resolve(),
-        imagenet=wishes.imagenet and wishes.imagenet.resolve(),
+        options,
+        data=whole(options.data),
+        validation=whole(options.validation),
+        weights=options.weights and options.weights.resolve(),
+        imagenet=options.imagenet and options.imagenet.resolve(),
     )
 
 

@@ -8,18 +8,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import msgspec
 import numpy as np
 
+from benchmark.training.options import ColorWay, DepthKind, RawKind
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import read_document
 
 PACK = "pack.json"
-DepthKind = Literal["float32", "float16"]
-ColorWay = Literal["cubic", "area", "nearest"]
-RawKind = Literal["sensor", "cut"]
 
 
 class PackSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

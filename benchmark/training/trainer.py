@@ -22,8 +22,9 @@ from torch.utils.data import DataLoader
 
 from benchmark.training.callbacks import Watch
 from benchmark.training.catalogue import Trainable
-from benchmark.training.config import Machine, TrainConfig
+from benchmark.training.config import TrainConfig
 from benchmark.training.frame_order import BatchOrder, Steps
+from benchmark.training.options import Machine
 from benchmark.training.packed_frames import Data, PackedFrames
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import atomic_path

@@ -151,7 +151,7 @@ def refine(hand: Hands) -> None:
         c.select(name)
         hand.wait(lambda name=name: name in c.residuals)
     hand.settle()
-    hand.space.banner.clear()
+    hand.space.banner.notices.clear()
     _save("annotating_window", numbered(hand.picture(), parts(hand)))
 
 

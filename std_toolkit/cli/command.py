@@ -6,7 +6,8 @@ command line from the dataclass: the help of an option is the docstring below it
 is a `msgspec.Meta` in its annotation, its choices are an enum or a `Literal`. A field without a
 default is a positional argument, a mapping takes `NAME=VALUE ...`. The field's metadata may say
 otherwise: `{"option": "set"}` makes it the option `--set`, `{"option": None}` keeps it off the
-command line.
+command line, `{"option": ""}` makes it positional. The help of a flag `--no-NAME`, which is on by
+default, is a noun: "pictures" becomes "without pictures".
 
 Exit status of every program: 0 done, 1 failed or a gate failed, 2 wrong usage, 130 interrupted.
 """
@@ -213,6 +214,25 @@ def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[
     return options, Verbosity(quiet=call.quiet, debug=call.debug)
 
 
+def words_of(options: Any) -> list[str]:
+    """The words that `parse_options` makes equal options of; defaults are left out."""
+    words: list[str] = []
+    for option in _options(type(options), options):
+        plain = {o.field: o.default for o in _options(type(options))}[option.field]
+        value = option.default
+        if value == plain:
+            continue
+        if isinstance(value, Mapping):
+            values = [f"{key}={item}" for key, item in value.items()]
+        elif isinstance(value, bool):
+            values = []
+        else:
+            values = [str(v) for v in (value if isinstance(value, tuple) else (value,))]
+        name = f"--no-{option.name}" if value is False else f"--{option.name}"
+        words += [name, *values] if option.name else values
+    return words
+
+
 def exit_status(
     run: Callable[[], int],
     *,
@@ -318,12 +338,18 @@ def _options(kind: type[Any], given: Any = dataclasses.MISSING) -> Iterator[_Opt
 
 
 def _fields(kind: type[Any], given: Any) -> Iterator[tuple[dataclasses.Field[Any], Any, Any]]:
-    """Fields on the command line, their types and defaults; those of base classes come last."""
+    """Fields on the command line, their types and defaults.
+
+    Those of base classes come late, nested dataclasses last.
+    """
     hints = get_type_hints(kind, include_extras=True)
     owners: dict[str, int] = {}
     for place, owner in enumerate(kind.__mro__):
         owners |= {name: place for name in inspect.get_annotations(owner) if name not in owners}
-    for field in sorted(dataclasses.fields(kind), key=lambda field: owners[field.name]):
+    for field in sorted(
+        dataclasses.fields(kind),
+        key=lambda field: (dataclasses.is_dataclass(hints[field.name]), owners[field.name]),
+    ):
         if not field.init or field.metadata.get("option", "") is None:
             continue
         default = field.default
@@ -373,18 +399,20 @@ def _with_verbosity(kind: type[Any]) -> type[Any]:
         if get_origin(hint) in _MAPPINGS:
             hint, metavar = tuple[str, ...], "NAME=VALUE ..."
             default = tuple(f"{name}={value}" for name, value in default.items())
+        needed = default is dataclasses.MISSING
         says_nothing = default in (None, "", ()) or isinstance(default, bool)
+        suffix: Any = "" if says_nothing else "(required)" if needed else "(default: {})".format
         about = conf.arg(
             name=option.name or None,
             metavar=metavar,
-            help=option.help,
-            help_behavior_hint="" if says_nothing else "(default: {})".format,
+            help=f"without {option.help}" if default is True else option.help,
+            help_behavior_hint=suffix,
         )
         annotated: Any = Annotated[hint, about]
         if not option.name:
             annotated = conf.Positional[annotated]  # type: ignore[misc]
         place: Any = dataclasses.field()
-        if default is not dataclasses.MISSING:
+        if not needed:
             place = dataclasses.field(default_factory=functools.partial(copy.copy, default))
         fields.append((option.field, annotated, place))
     call = dataclasses.make_dataclass(kind.__name__, fields, frozen=True, kw_only=True)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.importers.foreign_files import natural_key
 from std_toolkit.importers.importer import (
     FileKind,
     ImportRequest,
@@ -18,7 +19,6 @@ from std_toolkit.importers.importer import (
     SourceFrame,
 )
 from std_toolkit.importers.intrinsics import read_intrinsics
-from std_toolkit.importers.pairing import natural_key
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size
 from std_toolkit.scene.document import check_name
 from std_toolkit.scene.model import CameraModel

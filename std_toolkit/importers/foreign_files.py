@@ -1,12 +1,8 @@
-"""Foreign depth images, masks and meshes become the scene's: metres, 0 where nothing was measured.
-
-Foreign instance masks.
-
-Meshes of foreign layouts become mesh files of the scene, in metres.
-"""
+"""Files of other layouts: depth images, instance masks and meshes become metres and ids."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -210,3 +206,9 @@ def model_of_mesh(
         diameter_m=mesh_diameter(mesh),
         symmetry=symmetry or SymmetryModel(),
     )
+
+
+def natural_key(text: str) -> tuple[tuple[int, int | str], ...]:
+    """Sort key that orders numbers inside names by value: 2 before 10."""
+    parts = re.split(r"(\d+)", text)
+    return tuple((0, int(p)) if p.isdigit() else (1, p) for p in parts if p)

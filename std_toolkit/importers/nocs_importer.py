@@ -6,9 +6,9 @@ from pathlib import Path
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
+from std_toolkit.importers.foreign_files import natural_key
 from std_toolkit.importers.importer import ImportRequest, Recording, SourceFile, SourceFrame
 from std_toolkit.importers.intrinsics import read_intrinsics
-from std_toolkit.importers.pairing import natural_key
 from std_toolkit.importers.sidecar_recording import (
     recording_from_sidecar,
     reference_files,

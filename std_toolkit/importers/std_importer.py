@@ -13,9 +13,9 @@ from pathlib import Path
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
+from std_toolkit.importers.foreign_files import natural_key
 from std_toolkit.importers.importer import ImportRequest, Recording, SourceFile, SourceFrame
 from std_toolkit.importers.intrinsics import parse_distortion, read_intrinsics
-from std_toolkit.importers.pairing import natural_key
 from std_toolkit.importers.sidecar_recording import (
     recording_from_sidecar,
     reference_files,
@@ -60,10 +60,9 @@ DREDS_LAYOUT = Layout(
 
 
 class StdImporter:
-    """Reads one scene folder of an STD or DREDS download, or an STD export."""
+    """Reads one scene folder of an STD download or export."""
 
-    def __init__(self, layout: Layout) -> None:
-        self.layout = layout
+    layout = STD_LAYOUT
 
     def recognises(self, source: Path) -> bool:
         if not source.is_dir():
@@ -182,5 +181,11 @@ class StdImporter:
         )
 
 
-STD = StdImporter(STD_LAYOUT)
-DREDS = StdImporter(DREDS_LAYOUT)
+class DredsImporter(StdImporter):
+    """Reads one scene folder of a DREDS download."""
+
+    layout = DREDS_LAYOUT
+
+
+STD = StdImporter()
+DREDS = DredsImporter()

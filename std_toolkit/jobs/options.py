@@ -39,7 +39,7 @@ class JobOptions:
     gpus: Annotated[float, msgspec.Meta(ge=0)] = field(default=0.0, metadata={"option": None})
     """GPUs that Ray reserves for each task, which then sees no others; may be a share"""
     progress: bool = field(default=True, metadata={"option": None})
-    """show a progress bar when stderr is a terminal"""
+    """a progress bar when stderr is a terminal"""
 
     def __post_init__(self) -> None:
         check_options(self)

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from std_toolkit import plugins
 from std_toolkit.errors import ToolkitError
 from std_toolkit.plugins import Registry
 
@@ -20,7 +19,7 @@ def registry(monkeypatch: pytest.MonkeyPatch) -> Registry:
         EntryPoint("sqrt", "math:cos", "std_toolkit.tests"),
         EntryPoint("broken", "no_such_module:thing", "std_toolkit.tests"),
     ]
-    monkeypatch.setattr(plugins, "entry_points", lambda **_: installed)
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda **_: installed)
     return Registry("std_toolkit.tests", {"sqrt": "math:sqrt"})
 
 

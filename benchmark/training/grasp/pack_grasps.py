@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.methods.grasp.graspnet.cloud import GraspNetConfig, scene_cloud, seen, workspace
+from benchmark.methods.grasp.graspnet.cloud import (
+    GraspNetConfig,
+    measured_pixels,
+    scene_cloud,
+    workspace,
+)
 from benchmark.methods.protocol import GraspView
 from benchmark.metrics.grasp.gripper import get_gripper
 from benchmark.training.grasp.grasp_labels import ObjectLabels, kept_labels, scene_labels
@@ -27,11 +32,11 @@ from benchmark.training.grasp.pack_files import (
 )
 from benchmark.training.grasp.tabletop import (
     TableObject,
-    TableOptions,
     draw_cameras,
     draw_table,
     look_at_table,
 )
+from benchmark.training.options import GraspPackOptions
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.atomic import atomic_path, hold_lock, sweep_temporaries
@@ -43,41 +48,6 @@ from std_toolkit.jobs import JobOptions, run_jobs
 _REACH = 1.5
 # Stream of random numbers of a frame: which of its points are kept.
 _KEPT = 17
-
-
-@dataclass(frozen=True, kw_only=True)
-class GraspPackOptions:
-    """How scenes are made.
-
-    Attributes:
-        table: what lies on the table.
-        seed: of the first scene; the others follow.
-        frames: views of a scene.
-        size: (width, height) of the depth images.
-        depth: `exact`, or `sensor` as an active stereo camera errs.
-        points: of a frame that are kept, at most.
-        gripper: what must not hit anything.
-        spacing: metres between the points of an object that have labels.
-        network: whose views, angles, depths and workspace count.
-
-    Raises:
-        ToolkitError: a number that must be positive and is not.
-    """
-
-    table: TableOptions = field(default_factory=TableOptions)
-    seed: int = 0
-    frames: int = 4
-    size: tuple[int, int] = (640, 360)
-    depth: Literal["exact", "sensor"] = "exact"
-    points: int = 40_000
-    gripper: str = "panda"
-    spacing: float = 0.008
-    network: GraspNetConfig = field(default_factory=GraspNetConfig)
-
-    def __post_init__(self) -> None:
-        for name in ("frames", "points", "spacing"):
-            if not getattr(self, name) > 0:
-                raise ToolkitError("must be positive", field=name, value=getattr(self, name))
 
 
 @dataclass(frozen=True)
@@ -101,8 +71,16 @@ def pack_grasps(
     scenes: int,
     options: GraspPackOptions | None = None,
     jobs: JobOptions | None = None,
+    network: GraspNetConfig | None = None,
 ) -> PackedScenes:
     """Make the scenes that are not there yet; the first `scenes` are in the end.
+
+    Args:
+        folder: of the pack.
+        scenes: how many.
+        options: how they are made.
+        jobs: where the work runs.
+        network: whose views, angles, depths and workspace count; by default the published one.
 
     Raises:
         ToolkitError: the folder holds another pack or something else.
@@ -112,11 +90,11 @@ def pack_grasps(
         raise ToolkitError("must be at least 1", field="scenes", value=scenes)
     folder.mkdir(parents=True, exist_ok=True)
     with hold_lock(folder, "lock", doing="packing into"):
-        begin_pack(folder, options)
+        begin_pack(folder, options, network)
         sweep_temporaries(folder)
         left = [n for n in range(scenes) if not index_path(folder, n).exists()]
         report = run_jobs(
-            partial(_make_scene, folder, options), left, name="pack grasps", options=jobs
+            partial(_make_scene, folder, options, network), left, name="pack grasps", options=jobs
         )
     made = [
         read_document(index_path(folder, n), SceneIndex)
@@ -128,13 +106,15 @@ def pack_grasps(
     return PackedScenes(len(made), frames, graspable, dict(report.failed))
 
 
-def begin_pack(folder: Path, options: GraspPackOptions) -> GraspPackSetup:
+def begin_pack(
+    folder: Path, options: GraspPackOptions, network: GraspNetConfig | None = None
+) -> GraspPackSetup:
     """Keep what decides what is in a pack, or see that it was begun with the same.
 
     Raises:
         ToolkitError: it was begun with something else, or the folder holds something else.
     """
-    setup = _setup_of(options)
+    setup = _setup_of(options, network)
     begun = begin_folder(folder / PACK, setup, hint="choose another one")
     for name in GraspPackSetup.__struct_fields__:
         if getattr(begun, name) != getattr(setup, name):
@@ -148,32 +128,29 @@ def begin_pack(folder: Path, options: GraspPackOptions) -> GraspPackSetup:
     return setup
 
 
-def _setup_of(options: GraspPackOptions) -> GraspPackSetup:
-    table, network = options.table, options.network
+def _setup_of(options: GraspPackOptions, network: GraspNetConfig | None) -> GraspPackSetup:
+    network = network or GraspNetConfig()
+    own = {f.name: getattr(options, f.name) for f in fields(GraspPackOptions) if f.name != "table"}
+    table = asdict(options.table)
+    del table["half_width_m"]
+    root = table.pop("assets_root")
     return GraspPackSetup(
-        seed=options.seed,
-        assets=table.assets,
-        assets_root=None if table.assets_root is None else str(table.assets_root.resolve()),
-        split=table.split,
-        objects=table.objects,
-        sizes=table.sizes,
-        frames=options.frames,
-        size=options.size,
-        depth=options.depth,
-        points=options.points,
-        gripper=options.gripper,
-        spacing=options.spacing,
+        **own,
+        **table,
+        assets_root=None if root is None else str(root.resolve()),
         views=network.views,
         angles=network.angles,
         depths=network.depths,
     )
 
 
-def _make_scene(folder: Path, options: GraspPackOptions, number: int) -> int:
+def _make_scene(
+    folder: Path, options: GraspPackOptions, network: GraspNetConfig | None, number: int
+) -> int:
     seed = options.seed + number
     objects = draw_table(seed, options.table, parts_cache=folder / "parts")
     cameras = draw_cameras(seed, options.frames)
-    return write_scene(folder, number, objects, cameras, options)
+    return write_scene(folder, number, objects, cameras, options, network)
 
 
 def write_scene(
@@ -182,6 +159,7 @@ def write_scene(
     objects: Sequence[TableObject],
     cameras: Sequence[SE3],
     options: GraspPackOptions,
+    network: GraspNetConfig | None = None,
 ) -> int:
     """Label and pack one scene.
 
@@ -191,16 +169,18 @@ def write_scene(
         objects: of the scene; the table is z = 0.
         cameras: T_world_cam of its frames.
         options: how.
+        network: as in `pack_grasps`.
 
     Returns:
         Its frames.
     """
-    setup = _setup_of(options)
+    network = network or GraspNetConfig()
+    setup = _setup_of(options, network)
     seed = options.seed + number
     labels = [kept_labels(folder / "objects", o, setup) for o in objects]
     clouds, numbers, points = [], [], []
     for view, T_world_cam in enumerate(cameras):
-        cloud, owner = _cloud(objects, T_world_cam, setup, options.network, (seed, view))
+        cloud, owner = _cloud(objects, T_world_cam, setup, network, (seed, view))
         clouds.append(cloud)
         numbers.append(owner)
         points.append(_labelled_points(cloud, owner, objects, labels, T_world_cam, setup.spacing))
@@ -268,7 +248,7 @@ def _cloud(
         look.index >= 0,
         T_world_cam.inverse().matrix(),
     )
-    cloud, owner = scene_cloud(view), look.index[seen(view)]
+    cloud, owner = scene_cloud(view), look.index[measured_pixels(view)]
     shown = np.flatnonzero(workspace(view, cloud, network))
     if not len(shown):
         raise ToolkitError("a view of the scene sees no object", value=seed)

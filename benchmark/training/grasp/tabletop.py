@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.errors import ToolkitError
+from benchmark.training.options import TableOptions
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
 
@@ -40,34 +40,6 @@ class TableObject:
     faces: NDArray[np.int64]
     T_world_obj: SE3
     surface: Surface = "diffuse"
-
-
-@dataclass(frozen=True)
-class TableOptions:
-    """What is drawn.
-
-    Attributes:
-        assets: name of an asset source.
-        assets_root: folder of its files, of sources that have files.
-        split: `train`, `test` or `all` of its shapes.
-        objects: least and largest number of objects.
-        sizes: range of what the usual sizes of the categories are multiplied by; objects of the
-            usual sizes are mostly too wide for a jaw of 8 cm.
-        half_width_m: of the square that they fall on.
-    """
-
-    assets: str = "procedural"
-    assets_root: Path | None = None
-    split: Literal["train", "test", "all"] = "train"
-    objects: tuple[int, int] = (4, 8)
-    sizes: tuple[float, float] = (0.4, 0.9)
-    half_width_m: float = 0.25
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.objects[0] <= self.objects[1]:
-            raise ToolkitError("must be two rising counts", field="objects", value=self.objects)
-        if not 0 < self.sizes[0] <= self.sizes[1]:
-            raise ToolkitError("must be two rising factors", field="sizes", value=self.sizes)
 
 
 def draw_table(

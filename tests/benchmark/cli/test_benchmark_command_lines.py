@@ -9,10 +9,10 @@ import sys
 
 import pytest
 
-from benchmark.cli import bench
+from benchmark.cli import bench, report, train
 from std_toolkit.cli.command import Command, Program
 
-PROGRAMS: tuple[Program, ...] = (bench.PROGRAM,)
+PROGRAMS: tuple[Program, ...] = (bench.PROGRAM, train.PROGRAM, report.PROGRAM)
 COMMANDS = [(program, command) for program in PROGRAMS for command in program.commands]
 
 
@@ -46,7 +46,7 @@ def test_each_option_has_one_text(
         (f"benchmark.cli.{program.name.removeprefix('std-')}", words, seconds)
         for program in PROGRAMS
         for words, seconds in [
-            (["--help"], 0.2),
+            (["--help"], 0.2 if program is bench.PROGRAM else 0.35),
             *((words_of(program, command), 0.35) for command in program.commands),
         ]
     ],

@@ -9,11 +9,13 @@ from typing import Any
 import pytest
 from recipe_data import mark_as_simulated, write_set, write_std
 
-from benchmark.cli.train import build_parser, main
-from benchmark.recipes.recipe import recipe_names
-from benchmark.recipes.recipe_plan import RecipeConfig, RecipePlan, plan_recipe
+from benchmark.cli.train import main
+from benchmark.recipes.recipe import RecipeConfig, recipe_names
+from benchmark.recipes.recipe_plan import RecipePlan, plan_recipe
 from benchmark.recipes.recipe_show import plan_text, recipe_list, simulation_s, train_command
+from benchmark.training.options import TrainCommand
 from sensors.simulation.options import SimulationOptions
+from std_toolkit.cli.command import parse_options
 from std_toolkit.errors import ToolkitError
 
 
@@ -40,7 +42,7 @@ def test_variants_share_what_they_can(tmp_path):
     for name in recipe_names():
         for entry in planned(tmp_path, name).entries:
             if entry.folder is not None:
-                labels.setdefault(entry.label, set()).add((entry.folder, str(entry.wishes)))
+                labels.setdefault(entry.label, set()).add((entry.folder, str(entry.training)))
     assert all(len(same) == 1 for same in labels.values())
     assert "swindrnet.train" in labels
     assert len(labels) == 8  # three methods, cut, two ablations, fixed materials, half
@@ -49,7 +51,7 @@ def test_variants_share_what_they_can(tmp_path):
 def test_half_the_data_are_the_same_pack(tmp_path):
     plan = planned(tmp_path, "data-scale")
     assert len(plan.packs) == 1
-    shares = [entry.wishes.share for entry in plan.entries if entry.wishes]
+    shares = [entry.training.share for entry in plan.entries if entry.training]
     assert shares == [0.5, 1.0]
 
 
@@ -137,7 +139,7 @@ def test_other_seeds_and_steps_are_other_trainings(tmp_path):
     plain = planned(tmp_path, "domain-transfer")
     other = planned(tmp_path, "domain-transfer", seed=3, steps=7)
     assert other.entries[-1].label == "swindrnet.train.seed-3.steps-7"
-    assert (other.entries[-1].wishes.seed, other.entries[-1].wishes.steps) == (3, 7)
+    assert (other.entries[-1].training.seed, other.entries[-1].training.steps) == (3, 7)
     assert plain.folder != other.folder
     assert plain.packs == other.packs
 
@@ -147,7 +149,7 @@ def test_validation_of_ones_own(tmp_path, own):
     plan = planned(tmp_path, "sim-to-real", validation_data=judged)
     cut = plan.entries[1]
     assert [p.raw for p in cut.packs] == ["cut", "cut"]
-    assert cut.wishes.validation == [cut.packs[1].folder]
+    assert cut.training.validation == (cut.packs[1].folder,)
     assert "judged-by" in cut.label
 
 
@@ -169,16 +171,12 @@ def test_what_cannot_be_trained_is_a_problem_of_its_own(tmp_path):
 def test_the_command_of_a_training_means_that_training(tmp_path):
     for name, scale in (("module-ablation", "tiny"), ("data-scale", "small")):
         for entry in planned(tmp_path, name, seed=2, scale=scale).entries:
-            if entry.wishes is None:
+            if entry.training is None:
                 continue
             words = shlex.split(train_command(entry, entry.folder))
-            args = build_parser().parse_args(words[1:])
-            wishes = entry.wishes
-            assert dict(text.split("=") for text in args.settings) == wishes.settings
-            assert (args.share, args.hold_out, args.seed) == (wishes.share, wishes.hold_out, 2)
-            assert (args.steps, args.batch_size) == (wishes.steps, wishes.batch_size)
-            assert (args.learning_rate, args.geometry) == (wishes.learning_rate, wishes.geometry)
-            assert (args.data, args.out) == (wishes.data, entry.folder)
+            options, _ = parse_options(TrainCommand, words[1:], "std-train")
+            assert options == TrainCommand(**vars(entry.training), out=entry.folder)
+            assert options.seed == 2
 
 
 def test_costs_follow_pixels_and_light_paths():
@@ -195,7 +193,7 @@ def test_costs_follow_pixels_and_light_paths():
     ("told", "match"),
     [
         ({"only": ["nope"]}, r"--only: the recipe has no such variant \(got 'nope'\)"),
-        ({"steps": 0}, "--steps: must be at least 1"),
+        ({"steps": 0}, "steps: must be at least 1"),
         ({"data": ["/nowhere"]}, "/nowhere: no such folder"),
         ({"data": ["nope=."]}, r"--data: the recipe has no such test \(got 'nope'\)"),
         ({"train_data": ["/nowhere"]}, "/nowhere: no such folder"),

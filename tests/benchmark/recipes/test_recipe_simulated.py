@@ -66,7 +66,8 @@ def test_sim_to_real_takes_a_set_that_is_there(out: Path, tmp_path: Path) -> Non
 
 def test_cut_packs_are_what_the_simulator_would_render(tiny_dreds: Path, tmp_path: Path) -> None:
     """`std-train pack --raw cut` of simulated depth, and `std-sim --depth cut` packed as it is."""
-    from benchmark.training.pack import PackOptions, pack_split
+    from benchmark.training.options import PackOptions
+    from benchmark.training.pack import pack_split
     from benchmark.training.packed_frames import PackedFrames
     from sensors.simulation.simulated_set import SET_FILE, SetRecord, simulate_set
 

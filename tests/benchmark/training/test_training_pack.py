@@ -16,7 +16,8 @@ from benchmark.cli.train import main
 from benchmark.data.splits import open_split
 from benchmark.data.torch_dataset import DepthDataset
 from benchmark.training import pack as pack_module
-from benchmark.training.pack import PackOptions, pack_split
+from benchmark.training.options import PackOptions
+from benchmark.training.pack import pack_split
 from benchmark.training.packed_frames import PackedFrames
 from std_toolkit.errors import ToolkitError
 

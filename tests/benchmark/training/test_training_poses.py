@@ -18,7 +18,8 @@ from benchmark.methods.registry import MethodOptions, make_pose_method
 from benchmark.training.catalogue import get_trainable
 from benchmark.training.export import bench_command
 from benchmark.training.fit import make_network
-from benchmark.training.plan import TrainWishes, plan_training
+from benchmark.training.options import TrainOptions
+from benchmark.training.plan import plan_training
 from benchmark.training.step import StepInfo, model_input
 from std_toolkit.errors import ToolkitError
 from tests.benchmark.methods.pose.learnt_poses import packed_things, write_things
@@ -55,7 +56,7 @@ def pack(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return packed(tmp_path_factory.mktemp("poses") / "pack", data, nocs=True)
 
 
-def asked(method: str, pack: Path, **changes: Any) -> TrainWishes:
+def asked(method: str, pack: Path, **changes: Any) -> TrainOptions:
     plain = wishes("dfnet", pack, settings=TINY[method])
     return replace(plain, **{"method": method, "loss": LOSS[method], **changes})
 

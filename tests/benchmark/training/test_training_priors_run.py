@@ -14,7 +14,8 @@ from benchmark.cli.train import main
 from benchmark.methods.registry import MethodOptions, make_pose_method
 from benchmark.training.catalogue import get_trainable
 from benchmark.training.fit import Beginning, make_network
-from benchmark.training.plan import TrainWishes, plan_training
+from benchmark.training.options import TrainOptions
+from benchmark.training.plan import plan_training
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import read_color
 from tests.benchmark.methods.pose.boxes_in_view import write_priors
@@ -101,7 +102,7 @@ def test_frames_of_another_size_and_without_nocs_are_refused(data, pack, priors,
     def plan(folder, **changes):
         wanted = {**settings("spd", priors), **changes}
         return plan_training(
-            TrainWishes(
+            TrainOptions(
                 method="spd", settings=wanted, data=[folder], steps=2, batch_size=2, hold_out=0.3
             )
         )
@@ -113,7 +114,7 @@ def test_frames_of_another_size_and_without_nocs_are_refused(data, pack, priors,
 
 def test_the_rate_of_sgpa_falls_after_five_and_ten_of_fifteen_epochs(pack, priors):
     config, _, _ = plan_training(
-        TrainWishes(
+        TrainOptions(
             method="sgpa",
             settings=settings("sgpa", priors),
             data=[pack],
@@ -130,7 +131,7 @@ def test_a_training_can_begin_with_a_resnet_18(pack, priors, tmp_path):
     from safetensors.torch import save_file
 
     config, _, _ = plan_training(
-        TrainWishes(
+        TrainOptions(
             method="spd",
             settings=settings("spd", priors),
             data=[pack],

@@ -8,10 +8,10 @@ from typing import Any
 
 import torch
 
-from benchmark.training.config import Machine
 from benchmark.training.fit import fit
-from benchmark.training.pack import PackOptions, pack_split
-from benchmark.training.plan import TrainWishes, plan_training
+from benchmark.training.options import Machine, PackOptions, TrainOptions
+from benchmark.training.pack import pack_split
+from benchmark.training.plan import plan_training
 from std_toolkit.jobs import JobOptions
 from tests.dreds_on_disk import write_dreds_scene
 
@@ -70,9 +70,9 @@ def packed(folder: Path, root: Path, **options: Any) -> Path:
     return folder
 
 
-def wishes(method: str, data: Path, **changes: Any) -> TrainWishes:
+def wishes(method: str, data: Path, **changes: Any) -> TrainOptions:
     """A training of 6 steps of 4 frames with a checkpoint after every second."""
-    plain = TrainWishes(
+    plain = TrainOptions(
         method=method,
         settings=TINY[method],
         data=[data],
@@ -85,7 +85,7 @@ def wishes(method: str, data: Path, **changes: Any) -> TrainWishes:
     return replace(plain, **changes)
 
 
-def trained(asked: TrainWishes, folder: Path, machine: Machine = HERE) -> dict[str, torch.Tensor]:
+def trained(asked: TrainOptions, folder: Path, machine: Machine = HERE) -> dict[str, torch.Tensor]:
     """Train, or go on; the last weights."""
     from safetensors.torch import load_file
 

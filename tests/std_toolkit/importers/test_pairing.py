@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.importers.pairing import frame_key, frame_names, list_images, natural_key, pair
+from std_toolkit.importers.folder_importer import frame_key, frame_names, list_images, pair
+from std_toolkit.importers.foreign_files import natural_key
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,8 @@ from benchmark.methods.network import parameter_count
 from benchmark.methods.protocol import PoseView
 from benchmark.methods.weights import save_weights
 from benchmark.training.catalogue import get_trainable
-from benchmark.training.pack import PackOptions, pack_split
+from benchmark.training.options import PackOptions
+from benchmark.training.pack import pack_split
 from benchmark.training.packed_frames import PackedFrames
 from benchmark.training.step import StepInfo, model_input
 from std_toolkit.io.images import write_color

@@ -8,8 +8,9 @@ import numpy as np
 import trimesh
 
 from benchmark.methods.grasp.graspnet.cloud import GraspNetConfig
-from benchmark.training.grasp.pack_grasps import GraspPackOptions, begin_pack, write_scene
+from benchmark.training.grasp.pack_grasps import begin_pack, write_scene
 from benchmark.training.grasp.tabletop import TableObject, draw_cameras
+from benchmark.training.options import GraspPackOptions
 from std_toolkit.geometry.se3 import SE3, so3_exp
 
 # Small enough for seconds; views as few as still have one near every direction.
@@ -24,7 +25,7 @@ TINY = GraspNetConfig(
     cylinder_points=16,
     margin=0.03,
 )
-OPTIONS = GraspPackOptions(frames=2, size=(160, 90), points=1500, spacing=0.015, network=TINY)
+OPTIONS = GraspPackOptions(frames=2, size=(160, 90), points=1500, spacing=0.015)
 
 
 def table_objects() -> list[TableObject]:
@@ -48,8 +49,8 @@ def table_objects() -> list[TableObject]:
 def pack_scene(folder: Path, options: GraspPackOptions = OPTIONS, scenes: int = 1) -> Path:
     """A pack of scenes that differ in where they are seen from."""
     folder.mkdir(parents=True, exist_ok=True)
-    begin_pack(folder, options)
+    begin_pack(folder, options, TINY)
     for number in range(scenes):
         cameras = draw_cameras(options.seed + number, options.frames)
-        write_scene(folder, number, table_objects(), cameras, options)
+        write_scene(folder, number, table_objects(), cameras, options, TINY)
     return folder

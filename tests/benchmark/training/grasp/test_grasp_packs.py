@@ -232,9 +232,9 @@ def test_momentum_of_normalisation_falls_by_halves():
 
 
 def test_a_pack_goes_on_only_with_the_same(grasp_pack, tmp_path):
-    assert begin_pack(grasp_pack, OPTIONS).spacing == OPTIONS.spacing
+    assert begin_pack(grasp_pack, OPTIONS, TINY).spacing == OPTIONS.spacing
     with pytest.raises(ToolkitError, match=r"begun with 0\.015") as told:
-        begin_pack(grasp_pack, replace(OPTIONS, spacing=0.01))
+        begin_pack(grasp_pack, replace(OPTIONS, spacing=0.01), TINY)
     assert told.value.field == "spacing"
     with pytest.raises(ToolkitError, match="no folder of packed grasps"):
         PackedGrasps([tmp_path], TINY)

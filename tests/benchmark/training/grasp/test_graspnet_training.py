@@ -11,10 +11,10 @@ import pytest
 from benchmark.cli.train import main as train_main
 from benchmark.methods.grasp.graspnet.cloud import GraspNetConfig
 from benchmark.training.catalogue import get_trainable
-from benchmark.training.config import Machine
 from benchmark.training.fit import fit
 from benchmark.training.grasp.packed_grasps import PackedGrasps
-from benchmark.training.plan import TrainWishes, plan_training
+from benchmark.training.options import Machine, TrainOptions
+from benchmark.training.plan import plan_training
 from std_toolkit.errors import ToolkitError
 from tests.benchmark.training.grasp.grasp_scene import OPTIONS, TINY, pack_scene
 
@@ -38,8 +38,8 @@ def two_scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return pack_scene(tmp_path_factory.mktemp("grasps") / "two", OPTIONS, scenes=2)
 
 
-def wishes(pack: Path, **changes: object) -> TrainWishes:
-    made = TrainWishes(
+def wishes(pack: Path, **changes: object) -> TrainOptions:
+    made = TrainOptions(
         method="graspnet", settings=SETTINGS, data=[pack], hold_out=0.5, steps=4, checkpoint_every=2
     )
     return replace(made, **changes)  # type: ignore[arg-type]

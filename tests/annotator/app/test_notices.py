@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from annotator.app.events import INFO_S, Notices
+from annotator.app.events import SHOWN_S, Notices
 
 
 class Clock:
@@ -30,7 +30,7 @@ def make() -> tuple[Notices, Clock, list[Any]]:
 
 
 def texts(shown: list[Any]) -> list[str]:
-    return [n["text"] for n in shown[-1]]
+    return [n.text for n in shown[-1]]
 
 
 def test_news_do_not_push_an_error_away_and_vanish_by_themselves() -> None:
@@ -39,7 +39,7 @@ def test_news_do_not_push_an_error_away_and_vanish_by_themselves() -> None:
     notices.tell("saved")
     notices.tell("carried")
     assert texts(shown) == ["cannot be read", "carried"]
-    assert {seconds for seconds, _ in clock.waiting} == {INFO_S}
+    assert {seconds for seconds, _ in clock.waiting} == {SHOWN_S["info"]}
     clock.ring()
     assert texts(shown) == ["cannot be read"]
 
@@ -48,7 +48,7 @@ def test_an_error_stays_until_it_is_closed() -> None:
     notices, _, shown = make()
     notices.tell("first", "error")
     notices.tell("second", "warning")
-    notices.close(shown[-1][0]["number"])
+    notices.close(shown[-1][0].number)
     assert texts(shown) == ["second"]
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from std_toolkit.renamed import RENAMED
+from std_toolkit.plugins import RENAMED
 from tests.dreds_on_disk import write_std_scene
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -1,0 +1,88 @@
+"""The selected object's mesh by itself, to click points on it that the image hides."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from annotator.app.controller import Controller
+from annotator.app.events import Event
+from annotator.app.placing import standing_axis
+from annotator.views.meshes import ShapeStore
+from annotator.views.model_view import ModelView
+from std_toolkit.html.plots import object_color
+
+# A mesh that is being read is asked for again after so long.
+POLL_S = 0.06
+
+
+class MeshPicker:
+    """Draws the mesh with its clicked points while it can be seen.
+
+    Args:
+        plotter: what it is drawn into; see `ModelView`.
+        shapes: shared with the other views.
+        later: calls a function after some seconds.
+        is_seen: whether it is to be drawn now.
+        options: of `ModelView`.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        plotter: Any,
+        shapes: ShapeStore,
+        later: Callable[[float, Callable[[], None]], None],
+        *,
+        is_seen: Callable[[], bool],
+        **options: Any,
+    ) -> None:
+        self.view = ModelView(plotter, on_click=self._clicked, **options)
+        self._c, self._shapes, self._later, self._is_seen = controller, shapes, later, is_seen
+        self._waiting = self._closed = False
+        self._unsubscribe = controller.subscribe(self._on_event)
+
+    def close(self) -> None:
+        self._closed = True
+        self._unsubscribe()
+        self.view.close()
+
+    def refresh(self) -> None:
+        """Show the selected object's mesh with its points in the view in hand."""
+        c = self._c
+        if self._closed or not self._is_seen():
+            return
+        if c.selected is None:
+            self.view.show(None)
+            self.view.set_points([])
+        else:
+            obj = c.session.object(c.selected)
+            model = c.session.state.model(obj.model)
+            shape = self._shapes.get(model)
+            if shape is None and self._shapes.pending and not self._waiting:
+                self._waiting = True
+                self._later(POLL_S, self._look_again)
+            ids = [o.id for o in c.session.state.objects]
+            # Where there is no shape its mesh may be what cannot be read.
+            up = 2 if shape is None else standing_axis(c.session, model)
+            self.view.show(shape, object_color(ids, obj.id), up=up)
+            clicks = obj.clicks.get(c.active_frame, [])
+            self.view.set_points([x.point for x in clicks], c.pending_point)
+        self.view.draw()
+
+    def _look_again(self) -> None:
+        self._waiting = False
+        self.refresh()
+
+    def _clicked(self, point: tuple[float, float, float]) -> None:
+        c = self._c
+        if c.selected is None or not c.session.writable:
+            return
+        if not c.clicking:
+            c.set_tool(clicking=True)
+        c.pending_point = point
+        c.emit(Event("tool"))
+
+    def _on_event(self, event: Event) -> None:
+        if event.kind in ("edited", "selected", "tool", "frames"):
+            self.refresh()

@@ -1,0 +1,240 @@
+"""Options of training and packing; they import nothing heavy.
+
+The command line is made from these dataclasses; see `std_toolkit.cli.command`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+
+from std_toolkit.errors import ToolkitError, check_options
+from std_toolkit.jobs.options import JobOptions
+
+Count = Annotated[int, msgspec.Meta(ge=1)]
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
+Precision = Literal["fp32", "bf16"]
+DepthKind = Literal["float32", "float16"]
+ColorWay = Literal["cubic", "area", "nearest"]
+RawKind = Literal["sensor", "cut"]
+
+_NO_OPTION = {"option": None}
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainOptions:
+    """A training; what is not given is as published for the method, or follows from the rest."""
+
+    method: str = field(metadata={"option": "method"})
+    """swindrnet, nlspn, lidf, cleargrasp, dfnet, ..., or package.module:TRAINABLE"""
+    data: tuple[Path, ...] = field(metadata={"option": "data"})
+    """packed frames to train on"""
+    validation: tuple[Path, ...] = ()
+    """packed frames that choose the best weights (scenes of --data are held out)"""
+    hold_out: float = 0.1
+    """share of the scenes of --data that are held out"""
+    share: float = 1.0
+    """share of the other scenes that are trained on"""
+    preset: str = "compact"
+    """network size: published or compact"""
+    settings: Mapping[str, str] = field(default_factory=dict, metadata={"option": "set"})
+    """settings of the network"""
+    weights: Path | None = None
+    """file of weights to start from, of the same network or of one that it may start from"""
+    imagenet: Path | None = None
+    """file of a classifier's weights that initialise the backbone"""
+    steps: Count | None = None
+    """optimizer steps"""
+    epochs: Count | None = None
+    """how often every frame is seen, where --steps is not given"""
+    phases: Mapping[str, int] = field(default_factory=dict)
+    """steps of each phase of a method that has several; phases that are not named are left out"""
+    batch_size: Count | None = None
+    """frames of a step, over all devices and accumulated parts"""
+    accumulate: Count = 1
+    """gradient accumulation steps"""
+    optimizer: Literal["adam", "adamw", "sgd"] | None = None
+    """optimizer"""
+    learning_rate: Positive | None = None
+    """learning rate at its highest"""
+    weight_decay: Annotated[float, msgspec.Meta(ge=0)] | None = None
+    """weight decay"""
+    decay: Literal["linear", "steps"] | None = None
+    """how the learning rate falls"""
+    loss: Mapping[str, str] = field(default_factory=dict)
+    """changes to the method's loss, such as form=released"""
+    colors: Literal["published", "on", "jitter", "off"] = "published"
+    """colour augmentation: SwinDRNet's (on), NLSPN's (jitter)"""
+    geometry: Literal["published", "on", "off"] = "published"
+    """turn, mirror and enlarge frames"""
+    holes: Share = 0.0
+    """share of the frames that lose the depth of some objects"""
+    precision: Precision = "fp32"
+    """arithmetic of the network"""
+    seed: int = 0
+    """of weights, order, augmentation and dropout"""
+    validate_every: Count | None = None
+    """steps between validations"""
+    checkpoint_every: Count | None = None
+    """steps between checkpoints"""
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Machine:
+    """Where a training runs; it may be resumed elsewhere."""
+
+    accelerator: Literal["auto", "cpu", "gpu"] = "auto"
+    """processors that networks run on"""
+    devices: Count = 1
+    """processes on each machine"""
+    nodes: Count = 1
+    """machines, started by torchrun or Ray"""
+    readers: int = 2
+    """processes that read packed frames, for each device"""
+    log_every: Count = 50
+    """steps between rows of the log"""
+    progress: bool = field(default=True, metadata=_NO_OPTION)
+    """a progress bar"""
+    in_ray: bool = field(default=False, metadata=_NO_OPTION)
+    """Ray Train started this process and knows how many there are"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainCommand(TrainOptions):
+    """Train a network on packed frames.
+
+    Interrupted or killed, the same command resumes from the last checkpoint and ends with the same
+    weights. What is not given is as published for the method.
+    """
+
+    out: Path = field(metadata={"option": "out"})
+    """folder of the training"""
+    machine: Machine = field(default_factory=Machine)
+    engine: Literal["local", "ray"] = "local"
+    """processes of this machine and of torchrun (local), or of Ray Train"""
+    ray_address: str | None = None
+    """HOST:PORT of a running Ray cluster (one is started on this machine)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PackOptions:
+    """How frames are packed."""
+
+    size: Annotated[tuple[int, int], msgspec.Meta(ge=1)] = (224, 224)
+    """width and height of all maps; the aspect need not be kept"""
+    depth: DepthKind = "float32"
+    """float16 halves the largest part of the files and rounds depths of 0.5 to 1 m by up to
+    0.25 mm"""
+    color: ColorWay = "cubic"
+    """how colour is resized; depth and masks take the nearest pixel"""
+    shard: Count = 64
+    """frames per file: what is lost at most when packing is killed"""
+    nocs: bool = False
+    """also pack NOCS and classes, for pose networks"""
+    raw: RawKind = "sensor"
+    """the sensor's depth, or exact depth without specular and transparent objects (cut)"""
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PackCommand(PackOptions):
+    """Pack the frames of a split at training size, to be read without decoding.
+
+    Run the same command again to resume.
+    """
+
+    folder: Path
+    """folder of the packed frames"""
+    split: str = field(metadata={"option": "split"})
+    """name of `std-bench list splits`"""
+    data: Path = field(metadata={"option": "data"})
+    """folder of the data set"""
+    jobs: JobOptions = field(default_factory=JobOptions)
+
+
+@dataclass(frozen=True)
+class TableOptions:
+    """What is drawn on a table."""
+
+    assets: str = "procedural"
+    """source of shapes: procedural, shapenet, folder"""
+    assets_root: Path | None = None
+    """folder of its files, of sources that have files"""
+    split: Literal["train", "test", "all"] = "train"
+    """which shapes"""
+    objects: tuple[int, int] = (4, 8)
+    """least and largest number of objects"""
+    sizes: tuple[float, float] = (0.4, 0.9)
+    """range of factors on the usual sizes of the categories, which are mostly too wide for a jaw of
+    8 cm"""
+    half_width_m: float = field(default=0.25, metadata=_NO_OPTION)
+    """of the square that they fall on"""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.objects[0] <= self.objects[1]:
+            raise ToolkitError("must be two rising counts", field="objects", value=self.objects)
+        if not 0 < self.sizes[0] <= self.sizes[1]:
+            raise ToolkitError("must be two rising factors", field="sizes", value=self.sizes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspPackOptions:
+    """How scenes of labelled grasps are made."""
+
+    table: TableOptions = field(default_factory=TableOptions)
+    seed: int = 0
+    """of the first scene; the others follow"""
+    frames: Count = 4
+    """views of a scene"""
+    size: tuple[int, int] = (640, 360)
+    """width and height of the depth images"""
+    depth: Literal["exact", "sensor"] = "exact"
+    """exact, or with the errors of an active stereo camera (sensor)"""
+    points: Count = 40_000
+    """most points of a frame that are kept"""
+    gripper: str = "panda"
+    """the one that must not hit anything: panda, graspnet"""
+    spacing: Positive = 0.008
+    """metres between the points of an object that have labels"""
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspPackCommand(GraspPackOptions):
+    """Make scenes of objects on a table with all their grasps, for `std-train --method graspnet`.
+
+    Run the same command again to resume, with more --scenes to add some.
+    """
+
+    folder: Path
+    """folder of the packed scenes"""
+    scenes: Count = field(metadata={"option": "scenes"})
+    """how many scenes"""
+    jobs: JobOptions = field(default_factory=JobOptions)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions:
+    """Write the best weights of a training in half precision, with their SHA-256 and a model card.
+
+    The card names data, steps, machine, time and scores.
+    """
+
+    run: Path
+    """folder of the training"""
+    out: Path = field(metadata={"option": "out"})
+    """folder of the files"""
+    results: tuple[Path, ...] = ()
+    """results of `std-bench` for the card"""
