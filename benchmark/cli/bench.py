@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from std_toolkit.cli.command import Command, Program
+from std_toolkit.cli.command import Command, Program, print_json
 
 if TYPE_CHECKING:
     from benchmark.evaluation.config import (
@@ -172,7 +172,7 @@ def list_names(options: ListOptions) -> int:
         if options.task == "grasp":
             about["oracle"] = "Knows where the objects are: what can be reached at all."
     if options.json:
-        _print_json([{"name": name, "about": text} for name, text in about.items()])
+        print_json([{"name": name, "about": text} for name, text in about.items()])
     else:
         width = 24 if options.what == "splits" else 16
         print("\n".join(f"{name:{width}} {text}" for name, text in about.items()))
@@ -185,7 +185,7 @@ def check_data(options: CheckDataOptions) -> int:
 
     reports = [check_split(options.root, name) for name in options.splits]
     if options.json:
-        _print_json([report.record() for report in reports])
+        print_json([report.record() for report in reports])
     else:
         print("\n".join(report.text() for report in reports))
     return 0 if all(report.is_complete for report in reports) else 1
@@ -210,15 +210,9 @@ def _show(
     records: Callable[[Sequence[Any]], Sequence[Any]],
 ) -> None:
     if config.json:
-        _print_json(records(results) if results else [])
+        print_json(records(results) if results else [])
     elif results:
         print(table(results))
-
-
-def _print_json(records: Sequence[Any]) -> None:
-    import msgspec
-
-    print(msgspec.json.format(msgspec.json.encode(records)).decode())
 
 
 def _failures(failed: Mapping[str, str]) -> int:
