@@ -175,6 +175,9 @@ def test_the_command_writes_all_forms_twice_alike(
     csv = pd.read_csv(tmp_path / "a" / CSV)
     assert {"measured", "published"} == set(csv["kind"])
     assert "std-catknown, protocol strict" in capsys.readouterr().out
+    assert main([str(results), "--out", str(tmp_path / "a"), "--json"]) == 0
+    board = json.loads(capsys.readouterr().out)[Path(CSV).stem]
+    assert [row["method"] for row in board] == csv["method"].tolist()
 
 
 def test_the_page_needs_nothing_but_itself(results: Path, tmp_path: Path) -> None:
