@@ -233,6 +233,13 @@ def words_of(options: Any) -> list[str]:
     return words
 
 
+def print_json(value: Any) -> None:
+    """Print lists, dicts, dataclasses and Structs as JSON; what is not a finite number as null."""
+    import msgspec
+
+    print(msgspec.json.format(msgspec.json.encode(value)).decode())
+
+
 def exit_status(
     run: Callable[[], int],
     *,
