@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 
-from benchmark.evaluation.manifest import GRASP_MANIFEST, MANIFEST, POSE_MANIFEST
-from benchmark.evaluation.tasks.bop import FILE as BOP_FILE
+from benchmark.evaluation.manifest import BOP_FILE, GRASP_MANIFEST, MANIFEST, POSE_MANIFEST
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.html.markup import CSS, PLOTS_SCRIPT, section, words
