@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal
 
-from std_toolkit.cli.command import Command, Program
+from std_toolkit.cli.command import Command, Program, print_json
 
 if TYPE_CHECKING:
     from benchmark.evaluation.config import BopConfig, NetworkConfig
@@ -84,7 +84,7 @@ def score(config: NetworkConfig | BopConfig) -> int:
         report = run_all(task, task.plan(config), config.jobs)
         results = [task.read(run.folder, run) for run in report.finished]
         if config.json:
-            _print_json(task.records(results, config) if results else [])
+            print_json(task.records(results, config) if results else [])
         elif results:
             print(task.table(results, config))
     for title, error in report.failed.items():
@@ -118,7 +118,7 @@ def list_names(options: ListOptions) -> int:
         if options.task == "grasp":
             about["oracle"] = "Knows where the objects are: what can be reached at all."
     if options.json:
-        _print_json([{"name": name, "about": text} for name, text in about.items()])
+        print_json([{"name": name, "about": text} for name, text in about.items()])
     else:
         width = 24 if options.what == "splits" else 16
         print("\n".join(f"{name:{width}} {text}" for name, text in about.items()))
@@ -131,7 +131,7 @@ def check_data(options: CheckDataOptions) -> int:
 
     reports = [check_split(options.root, name) for name in options.splits]
     if options.json:
-        _print_json([report.record() for report in reports])
+        print_json([report.record() for report in reports])
     else:
         print("\n".join(report.text() for report in reports))
     return 0 if all(report.is_complete for report in reports) else 1
@@ -147,12 +147,6 @@ def write_priors(options: PriorsCommand) -> int:
     save_priors(options.out, priors)
     logger.info("%s: %d categories", options.out, len(priors.points))
     return 0
-
-
-def _print_json(records: Sequence[Any]) -> None:
-    import msgspec
-
-    print(msgspec.json.format(msgspec.json.encode(records)).decode())
 
 
 def _command(name: str, about: str, options: str, run: Callable[[Any], int]) -> Command:

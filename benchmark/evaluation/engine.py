@@ -50,9 +50,9 @@ def check_device(name: str) -> None:
         ToolkitError: no device is called so, or this machine does not have it.
     """
     if name != "cpu":  # torch is not needed to know that it is there
-        from benchmark.methods.network import device_called
+        from benchmark.methods.network import torch_device
 
-        device_called(name)
+        torch_device(name)
 
 
 @cache

@@ -22,7 +22,7 @@ from benchmark.evaluation.manifest import (
     BopSetup,
     circumstances,
 )
-from benchmark.evaluation.results import ERROR, FRAME, INDEX, SCENE, aligned, read_table
+from benchmark.evaluation.results import ERROR, FRAME, INDEX, SCENE, read_table
 from benchmark.metrics.bop import (
     BopDataset,
     BopScorer,
@@ -36,6 +36,7 @@ from benchmark.metrics.bop import (
 from benchmark.metrics.bop.bop_dataset import BopImage
 from benchmark.metrics.significance import mean_interval
 from std_toolkit.errors import ToolkitError
+from std_toolkit.html.table import text_table
 from std_toolkit.io.documents import read_document, write_document
 
 FOLDER, ERRORS = "bop", "errors.parquet"
@@ -289,10 +290,11 @@ def read_bop_figures(folders: Iterable[Path]) -> list[BopFigures]:
 
 def bop_table(results: Sequence[BopResult]) -> str:
     """Figures in percent, for a terminal."""
-    lines = [["results", "data", "targets", "AR", "VSD", "MSSD", "MSPD", "s/image"]]
+    heads = ("results", "data", "targets", "AR", "VSD", "MSSD", "MSPD", "s/image")
+    lines = []
     for r in results:
         shares = [f"{100 * x:.1f}" for x in (r.ar, r.ar_vsd, r.ar_mssd, r.ar_mspd)]
         seconds = "" if r.seconds_per_image is None else f"{r.seconds_per_image:.2f}"
         data = f"{Path(r.data).name}, {r.split}"
         lines.append([r.results, data, str(r.targets), *shares, seconds])
-    return aligned(lines)
+    return text_table(heads, lines).terminal()

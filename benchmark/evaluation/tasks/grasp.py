@@ -118,9 +118,9 @@ class Methods:
         """Restorers do; planners only where they say so."""
         return self.restorer is not None or bool(getattr(self.planner, "needs_color", False))
 
-    def given(self, looked: Observation) -> GivenDepth:
+    def given(self, observation: Observation) -> GivenDepth:
         """The depth to plan on, at the camera's size; a restorer's as `at_full_size` makes it."""
-        frame = looked.frame
+        frame = observation.frame
         if self.restorer is None:
             depth = frame.depth_true if self.true else frame.depth_raw
             return GivenDepth(frame.color, depth, frame.camera)
