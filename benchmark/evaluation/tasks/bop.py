@@ -7,8 +7,8 @@ from pathlib import Path
 
 import msgspec
 
-from benchmark.evaluation.results import aligned
 from benchmark.metrics.bop import BopDataset, read_bop_results, score_bop
+from std_toolkit.html.table import text_table
 from std_toolkit.io.documents import read_document, write_document
 
 FOLDER, FILE = "bop", "bop.json"
@@ -89,10 +89,11 @@ def read_bop_figures(folders: Iterable[Path]) -> list[BopResult]:
 
 def bop_table(results: Sequence[BopResult]) -> str:
     """Figures in percent, for a terminal."""
-    lines = [["results", "data", "targets", "AR", "VSD", "MSSD", "MSPD", "s/image"]]
+    heads = ("results", "data", "targets", "AR", "VSD", "MSSD", "MSPD", "s/image")
+    lines = []
     for r in results:
         shares = [f"{100 * x:.1f}" for x in (r.ar, r.ar_vsd, r.ar_mssd, r.ar_mspd)]
         seconds = "" if r.seconds_per_image is None else f"{r.seconds_per_image:.2f}"
         data = f"{Path(r.data).name}, {r.split}"
         lines.append([r.results, data, str(r.targets), *shares, seconds])
-    return aligned(lines)
+    return text_table(heads, lines).terminal()
