@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from benchmark.evaluation.manifest import GRASP_MANIFEST, MANIFEST, POSE_MANIFEST
-from benchmark.evaluation.tasks.bop import FILE as BOP_FILE
+from benchmark.evaluation.manifest import BOP_FILE, GRASP_MANIFEST, MANIFEST, POSE_MANIFEST
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.html.page import Block, Heading, Page, Section, Verdict
