@@ -10,7 +10,7 @@ import pytest
 from dreds_on_disk import Drawn, write_dreds_scene
 
 from benchmark.data import frame as selection
-from benchmark.data.frame import DepthFrame, Selection, selection_of
+from benchmark.data.frame import DepthFrame, Material, Selection, selection_of
 from benchmark.data.splits import open_split
 from std_toolkit.errors import ToolkitError
 
