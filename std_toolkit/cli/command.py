@@ -27,6 +27,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from textwrap import fill
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from std_toolkit.errors import ToolkitError, check_options
@@ -279,8 +280,9 @@ def exit_status(
 
 
 def _tidy(page: str) -> str:
-    """A help page without rules."""
-    lines = (line.rstrip() for line in page.splitlines())
+    """A help page without rules, its paragraphs filled."""
+    filled = (fill(x, 80) if x[:1].strip() and len(x) > 80 else x for x in page.splitlines())
+    lines = (line.rstrip() for line in "\n".join(filled).splitlines())
     return "\n".join(line for line in lines if line.strip("-─ ") or not line)
 
 
@@ -306,6 +308,7 @@ class _Option:
         type: with annotations.
         default: `dataclasses.MISSING` for none.
         help: its text.
+        metadata: of the field.
     """
 
     field: str
@@ -313,6 +316,7 @@ class _Option:
     type: Any
     default: Any
     help: str
+    metadata: Mapping[str, Any]
 
     @property
     def title(self) -> str:
@@ -333,8 +337,8 @@ def _options(kind: type[Any], given: Any = dataclasses.MISSING) -> Iterator[_Opt
             yield from _options(hint, default)
             continue
         plain = "" if default is dataclasses.MISSING else field.name.replace("_", "-")
-        name = field.metadata.get("option", plain)
-        yield _Option(field.name, name, hint, default, texts.get(field.name, ""))
+        name = field.metadata.get("off", field.metadata.get("option", plain))
+        yield _Option(field.name, name, hint, default, texts.get(field.name, ""), field.metadata)
 
 
 def _fields(kind: type[Any], given: Any) -> Iterator[tuple[dataclasses.Field[Any], Any, Any]]:
@@ -369,6 +373,12 @@ def _build(kind: type[Any], values: Mapping[str, Any], given: Any = dataclasses.
             value = _build(hint, values, default)
         elif get_origin(hint) in _MAPPINGS:
             value = _pairs(field.name, value, get_args(hint)[1])
+        elif "off" in field.metadata:
+            value = not value
+        elif "factor" in field.metadata:
+            value = value / field.metadata["factor"]
+        elif value == () and default is None:
+            value = None
         found[field.name] = value
     return kind(**found) if given is dataclasses.MISSING else dataclasses.replace(given, **found)
 
@@ -399,6 +409,13 @@ def _with_verbosity(kind: type[Any]) -> type[Any]:
         if get_origin(hint) in _MAPPINGS:
             hint, metavar = tuple[str, ...], "NAME=VALUE ..."
             default = tuple(f"{name}={value}" for name, value in default.items())
+        elif "off" in option.metadata:
+            default = not default
+        elif "factor" in option.metadata:
+            default = default * option.metadata["factor"]
+        elif option.metadata.get("repeat"):
+            default = () if default is None else default
+            hint = conf.UseAppendAction[next(t for t in (*get_args(hint), hint) if _is_tuple(t))]  # type: ignore[misc]
         says_nothing = default in (None, "", ()) or isinstance(default, bool)
         about = conf.arg(
             name=option.name or None,
@@ -416,6 +433,10 @@ def _with_verbosity(kind: type[Any]) -> type[Any]:
     call = dataclasses.make_dataclass(kind.__name__, fields, frozen=True, kw_only=True)
     call.__doc__ = kind.__doc__
     return call
+
+
+def _is_tuple(hint: Any) -> bool:
+    return get_origin(hint) is tuple
 
 
 def _refuse(program: str, event: Any) -> None:

@@ -25,8 +25,6 @@ from std_toolkit.importers.foreign_files import (
 )
 from std_toolkit.importers.importer import (
     IMPORTERS,
-    ImportRequest,
-    LinkMode,
     Recording,
     SourceFile,
     SourceFrame,
@@ -37,6 +35,7 @@ from std_toolkit.io.exr import write_exr
 from std_toolkit.io.images import image_size, read_color, read_png, write_color, write_png
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.log import logger
+from std_toolkit.options import ImportRequest, LinkMode
 from std_toolkit.scene.document import check_name, check_relative
 from std_toolkit.scene.model import CameraModel, Frame, Frames, ObjectTable, SceneInfo
 from std_toolkit.scene.scene import Scene
