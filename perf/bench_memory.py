@@ -16,8 +16,9 @@ import numpy as np
 
 from benchmark.data.frame import DepthFrame, Instance, Material
 from benchmark.data.splits import FrameKey, Split
+from benchmark.evaluation.engine import run_task
 from benchmark.evaluation.tasks import depth as batch
-from benchmark.evaluation.tasks.depth import Run, run_method
+from benchmark.evaluation.tasks.depth import TASK, Run
 from benchmark.methods.registry import MethodOptions
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.jobs import JobOptions
@@ -79,7 +80,7 @@ def main() -> None:
             label="raw",
             out=Path(folder) / "out",
         )
-        table = run_method(run, JobOptions(engine="serial"))
+        table = run_task(TASK, run, JobOptions(engine="serial"))
         size = sum(p.stat().st_size for p in run.folder.rglob("*.parquet")) / 2**20
         print(f"{'frames':>8}{'resident MiB':>14}")
         for index, mib in seen:

@@ -42,7 +42,7 @@ from std_toolkit.io.documents import write_document
 NEAR_M = 0.01
 BASELINE_M = 0.055
 FEWEST = 150
-TARGET = Path(__file__).parents[1] / "benchmark" / "clearing" / "depth_model.json"
+TARGET = Path(__file__).parents[1] / "benchmark" / "tabletop" / "depth_model.json"
 _SIGMAS = (0.5, 0.8, 1.2, 1.8, 2.5, 3.5, 5.0, 7.0)
 _LAG = 3
 

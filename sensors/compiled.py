@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.log import logger
 
 try:
     import numba
@@ -23,9 +24,21 @@ def compiled(function: F) -> F:
 
     It releases the interpreter's lock, so that Python's threads run it side by side; numba's own
     threads may not outlive a fork. The machine code is kept beside the source, or in the user's
-    cache where nothing may be written there; where neither can be, it is made anew each time.
+    cache where nothing may be written there; where neither can be, it is compiled in each process.
     """
     try:
-        return cast(F, numba.njit(nogil=True, cache=True)(function))
+        dispatcher: Any = numba.njit(nogil=True, cache=True)(function)
     except RuntimeError:  # no place for a cache
         return cast(F, numba.njit(nogil=True)(function))
+    # On a full disk the code that was just compiled still runs. Numba has no public hook for it.
+    cache = dispatcher._cache
+    save = cache.save_overload
+
+    def save_overload(signature: Any, result: Any) -> None:
+        try:
+            save(signature, result)
+        except OSError as error:
+            logger.warning("%s: compiled code is not kept: %s", cache.cache_path, error.strerror)
+
+    cache.save_overload = save_overload
+    return cast(F, dispatcher)

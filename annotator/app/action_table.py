@@ -22,6 +22,30 @@ MENUS = ("File", "Edit", "View", "Frame", "Object", "Align", "Help")
 
 BY_ID = {a.id: a for a in ACTIONS}
 
+# Groups of the tool bar, in the order of the work; "opacity" is a slider.
+TOOLS = (
+    ("open", "save"),
+    ("undo", "redo"),
+    ("mode_image", "mode_cloud"),
+    ("style_solid", "style_wireframe", "style_contour", "opacity", "blink"),
+    ("gizmo_move", "gizmo_turn", "gizmo_off", "axes"),
+    ("clicking", "refine", "drop", "residuals"),
+    ("done",),
+)
+
+# These have a name beside the icon where there is room: they are what the program is for.
+SHORT_TITLES = {
+    "mode_image": "Image",
+    "mode_cloud": "Cloud",
+    "clicking": "Points",
+    "refine": "Refine",
+    "drop": "Table",
+    "residuals": "Measure",
+    "done": "Done",
+}
+
+OPACITY_TIP = "How much of the image shines through solid meshes."
+
 BEGIN = "<!-- keys: written by `python -m annotator.app.action_table docs/annotating.md` -->"
 
 END = "<!-- end of keys -->"

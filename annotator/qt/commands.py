@@ -1,7 +1,4 @@
-"""The table of actions as Qt's: menus, tool bar and keys, kept up to date with the controller.
-
-The tool bar: the actions used most, in the order of the work.
-"""
+"""The table of actions as Qt's: menus, tool bar and keys, kept up to date with the controller."""
 
 from __future__ import annotations
 
@@ -23,33 +20,13 @@ from PySide6.QtWidgets import (
 )
 
 from annotator.app.action import Action
-from annotator.app.action_table import ACTIONS, MENUS
+from annotator.app.action_table import ACTIONS, MENUS, OPACITY_TIP, SHORT_TITLES, TOOLS
 from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.qt.number_field import NumberField
 from annotator.qt.theme import icon
 
 TEXT_FIELDS = (QLineEdit, QAbstractSpinBox, QPlainTextEdit, QTextEdit)
-
-# None is a line between groups; "opacity" is the slider.
-ITEMS = (
-    *("open", "save", None, "undo", "redo", None),
-    *("mode_image", "mode_cloud", None),
-    *("style_solid", "style_wireframe", "style_contour", "opacity", "blink", None),
-    *("gizmo_move", "gizmo_turn", "gizmo_off", "axes", None),
-    *("clicking", "refine", "drop", "residuals", None, "done"),
-)
-
-# These have their name beside the icon: they are what the window is for.
-LABELLED = {
-    "mode_image": "Image",
-    "mode_cloud": "Cloud",
-    "clicking": "Points",
-    "refine": "Refine",
-    "drop": "Table",
-    "residuals": "Measure",
-    "done": "Done",
-}
 
 
 class Commands(QObject):
@@ -202,9 +179,7 @@ class OpacitySlider(QWidget):
         self.slider.setFixedWidth(72)
         self.setFixedWidth(80)
         self.slider.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        self.slider.setToolTip(
-            "<b>Opacity</b> [ and ]<br>How much of the image shines through solid meshes."
-        )
+        self.slider.setToolTip(f"<b>Opacity</b> [ and ]<br>{OPACITY_TIP}")
         self.slider.valueChanged.connect(self._set)
         row = QHBoxLayout(self)
         row.setContentsMargins(4, 0, 4, 0)
@@ -239,13 +214,12 @@ class ActionBar(QToolBar):
         self.setContextMenuPolicy(Qt.ContextMenuPolicy.PreventContextMenu)
         self.opacity = OpacitySlider(controller)
         self._labelled: list[QToolButton] = []
-        for item in ITEMS:
-            if item is None:
+        for place, group in enumerate(TOOLS):
+            if place:
                 self.addWidget(_line())
-            elif item == "opacity":
-                self.addWidget(self.opacity)
-            else:
-                self.addWidget(self._button(commands, item))
+            for id in group:
+                widget = self.opacity if id == "opacity" else self._button(commands, id)
+                self.addWidget(widget)
         self._needed = self.sizeHint().width()
 
     def close_panel(self) -> None:
@@ -256,10 +230,10 @@ class ActionBar(QToolBar):
         button.setIconSize(QSize(20, 20))
         button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         action = commands.actions[id]
-        if id in LABELLED:
+        if id in SHORT_TITLES:
             button.setObjectName("labelled")
             button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
-            action.setIconText(LABELLED[id])
+            action.setIconText(SHORT_TITLES[id])
             self._labelled.append(button)
         button.setDefaultAction(action)
         return button

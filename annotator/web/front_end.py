@@ -95,11 +95,13 @@ class FrontEnd:
         session = self.controller.session
         self._state.update(page_constants(session, dialogs=self.controller.dialogs))
         self._state.update({"dialog": None, "answers": {}, "thumbnails": {}, "notices": []})
-        self._state.update({"busy_share": None, "sliding": None, "mistyped": 0, "sought": ""})
-        self._state.client_only("sliding", "sought")
+        self._state.update(
+            {"busy_share": None, "sliding": None, "fading": None, "mistyped": 0, "sought": ""}
+        )
+        self._state.client_only("sliding", "fading", "sought")
         self._refresh()
         for name in ("act", "select", "show_frame", "answer", "close_notice", "add_object",
-                     "set_number", "remove_point"):  # fmt: skip
+                     "set_number", "set_opacity", "remove_point"):  # fmt: skip
             server.trigger(name)(getattr(self, name))
         server.controller.on_client_connected.add(self._connected)
         build_page(server, views=views)
@@ -278,6 +280,9 @@ class FrontEnd:
         if self.controller.selected is not None:
             edit = ChangeClick(object=self.controller.selected, frame=frame, index=number)
             self.controller.apply(edit)
+
+    def set_opacity(self, percent: float) -> None:
+        self.controller.set_options(opacity=min(max(float(percent), 10), 100) / 100)
 
     def set_number(self, what: str, axis: int, text: str) -> None:
         """A number of the pose was typed: position in mm, turn (rotation vector) in degrees."""

@@ -1,7 +1,4 @@
-"""The page: one template, filled by the server's state; menus come from the table of actions.
-
-What the page shows of a controller, as plain values that go to the browser.
-"""
+"""The page: one template, and what it shows of a controller, as plain values."""
 
 from __future__ import annotations
 
@@ -12,21 +9,21 @@ from typing import Any
 
 from trame.ui.vuetify3 import VAppLayout
 
-from annotator.app.action import Action
-from annotator.app.action_table import ACTIONS, BY_ID, MENUS, available_actions
+from annotator.app.action_table import (
+    ACTIONS,
+    MENUS,
+    OPACITY_TIP,
+    SHORT_TITLES,
+    TOOLS,
+    available_actions,
+)
 from annotator.app.controller import Controller
+from annotator.app.icons import symbols
 from annotator.app.object_summary import click_rows, next_hint, progress, summarize
 from annotator.app.pose_text import RotationForm, rotation_numbers
 from annotator.app.questions import symmetry_summary
 from annotator.session import Session
 from std_toolkit.html.plots import object_color
-
-TOOLS = (
-    ("save", "undo", "redo"),
-    ("toggle_mode", "style_solid", "style_wireframe", "style_contour"),
-    ("gizmo_move", "gizmo_turn", "fit_view", "zoom_object"),
-    ("clicking", "refine", "drop", "residuals", "done"),
-)
 
 STATIC = Path(__file__).parent / "static"
 
@@ -34,32 +31,6 @@ STATIC = Path(__file__).parent / "static"
 _TITLE = "<title>trame is built by Kitware</title>"
 
 _ICON = '<link rel="icon" href="logo.png" />'
-
-ICONS = {
-    "save": "mdi-content-save-outline",
-    "undo": "mdi-undo",
-    "redo": "mdi-redo",
-    "toggle_mode": "mdi-cube-scan",
-    "style_solid": "mdi-circle",
-    "style_wireframe": "mdi-web",
-    "style_contour": "mdi-circle-outline",
-    "gizmo_move": "mdi-arrow-all",
-    "gizmo_turn": "mdi-rotate-orbit",
-    "fit_view": "mdi-fit-to-screen-outline",
-    "zoom_object": "mdi-magnify-scan",
-    "clicking": "mdi-target",
-    "refine": "mdi-auto-fix",
-    "drop": "mdi-arrow-collapse-down",
-    "residuals": "mdi-ruler",
-    "done": "mdi-check-bold",
-}
-
-_STATE_ICONS = {
-    "not placed": "mdi-checkbox-blank-circle-outline",
-    "placed": "mdi-circle-half-full",
-    "refined": "mdi-circle-slice-7",
-    "done": "mdi-check-circle",
-}
 
 
 def index_html(*, title: str, secret: str) -> str:
@@ -86,21 +57,29 @@ def index_html(*, title: str, secret: str) -> str:
 
 def build_page(server: Any, *, views: int) -> None:
     """Give a trame server its page, with so many views of which the first is the main one."""
-    main, *side = [_view(i) for i in range(views)]
+    corners = [("fit_view", "zoom_object"), *((f"swap_{i}",) for i in range(1, views))]
+    main, *side = [_view(i, actions) for i, actions in enumerate(corners)]
     columns = [f'<div class="main">{main}</div>']
     if side:
         columns.append(f'<div class="side">{"".join(side)}</div>')
     page = _read("page.html").replace("<!--views-->", "".join(columns))
-    page = page.replace("<!--mesh-->", _view(views))
+    page = page.replace("<!--mesh-->", _view(views)).replace("<!--icons-->", symbols())
     with VAppLayout(server, theme="dark") as layout:
         layout.root.add_child(page)
 
 
-def _view(index: int) -> str:
+def _view(index: int, actions: tuple[str, ...] = ()) -> str:
+    buttons = "".join(
+        f'<button class="tool" :disabled="!actions.{id}.enabled" :title="actions.{id}.title" '
+        f"data-tool=\"{id}\" @click=\"trigger('act', ['{id}'])\">"
+        f'<svg class="icon small"><use href="#icon-{id}"></use></svg></button>'
+        for id in actions
+    )
     # `v-pre`: it is an element of the browser, which Vue leaves alone.
     return (
         f'<div class="view" :class="{{ inhand: {index} === active_view }}" data-view="{index}">'
-        f'<annotator-view v-pre data-index="{index}"></annotator-view></div>'
+        f'<annotator-view v-pre data-index="{index}"></annotator-view>'
+        f'<div class="corner">{buttons}</div></div>'
     )
 
 
@@ -121,13 +100,27 @@ def page_constants(session: Session, *, dialogs: frozenset[str]) -> dict[str, An
         "annotator": session.annotator or "",
         "frame_count": len(session.scene.frames),
         "menus": [_menu(menu, dialogs) for menu in MENUS],
-        "tools": [[_tool(BY_ID[i]) for i in group] for group in TOOLS],
+        "tools": _tools(dialogs),
     }
 
 
-def _tool(action: Action) -> dict[str, Any]:
-    keys = " ".join(action.keys[:1])
-    return {"id": action.id, "icon": ICONS[action.id], "tip": action.tip, "keys": keys}
+def _tools(dialogs: frozenset[str]) -> list[list[dict[str, Any]]]:
+    known = {a.id: a for a in available_actions(dialogs)}
+    return [
+        [
+            {"id": id, "tip": OPACITY_TIP, "keys": "[ and ]"}
+            if id == "opacity"
+            else {
+                "id": id,
+                "tip": known[id].tip,
+                "keys": " ".join(known[id].keys[:1]),
+                "label": SHORT_TITLES.get(id, ""),
+            }
+            for id in group
+            if id in known or id == "opacity"
+        ]
+        for group in TOOLS
+    ]
 
 
 def _menu(name: str, dialogs: frozenset[str]) -> dict[str, Any]:
@@ -169,6 +162,7 @@ def page_state(c: Controller) -> dict[str, Any]:
         "frame_problem": _frame_problem(c),
         "busy": "" if c.task is None else c.task.title,
         "busy_alone": c.task is not None and c.task.alone,
+        "opacity": round(100 * c.options.opacity),
         "step": c.step,
         "axes": c.axes,
         "points": _points(c),
@@ -201,8 +195,10 @@ def _objects(c: Controller) -> list[dict[str, Any]]:
             "id": s.id,
             "name": s.name,
             "color": object_color(ids, s.id),
-            "icon": _STATE_ICONS[s.state],
-            "told": f"{s.material} {s.model}, {s.state}",
+            "material": s.material,
+            "model": s.model,
+            "state": s.state,
+            "noted": s.noted,
             "badge": s.badge,
             "grade": s.grade,
             "alarm": s.alarm,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -11,13 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from std_toolkit.cli.command import Command, Program
 
 if TYPE_CHECKING:
-    from benchmark.evaluation.config import (
-        BopConfig,
-        DepthConfig,
-        GraspConfig,
-        PoseConfig,
-        TaskConfig,
-    )
+    from benchmark.evaluation.config import BopConfig, FrameConfig, GraspConfig
     from benchmark.methods.pose.priors.options import PriorsCommand
 
 
@@ -76,59 +70,21 @@ def words_of_today(words: list[str]) -> list[str]:
     return [*task, *words]
 
 
-def score_depth(config: DepthConfig) -> int:
-    """Score depth restorers; returns the exit status."""
-    from benchmark.evaluation.tasks.depth_results import depth_records, read_run, results_table
-    from benchmark.evaluation.tasks.depth_runs import plan_runs, run_all
+def score(config: FrameConfig | GraspConfig) -> int:
+    """Score methods; returns the exit status."""
+    from benchmark.evaluation.engine import run_all
+    from benchmark.evaluation.tasks import get_task
 
-    report = run_all(plan_runs(config), config.jobs, speed=config.speed, gallery=config.gallery)
-    results = [read_run(run.folder) for run in report.finished]
-    _show(config, results, results_table, depth_records)
-    return _failures(report.failed) or int(report.failed_frames > 0)
-
-
-def score_poses(config: PoseConfig) -> int:
-    """Run and score pose methods; returns the exit status."""
-    from benchmark.evaluation.tasks.pose_results import pose_records, poses_table, read_pose_run
-    from benchmark.evaluation.tasks.pose_runs import (
-        plan_pose_runs,
-        run_all_poses,
-        wanted_protocols,
-    )
-
-    protocols = wanted_protocols(
-        config.protocols, iou=config.iou, score=config.score, gates=config.gates
-    )
-    report = run_all_poses(plan_pose_runs(config), config.jobs, gallery=config.gallery)
-    results = [read_pose_run(run.folder) for run in report.finished]
-    _show(
-        config,
-        results,
-        lambda found: poses_table(found, protocols),
-        lambda found: pose_records(found, protocols),
-    )
-    return _failures(report.failed) or int(report.failed_frames > 0)
-
-
-def score_grasps(config: GraspConfig) -> int:
-    """Clear the tables; returns the exit status."""
-    from benchmark.evaluation.tasks.grasp import plan_grasp_runs, run_clearing
-    from benchmark.evaluation.tasks.grasp_results import grasp_records, grasp_table, read_grasp_run
-    from std_toolkit.errors import ToolkitError
-    from std_toolkit.log import logger
-
-    finished, failed = [], {}
-    for run in plan_grasp_runs(config):
-        logger.info("%s: %d rounds", run.title, run.rounds)
-        try:
-            run_clearing(run, config.jobs)
-        except ToolkitError as error:
-            # Weights that are not at hand keep no other depth or planner from its table.
-            failed[run.title] = str(error)
-        else:
-            finished.append(read_grasp_run(run.folder, rounds=run.rounds))
-    _show(config, finished, grasp_table, grasp_records)
-    return _failures(failed)
+    task = get_task(config.task)
+    report = run_all(task, task.plan(config), config.jobs)
+    results = [task.read(run.folder, run) for run in report.finished]
+    if config.json:
+        _print_json(task.records(results, config) if results else [])
+    elif results:
+        print(task.table(results, config))
+    for title, error in report.failed.items():
+        print(f"error: {title}: {error}", file=sys.stderr)
+    return 1 if report.failed or report.failed_frames else 0
 
 
 def score_bop(config: BopConfig) -> int:
@@ -142,7 +98,10 @@ def score_bop(config: BopConfig) -> int:
         results.append(bop_result(dataset, path, data=str(config.data), split=config.bop_split))
         if config.out is not None:
             write_bop_result(config.out, results[-1])
-    _show(config, results, bop_table, list)
+    if config.json:
+        _print_json(results)
+    else:
+        print(bop_table(results))
     return 0
 
 
@@ -203,28 +162,10 @@ def write_priors(options: PriorsCommand) -> int:
     return 0
 
 
-def _show(
-    config: TaskConfig,
-    results: Sequence[Any],
-    table: Callable[[Sequence[Any]], str],
-    records: Callable[[Sequence[Any]], Sequence[Any]],
-) -> None:
-    if config.json:
-        _print_json(records(results) if results else [])
-    elif results:
-        print(table(results))
-
-
 def _print_json(records: Sequence[Any]) -> None:
     import msgspec
 
     print(msgspec.json.format(msgspec.json.encode(records)).decode())
-
-
-def _failures(failed: Mapping[str, str]) -> int:
-    for title, error in failed.items():
-        print(f"error: {title}: {error}", file=sys.stderr)
-    return 1 if failed else 0
 
 
 def _command(name: str, about: str, options: str, run: Callable[[Any], int]) -> Command:
@@ -240,9 +181,9 @@ PROGRAM = Program(
     "scored already is kept: run the same command again to resume. `std-report` makes tables and\n"
     "pages of the results.",
     commands=(
-        _command("depth", "score depth restorers", f"{_CONFIG}:DepthConfig", score_depth),
-        _command("pose", "score category-level pose methods", f"{_CONFIG}:PoseConfig", score_poses),
-        _command("grasp", "clear tables in simulation", f"{_CONFIG}:GraspConfig", score_grasps),
+        _command("depth", "score depth restorers", f"{_CONFIG}:DepthConfig", score),
+        _command("pose", "score category-level pose methods", f"{_CONFIG}:PoseConfig", score),
+        _command("grasp", "clear tables in simulation", f"{_CONFIG}:GraspConfig", score),
         _command(
             "bop", "score result files of instance-level poses", f"{_CONFIG}:BopConfig", score_bop
         ),

@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, get_args
 
 import msgspec
 
@@ -45,6 +45,8 @@ class BenchJobs(JobOptions):
 @dataclass(frozen=True, kw_only=True)
 class TaskConfig:
     """What every task is asked."""
+
+    task: ClassVar[str]
 
     json: bool = False
     """print the table as JSON"""
@@ -86,7 +88,7 @@ class FrameConfig(NetworkConfig):
     """What a task over the frames of data sets is asked; every method runs on every split."""
 
     methods: tuple[str, ...] = field(metadata=_option("method"))
-    """names of `std-bench list methods`, package.module:Class, or file.py:Class"""
+    """names of `std-bench list methods`, or package.module:Class"""
     splits: tuple[str, ...] = field(metadata=_option("split"))
     """names of `std-bench list splits`"""
     data: tuple[str, ...] = field(metadata=_option("data"))
@@ -116,6 +118,8 @@ class FrameConfig(NetworkConfig):
 class DepthConfig(FrameConfig):
     """Score depth restorers: every method on every split by every protocol."""
 
+    task = "depth"
+
     depth_from: Path | None = None
     """folder of depth saved by --save-depth that replaces the sensor's"""
     save_depth: bool = False
@@ -127,6 +131,8 @@ class DepthConfig(FrameConfig):
 @dataclass(frozen=True, kw_only=True)
 class PoseConfig(FrameConfig):
     """Score category-level pose methods: every method on every split with every depth and fit."""
+
+    task = "pose"
 
     depths: tuple[str, ...] = field(default=("raw",), metadata=_option("depth"))
     """depth that poses are fitted to: raw, gt, restorers, or NAME=DIR of saved depth"""
@@ -150,6 +156,8 @@ class PoseConfig(FrameConfig):
 class GraspConfig(NetworkConfig):
     """Clear tables in simulation: every planner on every depth, all on the same rounds."""
 
+    task = "grasp"
+
     depths: tuple[str, ...] = field(default=("raw",), metadata=_option("depth"))
     """depth that grasps are planned on: raw, gt, or restorers"""
     planners: tuple[str, ...] = field(default=("antipodal",), metadata=_option("planner"))
@@ -171,6 +179,8 @@ class GraspConfig(NetworkConfig):
 @dataclass(frozen=True, kw_only=True)
 class BopConfig(TaskConfig):
     """Score result files of instance-level poses on a data set in BOP's layout."""
+
+    task = "bop"
 
     data: Path = field(metadata=_option("data"))
     """folder of the data set"""

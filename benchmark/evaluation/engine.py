@@ -1,10 +1,7 @@
-"""The run engine: batches over workers and GPUs, resume, checks before the start.
+"""The run engine: every task is a `Task`; workers, resume and failures exist once, here.
 
-A run's table, which grows over interruptions: what is there stays, what lacks is worked out.
-
-Which worker process gets which GPU.
-
-Methods of a run: told at once if they cannot be used, and named by the hash of their weights.
+A run is a folder. Its manifest is written first, its table grows by parts, and whatever is
+interrupted, killed or spread over machines, the table is the same in the end.
 """
 
 from __future__ import annotations
@@ -13,16 +10,16 @@ import fcntl
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import pandas as pd
 
 from benchmark.evaluation.manifest import MANIFEST, begin
-from benchmark.evaluation.results import TABLE, good_frames, join_parts, write_part
+from benchmark.evaluation.results import TABLE, good_frames, join_parts, report_failures
 from benchmark.methods.registry import MethodOptions, shipped_file
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import hold_lock, sweep_temporaries
@@ -53,9 +50,9 @@ def check_device(name: str) -> None:
         ToolkitError: no device is called so, or this machine does not have it.
     """
     if name != "cpu":  # torch is not needed to know that it is there
-        from benchmark.methods.network import device_called
+        from benchmark.methods.network import torch_device
 
-        device_called(name)
+        torch_device(name)
 
 
 @cache
@@ -97,88 +94,6 @@ def _hold(path: Path) -> bool:
         os.close(descriptor)
         return False
     return True  # left open on purpose: the lock lives as long as the process
-
-
-def chosen_frames(total: int, limit: int | None) -> list[int]:
-    """Frames of a split that a run takes: all, or `limit` of them evenly spread.
-
-    >>> chosen_frames(10, 2)
-    [2, 7]
-    """
-    if limit is None or limit >= total:
-        return list(range(total))
-    return [(2 * i + 1) * total // (2 * limit) for i in range(limit)]
-
-
-def batches_of(frames: Sequence[int], size: int) -> list[Batch]:
-    """Frames in batches.
-
-    >>> batches_of([0, 1, 4, 5, 6], 2)
-    [(0, 1), (4, 5), (6,)]
-    """
-    return [tuple(frames[i : i + size]) for i in range(0, len(frames), size)]
-
-
-def pieces_of(batches: Sequence[Batch], workers: int) -> list[tuple[Batch, ...]]:
-    """Batches in pieces of work."""
-    each = max(1, min(_LONGEST_PIECE, len(batches) // (workers * _PIECES_PER_WORKER)))
-    return [tuple(batches[i : i + each]) for i in range(0, len(batches), each)]
-
-
-def pieces_left(
-    frames: Sequence[int], size: int, workers: int, done: set[int]
-) -> list[tuple[Batch, ...]]:
-    """Pieces of work of the batches of frames that are not finished to the last frame."""
-    left = [batch for batch in batches_of(frames, size) if not done.issuperset(batch)]
-    return pieces_of(left, workers)
-
-
-def read_ahead(batches: Sequence[Batch], read: Callable[[Batch], T]) -> Iterator[tuple[Batch, T]]:
-    """Batches with what `read` makes of them; the next is read while this one is worked on."""
-    with ThreadPoolExecutor(1) as reader:
-        coming = reader.submit(read, batches[0])
-        for place, batch in enumerate(batches):
-            loaded = coming.result()
-            if place + 1 < len(batches):
-                coming = reader.submit(read, batches[place + 1])
-            yield batch, loaded
-
-
-def write_rows(
-    folder: Path,
-    batches: Sequence[Batch],
-    read: Callable[[Batch], T],
-    rows_of: Callable[[Batch, T], list[dict[str, Any]]],
-) -> int:
-    """Write the rows of a piece of work as parts of a table, as they come.
-
-    Args:
-        folder: of the run.
-        batches: the piece.
-        read: what of a batch can be read ahead.
-        rows_of: the rows of a batch, with what was read.
-
-    Returns:
-        How many frames there were.
-    """
-    rows: list[dict[str, Any]] = []
-    pending: list[Batch] = []
-
-    def flush() -> None:
-        write_part(folder, pending[0][0], pending[-1][-1], rows)
-        rows.clear()
-        pending.clear()
-
-    since = time.monotonic()
-    for batch, loaded in read_ahead(batches, read):
-        rows += rows_of(batch, loaded)
-        pending.append(batch)
-        if time.monotonic() - since > _FLUSH_S:
-            flush()
-            since = time.monotonic()
-    if pending:
-        flush()
-    return sum(len(batch) for batch in batches)
 
 
 def complete(
@@ -232,15 +147,6 @@ def complete(
     return whole
 
 
-def describe_frames(piece: Sequence[Batch]) -> str:
-    """A piece of work by its frames, for people.
-
-    >>> told_frames([(0, 1), (4, 5)])
-    'frames 0 to 5'
-    """
-    return f"frames {piece[0][0]} to {piece[-1][-1]}"
-
-
 class UnusableMethod(ToolkitError):
     """A method that cannot be made with these options, whatever the data."""
 
@@ -278,3 +184,237 @@ def weights_digest(name: str, method: object, options: MethodOptions) -> str:
     if weights is None and (shipped := shipped_file(name, options.preset)).is_file():
         weights = shipped
     return digest_file(weights) if isinstance(weights, Path) else ""
+
+
+class AnyRun(Protocol):
+    """What every task's run says of itself; a frozen dataclass, so that workers can have it."""
+
+    @property
+    def devices(self) -> tuple[str, ...]:
+        """Torch devices, of which each worker takes one."""
+        ...
+
+    @property
+    def folder(self) -> Path:
+        """Where its files lie."""
+        ...
+
+    @property
+    def title(self) -> str:
+        """For people."""
+        ...
+
+    @property
+    def method_title(self) -> str:
+        """What its methods are called; runs of the same are left out where these are unusable."""
+        ...
+
+
+R = TypeVar("R", bound=AnyRun)
+D = TypeVar("D")
+M = TypeVar("M")
+
+
+class Task(Generic[R, D, M]):
+    """Something that is scored: runs R of methods M on data D.
+
+    Attributes:
+        manifest_name, table_name: files of a run.
+        unit: what its pieces of work are called, in the plural.
+        network_shares_cpu: whether several workers may run a network on the CPU at a time.
+    """
+
+    manifest_name: str
+    table_name: str
+    unit: str = "pieces of work"
+    network_shares_cpu: bool = False
+
+    def plan(self, config: Any) -> list[R]:
+        """The runs that a user means, in the order that they are to run in.
+
+        Raises:
+            ToolkitError: options that do not go together, or name nothing.
+        """
+        raise NotImplementedError
+
+    def check_data(self, runs: Sequence[R]) -> None:
+        """See that all data are there, before anything runs.
+
+        Raises:
+            ToolkitError: they are not.
+        """
+
+    def open(self, run: R) -> D:
+        """The data of a run.
+
+        Raises:
+            ToolkitError: they are not there.
+        """
+        raise NotImplementedError
+
+    def check(self, run: R, data: D) -> None:
+        """See that a run can be done, before its methods are made.
+
+        Raises:
+            ToolkitError: it cannot.
+        """
+
+    def make(self, run: R, device: str) -> M:
+        """The methods of a run.
+
+        Raises:
+            ToolkitError: they cannot be made.
+        """
+        raise NotImplementedError
+
+    def parts(self, methods: M) -> tuple[object, ...]:
+        """Each of the methods, of which any may have a network."""
+        return (methods,)
+
+    def begin_worker(self) -> None:
+        """Prepare a process for work."""
+
+    def manifest(self, run: R, data: D, methods: M) -> Any:
+        """What the run is, see `benchmark.evaluation.manifest.begin`."""
+        raise NotImplementedError
+
+    def items(self, run: R, data: D, done: set[int], workers: int) -> Sequence[Any]:
+        """The work that is left, given the numbers of what is finished."""
+        raise NotImplementedError
+
+    def item_title(self, item: Any) -> str:
+        """A piece of work, for people."""
+        raise NotImplementedError
+
+    def work(self, run: R, data: D, methods: M, item: Any) -> int:
+        """Do a piece of work and write its rows by `write_part`; returns their frames."""
+        raise NotImplementedError
+
+    def after(self, run: R) -> None:
+        """What a finished run gets beside its table.
+
+        Raises:
+            ToolkitError: a file cannot be written.
+        """
+
+    def read(self, folder: Path, run: R | None = None) -> Any:
+        """Results of a run.
+
+        Raises:
+            ToolkitError: a file is missing or damaged.
+        """
+        raise NotImplementedError
+
+    def table(self, results: Sequence[Any], config: Any) -> str:
+        """Results for a terminal."""
+        raise NotImplementedError
+
+    def records(self, results: Sequence[Any], config: Any) -> Sequence[Any]:
+        """The figures of the table, for JSON."""
+        raise NotImplementedError
+
+
+def run_task(task: Task[R, Any, Any], run: R, jobs: JobOptions | None = None) -> pd.DataFrame:
+    """Do what has not been done yet of a run.
+
+    Work is numbered by its place in the data: whatever is interrupted, killed or spread over
+    machines, the table is the same in the end.
+
+    Returns:
+        The run's table; frames that failed have a text in `error`.
+
+    Raises:
+        UnusableMethod: the methods cannot be made.
+        ToolkitError: data cannot be used, work failed, or another run was begun in this folder.
+    """
+    jobs = jobs or JobOptions()
+    data = task.open(run)
+    task.check(run, data)
+    # Once and at once, and not first in every worker: a wrong option is told in one line.
+    with as_unusable_method(run.devices):
+        methods = task.make(run, run.devices[0])
+    manifest = task.manifest(run, data, methods)
+    has_network = any(hasattr(part, "network") for part in task.parts(methods))
+    shared = run.devices[0] == "cpu" and task.network_shares_cpu
+    if jobs.workers is None and has_network and not shared:
+        # A network uses all of a device; a second process would only double its memory.
+        jobs = replace(jobs, workers=len(run.devices))
+    del methods
+    return complete(
+        run.folder,
+        manifest,
+        lambda done: task.items(run, data, done, jobs.worker_count),
+        Worker(task, run),
+        title=run.title,
+        key=task.item_title,
+        jobs=jobs,
+        unit=task.unit,
+        table=task.table_name,
+        manifest_name=task.manifest_name,
+    )
+
+
+class Worker(Generic[R]):
+    """Does work in a worker process, which keeps data and methods from item to item."""
+
+    def __init__(self, task: Task[R, Any, Any], run: R) -> None:
+        self.task = task
+        self.run = run
+
+    def __call__(self, item: Any) -> int:
+        return self.task.work(self.run, *_equipment(self.task, self.run), item)
+
+
+_kept: dict[str, tuple[Any, Any]] = {}
+
+
+def _equipment(task: Task[R, D, M], run: R) -> tuple[D, M]:
+    """Data and methods of this process; those of an earlier run make room."""
+    key = f"{type(task)} {run!r}"
+    if key not in _kept:
+        _kept.clear()
+        device = claim_device(run.devices, run.folder / ".devices")
+        _kept[key] = (task.open(run), task.make(run, device))
+        task.begin_worker()
+    return _kept[key]
+
+
+@dataclass
+class Campaign(Generic[R]):
+    """What became of the runs.
+
+    Attributes:
+        finished: the runs that have a table.
+        failed: an error line for each of the others.
+        failed_frames: frames without a score, over all runs.
+    """
+
+    finished: list[R] = field(default_factory=list)
+    failed: dict[str, str] = field(default_factory=dict)
+    failed_frames: int = 0
+
+
+def run_all(
+    task: Task[R, Any, Any], runs: Sequence[R], jobs: JobOptions | None = None
+) -> Campaign[R]:
+    """Do all runs, see `run_task`; one that cannot run does not keep others from it.
+
+    Raises:
+        ToolkitError: data are not there; nothing has run then.
+    """
+    task.check_data(runs)  # before anything runs: told once
+    report: Campaign[R] = Campaign()
+    for run in runs:
+        if run.method_title in report.failed:
+            continue
+        try:
+            table = run_task(task, run, jobs)
+            report.failed_frames += report_failures(table, run.title, run.folder)
+            task.after(run)
+        except UnusableMethod as error:
+            report.failed[run.method_title] = str(error)
+        except ToolkitError as error:
+            report.failed[run.title] = str(error)
+        else:
+            report.finished.append(run)
+    return report

@@ -1,9 +1,4 @@
-"""Manifests of runs: what decides a table, and the circumstances of the run.
-
-What a run of clearing was: all that decides its table, and the circumstances it ran in.
-
-What a run of poses was: everything that decides its table, and the circumstances it ran in.
-"""
+"""Manifests of runs: what decides a table, and the circumstances of the run."""
 
 from __future__ import annotations
 
@@ -29,19 +24,16 @@ GRASP_MANIFEST = "grasp.json"
 POSE_MANIFEST = "pose.json"
 
 
-class Setup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What decides a run's numbers; a run goes on only with the same.
+class _Frames(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What decides the table of a method on frames.
 
     Attributes:
         split: name of the split.
         frames: number of frames.
         frames_sha256: hash over the frames' names.
-        method, preset, settings: the restorer and its options.
+        method, preset, settings: the method and its options.
         weights_sha256: hash of the file of weights; empty where there is none.
         precision, compile, device: of the network; device is its kind, `cpu` or `cuda`.
-        protocol: the scoring protocol.
-        batch_size: frames that go through the method together.
-        depth_from: folder whose depth took the place of the sensor's; empty for the sensor's own.
     """
 
     split: str
@@ -54,6 +46,17 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     precision: str
     compile: bool
     device: str
+
+
+class Setup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What decides a run's numbers; a run goes on only with the same.
+
+    Attributes:
+        protocol: the scoring protocol.
+        batch_size: frames that go through the method together.
+        depth_from: folder whose depth took the place of the sensor's; empty for the sensor's own.
+    """
+
     protocol: str
     batch_size: int
     depth_from: str
@@ -105,17 +108,13 @@ def begin(folder: Path, manifest: Any, name: str = MANIFEST) -> None:
             )
 
 
-def manifest_of(setup: Setup, *, label: str, root: Path, weights: Path | None) -> Manifest:
-    """A manifest with this machine's circumstances."""
-    return Manifest(
-        version_of_tool=__version__,
-        label=label,
-        setup=setup,
-        root=str(root),
-        weights=str(weights or ""),
-        packages=package_versions(),
-        hardware=hardware(),
-    )
+def circumstances() -> dict[str, Any]:
+    """The fields of a manifest that tell where a run runs."""
+    return {
+        "version_of_tool": __version__,
+        "packages": package_versions(),
+        "hardware": hardware(),
+    }
 
 
 def package_versions() -> dict[str, str]:
@@ -203,37 +202,10 @@ class GraspManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     hardware: dict[str, str]
 
 
-def grasp_manifest(
-    setup: GraspSetup,
-    *,
-    depth_label: str,
-    planner_label: str,
-    planner_weights: Path | None,
-    depth_weights: Path | None,
-) -> GraspManifest:
-    """A manifest with this machine's circumstances."""
-    return GraspManifest(
-        version_of_tool=__version__,
-        depth_label=depth_label,
-        planner_label=planner_label,
-        setup=setup,
-        planner_weights=str(planner_weights or ""),
-        depth_weights=str(depth_weights or ""),
-        packages=package_versions(),
-        hardware=hardware(),
-    )
-
-
-class PoseSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What decides a run's table; a run goes on only with the same.
+class PoseSetup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What decides a run's table; a run goes on only with the same. The fit is among the settings.
 
     Attributes:
-        split: name of the split.
-        frames: number of frames.
-        frames_sha256: hash over the frames' names.
-        method, preset, settings: the pose method and its options; the fit is among the settings.
-        weights_sha256: hash of the file of weights; empty where there is none.
-        precision, compile, device: of networks; device is its kind, `cpu` or `cuda`.
         batch_size: frames that go through the method together.
         depth: what poses are fitted to: `raw`, `gt`, a restorer, or what a folder is called.
         depth_preset, depth_settings, depth_weights_sha256: of the restorer; empty for the others.
@@ -241,16 +213,6 @@ class PoseSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         as_input: whether networks look at that depth, too, and not at raw depth.
     """
 
-    split: str
-    frames: int
-    frames_sha256: str
-    method: str
-    preset: str
-    settings: dict[str, str]
-    weights_sha256: str
-    precision: str
-    compile: bool
-    device: str
     batch_size: int
     depth: str
     depth_preset: str
@@ -282,28 +244,3 @@ class PoseManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     depth_weights: str
     packages: dict[str, str]
     hardware: dict[str, str]
-
-
-def pose_manifest(
-    setup: PoseSetup,
-    *,
-    label: str,
-    depth_label: str,
-    fit: str,
-    root: Path,
-    weights: Path | None,
-    depth_weights: Path | None,
-) -> PoseManifest:
-    """A manifest with this machine's circumstances."""
-    return PoseManifest(
-        version_of_tool=__version__,
-        label=label,
-        depth_label=depth_label,
-        fit=fit,
-        setup=setup,
-        root=str(root),
-        weights=str(weights or ""),
-        depth_weights=str(depth_weights or ""),
-        packages=package_versions(),
-        hardware=hardware(),
-    )

@@ -1,17 +1,15 @@
-"""Results of runs: Parquet parts while a run grows, aligned text for the terminal.
+"""Results of runs: Parquet parts while a run grows, runs found again, text for the terminal.
 
-A file appears whole or not at all, and names the frames that it holds, so that a run which was
+A part appears whole or not at all, and names the frames that it holds, so that a run which was
 killed knows what it has. At the end all are joined into one table in the order of the frames.
-
-Tables for a terminal.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -121,6 +119,76 @@ def report_failures(table: pd.DataFrame, title: str, folder: Path) -> int:
         title, count, failed[ERROR].iloc[0], folder / FAILURES,
     )  # fmt: skip
     return count
+
+
+class AnyResult(Protocol):
+    """What every task's result says of itself."""
+
+    @property
+    def folder(self) -> Path:
+        """Where it lies."""
+        ...
+
+    @property
+    def title(self) -> str:
+        """What it is among others; two results of one title are one run, or a mistake."""
+        ...
+
+    @property
+    def frames(self) -> int:
+        """Frames that the run has."""
+        ...
+
+    @property
+    def missing(self) -> int:
+        """Frames that the run has not come to: it was interrupted, or a worker failed."""
+        ...
+
+
+Found = TypeVar("Found", bound=AnyResult)
+
+
+def find_runs(
+    folders: Iterable[Path], manifest: str, table: str, read: Callable[[Path], Found]
+) -> list[Found]:
+    """All finished runs of a task below some folders of results.
+
+    Args:
+        folders: of results.
+        manifest, table: files of a run of this task.
+        read: makes a result of a run's folder.
+
+    Raises:
+        ToolkitError: a folder is not there or holds none, a run is damaged, or two runs of one
+            title are among them.
+    """
+    found: dict[str, Found] = {}
+    for folder in folders:
+        begun = sorted(path.parent for path in folder.rglob(manifest))
+        finished = [path for path in begun if (path / table).exists()]
+        if not finished:
+            problem = "no finished run here" + ("" if begun else ", no results of std-bench at all")
+            hint = "run the same std-bench command again to go on" if begun else None
+            raise ToolkitError(problem, path=folder, hint=hint)
+        for path in begun:
+            if path not in finished:
+                logger.warning("%s: not finished, left out", path)
+        for path in finished:
+            result = read(path)
+            other = found.setdefault(result.title, result)
+            if other.folder.resolve() != path.resolve():
+                raise ToolkitError(
+                    f"{result.title} stands in two folders",
+                    path=path,
+                    value=str(other.folder),
+                    hint="give one of them another name with --label",
+                )
+            if result.missing:
+                logger.warning(
+                    "%s: not finished: %d of %d frames are missing",
+                    path, result.missing, result.frames,
+                )  # fmt: skip
+    return list(found.values())
 
 
 def aligned(lines: Sequence[Sequence[str]], texts: int = 2) -> str:

@@ -78,7 +78,7 @@ class NetworkRestorer:
         input_size: tuple[int, int] | None,
     ) -> None:
         self.input_size = input_size
-        self.device = device_called(options.device)
+        self.device = torch_device(options.device)
         self._narrow = narrow_type(options.precision)
         self.network = network.to(self.device).eval().requires_grad_(False)
         self._run: Any = torch.compile(self.network) if options.compile else self.network
@@ -176,7 +176,7 @@ def precisely(module: nn.Module, features: Tensor) -> Tensor:
         return module(features.float())
 
 
-def device_called(name: str) -> torch.device:
+def torch_device(name: str) -> torch.device:
     """The torch device of a name such as `cpu`, `cuda` or `cuda:1`.
 
     Raises:

@@ -128,6 +128,7 @@ class RecipePlan:
                         out=self.out / "results" / name,
                         devices=self.devices if entry.folder else ("cpu",),
                         limit=self.scale.limit,
+                        speed=False,
                     ),
                 )
                 for protocol in self.recipe.protocols

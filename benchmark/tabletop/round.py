@@ -63,7 +63,7 @@ class Attempt:
     Attributes:
         number: 0, 1, ... within the round.
         before: the table.
-        looked, given: what was seen, and what the planner was given.
+        observation, given: what was seen, and what the planner was given.
         planned: the planner's grasps, in the camera's frame.
         grasp: the one tried, in the world's frame; None where there was none to try.
         executed: what became of it.
@@ -73,7 +73,7 @@ class Attempt:
 
     number: int
     before: State
-    looked: Observation
+    observation: Observation
     given: GivenDepth
     planned: Grasps
     grasp: Grasps | None = None
@@ -130,8 +130,8 @@ def clear_table(
     for number in range(attempts):
         if not state.objects or blind == _BLIND_VIEWS:
             return
-        looked = camera.look(state.objects, state.poses, number, color=color)
-        given = restore(looked)
+        observation = camera.observe(state.objects, state.poses, number, color=color)
+        given = restore(observation)
         T_world_cam = camera.T_world_cam
         view = GraspView(
             given.color, given.depth, given.camera, T_cam_table=T_world_cam.inverse().matrix()
@@ -140,7 +140,7 @@ def clear_table(
         chosen = choose(planned.transformed(T_world_cam), memory, gripper)
         if chosen is None:
             blind += 1
-            yield Attempt(number, state, looked, given, planned)
+            yield Attempt(number, state, observation, given, planned)
             continue
         blind = 0
         executed = execute(
@@ -151,7 +151,7 @@ def clear_table(
             memory.failed.append((chosen.tips[0], chosen.rotations[0]))
         following, lost = _after(state, executed)
         yield Attempt(
-            number, state, looked, given, planned, chosen, executed,
+            number, state, observation, given, planned, chosen, executed,
             tuple(state.objects[k].number for k in executed.held), lost,
         )  # fmt: skip
         state = following

@@ -73,7 +73,7 @@ class ExactCamera:
         down = camera.rays() @ T_world_cam.R[2]
         self.table = (-T_world_cam.t[2] / down).astype(np.float32)
 
-    def look(self, objects: Sequence[PhysicalObject], poses: Sequence[SE3]) -> ExactView:
+    def observe(self, objects: Sequence[PhysicalObject], poses: Sequence[SE3]) -> ExactView:
         """The view of objects at poses T_world_obj."""
         T_cam_world = self.T_world_cam.inverse()
         placed = [
@@ -127,7 +127,7 @@ class TableCamera(Protocol):
     camera: Camera
     T_world_cam: SE3
 
-    def look(
+    def observe(
         self, objects: Sequence[TableObject], poses: Sequence[SE3], attempt: int, *, color: bool
     ) -> Observation:
         """The table before an attempt; the same for the same objects, poses and attempt.
@@ -190,11 +190,11 @@ class QuickCamera:
             o.number: draw_shares(o.material.material_class, rng) for o in arrangement.objects
         }
 
-    def look(
+    def observe(
         self, objects: Sequence[TableObject], poses: Sequence[SE3], attempt: int, *, color: bool
     ) -> Observation:
         """See `TableCamera`."""
-        exact = self._exact.look([o.body for o in objects], poses)
+        exact = self._exact.observe([o.body for o in objects], poses)
         measured = degrade(
             exact.depth, exact.mask, exact.behind, materials_of(objects), self.camera,
             rng=np.random.default_rng([self._scenery.seed, 11, attempt]),
@@ -215,7 +215,7 @@ class SimulatedCamera:
         self.camera, self.T_world_cam = self._exact.camera, self._exact.T_world_cam
         self._simulator = Simulator(self._scenery.options, parts_cache=parts_cache, threads=1)
 
-    def look(
+    def observe(
         self,
         objects: Sequence[TableObject],
         poses: Sequence[SE3],
@@ -224,7 +224,7 @@ class SimulatedCamera:
         color: bool,  # noqa: ARG002 - it comes with the simulation
     ) -> Observation:
         """See `TableCamera`."""
-        exact = self._exact.look([o.body for o in objects], poses)
+        exact = self._exact.observe([o.body for o in objects], poses)
         world = self._scenery.world(objects, poses, attempt)
         seen = next(iter(self._simulator.frames(world)))
         return Observation(

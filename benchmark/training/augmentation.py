@@ -174,7 +174,7 @@ def _coarse_gaps(images: Tensor) -> Tensor:
     return images.masked_fill(fine, 0.0)
 
 
-def moved(seen: ModelInput) -> ModelInput:
+def moved(inputs: ModelInput) -> ModelInput:
     """Every frame mirrored or not, turned by up to 5 degrees and enlarged up to 1.5 times.
 
     Intrinsics stay as they are: the camera rolls about its axis, whatever the pixels' aspect, and
@@ -184,25 +184,27 @@ def moved(seen: ModelInput) -> ModelInput:
 
     The batch keeps `true`, `mask` and what is no map. All draws are from torch's global generator.
     """
-    batch = {name: seen.batch[name] for name in _KEPT}
-    b, _, h, w = seen.depth.shape
+    batch = {name: inputs.batch[name] for name in _KEPT}
+    b, _, h, w = inputs.depth.shape
     motion, scale = _motions(b)
-    motion, scale = motion.to(seen.depth), scale.to(seen.depth)
-    places = _sources(motion, batch["K"].to(seen.depth), h, w)
+    motion, scale = motion.to(inputs.depth), scale.to(inputs.depth)
+    places = _sources(motion, batch["K"].to(inputs.depth), h, w)
     size = torch.tensor([w - 1, h - 1], device=places.device).clamp(min=1)
     grid = 2 * places / size - 1
 
     def nearest(maps: Tensor) -> Tensor:
         return grid_sample(maps, grid, mode="nearest", padding_mode="zeros", align_corners=True)
 
-    color = grid_sample(seen.color, grid, mode="bilinear", padding_mode="zeros", align_corners=True)
+    color = grid_sample(
+        inputs.color, grid, mode="bilinear", padding_mode="zeros", align_corners=True
+    )
     smaller = scale[:, None, None, None]
     true = nearest(batch["true"][:, None]) / smaller
     # Outside there is 0, which is to be the background.
-    apart = nearest((BACKGROUND - batch["mask"].to(seen.depth))[:, None])
+    apart = nearest((BACKGROUND - batch["mask"].to(inputs.depth))[:, None])
     batch["true"] = true[:, 0]
     batch["mask"] = (BACKGROUND - apart[:, 0]).round().to(torch.uint8)
-    return ModelInput(color.clamp(0, 1), nearest(seen.depth) / smaller, batch)
+    return ModelInput(color.clamp(0, 1), nearest(inputs.depth) / smaller, batch)
 
 
 def _motions(count: int) -> tuple[Tensor, Tensor]:

@@ -30,12 +30,12 @@ class Watch(pl.Callback):
 
     Args:
         folder: of the run.
-        judge: validation.
+        validator: validation.
         log_every: steps.
     """
 
-    def __init__(self, folder: Path, judge: Validator, *, log_every: int) -> None:
-        self.folder, self.judge, self.log_every = folder, judge, log_every
+    def __init__(self, folder: Path, validator: Validator, *, log_every: int) -> None:
+        self.folder, self.validator, self.log_every = folder, validator, log_every
         self.best, self.best_step = math.inf, -1
         self.speed = Speed()
 
@@ -110,7 +110,7 @@ class Watch(pl.Callback):
 
     def _validate(self, trainer: pl.Trainer, module: RestorerTraining) -> None:
         network, device, step = module.network, module.device, trainer.global_step
-        states = self.judge.states(
+        states = self.validator.states(
             network,
             device,
             rank=trainer.global_rank,
@@ -121,8 +121,8 @@ class Watch(pl.Callback):
             summed = torch.from_numpy(states).to(device)
             torch.distributed.all_reduce(summed)
             states = summed.cpu().numpy()
-        scores = self.judge.scores(states)
-        name, score = self.judge.main_score(scores)
+        scores = self.validator.scores(states)
+        name, score = self.validator.main_score(scores)
         better = score < self.best or self.best_step < 0
         if better:
             self.best, self.best_step = score, step
@@ -131,7 +131,7 @@ class Watch(pl.Callback):
         self.validations.add({"step": step, **scores})
         self.validations.save()
         self._show("validation", {"step": step, **scores})
-        self.judge.gallery(network, device, self.folder / "gallery" / f"step-{step:07d}.jpg")
+        self.validator.gallery(network, device, self.folder / "gallery" / f"step-{step:07d}.jpg")
         if better:
             save_weights(network, self.folder / BEST)
             known = {key: value for key, value in scores.items() if not math.isnan(value)}

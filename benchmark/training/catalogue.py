@@ -32,7 +32,7 @@ class Trainable:
         frames: `frames(folders, configuration)`: the packs, which must fit the network.
         images: whether its batches hold images, that can be augmented.
         step: sends a batch through the network to that loss.
-        judge: `judge(frames, chosen, batch, loss)`: validation.
+        validator: `validator(frames, chosen, batch, loss)`: validation.
         optimization: as published.
         colors: whether colour is augmented as published for SwinDRNet.
         jitter: whether it is as published for NLSPN.
@@ -49,7 +49,7 @@ class Trainable:
     frames: Callable[[Sequence[Path], Any], Any] = fitting_frames
     images: bool = True
     step: StepFunction = depth_step
-    judge: Callable[..., Validator] = DepthValidator
+    validator: Callable[..., Validator] = DepthValidator
     optimization: Optimization
     colors: bool = False
     jitter: bool = False

@@ -80,8 +80,10 @@ def fit(
                 write_document(folder / RUN_NOTE, note)
         quieten()
         module = RestorerTraining(config, network, trainable.step, loss, data.training.key)
-        judge = trainable.judge(data.validation, data.of_validation, _judged_at_once(config), loss)
-        watch = Watch(folder, judge, log_every=machine.log_every)
+        validator = trainable.validator(
+            data.validation, data.of_validation, _validation_batch(config), loss
+        )
+        watch = Watch(folder, validator, log_every=machine.log_every)
         trainer = lightning_trainer(trainable, config, machine, watch, folder)
         checkpoint = folder / CHECKPOINT
         trainer.fit(
@@ -125,7 +127,7 @@ def make_network(
     return network
 
 
-def _judged_at_once(config: TrainConfig) -> int:
+def _validation_batch(config: TrainConfig) -> int:
     return max(1, config.optimization.batch_size // config.accumulate)
 
 

@@ -60,8 +60,8 @@ class RestorerTraining(pl.LightningModule):
         # depend on its number alone.
         torch.manual_seed(seed_of(self.config.seed, self.global_step, part, self.global_rank))
         with torch.no_grad(), torch.autocast(self.device.type, enabled=False):
-            seen = self._augmented(model_input(batch))
-        loss = self.step(self.network, self.loss, seen, self.config.step_info(self.global_step))
+            inputs = self._augmented(model_input(batch))
+        loss = self.step(self.network, self.loss, inputs, self.config.step_info(self.global_step))
         if not torch.isfinite(loss.total):
             self._stop("the loss is not a number", {n: float(p) for n, p in loss.parts.items()})
         self.parts = {"loss": loss.total.detach(), **loss.parts}
@@ -85,12 +85,12 @@ class RestorerTraining(pl.LightningModule):
             "lr_scheduler": {"scheduler": schedule, "interval": "step"},
         }
 
-    def _augmented(self, seen: ModelInput) -> ModelInput:
+    def _augmented(self, inputs: ModelInput) -> ModelInput:
         if self.config.geometry:
             from benchmark.training.augmentation import moved
 
-            seen = moved(seen)
-        color, depth, batch = seen
+            inputs = moved(inputs)
+        color, depth, batch = inputs
         for change in self._change_color:
             color = change(color)
         if self.config.holes:

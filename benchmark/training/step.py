@@ -54,12 +54,12 @@ class LossFunction(Protocol):
     def __call__(self, prediction: Prediction, target: Target) -> Loss: ...
 
 
-def weighed(target: Target, objects: float) -> Tensor:
+def object_weights(target: Target, objects: float) -> Tensor:
     """(b, 1, h, w) what each pixel counts: pixels of objects `objects` times as much as others."""
     return target.foreground.to(target.depth.dtype) * (objects - 1) + 1
 
 
-def weighed_mean(values: Tensor, weights: Tensor, dim: tuple[int, ...] | None = None) -> Tensor:
+def weighted_mean(values: Tensor, weights: Tensor, dim: tuple[int, ...] | None = None) -> Tensor:
     """Mean over `dim`, or over all, of finite values by their weights; 0 where none has any."""
     return (values * weights).sum(dim=dim) / weights.sum(dim=dim).clamp(min=_LEAST)
 
@@ -106,15 +106,15 @@ class StepFunction(Protocol):
     """
 
     def __call__(
-        self, network: nn.Module, loss: Any, seen: ModelInput, step_info: StepInfo
+        self, network: nn.Module, loss: Any, inputs: ModelInput, step_info: StepInfo
     ) -> Loss: ...
 
 
-def depth_step(network: nn.Module, loss: Any, seen: ModelInput, step_info: StepInfo) -> Loss:  # noqa: ARG001
+def depth_step(network: nn.Module, loss: Any, inputs: ModelInput, step_info: StepInfo) -> Loss:  # noqa: ARG001
     """The step of a network from colour and depth to `Prediction`."""
-    prediction = in_full_precision(network(seen.color, seen.depth))
-    with torch.autocast(seen.color.device.type, enabled=False):
-        return loss(prediction, target_of(seen.batch)._replace(sensor=seen.depth))
+    prediction = in_full_precision(network(inputs.color, inputs.depth))
+    with torch.autocast(inputs.color.device.type, enabled=False):
+        return loss(prediction, target_of(inputs.batch)._replace(sensor=inputs.depth))
 
 
 def network_depth(network: nn.Module, batch: Batch) -> Tensor:

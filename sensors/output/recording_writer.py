@@ -138,8 +138,6 @@ def write_truth(
         T_world_cam: of every frame.
         depth_scale: metres per unit of the depth images.
     """
-    # Brings Open3D; nothing else here needs it.
-
     objects = []
     for obj in metric_objects(scene):
         mesh = f"models/{obj.name}{Path(obj.model.mesh).suffix}"

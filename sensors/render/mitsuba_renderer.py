@@ -129,7 +129,8 @@ class MitsubaScene:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """z-depth (H, W) and world normal (H, W, 3) of the surfaces at pixel centres.
 
-        Of compiled variants only; `truth` makes the maps of a data set, this checks them.
+        Only compiled variants can do it. The maps of a data set come from `truth`; tests compare
+        them with these.
         """
         return self._tracer(infrared=False).first_hits(camera, T_world_cam)
 

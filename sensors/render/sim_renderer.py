@@ -1,7 +1,7 @@
 """What a renderer of the simulator is: light arriving at cameras, in floating point.
 
-What a sensor makes of the light (exposure, noise, 8 bits) is `infrared_image` and `color_image`;
-exact maps are `truth`. A renderer can be replaced without touching either.
+`infrared_image` and `color_image` turn the light into images (exposure, noise, 8 bits); `truth`
+renders the exact maps. Neither depends on which renderer is used.
 """
 
 from __future__ import annotations

@@ -160,7 +160,7 @@ def _check_object(
             state = "refined" if label.refined else "propagated"
     rows = [(f.frame, f.objects[item.id]) for f in observed if item.id in f.objects]
     judged = [o for _, o in rows if o.visible_fraction >= _JUDGED_FRACTION]
-    seen = [(f, o) for f, o in rows if o.visible_fraction >= SEEN_FRACTION]
+    observation = [(f, o) for f, o in rows if o.visible_fraction >= SEEN_FRACTION]
     edges = [o.edges for o in judged if o.edges is not None]
     edge_medians = [e.median_px for e in edges if e.median_px is not None]
     residuals = [o.residual for o in judged if o.residual is not None]
@@ -174,7 +174,7 @@ def _check_object(
         "material": item.material,
         "label": state,
         "annotated_frame": label.frame if label else None,
-        "frames_seen": len(seen),
+        "frames_seen": len(observation),
         "visible_fraction": rounded(median([o.visible_fraction for _, o in rows])),
         "edge_px": rounded(median(edge_medians)),
         "edge_p90_px": rounded(float(np.percentile(edge_medians, 90))) if edge_medians else None,
@@ -209,7 +209,9 @@ def _check_object(
             "drift_mm": _mm(drift.drift_m),
             "drift_frames": drift.frames,
         }
-    return ObjectCheck(**(fields | _coverage_fields(scene, item.id, [f for f, _ in seen], up)))
+    return ObjectCheck(
+        **(fields | _coverage_fields(scene, item.id, [f for f, _ in observation], up))
+    )
 
 
 def _coverage_fields(
@@ -285,23 +287,25 @@ def _unscaled(residual: DepthResidual, bias: float | None) -> float | None:
 
 
 def _object_frame(
-    frame: int, seen: ObjectObservation, depth_bias: float | None
+    frame: int, observation: ObjectObservation, depth_bias: float | None
 ) -> ObjectFrameCheck:
-    shift = seen.shift
+    shift = observation.shift
     return ObjectFrameCheck(
         frame=frame,
-        visible_fraction=round(seen.visible_fraction, 4),
-        edge_px=rounded(_edge(seen)),
-        edge_support=rounded(seen.edges.support) if seen.edges else None,
+        visible_fraction=round(observation.visible_fraction, 4),
+        edge_px=rounded(_edge(observation)),
+        edge_support=rounded(observation.edges.support) if observation.edges else None,
         shift_px=[round(shift.x_px, 2), round(shift.y_px, 2)] if shift else None,
-        depth_mm=_mm(seen.residual.median_m) if seen.residual else None,
-        depth_unscaled_mm=_mm(_unscaled(seen.residual, depth_bias)) if seen.residual else None,
+        depth_mm=_mm(observation.residual.median_m) if observation.residual else None,
+        depth_unscaled_mm=_mm(_unscaled(observation.residual, depth_bias))
+        if observation.residual
+        else None,
     )
 
 
-def _edge(seen: ObjectObservation) -> float | None:
-    judged = seen.edges is not None and seen.visible_fraction >= _JUDGED_FRACTION
-    return seen.edges.median_px if judged and seen.edges is not None else None
+def _edge(observation: ObjectObservation) -> float | None:
+    judged = observation.edges is not None and observation.visible_fraction >= _JUDGED_FRACTION
+    return observation.edges.median_px if judged and observation.edges is not None else None
 
 
 def _merged(tallies: Sequence[ErrorTally]) -> ErrorTally:

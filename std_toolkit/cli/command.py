@@ -416,18 +416,20 @@ def _with_verbosity(kind: type[Any]) -> type[Any]:
         elif option.metadata.get("repeat"):
             default = () if default is None else default
             hint = conf.UseAppendAction[next(t for t in (*get_args(hint), hint) if _is_tuple(t))]  # type: ignore[misc]
+        needed = default is dataclasses.MISSING
         says_nothing = default in (None, "", ()) or isinstance(default, bool)
+        suffix: Any = "" if says_nothing else "(required)" if needed else "(default: {})".format
         about = conf.arg(
             name=option.name or None,
             metavar=metavar,
             help=f"without {option.help}" if default is True else option.help,
-            help_behavior_hint="" if says_nothing else "(default: {})".format,
+            help_behavior_hint=suffix,
         )
         annotated: Any = Annotated[hint, about]
         if not option.name:
             annotated = conf.Positional[annotated]  # type: ignore[misc]
         place: Any = dataclasses.field()
-        if default is not dataclasses.MISSING:
+        if not needed:
             place = dataclasses.field(default_factory=functools.partial(copy.copy, default))
         fields.append((option.field, annotated, place))
     call = dataclasses.make_dataclass(kind.__name__, fields, frozen=True, kw_only=True)

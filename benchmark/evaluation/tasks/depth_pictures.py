@@ -3,19 +3,22 @@ all methods show."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
 import pandas as pd
 
 from benchmark.evaluation.depth_panels import LARGEST_ERROR_M, depth_scale, strip
+from benchmark.evaluation.frames import chosen_frames
 from benchmark.evaluation.results import ERROR, INDEX, TABLE, read_table
-from benchmark.evaluation.tasks.depth import Run, chosen_frames, frame_view, source_of
-from benchmark.methods.registry import make_restorer
+from benchmark.methods.depth.full_size import restorer_view
 from benchmark.metrics.protocols.protocol import get_protocol
 from std_toolkit.io.documents import write_document
 from std_toolkit.io.images import write_color
+
+if TYPE_CHECKING:
+    from benchmark.evaluation.tasks.depth import Run
 
 FOLDER = "gallery"
 INDEX_FILE = "gallery.json"
@@ -63,15 +66,14 @@ def make_gallery(run: Run) -> Gallery:
     """
     protocol = get_protocol(run.protocol)
     table = read_table(run.folder / TABLE)
-    source = source_of(run)
-    common = chosen_frames(len(source), run.limit)
+    source, restorer = run.open(), run.make()
+    common = run.chosen(source)
     common = [common[i] for i in chosen_frames(len(common), COMMON)]
     frames = gallery_frames(table, protocol.main, common)
-    restorer = make_restorer(run.method, replace(run.options, device=run.devices[0]))
     pictures = []
     for rank, index, rmse in frames:
         frame = source.load(index)
-        restored = restorer.restore([frame_view(frame, restorer, protocol)])[0]
+        restored = restorer.restore([restorer_view(frame, restorer, protocol.view_size)])[0]
         name = f"{rank}-{index:07d}.jpg"
         trust = None if rank == "common" else restored.confidence
         write_color(run.folder / FOLDER / name, strip(frame, restored.depth, trust), quality=88)

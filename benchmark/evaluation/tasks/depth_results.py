@@ -1,45 +1,23 @@
-"""Results of depth runs: read back, averaged, shown; speed of methods.
-
-Tables of means over frames.
-
-The results of a few runs as a table in the terminal.
-
-How fast a method is, and what it costs: warm, on frames of the split it is scored on.
-"""
+"""Results of depth runs: read back, averaged over frames, shown in the terminal."""
 
 from __future__ import annotations
 
-import resource
-import statistics
-import sys
-import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pandas as pd
 
 from benchmark.evaluation.manifest import MANIFEST, Manifest
-from benchmark.evaluation.results import ERROR, INDEX, SCENE, TABLE, aligned, read_table
-from benchmark.methods.protocol import Restorer, View
+from benchmark.evaluation.results import ERROR, INDEX, SCENE, TABLE, aligned, find_runs, read_table
+from benchmark.evaluation.tasks.depth_speed import SPEED, Speed
 from benchmark.metrics.depth.tally import NAMES
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.metrics.significance import mean_interval
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import read_document
-from std_toolkit.log import logger
-
-SPEED = "speed.json"
-
-# The first calls compile, allocate and fill caches.
-WARM_UP = 2
-
-FEWEST = 3
-
-LONGEST_S = 10.0
 
 GROUPS = ("split", "protocol", "method", "grid", "subset")
 
@@ -57,85 +35,6 @@ _COLUMNS = (
 )
 
 _SUBSETS = ("all", "specular+transparent")
-
-
-class Speed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Cost of a method.
-
-    Attributes:
-        frames_per_s: of batches of `batch_size`, from the median time of a batch, warm; reading
-            and scoring are not in it.
-        batch_size: frames restored together.
-        width, height: of the views.
-        repeats: timed batches.
-        parameters: of the network; None for a method without one.
-        gmacs: 1e9 multiplications with addition per frame, element-wise work left out; None for
-            a method without a network, or one that cannot be counted.
-        peak_memory_mib: on a GPU what torch held at most; else the most this process ever had
-            resident, with libraries and data.
-        hardware: processor or GPU.
-    """
-
-    frames_per_s: float
-    batch_size: int
-    width: int
-    height: int
-    repeats: int
-    parameters: int | None
-    gmacs: float | None
-    peak_memory_mib: float
-    hardware: str
-
-
-def measure_speed(
-    restorer: Restorer, views: Sequence[View], *, hardware: str, repeats: int = 15
-) -> Speed:
-    """Time a method on a batch of views: `repeats` times, less often where it is slow."""
-    device = _gpu(restorer)
-    for _ in range(WARM_UP):
-        restorer.restore(views)
-    if device is not None:
-        import torch
-
-        torch.cuda.reset_peak_memory_stats(device)
-    seconds: list[float] = []
-    end = time.perf_counter() + LONGEST_S
-    while len(seconds) < repeats and (len(seconds) < FEWEST or time.perf_counter() < end):
-        begin = time.perf_counter()
-        # The answers are arrays of this machine: a GPU has finished when they are there.
-        restorer.restore(views)
-        seconds.append(time.perf_counter() - begin)
-    height, width = views[0].depth.shape
-    return Speed(
-        frames_per_s=len(views) / statistics.median(seconds),
-        batch_size=len(views),
-        width=width,
-        height=height,
-        repeats=len(seconds),
-        parameters=getattr(restorer, "parameter_count", None),
-        gmacs=_gmacs(restorer, views[0]),
-        peak_memory_mib=_peak_memory(device),
-        hardware=hardware,
-    )
-
-
-def _gpu(restorer: Restorer) -> Any:
-    device = getattr(restorer, "device", None)
-    return device if device is not None and device.type == "cuda" else None
-
-
-def _gmacs(restorer: Restorer, view: View) -> float | None:
-    macs = getattr(restorer, "macs", None)
-    return None if macs is None else macs(view) / 1e9
-
-
-def _peak_memory(device: Any) -> float:
-    if device is not None:
-        import torch
-
-        return torch.cuda.max_memory_allocated(device) / 2**20
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / 2**20 if sys.platform == "darwin" else peak / 2**10
 
 
 OVER_ANSWERED = tuple(f"{name}_answered" for name in NAMES)
@@ -235,9 +134,20 @@ class RunResult:
     speed: Speed | None
 
     @property
+    def title(self) -> str:
+        """What it is among others."""
+        setup = self.manifest.setup
+        return f"{self.manifest.label} on {setup.split} by {setup.protocol}"
+
+    @property
+    def frames(self) -> int:
+        """Frames that the run has."""
+        return self.manifest.setup.frames
+
+    @property
     def missing(self) -> int:
         """Frames that the run has not come to: it was interrupted, or a worker failed."""
-        return self.manifest.setup.frames - int(self.table[INDEX].nunique())
+        return self.frames - int(self.table[INDEX].nunique())
 
 
 def read_run(folder: Path) -> RunResult:
@@ -271,35 +181,7 @@ def read_results(folders: Iterable[Path]) -> list[RunResult]:
         ToolkitError: a folder is not there or holds none, or two runs of one method, split and
             protocol are among them.
     """
-    found: dict[tuple[str, str, str], RunResult] = {}
-    for folder in folders:
-        begun = sorted(p.parent for p in folder.rglob(MANIFEST))
-        paths = [path for path in begun if (path / TABLE).exists()]
-        if not paths:
-            problem = "no finished run here" if begun else "no results of std-bench here"
-            hint = "run the same std-bench command again to go on" if begun else None
-            raise ToolkitError(problem, path=folder, hint=hint)
-        for path in begun:
-            if path not in paths:
-                logger.warning("%s: not finished, left out", path)
-        for path in paths:
-            result = read_run(path)
-            setup = result.manifest.setup
-            key = (setup.split, setup.protocol, result.manifest.label)
-            if key in found and found[key].folder.resolve() != path.resolve():
-                raise ToolkitError(
-                    f"{key[2]} on {key[0]} by {key[1]} stands in two folders",
-                    path=path,
-                    value=str(found[key].folder),
-                    hint="give one of them another name with --label",
-                )
-            found[key] = result
-            if result.missing:
-                logger.warning(
-                    "%s: not finished: %d of %d frames are missing",
-                    path, result.missing, setup.frames,
-                )  # fmt: skip
-    return list(found.values())
+    return find_runs(folders, MANIFEST, TABLE, read_run)
 
 
 def results_table(results: Sequence[RunResult]) -> str:

@@ -1,25 +1,28 @@
-"""Table clearing as a task: one planner on one depth over seeded rounds.
-
-From what a user types to the runs of table clearing that it means.
-"""
+"""Table clearing as a task: one planner on one depth over seeded rounds."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
-
-import pandas as pd
+from typing import Any
 
 from benchmark.evaluation.config import GraspConfig, checked_label, options_by_method
-from benchmark.evaluation.engine import as_unusable_method, claim_device, complete, weights_digest
-from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspSetup, grasp_manifest
+from benchmark.evaluation.engine import Task, weights_digest
+from benchmark.evaluation.frames import restore_views
+from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest, GraspSetup, circumstances
 from benchmark.evaluation.results import write_part
-from benchmark.evaluation.tasks.depth import restore_views
 from benchmark.evaluation.tasks.grasp_pictures import attempt_strip
+from benchmark.evaluation.tasks.grasp_results import (
+    GraspResult,
+    grasp_records,
+    grasp_table,
+    read_grasp_run,
+)
 from benchmark.evaluation.tasks.grasp_table import ATTEMPTS, rows_of_round, scene_name
-from benchmark.methods.depth.full_size import at_full_size, view_of
+from benchmark.methods.depth.full_size import at_full_size, restorer_view
 from benchmark.methods.protocol import GraspView, Restorer
 from benchmark.methods.registry import MethodOptions, grasp_planners, make_planner, make_restorer
 from benchmark.metrics.grasp.grasp import Grasps
@@ -30,7 +33,7 @@ from benchmark.tabletop.round import MOST_ATTEMPTS, GivenDepth, Plan, State, cle
 from benchmark.tabletop.sense import CameraKind, Observation, camera_pose, make_camera
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import write_color
-from std_toolkit.jobs import JobOptions
+from std_toolkit.log import logger
 from std_toolkit.scene.document import digest_file
 
 GRASP_FOLDER, STRIPS = "grasp", "strips"
@@ -88,44 +91,17 @@ class GraspRun:
         return f"{self.planner_label} on {self.depth_label} depth"
 
     @property
+    def method_title(self) -> str:
+        """As its title: every planner works on every depth."""
+        return self.title
+
+    @property
     def is_restored(self) -> bool:
         """Whether a restorer makes the depth."""
         return self.depth not in (RAW, TRUE)
 
 
-def run_clearing(run: GraspRun, jobs: JobOptions | None = None) -> pd.DataFrame:
-    """Clear the tables that have not been cleared yet.
-
-    Rounds and their noise follow from the run's seed and their number alone: however they are
-    interrupted, resumed or spread over workers, the table is the same.
-
-    Returns:
-        The rows of `benchmark.evaluation.tasks.grasp_table`.
-
-    Raises:
-        ToolkitError: planner, restorer or camera cannot be used, rounds failed, or another run was
-            begun in this folder.
-    """
-    jobs = jobs or JobOptions()
-    equipment = _usable(run)
-    manifest = grasp_manifest(
-        _setup(run, equipment),
-        depth_label=run.depth_label,
-        planner_label=run.planner_label,
-        planner_weights=run.planner_options.weights,
-        depth_weights=run.depth_options.weights,
-    )
-    if jobs.workers is None and equipment.has_network and run.devices[0] != "cpu":
-        # A second process would only double the memory on the device.
-        jobs = replace(jobs, workers=len(run.devices))
-    return complete(
-        run.folder, manifest, lambda done: [i for i in range(run.rounds) if i not in done],
-        _Worker(run), title=run.title, key=scene_name, jobs=jobs, unit="rounds",
-        table=ATTEMPTS, manifest_name=GRASP_MANIFEST,
-    )  # fmt: skip
-
-
-class _Equipment:
+class Methods:
     """Restorer and planner of a process."""
 
     def __init__(self, run: GraspRun, device: str) -> None:
@@ -138,21 +114,17 @@ class _Equipment:
             self.planner = make_planner(run.planner, replace(run.planner_options, device=device))
 
     @property
-    def has_network(self) -> bool:
-        return any(hasattr(part, "network") for part in (self.restorer, self.planner))
-
-    @property
     def looks_at_color(self) -> bool:
         """Restorers do; planners only where they say so."""
         return self.restorer is not None or bool(getattr(self.planner, "needs_color", False))
 
-    def given(self, looked: Observation) -> GivenDepth:
+    def given(self, observation: Observation) -> GivenDepth:
         """The depth to plan on, at the camera's size; a restorer's as `at_full_size` makes it."""
-        frame = looked.frame
+        frame = observation.frame
         if self.restorer is None:
             depth = frame.depth_true if self.true else frame.depth_raw
             return GivenDepth(frame.color, depth, frame.camera)
-        view = view_of(frame, self.restorer.input_size, with_mask=self.restorer.needs_mask)
+        view = restorer_view(frame, self.restorer)
         answer = restore_views(self.restorer, {0: view})[0]
         if isinstance(answer, str):
             raise ToolkitError(f"the restorer failed: {answer}")
@@ -167,59 +139,119 @@ class _Equipment:
         return plan_from_surfaces(surfaces).transformed(camera_pose().inverse())
 
 
-class _Worker:
-    """Clears the table of one round and writes its rows and pictures."""
+class GraspTask(Task[GraspRun, None, Methods]):
+    """Planners over rounds.
 
-    def __init__(self, run: GraspRun) -> None:
-        self.run = run
+    Rounds and their noise follow from the run's seed and their number alone: however they are
+    interrupted, resumed or spread over workers, the table is the same.
+    """
 
-    def __call__(self, index: int) -> int:
+    manifest_name, table_name, unit = GRASP_MANIFEST, ATTEMPTS, "rounds"
+    network_shares_cpu = True
+
+    def plan(self, config: GraspConfig) -> list[GraspRun]:
+        """Planner by planner."""
+        for name in config.planners:
+            if name != ORACLE and ":" not in name and name not in grasp_planners.names():
+                raise ToolkitError(
+                    "no such planner",
+                    field="--planner",
+                    value=name,
+                    hint=f"known: {', '.join([*grasp_planners.names(), ORACLE])}",
+                )
+        names = [
+            *(d for d in config.depths if d not in (RAW, TRUE)),
+            *(p for p in config.planners if p != ORACLE),
+        ]
+        options = options_by_method(config, names)
+        for name in (*config.depths, *config.planners):
+            checked_label(name.replace(":", "."))
+        return [
+            GraspRun(
+                depth=depth,
+                planner=planner,
+                rounds=config.rounds,
+                seed=config.seed,
+                out=config.out,
+                depth_options=options.get(depth, MethodOptions()),
+                planner_options=options.get(planner, MethodOptions()),
+                camera=config.camera,
+                attempts=config.attempts,
+                devices=config.devices,
+                strips=config.gallery,
+            )
+            for planner, depth in product(config.planners, config.depths)
+        ]
+
+    def check_data(self, runs: Sequence[GraspRun]) -> None:
+        for run in runs:
+            logger.info("%s: %d rounds", run.title, run.rounds)
+
+    def open(self, run: GraspRun) -> None:
+        """Nothing: tables are made."""
+
+    def make(self, run: GraspRun, device: str) -> Methods:
+        return Methods(run, device)
+
+    def parts(self, methods: Methods) -> tuple[object, ...]:
+        return methods.restorer, methods.planner
+
+    def begin_worker(self) -> None:
+        """Sums over several threads come out a little different with another number of workers."""
+        if (torch := sys.modules.get("torch")) is not None:
+            torch.set_num_threads(1)
+
+    def manifest(self, run: GraspRun, data: None, methods: Methods) -> GraspManifest:  # noqa: ARG002
+        return GraspManifest(
+            depth_label=run.depth_label,
+            planner_label=run.planner_label,
+            setup=_setup(run, methods),
+            planner_weights=str(run.planner_options.weights or ""),
+            depth_weights=str(run.depth_options.weights or ""),
+            **circumstances(),
+        )
+
+    def items(self, run: GraspRun, data: None, done: set[int], workers: int) -> list[int]:  # noqa: ARG002
+        return [i for i in range(run.rounds) if i not in done]
+
+    def item_title(self, item: int) -> str:
+        return scene_name(item)
+
+    def work(self, run: GraspRun, data: None, methods: Methods, item: int) -> int:  # noqa: ARG002
+        """Clear the table of one round and write its rows and pictures."""
         from sensors.simulation.simulated_set import parts_cache
 
-        equipment = _kept_equipment(self.run)
-        arrangement = arrange(round_seed(self.run.seed, index), parts_cache=parts_cache())
-        camera = make_camera(self.run.camera, arrangement, parts_cache=parts_cache())
-        plan: Plan = equipment.plan
+        arrangement = arrange(round_seed(run.seed, item), parts_cache=parts_cache())
+        camera = make_camera(run.camera, arrangement, parts_cache=parts_cache())
+        plan: Plan = methods.plan
         attempts = list(
             clear_table(
-                arrangement, camera, equipment.given, plan,
-                color=equipment.looks_at_color, attempts=self.run.attempts,
+                arrangement, camera, methods.given, plan,
+                color=methods.looks_at_color, attempts=run.attempts,
             )
         )  # fmt: skip
-        if self.run.strips:
+        if run.strips:
             for attempt in attempts:
-                name = f"{scene_name(index)}-attempt-{attempt.number:02d}.png"
-                write_color(self.run.folder / STRIPS / name, attempt_strip(attempt))
-        rows = rows_of_round(index, arrangement, attempts, camera.T_world_cam)
-        write_part(self.run.folder, index, index, rows)
+                name = f"{scene_name(item)}-attempt-{attempt.number:02d}.png"
+                write_color(run.folder / STRIPS / name, attempt_strip(attempt))
+        rows = rows_of_round(item, arrangement, attempts, camera.T_world_cam)
+        write_part(run.folder, item, item, rows)
         return len(attempts)
 
+    def read(self, folder: Path, run: GraspRun | None = None) -> GraspResult:
+        return read_grasp_run(folder, rounds=None if run is None else run.rounds)
 
-_kept: dict[str, _Equipment] = {}
+    def table(self, results: Sequence[GraspResult], config: GraspConfig) -> str:  # noqa: ARG002
+        return grasp_table(results)
 
-
-def _kept_equipment(run: GraspRun) -> _Equipment:
-    key = repr(run)
-    if key not in _kept:
-        _kept.clear()
-        device = claim_device(run.devices, run.folder / ".devices")
-        _kept[key] = _Equipment(run, device)
-        _one_thread()
-    return _kept[key]
+    def records(self, results: Sequence[GraspResult], config: GraspConfig) -> list[dict[str, Any]]:  # noqa: ARG002
+        return grasp_records(results)
 
 
-def _one_thread() -> None:
-    """Sums over several threads come out a little different with another number of workers."""
-    if (torch := sys.modules.get("torch")) is not None:
-        torch.set_num_threads(1)
+TASK = GraspTask()
 
 
-def _usable(run: GraspRun) -> _Equipment:
-    with as_unusable_method(run.devices):
-        return _Equipment(run, run.devices[0])
-
-
-def _setup(run: GraspRun, equipment: _Equipment) -> GraspSetup:
+def _setup(run: GraspRun, methods: Methods) -> GraspSetup:
     planner, depth = run.planner_options, run.depth_options
     network = depth if run.is_restored else planner  # both are made with the same of these options
     return GraspSetup(
@@ -231,52 +263,12 @@ def _setup(run: GraspRun, equipment: _Equipment) -> GraspSetup:
         planner=run.planner,
         planner_preset=planner.preset,
         planner_settings=dict(planner.settings),
-        planner_weights_sha256=weights_digest(run.planner, equipment.planner, planner),
+        planner_weights_sha256=weights_digest(run.planner, methods.planner, planner),
         depth=run.depth,
         depth_preset=depth.preset if run.is_restored else "",
         depth_settings=dict(depth.settings),
-        depth_weights_sha256=weights_digest(run.depth, equipment.restorer, depth),
+        depth_weights_sha256=weights_digest(run.depth, methods.restorer, depth),
         precision=network.precision,
         compile=network.compile,
         device=run.devices[0].partition(":")[0],
     )
-
-
-def plan_grasp_runs(config: GraspConfig) -> list[GraspRun]:
-    """The runs, planner by planner.
-
-    Raises:
-        ToolkitError: weights or settings for what is not asked for, or a label that cannot be a
-            folder's name.
-    """
-    for name in config.planners:
-        if name != ORACLE and ":" not in name and name not in grasp_planners.names():
-            raise ToolkitError(
-                "no such planner",
-                field="--planner",
-                value=name,
-                hint=f"known: {', '.join([*grasp_planners.names(), ORACLE])}",
-            )
-    names = [
-        *(d for d in config.depths if d not in (RAW, TRUE)),
-        *(p for p in config.planners if p != ORACLE),
-    ]
-    options = options_by_method(config, names)
-    for name in (*config.depths, *config.planners):
-        checked_label(name.replace(":", "."))
-    return [
-        GraspRun(
-            depth=depth,
-            planner=planner,
-            rounds=config.rounds,
-            seed=config.seed,
-            out=config.out,
-            depth_options=options.get(depth, MethodOptions()),
-            planner_options=options.get(planner, MethodOptions()),
-            camera=config.camera,
-            attempts=config.attempts,
-            devices=config.devices,
-            strips=config.gallery,
-        )
-        for planner, depth in product(config.planners, config.depths)
-    ]

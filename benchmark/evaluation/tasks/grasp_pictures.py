@@ -34,7 +34,7 @@ _HAND, _TABLE = (235, 140, 60), (232, 226, 214)
 
 def attempt_strip(attempt: Attempt, *, gripper: Gripper = PANDA) -> Image:
     """(h, w, 3) uint8: `PANELS` side by side; stages that were not come to stay empty."""
-    frame = attempt.looked.frame
+    frame = attempt.observation.frame
     known = frame.depth_true
     scale = DepthScale(float(known.min()) - 0.02, float(np.quantile(known, 0.98)))
     pictures = [_fit(frame.color), _fit(depth_picture(attempt.given.depth, scale))]

@@ -30,7 +30,7 @@ import numpy as np
 import pandas as pd
 
 from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest
-from benchmark.evaluation.results import INDEX, aligned, read_table
+from benchmark.evaluation.results import INDEX, aligned, find_runs, read_table
 from benchmark.evaluation.tasks.grasp_table import (
     ATTEMPT,
     ATTEMPTS,
@@ -43,7 +43,6 @@ from benchmark.evaluation.tasks.grasp_table import (
 from benchmark.metrics.significance import mean_interval
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import read_document
-from std_toolkit.log import logger
 
 # Camera, seed, planner and depth of a run, as tables have them.
 RunName = tuple[str, int, str, str]
@@ -184,6 +183,22 @@ class GraspResult:
         setup = self.manifest.setup
         return setup.camera, setup.seed, self.manifest.planner_label, self.manifest.depth_label
 
+    @property
+    def title(self) -> str:
+        """What it is among others."""
+        camera, seed, planner, depth = self.name
+        return f"{planner} on {depth} depth, {camera} camera, seed {seed}"
+
+    @property
+    def frames(self) -> int:
+        """Rounds that the run has."""
+        return self.rates.rounds
+
+    @property
+    def missing(self) -> int:
+        """None: rounds may always be added."""
+        return 0
+
 
 def read_grasp_run(folder: Path, *, rounds: int | None = None) -> GraspResult:
     """One run's results.
@@ -214,24 +229,7 @@ def read_grasp_results(folders: Iterable[Path]) -> list[GraspResult]:
     Raises:
         ToolkitError: there is none, a run is damaged, or two runs bear one name.
     """
-    found: dict[RunName, GraspResult] = {}
-    for folder in folders:
-        begun = sorted(p.parent for p in folder.rglob(GRASP_MANIFEST))
-        finished = [path for path in begun if (path / ATTEMPTS).exists()]
-        if not finished:
-            raise ToolkitError("no finished run of table clearing here", path=folder)
-        for path in begun:
-            if path not in finished:
-                logger.warning("%s: not finished, left out", path)
-        for path in finished:
-            result = read_grasp_run(path)
-            other = found.get(result.name)
-            if other is not None and other.folder.resolve() != path.resolve():
-                raise ToolkitError(
-                    "two folders hold the same run", path=path, value=str(other.folder)
-                )
-            found[result.name] = result
-    return list(found.values())
+    return find_runs(folders, GRASP_MANIFEST, ATTEMPTS, read_grasp_run)
 
 
 def grasp_table(results: Sequence[GraspResult]) -> str:

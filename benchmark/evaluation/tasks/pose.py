@@ -1,76 +1,206 @@
-"""Category-level pose as a task: one method over one split with one depth.
-
-Frames through a pose method; one that fails is told, not fatal.
-"""
+"""Category-level pose as a task: one method over one split with one depth."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
-from benchmark.data.frame import DepthFrame
-from benchmark.data.splits import DepthSource, FrameKey, names_digest, open_split
-from benchmark.data.true_poses import KnownBox, TruePose, known_boxes, true_poses
-from benchmark.evaluation.engine import (
+from benchmark.data.splits import DepthSource, FrameKey, open_split
+from benchmark.evaluation.config import PoseConfig, checked_label, options_by_method
+from benchmark.evaluation.engine import weights_digest
+from benchmark.evaluation.frames import (
     Batch,
-    as_unusable_method,
-    chosen_frames,
-    claim_device,
-    complete,
-    describe_frames,
-    pieces_left,
-    weights_digest,
-    write_rows,
+    FrameRun,
+    FrameTask,
+    answers_one_by_one,
+    frame_options,
+    frame_setup,
 )
-from benchmark.evaluation.manifest import POSE_MANIFEST, PoseSetup, pose_manifest
+from benchmark.evaluation.manifest import POSE_MANIFEST, PoseManifest, PoseSetup, circumstances
 from benchmark.evaluation.results import ERROR, FRAME, INDEX, SCENE
-from benchmark.evaluation.tasks.depth import error_line
-from benchmark.evaluation.tasks.pose_inputs import DepthChoice, DepthProvider, pose_view
+from benchmark.evaluation.tasks.pose_inputs import (
+    RAW,
+    DepthChoice,
+    DepthProvider,
+    PoseFrame,
+    depth_choice,
+    load_pose_frame,
+    pose_view,
+)
+from benchmark.evaluation.tasks.pose_results import (
+    PoseResult,
+    pose_records,
+    poses_table,
+    read_pose_run,
+    wanted_protocols,
+)
 from benchmark.evaluation.tasks.pose_table import POSES, READ, rows_of_frame
 from benchmark.methods.protocol import Estimated, PoseEstimator, PoseView
-from benchmark.methods.registry import MethodOptions, make_pose_method
+from benchmark.methods.registry import make_pose_method
+from benchmark.metrics.pose import PoseProtocol
 from std_toolkit.errors import ToolkitError
-from std_toolkit.jobs import JobOptions
 
 POSE_FOLDER = "pose"
 
 AS_INPUT = "as-input"
 
-
-@dataclass(frozen=True, eq=False)
-class PoseFrame:
-    """A frame with what is known of its objects."""
-
-    frame: DepthFrame
-    boxes: dict[int, KnownBox]
-    truths: list[TruePose]
+Methods = tuple[PoseEstimator, DepthProvider]
 
 
-def load_pose_frames(source: DepthSource, indices: Sequence[int]) -> list[PoseFrame | str]:
-    """The frames of a batch; for one that cannot be read, the error as one line."""
-    loaded: list[PoseFrame | str] = []
-    for index in indices:
-        try:
-            loaded.append(load_pose_frame(source, index))
-        except Exception as error:  # a damaged file can raise anything in the libraries below
-            loaded.append(error_line(error))
-    return loaded
+@dataclass(frozen=True, kw_only=True)
+class PoseRun(FrameRun):
+    """What is estimated, by what, how.
 
-
-def load_pose_frame(source: DepthSource, index: int) -> PoseFrame:
-    """A frame with its true poses.
-
-    Raises:
-        ToolkitError: it cannot be read, or has no normalised coordinates.
+    Attributes:
+        depth: what poses are fitted to.
+        fit: how they are fitted, `ransac` or `paper`.
+        as_input: networks look at that depth, too, and not at raw depth.
     """
-    frame = source.load(index, nocs=True)
-    boxes = known_boxes(source, index)
-    return PoseFrame(frame, boxes, true_poses(frame, boxes))
+
+    depth: DepthChoice
+    fit: str = "ransac"
+    as_input: bool = False
+
+    @property
+    def depth_label(self) -> str:
+        """What the depth is called in folders and tables."""
+        return f"{self.depth.label}-{AS_INPUT}" if self.as_input else self.depth.label
+
+    @property
+    def folder(self) -> Path:
+        """Where this run's files lie."""
+        return self.out / POSE_FOLDER / self.split / self.label / self.depth_label / self.fit
+
+    @property
+    def title(self) -> str:
+        """For people."""
+        return f"{self.label} on {self.split}, {self.depth_label} depth, fit {self.fit}"
+
+    @property
+    def method_title(self) -> str:
+        """What method and depth are called."""
+        return f"{self.label}, {self.depth_label} depth"
+
+    @property
+    def settings(self) -> dict[str, str]:
+        """The method's, the fit among them."""
+        return {**self.options.settings, "fit": self.fit}
+
+
+class PoseTask(FrameTask[PoseRun, DepthSource, Methods]):
+    """Pose methods over splits."""
+
+    manifest_name, table_name = POSE_MANIFEST, POSES
+
+    def plan(self, config: PoseConfig) -> list[PoseRun]:
+        """Method by method, so that each network is loaded once."""
+        _protocols(config)
+        depths = [depth_choice(text) for text in config.depths]
+        restored = [depth.name for depth in depths if depth.is_restored]
+        options = options_by_method(config, [*config.methods, *restored])
+        for place, depth in enumerate(depths):
+            checked_label(depth.label)
+            if depth.is_restored:
+                depths[place] = replace(depth, options=options[depth.name])
+        return [
+            PoseRun(
+                **frame_options(config, split, method, options),
+                depth=depth,
+                fit=fit,
+                # Of raw depth nothing would change but the name.
+                as_input=config.depth_as_input and depth.name != RAW,
+            )
+            for method, split, depth, fit in product(
+                config.methods, config.splits, depths, config.fits
+            )
+        ]
+
+    def check_data(self, runs: Sequence[PoseRun]) -> None:
+        for run in {(r.split, r.root): r for r in runs}.values():
+            self.open(run)
+
+    def open(self, run: PoseRun) -> DepthSource:
+        return open_split(run.split, run.root)
+
+    def check(self, run: PoseRun, data: DepthSource) -> None:
+        """Tell at once where a split has no true poses at all, and not once per frame."""
+        for index in run.chosen(data)[:1]:
+            load_pose_frame(data, index)
+
+    def make(self, run: PoseRun, device: str) -> Methods:
+        options = replace(run.options, device=device, settings=run.settings)
+        depth = replace(run.depth, options=replace(run.depth.options, device=device))
+        return make_pose_method(run.method, options), DepthProvider(depth, run.split)
+
+    def parts(self, methods: Methods) -> tuple[object, ...]:
+        method, depths = methods
+        return method, depths.restorer
+
+    def manifest(self, run: PoseRun, data: DepthSource, methods: Methods) -> PoseManifest:
+        method, depths = methods
+        depth, folder = run.depth.options, run.depth.folder
+        setup = PoseSetup(
+            **frame_setup(run, data, method) | {"settings": run.settings},
+            depth=run.depth.name,
+            depth_preset=depth.preset if run.depth.is_restored else "",
+            depth_settings=dict(depth.settings),
+            depth_weights_sha256=weights_digest(run.depth.name, depths.restorer, depth),
+            depth_folder="" if folder is None else str(folder.resolve()),
+            as_input=run.as_input,
+        )
+        return PoseManifest(
+            label=run.label,
+            depth_label=run.depth_label,
+            fit=run.fit,
+            setup=setup,
+            root=str(run.root),
+            weights=str(run.options.weights or ""),
+            depth_weights=str(depth.weights or ""),
+            **circumstances(),
+        )
+
+    def load(self, data: DepthSource, index: int) -> PoseFrame:
+        return load_pose_frame(data, index)
+
+    def rows(
+        self,
+        run: PoseRun,
+        data: DepthSource,  # noqa: ARG002
+        methods: Methods,
+        batch: Batch,
+        keys: Sequence[FrameKey],
+        loaded: Sequence[PoseFrame | str],
+    ) -> list[dict[str, Any]]:
+        return estimate_batch(batch, keys, loaded, *methods, as_input=run.as_input)
+
+    def after(self, run: PoseRun) -> None:
+        """Pictures of a few frames, unless they are there."""
+        from benchmark.evaluation.tasks import pose_pictures as pictures
+
+        there = run.folder / pictures.POSE_GALLERY / pictures.PICTURES_FILE
+        if run.gallery and not there.exists():
+            pictures.make_pose_pictures(run.folder, self.open(run))
+
+    def read(self, folder: Path, run: PoseRun | None = None) -> PoseResult:  # noqa: ARG002
+        return read_pose_run(folder)
+
+    def table(self, results: Sequence[PoseResult], config: PoseConfig) -> str:
+        return poses_table(results, _protocols(config))
+
+    def records(self, results: Sequence[PoseResult], config: PoseConfig) -> list[dict[str, Any]]:
+        return pose_records(results, _protocols(config))
+
+
+TASK = PoseTask()
+
+
+def _protocols(config: PoseConfig) -> list[PoseProtocol]:
+    return wanted_protocols(
+        config.protocols, iou=config.iou, score=config.score, gates=config.gates
+    )
 
 
 def estimate_batch(
@@ -102,7 +232,8 @@ def estimate_batch(
         frame, boxes = there[index].frame, there[index].boxes
         sensor = depth if as_input else None
         views[index] = pose_view(frame, depth, method, boxes=boxes, sensor=sensor)
-    answers |= _estimate(method, views)
+    estimated = answers_one_by_one(method.estimate, _check_estimated, views)
+    answers |= estimated
     rows: list[dict[str, Any]] = []
     for index, key, frame_or_error in zip(indices, keys, loaded, strict=True):
         base: dict[str, Any] = {INDEX: index, SCENE: key.scene, FRAME: key.name}
@@ -116,203 +247,6 @@ def estimate_batch(
     return rows
 
 
-def _estimate(method: PoseEstimator, views: dict[int, PoseView]) -> dict[int, Estimated | str]:
-    """Answers by index, or why there is none; what fails together is tried one by one."""
-    if not views:
-        return {}
-    try:
-        return dict(zip(views, _checked(method, list(views.values())), strict=True))
-    except (KeyboardInterrupt, MemoryError):
-        raise
-    except Exception as error:
-        if len(views) == 1:
-            return {next(iter(views)): error_line(error)}
-    found: dict[int, Estimated | str] = {}
-    for index, view in views.items():
-        found |= _estimate(method, {index: view})
-    return found
-
-
-def _checked(method: PoseEstimator, views: list[PoseView]) -> list[Estimated]:
-    answers = method.estimate(views)
-    if len(answers) != len(views):
-        raise ToolkitError(f"the method gave {len(answers)} answers to {len(views)} views")
-    for answer in answers:
-        if not isinstance(answer, Estimated):
-            raise ToolkitError("the method must give Estimated", value=type(answer).__name__)
-    return answers
-
-
-@dataclass(frozen=True, kw_only=True)
-class PoseRun:
-    """What is estimated, by what, how.
-
-    Attributes:
-        split, root: name of the split and folder of the data.
-        method, options: the pose method; `options.device` is ignored in favour of `devices`.
-        depth: what poses are fitted to.
-        fit: how they are fitted, `ransac` or `paper`.
-        as_input: networks look at that depth, too, and not at raw depth.
-        devices: torch devices, of which each worker takes one.
-        label: what the method is called in tables.
-        out: folder of results.
-        batch_size: frames that go through the method together.
-        limit: of frames, evenly spread over the split; None for all.
-    """
-
-    split: str
-    root: Path
-    method: str
-    options: MethodOptions
-    depth: DepthChoice
-    label: str
-    out: Path
-    fit: str = "ransac"
-    as_input: bool = False
-    devices: tuple[str, ...] = ("cpu",)
-    batch_size: int = 8
-    limit: int | None = None
-
-    @property
-    def depth_label(self) -> str:
-        """What the depth is called in folders and tables."""
-        return f"{self.depth.label}-{AS_INPUT}" if self.as_input else self.depth.label
-
-    @property
-    def folder(self) -> Path:
-        """Where this run's files lie."""
-        return self.out / POSE_FOLDER / self.split / self.label / self.depth_label / self.fit
-
-    @property
-    def title(self) -> str:
-        """For people."""
-        return f"{self.label} on {self.split}, {self.depth_label} depth, fit {self.fit}"
-
-    @property
-    def settings(self) -> dict[str, str]:
-        """The method's, the fit among them."""
-        return {**self.options.settings, "fit": self.fit}
-
-
-def run_poses(run: PoseRun, jobs: JobOptions | None = None) -> pd.DataFrame:
-    """Estimate the poses of frames that have not been done yet.
-
-    Frames are numbered by their place in the split, and batches by their frames: whatever is
-    interrupted, killed or spread over machines, the table is the same in the end.
-
-    Returns:
-        The rows of `benchmark.evaluation.tasks.pose_table`; frames that failed have a text in
-        `error`.
-
-    Raises:
-        ToolkitError: data, method, weights or depth cannot be used, or another run was begun in
-            this folder.
-    """
-    jobs = jobs or JobOptions()
-    source = open_split(run.split, run.root)
-    chosen = chosen_frames(len(source), run.limit)
-    _check_truth(source, chosen)
-    # Once and at once, and not first in every worker: a wrong option is told in one line.
-    method, depths = _usable(run)
-    manifest = pose_manifest(
-        _setup(run, source, method, depths, chosen),
-        label=run.label,
-        depth_label=run.depth_label,
-        fit=run.fit,
-        root=run.root,
-        weights=run.options.weights,
-        depth_weights=run.depth.options.weights,
-    )
-    if jobs.workers is None and _has_network(method, depths):
-        # A network uses all of a device; a second process would only double its memory.
-        jobs = replace(jobs, workers=len(run.devices))
-    del method, depths
-    remaining = partial(pieces_left, chosen, run.batch_size, jobs.worker_count)
-    return complete(
-        run.folder, manifest, remaining, _Worker(run),
-        title=run.title, key=describe_frames, jobs=jobs, unit="pieces of work",
-        table=POSES, manifest_name=POSE_MANIFEST,
-    )  # fmt: skip
-
-
-def _check_truth(source: DepthSource, chosen: Sequence[int]) -> None:
-    """Tell at once where a split has no true poses at all, and not once per frame."""
-    for index in chosen[:1]:
-        load_pose_frame(source, index)
-
-
-def _usable(run: PoseRun) -> tuple[PoseEstimator, DepthProvider]:
-    with as_unusable_method(run.devices):
-        return _make(run, run.devices[0])
-
-
-def _make(run: PoseRun, device: str) -> tuple[PoseEstimator, DepthProvider]:
-    method = make_pose_method(
-        run.method, replace(run.options, device=device, settings=run.settings)
-    )
-    options = replace(run.depth.options, device=device)
-    return method, DepthProvider(replace(run.depth, options=options), run.split)
-
-
-def _has_network(method: PoseEstimator, depths: DepthProvider) -> bool:
-    return any(hasattr(part, "network") for part in (method, depths.restorer))
-
-
-class _Worker:
-    """Estimates batches in a worker process, which keeps data set and networks."""
-
-    def __init__(self, run: PoseRun) -> None:
-        self.run = run
-
-    def __call__(self, batches: Sequence[Batch]) -> int:
-        source, method, depths = _equipment(self.run)
-        keys = source.keys()
-
-        def rows_of(batch: Batch, loaded: list[PoseFrame | str]) -> list[dict[str, Any]]:
-            named, as_input = [keys[i] for i in batch], self.run.as_input
-            return estimate_batch(batch, named, loaded, method, depths, as_input=as_input)
-
-        return write_rows(self.run.folder, batches, partial(load_pose_frames, source), rows_of)
-
-
-_kept: dict[str, tuple[DepthSource, PoseEstimator, DepthProvider]] = {}
-
-
-def _equipment(run: PoseRun) -> tuple[DepthSource, PoseEstimator, DepthProvider]:
-    """Data set, method and depth of this process; those of an earlier run make room."""
-    key = repr(run)
-    if key not in _kept:
-        _kept.clear()
-        device = claim_device(run.devices, run.folder / ".devices")
-        _kept[key] = (open_split(run.split, run.root), *_make(run, device))
-    return _kept[key]
-
-
-def _setup(
-    run: PoseRun,
-    source: DepthSource,
-    method: PoseEstimator,
-    depths: DepthProvider,
-    chosen: Sequence[int],
-) -> PoseSetup:
-    keys = source.keys()
-    folder = run.depth.folder
-    return PoseSetup(
-        split=run.split,
-        frames=len(chosen),
-        frames_sha256=names_digest(keys[i] for i in chosen),
-        method=run.method,
-        preset=run.options.preset,
-        settings=run.settings,
-        weights_sha256=weights_digest(run.method, method, run.options),
-        precision=run.options.precision,
-        compile=run.options.compile,
-        device=run.devices[0].partition(":")[0],
-        batch_size=run.batch_size,
-        depth=run.depth.name,
-        depth_preset=run.depth.options.preset if run.depth.is_restored else "",
-        depth_settings=dict(run.depth.options.settings),
-        depth_weights_sha256=weights_digest(run.depth.name, depths.restorer, run.depth.options),
-        depth_folder="" if folder is None else str(folder.resolve()),
-        as_input=run.as_input,
-    )
+def _check_estimated(view: PoseView, answer: Estimated) -> None:  # noqa: ARG001
+    if not isinstance(answer, Estimated):
+        raise ToolkitError("the method must give Estimated", value=type(answer).__name__)

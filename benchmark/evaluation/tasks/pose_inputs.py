@@ -1,7 +1,4 @@
-"""Input of pose methods: the depth that poses are fitted to, and the view of a frame.
-
-A frame as a pose method may see it.
-"""
+"""Input of pose methods: the depth that poses are fitted to, frames with true poses, views."""
 
 from __future__ import annotations
 
@@ -13,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.frame import DepthFrame, resize_nearest
-from benchmark.data.splits import FrameKey, saved_depth_path
-from benchmark.data.true_poses import KnownBox
-from benchmark.evaluation.tasks.depth import error_line, restore_views
-from benchmark.methods.depth.full_size import at_full_size, view_of
+from benchmark.data.splits import DepthSource, FrameKey, saved_depth_path
+from benchmark.data.true_poses import KnownBox, TruePose, known_boxes, true_poses
+from benchmark.evaluation.frames import error_line, restore_views
+from benchmark.methods.depth.full_size import at_full_size, restorer_view, view_of
 from benchmark.methods.protocol import PoseAnswer, PoseEstimator, PoseView, Restorer
-from benchmark.methods.registry import MethodOptions, make_restorer
+from benchmark.methods.registry import MethodOptions, make_restorer, restorers
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.exr import read_exr_channel
 
@@ -52,6 +49,22 @@ class DepthChoice:
         return self.name.replace(":", ".")
 
 
+def depth_choice(text: str) -> DepthChoice:
+    """The depth that a user means by `raw`, `gt`, a restorer's name, or `NAME=FOLDER`.
+
+    Raises:
+        ToolkitError: a folder without a name, or with the name of another depth.
+    """
+    name, equals, folder = text.partition("=")
+    if equals:
+        if name in (RAW, TRUE, *restorers.names()) or not name:
+            raise ToolkitError(
+                "depth in a folder needs a name of its own", field="depth", value=text
+            )
+        return DepthChoice(name=name, folder=Path(folder))
+    return DepthChoice(name=text)
+
+
 class DepthProvider:
     """Gives the depth of frames; made once in every worker.
 
@@ -73,10 +86,7 @@ class DepthProvider:
         if self.restorer is None:
             return {index: self._known(frame) for index, frame in frames.items()}
         method = self.restorer
-        views = {
-            index: view_of(frame, method.input_size, with_mask=method.needs_mask)
-            for index, frame in frames.items()
-        }
+        views = {index: restorer_view(frame, method) for index, frame in frames.items()}
         answers = restore_views(method, views)
         return {
             i: a if isinstance(a, str) else at_full_size(frames[i].depth_raw, a)
@@ -91,6 +101,26 @@ class DepthProvider:
             return read_exr_channel(path).astype(np.float32)
         except ToolkitError as error:
             return error_line(error)
+
+
+@dataclass(frozen=True, eq=False)
+class PoseFrame:
+    """A frame with what is known of its objects."""
+
+    frame: DepthFrame
+    boxes: dict[int, KnownBox]
+    truths: list[TruePose]
+
+
+def load_pose_frame(source: DepthSource, index: int) -> PoseFrame:
+    """A frame with its true poses.
+
+    Raises:
+        ToolkitError: it cannot be read, or has no normalised coordinates.
+    """
+    frame = source.load(index, nocs=True)
+    boxes = known_boxes(source, index)
+    return PoseFrame(frame, boxes, true_poses(frame, boxes))
 
 
 def pose_view(

@@ -9,16 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import combinations
+from pathlib import Path
 
 import cv2
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.data.splits import open_split
-from benchmark.evaluation.engine import chosen_frames
+from benchmark.data.splits import DepthSource
+from benchmark.evaluation.frames import chosen_frames
 from benchmark.evaluation.results import INDEX, read_table
-from benchmark.evaluation.tasks.pose import PoseRun
 from benchmark.evaluation.tasks.pose_table import POSES, READ, PoseFrames, frames_of
 from benchmark.metrics.pose import PoseTruth, get_pose_protocol, match_poses
 from benchmark.metrics.pose.box_iou import box_corners
@@ -131,14 +131,13 @@ class PosePictures(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     pictures: list[PosePicture]
 
 
-def make_pose_pictures(run: PoseRun) -> PosePictures:
-    """Draw frames of a finished run, in its folder.
+def make_pose_pictures(folder: Path, source: DepthSource) -> PosePictures:
+    """Draw frames of the finished run in a folder.
 
     Raises:
         ToolkitError: a frame cannot be read, or a picture not be written.
     """
-    table = read_table(run.folder / POSES)
-    source = open_split(run.split, run.root)
+    table = read_table(folder / POSES)
     readable = sorted(set(table.loc[table[READ], INDEX].tolist()))
     shown = [readable[i] for i in chosen_frames(len(readable), SHOWN)]
     frames = frames_of(table[table[INDEX].isin(shown)])
@@ -147,7 +146,7 @@ def make_pose_pictures(run: PoseRun) -> PosePictures:
         frame = source.load(index)
         name = f"{index:07d}.jpg"
         picture = picture_of(frame.color, frame.camera, frames, place)
-        write_color(run.folder / POSE_GALLERY / name, picture, quality=88)
+        write_color(folder / POSE_GALLERY / name, picture, quality=88)
         pictures.append(
             PosePicture(
                 scene=frame.scene,
@@ -160,7 +159,7 @@ def make_pose_pictures(run: PoseRun) -> PosePictures:
         )
     found = PosePictures(pictures=pictures)
     # Last: it says that all are there.
-    write_document(run.folder / POSE_GALLERY / PICTURES_FILE, found)
+    write_document(folder / POSE_GALLERY / PICTURES_FILE, found)
     return found
 
 

@@ -1,14 +1,9 @@
-"""Results of pose runs: read back, scored by protocol and material, shown.
-
-Figures of runs of poses: by protocol and by material of the objects, with intervals.
-
-The results of a few runs of poses as tables in the terminal.
-"""
+"""Results of pose runs: read back, scored by protocol and material with intervals, shown."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,19 +13,21 @@ from numpy.typing import NDArray
 
 from benchmark.data.frame import Material
 from benchmark.evaluation.manifest import POSE_MANIFEST, PoseManifest
-from benchmark.evaluation.results import ERROR, INDEX, aligned, read_table
+from benchmark.evaluation.results import ERROR, INDEX, aligned, find_runs, read_table
 from benchmark.evaluation.tasks.pose_table import COLUMNS, POSES, frames_of
 from benchmark.metrics.pose import (
+    BoxIoU,
     PoseMatches,
     PoseProtocol,
     PoseScores,
+    PoseScoring,
+    get_pose_protocol,
     match_poses,
     score_matches,
 )
 from benchmark.metrics.pose.resampling import resampled_scores, scene_weights
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import read_document
-from std_toolkit.log import logger
 
 # Method, depth and fit of a run, as tables have them.
 RunName = tuple[str, str, str]
@@ -49,7 +46,50 @@ SAMPLES = 1000
 
 LEVEL = 0.95
 
+# What both published evaluations ask for before angle and distance count.
+FOUND_MEANS_OVERLAP = 0.1
+
 _TEXTS = ("method", "depth", "fit", "objects")
+
+
+def wanted_protocols(
+    names: Sequence[str],
+    *,
+    iou: str | None = None,
+    score: str | None = None,
+    gates: str | None = None,
+) -> list[PoseProtocol]:
+    """Protocols with some of their choices changed, which their names then tell.
+
+    Args:
+        names: of `pose_protocols`.
+        iou: `oriented`, `aabb` or `nocs2019`, instead of the protocol's own.
+        score: `ap` or `accuracy`.
+        gates: whether angle and distance count of `all` predictions, or of `found` ones, which
+            overlap a true box.
+
+    Raises:
+        ToolkitError: no such protocol.
+
+    >>> [p.name for p in wanted_protocols(["strict"], iou="aabb", score="ap")]
+    ['strict, iou aabb']
+    """
+    found = []
+    for name in names:
+        protocol = get_pose_protocol(name)
+        told = [name]
+        if iou is not None and BoxIoU(iou) is not protocol.iou:
+            protocol = replace(protocol, iou=BoxIoU(iou))
+            told.append(f"iou {iou}")
+        if score is not None and PoseScoring(score) is not protocol.score:
+            protocol = replace(protocol, score=PoseScoring(score))
+            told.append(f"score {score}")
+        if gates is not None and (gates == "found") != (protocol.pose_needs_iou is not None):
+            least = FOUND_MEANS_OVERLAP if gates == "found" else None
+            protocol = replace(protocol, pose_needs_iou=least)
+            told.append(f"gates {gates}")
+        found.append(replace(protocol, name=", ".join(told)))
+    return found
 
 
 @dataclass(frozen=True)
@@ -76,14 +116,24 @@ class PoseResult:
         return self.manifest.label, self.manifest.depth_label, self.manifest.fit
 
     @property
+    def title(self) -> str:
+        """What it is among others."""
+        return f"{', '.join(self.name)} on {self.split}"
+
+    @property
     def failed(self) -> int:
         """Frames that could not be read, or at which the method failed."""
         return int(self.table.loc[self.table[ERROR] != "", INDEX].nunique())
 
     @property
+    def frames(self) -> int:
+        """Frames that the run has."""
+        return self.manifest.setup.frames
+
+    @property
     def missing(self) -> int:
         """Frames that the run has not come to."""
-        return self.manifest.setup.frames - int(self.table[INDEX].nunique())
+        return self.frames - int(self.table[INDEX].nunique())
 
 
 def read_pose_run(folder: Path) -> PoseResult:
@@ -105,36 +155,7 @@ def read_pose_results(folders: Iterable[Path]) -> list[PoseResult]:
     Raises:
         ToolkitError: a folder holds none, or two runs of one name are among them.
     """
-    found: dict[tuple[str, RunName], PoseResult] = {}
-    for folder in folders:
-        begun = sorted(p.parent for p in folder.rglob(POSE_MANIFEST))
-        paths = [path for path in begun if (path / POSES).exists()]
-        if not paths:
-            raise ToolkitError(
-                "no finished run of poses here",
-                path=folder,
-                hint="run the same std-bench command again to go on",
-            )
-        for path in begun:
-            if path not in paths:
-                logger.warning("%s: not finished, left out", path)
-        for path in paths:
-            result = read_pose_run(path)
-            key = (result.split, result.name)
-            if key in found and found[key].folder.resolve() != path.resolve():
-                raise ToolkitError(
-                    f"{', '.join(result.name)} on {result.split} stands in two folders",
-                    path=path,
-                    value=str(found[key].folder),
-                    hint="give one of them another name with --label",
-                )
-            found[key] = result
-            if result.missing:
-                logger.warning(
-                    "%s: not finished: %d of %d frames are missing",
-                    path, result.missing, result.manifest.setup.frames,
-                )  # fmt: skip
-    return list(found.values())
+    return find_runs(folders, POSE_MANIFEST, POSES, read_pose_run)
 
 
 @dataclass(frozen=True, eq=False)

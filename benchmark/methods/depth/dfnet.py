@@ -21,12 +21,12 @@ from benchmark.methods.network import (
     NetworkRestorer,
     Prediction,
     coarse_depth,
-    device_called,
     in_metres,
     padded_to,
     precisely,
     told_color,
     told_depth,
+    torch_device,
 )
 from benchmark.methods.registry import MethodOptions, configured, preset_of
 from benchmark.methods.weights import load_weights, weights_for
@@ -192,7 +192,7 @@ class DFNet(NetworkRestorer):
 
     def __init__(self, options: MethodOptions) -> None:
         self.config = configured(preset_of(PRESETS, options.preset), options.settings)
-        device_called(options.device)
+        torch_device(options.device)
         network = DFNetwork(self.config)
         load_weights(network, weights_for("dfnet", options))
         super().__init__(network, options, self.config.input_size)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.frame import DepthFrame, Material, nearest_indices, resize_nearest
-from benchmark.methods.protocol import Restored, View
+from benchmark.methods.protocol import Restored, Restorer, View
 
 # Metres: neighbours farther apart are not of one surface; and how far the sensor may be from
 # what was restored around it, to be believed.
@@ -55,6 +55,25 @@ def view_of(
         doubted = frame.mask_of(Material.TRANSPARENT, Material.SPECULAR)
         mask = resize_nearest(doubted, size)
     return View(color, resize_nearest(frame.depth_raw, size), camera, mask)
+
+
+def restorer_view(
+    frame: DepthFrame, restorer: Restorer, size: tuple[int, int] | None = None
+) -> View:
+    """What a restorer sees of a frame.
+
+    Args:
+        frame: with colour and raw depth.
+        restorer: that will see it.
+        size: (width, height) at which a protocol makes the views, as the released evaluation does,
+            for a restorer that has no size of its own; None for that of the ground truth.
+    """
+    return view_of(
+        frame,
+        restorer.input_size or size,
+        with_mask=restorer.needs_mask,
+        color_nearest=size is not None,
+    )
 
 
 def at_full_size(sensor: Depth, answer: Restored) -> Depth:

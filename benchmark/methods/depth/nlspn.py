@@ -25,12 +25,12 @@ from benchmark.methods.network import (
     NetworkRestorer,
     Prediction,
     coarse_depth,
-    device_called,
     in_metres,
     padded_to,
     precisely,
     told_color,
     told_depth,
+    torch_device,
 )
 from benchmark.methods.registry import MethodOptions, configured, preset_of
 from benchmark.methods.resnet import residual_layer
@@ -296,7 +296,7 @@ class NLSPN(NetworkRestorer):
 
     def __init__(self, options: MethodOptions) -> None:
         self.config = configured(preset_of(PRESETS, options.preset), options.settings)
-        device_called(options.device)
+        torch_device(options.device)
         network = NLSPNetwork(self.config)
         load_weights(network, weights_for("nlspn", options), ignored=_CONSTANTS)
         super().__init__(network, options, self.config.input_size)

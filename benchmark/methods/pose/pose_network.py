@@ -18,9 +18,9 @@ from benchmark.data.frame import resize_nearest
 from benchmark.methods.network import (
     color_and_depth,
     count_macs,
-    device_called,
     narrow_type,
     parameter_count,
+    torch_device,
 )
 from benchmark.methods.pose.fitting import FitMethod, FitOptions, FittedPose, fit_pose
 from benchmark.methods.pose.segmented import Segmented
@@ -71,7 +71,7 @@ class NetworkEstimator:
     def __init__(self, network: nn.Module, options: MethodOptions, config: NetworkSettings) -> None:
         self.input_size: tuple[int, int] | None = config.input_size
         self.size = config.input_size
-        self.device = device_called(options.device)
+        self.device = torch_device(options.device)
         self._narrow = narrow_type(options.precision)
         self.fit = config.fit_options
         self.network = network.to(self.device).eval().requires_grad_(False)

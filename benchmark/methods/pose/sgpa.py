@@ -21,7 +21,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from benchmark.methods.network import device_called
+from benchmark.methods.network import torch_device
 from benchmark.methods.pointnet import FeaturePropagation, Scale, SetAbstraction, SharedMLP
 from benchmark.methods.pose.deformation import Deformed
 from benchmark.methods.pose.spd import DeformingEstimator
@@ -273,7 +273,7 @@ class SGPA(DeformingEstimator):
 
     def __init__(self, options: MethodOptions) -> None:
         config = configured(preset_of(PRESETS, options.preset), options.settings)
-        device_called(options.device)
+        torch_device(options.device)
         network = SGPANetwork(config)
         load_weights(network, weights_for("sgpa", options))
         super().__init__(network, options)

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benchmark.methods.network import device_called, narrow_type, parameter_count
+from benchmark.methods.network import narrow_type, parameter_count, torch_device
 from benchmark.methods.pose.fitting import FitMethod, FitOptions, fit_pose
 from benchmark.methods.pose.segmented import Crop, Segmented, crop_object, stacked, true_segments
 from benchmark.methods.pose.spd_network import PRESETS, PriorNetwork, SPDNetwork
@@ -49,7 +49,7 @@ class DeformingEstimator:
         self.config = config
         self.input_size: tuple[int, int] | None = config.input_size
         self.needs_truth = config.masks == TRUE
-        self.device = device_called(options.device)
+        self.device = torch_device(options.device)
         self._narrow = narrow_type(options.precision)
         self.fit = FitOptions(fit=FitMethod(config.fit), threshold_m=config.threshold_m)
         self.network = network.to(self.device).eval().requires_grad_(False)
@@ -209,7 +209,7 @@ class SPD(DeformingEstimator):
 
     def __init__(self, options: MethodOptions) -> None:
         config = configured(preset_of(PRESETS, options.preset), options.settings)
-        device_called(options.device)
+        torch_device(options.device)
         network = SPDNetwork(config)
         load_weights(network, weights_for("spd", options))
         super().__init__(network, options)

@@ -134,15 +134,6 @@ class Cloud:
         return self.count_inside(grasps, boxes)[:, 0]
 
 
-def voxel_centers(points: ArrayLike, size: float) -> Floats:
-    """(V, 3) centres of the cells of a grid of `size` metres that hold a point, in order.
-
-    A gripper hits a voxel grid where it hits these points with a margin of half a cell.
-    """
-    cells = np.unique(np.floor(np.asarray(points, dtype=np.float64) / size), axis=0)
-    return (cells + 0.5) * size
-
-
 def voxel_means(points: ArrayLike, size: float) -> Floats:
     """(V, 3) mean of the points in each cell of a grid of `size` metres: a thinner cloud."""
     p = np.asarray(points, dtype=np.float64).reshape(-1, 3)

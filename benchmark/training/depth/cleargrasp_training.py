@@ -34,13 +34,13 @@ _NETWORKS = ("masks", "normals", "boundaries")
 def cleargrasp_step(
     network: nn.Module,
     loss: Any,
-    seen: ModelInput,
+    inputs: ModelInput,
     step_info: StepInfo,  # noqa: ARG001
 ) -> Loss:
     """All networks learn whose loss has a weight."""
-    answers = _answers(cast(ClearGraspNetwork, network), loss, seen.color)
-    with torch.autocast(seen.color.device.type, enabled=False):
-        return loss(answers, cleargrasp_target(seen.batch, loss))
+    answers = _answers(cast(ClearGraspNetwork, network), loss, inputs.color)
+    with torch.autocast(inputs.color.device.type, enabled=False):
+        return loss(answers, cleargrasp_target(inputs.batch, loss))
 
 
 def cleargrasp_target(batch: Batch, loss: ClearGraspLoss) -> ClearGraspTarget:

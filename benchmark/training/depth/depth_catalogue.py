@@ -75,7 +75,7 @@ LIDF_TRAINING = Trainable(
     network=LIDFNetwork,
     loss=LIDFLoss(),
     step=lidf_step,
-    judge=partial(DepthValidator, restore=lidf_depth),
+    validator=partial(DepthValidator, restore=lidf_depth),
     optimization=Optimization(
         optimizer="adam",
         learning_rate=1e-3,
@@ -97,7 +97,7 @@ CLEARGRASP_TRAINING = Trainable(
     network=ClearGraspNetwork,
     loss=ClearGraspLoss(),
     step=cleargrasp_step,
-    judge=ClearGraspValidator,
+    validator=ClearGraspValidator,
     optimization=Optimization(
         optimizer="adam",
         learning_rate=1e-4,

@@ -17,7 +17,7 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy, conv2d, max_pool2d, pad
 
 from benchmark.methods.network import Prediction
-from benchmark.training.step import Loss, Target, mean_where, weighed, weighed_mean
+from benchmark.training.step import Loss, Target, mean_where, object_weights, weighted_mean
 
 _SOBEL = ((-1.0, 0.0, 1.0), (-2.0, 0.0, 2.0), (-1.0, 0.0, 1.0))
 
@@ -202,7 +202,7 @@ class DFNetLoss:
         known = (true >= self.near) & (true <= self.far)
         compared = known & target.foreground if self.foreground_only else known
         error = (prediction.depth - true).masked_fill(~compared, 0.0)
-        squared = weighed_mean(error.square(), weighed(target, self.objects) * compared)
+        squared = weighted_mean(error.square(), object_weights(target, self.objects) * compared)
         both = normals(prediction.depth, target.K) * normals(true, target.K)
         bent = mean_where(1 - both.sum(dim=1, keepdim=True), compared & whole_around(known))
         return Loss(
@@ -236,7 +236,7 @@ class NLSPNLoss:
         if self.farthest is not None:
             depth, true = depth.clamp(0, self.farthest), true.clamp(0, self.farthest)
         error = (depth - true).masked_fill(~known, 0.0)
-        weights = weighed(target, self.objects) * known
+        weights = object_weights(target, self.objects) * known
         absolute, squared = _by_image(error.abs(), weights), _by_image(error.square(), weights)
         return Loss(
             self.absolute * absolute + self.squared * squared,
@@ -245,4 +245,4 @@ class NLSPNLoss:
 
 
 def _by_image(values: Tensor, weights: Tensor) -> Tensor:
-    return weighed_mean(values, weights, dim=(1, 2, 3)).mean()
+    return weighted_mean(values, weights, dim=(1, 2, 3)).mean()

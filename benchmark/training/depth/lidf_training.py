@@ -116,10 +116,10 @@ def with_neighbours(known: Tensor) -> Tensor:
     return found
 
 
-def lidf_inputs(network: LIDFNetwork, seen: ModelInput) -> tuple[Tensor, ...]:
+def lidf_inputs(network: LIDFNetwork, inputs: ModelInput) -> tuple[Tensor, ...]:
     """Colour, depth, rays, which depth is believed and which pixels are asked for, as the restorer
     gives them to the network."""
-    color, depth, batch = seen
+    color, depth, batch = inputs
     rays = points(torch.ones_like(depth), batch["K"])
     believed = depth > 0
     if network.config.mask == "objects":
@@ -128,18 +128,18 @@ def lidf_inputs(network: LIDFNetwork, seen: ModelInput) -> tuple[Tensor, ...]:
     return color, depth, rays, believed, asked
 
 
-def lidf_step(network: nn.Module, loss: Any, seen: ModelInput, step_info: StepInfo) -> Loss:
+def lidf_step(network: nn.Module, loss: Any, inputs: ModelInput, step_info: StepInfo) -> Loss:
     """The first stage learns in the phase `coarse`, at its beginning told the true voxels; in the
     others the second one does."""
     own, loss = cast(LIDFNetwork, network), cast(LIDFLoss, loss)
     stage: Literal[1, 2] = 1 if step_info.phase == COARSE else 2
     own.train_stage(stage)
-    target = target_of(seen.batch)
+    target = target_of(inputs.batch)
     told = stage == 1 and step_info.step < loss.told * step_info.steps
     found: LIDFPrediction = own(
-        *lidf_inputs(own, seen), learns=stage, follow=target.depth if told else None
+        *lidf_inputs(own, inputs), learns=stage, follow=target.depth if told else None
     )
-    with torch.autocast(seen.color.device.type, enabled=False):
+    with torch.autocast(inputs.color.device.type, enabled=False):
         total, parts = loss(found, target, step_info.phase)
         if not total.requires_grad:  # frames without any believed measurement have no answer
             learning = [p.sum() for p in own.parameters() if p.requires_grad]

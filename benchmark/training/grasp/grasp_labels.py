@@ -236,7 +236,7 @@ class SceneLabels:
 def scene_labels(
     objects: Sequence[TableObject],
     labels: Sequence[ObjectLabels],
-    seen: Sequence[NDArray[np.integer]],
+    visible: Sequence[NDArray[np.integer]],
     gripper: Gripper,
 ) -> SceneLabels:
     """Labels of the points that are seen.
@@ -244,12 +244,12 @@ def scene_labels(
     Args:
         objects: of the scene; the table is z = 0.
         labels: of each object.
-        seen: numbers of each object's points that are, in rising order.
+        visible: numbers of each object's points that are, in rising order.
         gripper: what must not hit the table and the other objects.
     """
     surfaces = [o.T_world_obj @ even_points(o.vertices, o.faces, _SPACING) for o in objects]
     numbers, points, friction, widths, tolerances = [], [], [], [], []
-    for number, (thing, own, rows) in enumerate(zip(objects, labels, seen, strict=True)):
+    for number, (thing, own, rows) in enumerate(zip(objects, labels, visible, strict=True)):
         if not len(rows):
             continue
         around = [s for other, s in enumerate(surfaces) if other != number]

@@ -114,13 +114,13 @@ class Known(NamedTuple):
     table: Tensor
 
 
-def grasp_step(network: nn.Module, loss: Any, seen: ModelInput, step_info: StepInfo) -> Loss:
-    """The step of `GraspNetwork`; `seen.batch` is one of `PackedGrasps`."""
+def grasp_step(network: nn.Module, loss: Any, inputs: ModelInput, step_info: StepInfo) -> Loss:
+    """The step of `GraspNetwork`; `inputs.batch` is one of `PackedGrasps`."""
     assert isinstance(network, GraspNetwork)
     if network.training:
         soften_normalisation(network, step_info)
-    approaches, operations, target = answers_and_truth(network, seen.batch)
-    with torch.autocast(seen.batch["cloud"].device.type, enabled=False):
+    approaches, operations, target = answers_and_truth(network, inputs.batch)
+    with torch.autocast(inputs.batch["cloud"].device.type, enabled=False):
         return loss(
             Approaches(*(part.float() for part in approaches)),
             Operations(*(part.float() for part in operations)),

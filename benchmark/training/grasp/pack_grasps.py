@@ -12,7 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.methods.grasp.graspnet.cloud import GraspNetConfig, scene_cloud, seen, workspace
+from benchmark.methods.grasp.graspnet.cloud import (
+    GraspNetConfig,
+    measured_pixels,
+    scene_cloud,
+    workspace,
+)
 from benchmark.methods.protocol import GraspView
 from benchmark.metrics.grasp.gripper import get_gripper
 from benchmark.training.grasp.grasp_labels import ObjectLabels, kept_labels, scene_labels
@@ -243,7 +248,7 @@ def _cloud(
         look.index >= 0,
         T_world_cam.inverse().matrix(),
     )
-    cloud, owner = scene_cloud(view), look.index[seen(view)]
+    cloud, owner = scene_cloud(view), look.index[measured_pixels(view)]
     shown = np.flatnonzero(workspace(view, cloud, network))
     if not len(shown):
         raise ToolkitError("a view of the scene sees no object", value=seed)

@@ -25,15 +25,20 @@ from benchmark.training.validation import Context, Validator
 _NEAR = 0.1
 
 
-def deformation_step(network: nn.Module, loss: Any, seen: ModelInput, step_info: StepInfo) -> Loss:  # noqa: ARG001
+def deformation_step(
+    network: nn.Module,
+    loss: Any,
+    inputs: ModelInput,
+    step_info: StepInfo,  # noqa: ARG001
+) -> Loss:
     """One object of each frame through a network that deforms a prior."""
-    found = _objects(network, seen, one_each=True)
+    found = _objects(network, inputs, one_each=True)
     if found is None:
         # Nothing can be learned of these frames; the step is there all the same.
         nothing = sum((p.sum() * 0 for p in network.parameters()), torch.zeros(()))
         return Loss(torch.as_tensor(nothing), {"objects": torch.zeros(())})
     answer = _answered(network, found)
-    with torch.autocast(seen.color.device.type, enabled=False):
+    with torch.autocast(inputs.color.device.type, enabled=False):
         total, parts = loss(_in_full_precision(answer), found.truth)
     return Loss(total, {**parts, "objects": torch.tensor(float(len(found.frames)))})
 
@@ -111,13 +116,13 @@ def coordinate_errors(found: Tensor, truth: ObjectTruth) -> Tensor:
     return (found @ about_y(angle).transpose(1, 2) - b).norm(dim=2)
 
 
-def _objects(network: nn.Module, seen: ModelInput, *, one_each: bool) -> Objects | None:
+def _objects(network: nn.Module, inputs: ModelInput, *, one_each: bool) -> Objects | None:
     config = _config(network)
-    depth = seen.depth[:, 0] if config.trained_on == "raw" else seen.batch["true"]
+    depth = inputs.depth[:, 0] if config.trained_on == "raw" else inputs.batch["true"]
     return objects_of(
-        seen.color,
+        inputs.color,
         depth,
-        seen.batch,
+        inputs.batch,
         categories=len(config.categories),
         side=config.side,
         points=config.points,

@@ -118,22 +118,24 @@ class PoseValidator(Validator):
         batch: Batch,
     ) -> Sequence[np.ndarray]:
         """Colour, true and found coordinates, true and found classes."""
-        seen = self.pixels_of(network, batch)
+        predicted = self.pixels_of(network, batch)
         target = pose_target(batch)
         color = batch["color"].cpu().numpy()
         true = _pictures(target.nocs, target.known)
-        found = _pictures(seen.nocs, (seen.classes > 0) & (seen.classes < BACKGROUND_CLASS))
-        kinds = [_COLORS[c.cpu().numpy()] for c in (target.classes, seen.classes)]
+        found = _pictures(
+            predicted.nocs, (predicted.classes > 0) & (predicted.classes < BACKGROUND_CLASS)
+        )
+        kinds = [_COLORS[c.cpu().numpy()] for c in (target.classes, predicted.classes)]
         return [_strip(columns) for columns in zip(color, true, found, *kinds, strict=True)]
 
 
-def sums_of(seen: PredictedPixels, target: PoseTarget) -> NDArray[np.float64]:
+def sums_of(predicted: PredictedPixels, target: PoseTarget) -> NDArray[np.float64]:
     """(4,) the sums of a batch."""
-    right = target.known & (seen.classes == target.classes)
-    found = (seen.classes > 0) & (seen.classes < BACKGROUND_CLASS)
+    right = target.known & (predicted.classes == target.classes)
+    found = (predicted.classes > 0) & (predicted.classes < BACKGROUND_CLASS)
     image = torch.arange(len(target.mask), device=target.mask.device)[:, None, None]
     group = image * _IDS + target.mask.long()
-    nocs = seen.nocs.float()
+    nocs = predicted.nocs.float()
     true = nearest_turn(nocs, target.nocs, group, is_round(target.classes) & right)
     error = (nocs - true).square().sum(dim=1).sqrt().clamp(max=MISSED)
     # Objects of a class whose coordinates nobody knows are neither right nor wrong.
@@ -188,20 +190,20 @@ def _strip(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
     return np.hstack(parts[:-1])
 
 
-def swin_nocs_step(network: nn.Module, loss: Any, seen: ModelInput, step_info: StepInfo) -> Loss:  # noqa: ARG001
+def swin_nocs_step(network: nn.Module, loss: Any, inputs: ModelInput, step_info: StepInfo) -> Loss:  # noqa: ARG001
     """The step of SwinDRNet's pose network."""
-    prediction = network(seen.color, points_of(seen.depth, seen.batch["K"]))
-    with torch.autocast(seen.color.device.type, enabled=False):
+    prediction = network(inputs.color, points_of(inputs.depth, inputs.batch["K"]))
+    with torch.autocast(inputs.color.device.type, enabled=False):
         full = SwinNOCSPrediction(*(part.float() for part in prediction))
-        return loss(full, pose_target(seen.batch))
+        return loss(full, pose_target(inputs.batch))
 
 
-def nocs_step(network: nn.Module, loss: Any, seen: ModelInput, step_info: StepInfo) -> Loss:  # noqa: ARG001
+def nocs_step(network: nn.Module, loss: Any, inputs: ModelInput, step_info: StepInfo) -> Loss:  # noqa: ARG001
     """The step of NOCS: masks and coordinates are learnt in the objects' own boxes, jittered."""
-    target = nocs_target(seen.batch, loss)
+    target = nocs_target(inputs.batch, loss)
     regions = jittered(target.objects, loss.jitter)
-    prediction: NOCSPrediction = network(seen.color, regions)
-    with torch.autocast(seen.color.device.type, enabled=False):
+    prediction: NOCSPrediction = network(inputs.color, regions)
+    with torch.autocast(inputs.color.device.type, enabled=False):
         return loss(prediction, target)
 
 

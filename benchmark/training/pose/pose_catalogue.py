@@ -35,7 +35,7 @@ SPD_TRAINING = Trainable(
     network=SPDNetwork,
     loss=DeformationLoss(),
     step=deformation_step,
-    judge=DeformationValidator,
+    validator=DeformationValidator,
     # Whether and how the rate falls is not known: it stays.
     optimization=Optimization(
         optimizer="adam",
@@ -53,7 +53,7 @@ SGPA_TRAINING = Trainable(
     network=SGPANetwork,
     loss=DeformationLoss(),
     step=deformation_step,
-    judge=DeformationValidator,
+    validator=DeformationValidator,
     optimization=Optimization(
         optimizer="adam",
         learning_rate=1e-4,
@@ -84,7 +84,7 @@ SWINDRNET_NOCS_TRAINING = Trainable(
     frames=fitting_frames_with_nocs,
     loss=SwinNOCSLoss(),
     step=swin_nocs_step,
-    judge=partial(PoseValidator, pixels_of=pixels_of_swin),
+    validator=partial(PoseValidator, pixels_of=pixels_of_swin),
     # As SwinDRNet: what the paper says of both.
     optimization=Optimization(warmup_steps=500),
     colors=True,
@@ -99,7 +99,7 @@ NOCS_TRAINING = Trainable(
     frames=fitting_frames_with_nocs,
     loss=NOCSLoss(),
     step=nocs_step,
-    judge=partial(PoseValidator, pixels_of=pixels_of_nocs),
+    validator=partial(PoseValidator, pixels_of=pixels_of_nocs),
     # Own: what is published is for another detector, with parts of the network frozen by turns.
     optimization=Optimization(
         learning_rate=2e-4,

@@ -247,7 +247,7 @@ class SurfaceColors:
 
 def color_agreement(
     rendered: list[NDArray[np.float32]],
-    seen: list[NDArray[np.float32]],
+    observed: list[NDArray[np.float32]],
     masks: list[NDArray[np.bool_]],
 ) -> float:
     """Correlation -1 to 1 of rendered and photographed colours over several views.
@@ -256,7 +256,7 @@ def color_agreement(
     are smoothed within the mask, so that a pose that is off by a pixel still agrees.
 
     Args:
-        rendered, seen: per view (h, w, 3) RGB.
+        rendered, observed: per view (h, w, 3) RGB.
         masks: per view (h, w) where the object shows.
 
     Returns:
@@ -264,7 +264,7 @@ def color_agreement(
     """
     shared = rendered_power = seen_power = 0.0
     count = 0
-    for drawn, taken, mask in zip(rendered, seen, masks, strict=True):
+    for drawn, taken, mask in zip(rendered, observed, masks, strict=True):
         if mask.sum() < 30:
             continue
         a, b = (_smoothed(x, mask)[mask].astype(np.float64) for x in (drawn, taken))

@@ -8,8 +8,7 @@ from bench import Bench
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QAction, QKeySequence
 
-from annotator.app.action_table import ACTIONS, BY_ID, MENUS
-from annotator.qt.commands import ITEMS, LABELLED
+from annotator.app.action_table import ACTIONS, BY_ID, MENUS, SHORT_TITLES, TOOLS
 from annotator.qt.question_dialog import QuestionDialog
 
 
@@ -42,9 +41,9 @@ def test_every_action_says_what_it_does(bench: Bench) -> None:
 
 
 def test_the_tool_bar_is_made_of_the_table() -> None:
-    ids = [i for i in ITEMS if i not in (None, "opacity")]
-    assert set(ids) <= set(BY_ID)
-    assert set(LABELLED) <= set(ids)
+    ids = [id for group in TOOLS for id in group]
+    assert set(ids) - {"opacity"} <= set(BY_ID)
+    assert set(SHORT_TITLES) <= set(ids)
 
 
 def test_every_dialog_that_an_action_asks_for_exists(bench: Bench) -> None:

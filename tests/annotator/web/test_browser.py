@@ -126,7 +126,7 @@ def test_a_key_held_down_repeats_a_step_but_not_a_switch(served: Served, page: P
         page.keyboard.down("h")
     page.keyboard.up("h")
     page.locator("[data-menu='View']").click()
-    page.wait_for_selector("[data-action='hide'] .mdi-check")
+    page.wait_for_selector("[data-action='hide'] .on")
     page.locator("[data-action='hide']").click()
     page.wait_for_selector("[data-menu='View'][aria-expanded='false']")
     for _ in range(4):
@@ -213,8 +213,8 @@ def test_the_frame_slider_shows_frames_while_it_is_dragged(served: Served, page:
     opened(page, served.url)
     page.keyboard.press("Control+Home")
     page.wait_for_selector("#frame:has-text('1 of 3')")
-    thumb = page.locator(".v-slider-thumb").bounding_box()
-    track = page.locator(".v-slider-track").bounding_box()
+    thumb = page.locator(".bottom .v-slider-thumb").bounding_box()
+    track = page.locator(".bottom .v-slider-track").bounding_box()
     assert thumb is not None and track is not None
     y = thumb["y"] + thumb["height"] / 2
     page.mouse.move(thumb["x"] + thumb["width"] / 2, y)

@@ -35,6 +35,7 @@ def a_run(root: Path, out: Path, method: str = "nearest", **changes: object) -> 
         label=method.partition(":")[2] or method,
         out=out,
         batch_size=2,
+        speed=False,
     )
     return replace(run, **changes)  # type: ignore[arg-type]
 

@@ -14,8 +14,8 @@ from benchmark.cli.bench import main
 from benchmark.cli.report import PAGE
 from benchmark.cli.report import main as report
 from benchmark.evaluation.config import PoseConfig
-from benchmark.evaluation.tasks.pose_results import read_pose_results, score_run
-from benchmark.evaluation.tasks.pose_runs import plan_pose_runs, wanted_protocols
+from benchmark.evaluation.tasks.pose import TASK
+from benchmark.evaluation.tasks.pose_results import read_pose_results, score_run, wanted_protocols
 from benchmark.metrics.bop import BopEstimate, open_bop, write_bop_results
 from benchmark.published.load import published_poses
 from benchmark.report.parts.pose import CSV, LATEX, MARKDOWN, findings
@@ -205,7 +205,7 @@ def test_raw_depth_is_raw_depth_also_as_input(tmp_path: Path) -> None:
         weights=("nocs=/n", "swindrnet=/s"),
         settings=("swindrnet.fusion=released", "nocs.most=5"),
     )
-    runs = plan_pose_runs(config)
+    runs = TASK.plan(config)
     assert [r.folder.relative_to(tmp_path / "pose" / SPLIT).as_posix() for r in runs] == [
         f"nocs/{depth}/{fit}"
         for depth in ("raw", "swindrnet-as-input", "mine-as-input")

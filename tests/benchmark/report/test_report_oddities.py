@@ -10,9 +10,10 @@ import pandas as pd
 import pytest
 
 from benchmark.cli.report import main
+from benchmark.evaluation.engine import run_all
 from benchmark.evaluation.results import TABLE
+from benchmark.evaluation.tasks.depth import TASK
 from benchmark.evaluation.tasks.depth_results import read_results
-from benchmark.evaluation.tasks.depth_runs import run_all
 from benchmark.report.leaderboard import MEASURED, PUBLISHED, make_board, one_of_each
 from benchmark.report.parts.depth_plots import bars, method_colors, radar
 from benchmark.report.parts.depth_sections import can_differ
@@ -26,8 +27,8 @@ JOBS = JobOptions(engine="serial", progress=False)
 @pytest.fixture
 def results(tmp_path: Path) -> Path:
     root = write_split(tmp_path / "data", scenes=2, frames=2)
-    runs = [a_run(root, tmp_path / "r", m) for m in ("raw", "nearest")]
-    run_all(runs, JOBS, speed=False, gallery=False)
+    runs = [a_run(root, tmp_path / "r", m, gallery=False) for m in ("raw", "nearest")]
+    run_all(TASK, runs, JOBS)
     return tmp_path / "r"
 
 

@@ -12,8 +12,9 @@ import pandas as pd
 import pytest
 
 from benchmark.cli.report import PAGE, main
+from benchmark.evaluation.engine import run_all
+from benchmark.evaluation.tasks.depth import TASK
 from benchmark.evaluation.tasks.depth_results import read_results, summarise
-from benchmark.evaluation.tasks.depth_runs import run_all
 from benchmark.report.leaderboard import METRICS, PUBLISHED, make_board
 from benchmark.report.leaderboard_text import escape_latex, latex, markdown, terminal
 from benchmark.report.parts.depth import CSV, LATEX, MARKDOWN
@@ -30,7 +31,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = top / "results"
     jobs = JobOptions(engine="serial", progress=False)
     runs = [a_run(root, out, method) for method in ("raw", "nearest", "telea")]
-    assert not run_all(runs, jobs, speed=False).failed
+    assert not run_all(TASK, runs, jobs).failed
     return out
 
 

@@ -53,7 +53,7 @@ class TrueCamera:
         self._exact = ExactCamera(CAMERA, camera_pose())
         self.camera, self.T_world_cam = CAMERA, camera_pose()
 
-    def look(
+    def observe(
         self,
         objects: Sequence[TableObject],
         poses: Sequence[SE3],
@@ -61,6 +61,6 @@ class TrueCamera:
         *,
         color: bool,  # noqa: ARG002
     ) -> Observation:
-        exact = self._exact.look([o.body for o in objects], poses)
+        exact = self._exact.observe([o.body for o in objects], poses)
         image = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
         return Observation(_frame(objects, image, exact.depth, exact, CAMERA, attempt), exact)

@@ -19,7 +19,7 @@ ARRANGEMENT = Arrangement(
 
 def _look(kind: str, attempt: int = 0, *, color: bool = False):
     camera = make_camera(kind, ARRANGEMENT)
-    return camera.look(ARRANGEMENT.objects, ARRANGEMENT.poses, attempt, color=color)
+    return camera.observe(ARRANGEMENT.objects, ARRANGEMENT.poses, attempt, color=color)
 
 
 @pytest.mark.slow
@@ -31,7 +31,9 @@ def test_the_quick_camera_is_seeded_by_round_and_attempt():
     assert frame.depth_raw.shape == (HEIGHT, WIDTH)
     assert [i.material for i in frame.instances] == [Material.TRANSPARENT, Material.SPECULAR]
     # How much of an object is lost stays with it for the round.
-    lost = [(look.frame.depth_raw[look.frame.mask == 0] == 0).mean() for look in (first, later)]
+    lost = [
+        (observe.frame.depth_raw[observe.frame.mask == 0] == 0).mean() for observe in (first, later)
+    ]
     assert lost[0] == pytest.approx(lost[1], abs=0.01)
     # All but a thin line of each edge is the table itself.
     table = frame.mask == BACKGROUND

@@ -17,7 +17,7 @@ def _pixel(point: tuple[float, float, float]) -> tuple[int, int]:
 
 
 def test_an_empty_table_is_a_plane():
-    view = ExactCamera(CAMERA, POSE).look([], [])
+    view = ExactCamera(CAMERA, POSE).observe([], [])
     world = POSE @ (CAMERA.rays() * view.depth[..., None]).reshape(-1, 3)
     assert np.abs(world[:, 2]).max() < 1e-6
     assert (view.mask == BACKGROUND).all()
@@ -27,7 +27,7 @@ def test_an_empty_table_is_a_plane():
 def test_behind_an_object_is_the_next_one_and_behind_that_the_table():
     near, far = box((0.06, 0.02, 0.2), "near"), box((0.2, 0.02, 0.16), "far")
     poses = [standing(near, y=-0.05), standing(far, y=0.05)]
-    view = ExactCamera(CAMERA, POSE).look([near, far], poses)
+    view = ExactCamera(CAMERA, POSE).observe([near, far], poses)
     front = _pixel((0, -0.06, 0.19))
     assert view.mask[front] == 0
     ray = CAMERA.rays()[front]
@@ -43,5 +43,5 @@ def test_behind_an_object_is_the_next_one_and_behind_that_the_table():
 
 def test_what_is_out_of_view_is_not_there():
     thing = box((0.05, 0.05, 0.05))
-    view = ExactCamera(CAMERA, POSE).look([thing], [SE3(np.eye(3), np.array([3.0, 0, 0.025]))])
+    view = ExactCamera(CAMERA, POSE).observe([thing], [SE3(np.eye(3), np.array([3.0, 0, 0.025]))])
     assert (view.mask == BACKGROUND).all()

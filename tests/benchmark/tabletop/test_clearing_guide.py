@@ -23,9 +23,11 @@ def test_the_planner_of_the_guide_grasps_a_tower():
     exec(code[1], names)
     thing = box((0.04, 0.04, 0.09), "tower")
     camera = TrueCamera()
-    looked = camera.look([table_object(thing, 0)], [standing(thing)], 0, color=False)
+    observation = camera.observe([table_object(thing, 0)], [standing(thing)], 0, color=False)
     T_cam_table = camera.T_world_cam.inverse().matrix()
-    view = GraspView(looked.frame.color, looked.frame.depth_true, CAMERA, T_cam_table=T_cam_table)
+    view = GraspView(
+        observation.frame.color, observation.frame.depth_true, CAMERA, T_cam_table=T_cam_table
+    )
     grasps = names["Highest"](MethodOptions()).plan(view)
     assert len(grasps) == 1
     in_world = grasps.transformed(camera.T_world_cam)
@@ -34,6 +36,6 @@ def test_the_planner_of_the_guide_grasps_a_tower():
     assert abs(float(in_world.translations[0, 2]) - 0.09) < 1e-3
     assert execute([thing], [standing(thing)], in_world).outcome in ("held", "blocked-by-object")
     empty = GraspView(
-        looked.frame.color, np.zeros_like(view.depth), CAMERA, T_cam_table=T_cam_table
+        observation.frame.color, np.zeros_like(view.depth), CAMERA, T_cam_table=T_cam_table
     )
     assert len(names["Highest"](MethodOptions()).plan(empty)) == 0

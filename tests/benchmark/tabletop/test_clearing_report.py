@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspSetup, grasp_manifest
+from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest, GraspSetup, circumstances
 from benchmark.evaluation.tasks.grasp_results import Rate
 from benchmark.evaluation.tasks.grasp_table import ATTEMPTS, GRASPED, LEFT
 from benchmark.report.parts.grasp import grasp_part, points, printed_rows, verdict
@@ -23,9 +23,9 @@ def _write(out: Path, depth: str, rounds: list) -> None:
         planner_weights_sha256="", depth=depth, depth_preset="", depth_settings={},
         depth_weights_sha256="", precision="fp32", compile=False, device="cpu",
     )  # fmt: skip
-    manifest = grasp_manifest(
-        setup, depth_label=depth, planner_label="antipodal", planner_weights=None,
-        depth_weights=None,
+    manifest = GraspManifest(
+        setup=setup, depth_label=depth, planner_label="antipodal", planner_weights="",
+        depth_weights="", **circumstances(),
     )  # fmt: skip
     folder.mkdir(parents=True)
     write_document(folder / GRASP_MANIFEST, manifest)

@@ -35,8 +35,10 @@ ARRANGEMENT = Arrangement(
 )
 
 
-def given(looked):
-    return GivenDepth(looked.frame.color, looked.frame.depth_true, looked.frame.camera)
+def given(observation):
+    return GivenDepth(
+        observation.frame.color, observation.frame.depth_true, observation.frame.camera
+    )
 
 
 def oracle(_view, state):

@@ -284,7 +284,7 @@ def test_one_network_or_all_three_are_the_same_training(pack, tmp_path):
 
 def test_validation_of_what_is_true_is_perfect(pack, tmp_path):
     frames, loss = PackedFrames([pack]), ClearGraspLoss()
-    judge = ClearGraspValidator(frames, range(5), 2, loss)
+    validator = ClearGraspValidator(frames, range(5), 2, loss)
 
     class Knowing(torch.nn.Module):
         """The submodules answer what is true of the batch that colour is asked of."""
@@ -305,11 +305,11 @@ def test_validation_of_what_is_true_is_perfect(pack, tmp_path):
             return 50.0 * hot.permute(0, 3, 1, 2)
 
     network = torch.nn.ModuleDict({n: Knowing(n) for n in ("masks", "normals", "boundaries")})
-    scores = judge.scores(judge.states(network, torch.device("cpu")))
+    scores = validator.scores(validator.states(network, torch.device("cpu")))
     assert scores["masks_iou"] == 1 and scores["occlusion_iou"] == 1
     assert scores["normals_degrees"] < 0.1 and scores["loss"] < 1e-5
-    assert judge.main_score(scores) == ("loss", scores["loss"])
-    unknown = judge.scores(np.zeros(10))
+    assert validator.main_score(scores) == ("loss", scores["loss"])
+    unknown = validator.scores(np.zeros(10))
     assert all(np.isnan(value) for value in unknown.values())
 
 

@@ -253,10 +253,10 @@ def test_frames_without_objects_teach_nothing(priors):
     loss.total.backward()
     assert loss.total == 0 and all(not p.grad.any() for p in network.parameters())
     names = network.config.categories
-    judge = DeformationValidator([], [], 1)
-    states = judge.states(network, torch.device("cpu"))
+    validator = DeformationValidator([], [], 1)
+    states = validator.states(network, torch.device("cpu"))
     assert states.shape == (len(names), 3)
-    assert judge.main_score(judge.scores(states)) == ("coordinates", math.inf)
+    assert validator.main_score(validator.scores(states)) == ("coordinates", math.inf)
 
 
 @pytest.mark.slow

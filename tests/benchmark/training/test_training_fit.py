@@ -228,13 +228,13 @@ def test_two_processes_share_a_training(pack, tmp_path):
 
 def test_shares_of_validation_add_up_to_the_whole(pack):
     frames = PackedFrames([pack])
-    judge = DepthValidator(frames, range(7), 2)
+    validator = DepthValidator(frames, range(7), 2)
     network = make_network(
         get_trainable("dfnet"), plan_training(wishes("dfnet", pack))[0], Beginning()
     )
     device = torch.device("cpu")
-    whole = judge.states(network, device)
-    parts = [judge.states(network, device, rank=rank, world=3) for rank in range(3)]
+    whole = validator.states(network, device)
+    parts = [validator.states(network, device, rank=rank, world=3) for rank in range(3)]
     assert np.allclose(sum(parts), whole)
     assert network.training, "it is left as it was"
     name, value = main_score(scores_of(whole))

@@ -5,13 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 from scene_factory import SERIAL, make_scene
 
 from std_toolkit.exporters import ExportOptions, export_scene
+from std_toolkit.exporters.std_exporter import write_depth_exr
 from std_toolkit.geometry import umeyama
 from std_toolkit.geometry.mesh import mesh_extents, nocs_frame
+from std_toolkit.io.documents import write_document
+from std_toolkit.scene import Scene
+from std_toolkit.scene.model import Frames
 
 CLASSES = {"other": 0, "can": 4, "mug": 6}
 
@@ -82,3 +87,19 @@ def test_models_and_scales_fit_the_maps(exported):
         assert fit.scale == pytest.approx(1, abs=0.01)
         assert np.linalg.norm(fit.t - scene.T_cam_obj(0, object_id) @ centre) < 1e-3
         assert (top / f"obj_models/real_test/{model.id}.obj").is_file()
+
+
+def test_depth_beyond_16_bits_is_dropped_and_not_clipped(tmp_path):
+    """65,535 mm are the last that fit; what is farther is no reading, not a wall at 65.5 m."""
+    scene = make_scene(tmp_path / "scene", frames=1)
+    frame = scene.frames[0]
+    depth = scene.read_depth(frame)
+    depth[3, 4:10] = 65.534, 65.535, 65.536, 70.0, 131.071, 1000.0
+    write_depth_exr(scene.root / "depth/far.exr", depth)
+    frames = Frames(frames=[msgspec.structs.replace(frame, depth="depth/far.exr")])
+    write_document(scene.root / "frames.json", frames)
+    options = ExportOptions(scene_number=3)
+    export_scene(Scene.open(scene.root), "nocs", tmp_path / "nocs", options=options, jobs=SERIAL)
+    exported = load(tmp_path / "nocs", "0000")["depth"]
+    assert exported[3, 4:10].tolist() == [65534, 65535, 0, 0, 0, 0]
+    assert np.count_nonzero(exported > 60_000) == 2

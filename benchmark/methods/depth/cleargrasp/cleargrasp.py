@@ -27,7 +27,7 @@ from benchmark.methods.depth.cleargrasp.global_optimization import (
     normals_to_opencv,
     optimize_depth,
 )
-from benchmark.methods.network import NetworkRestorer, device_called
+from benchmark.methods.network import NetworkRestorer, torch_device
 from benchmark.methods.protocol import Restored, View
 from benchmark.methods.registry import MethodOptions, configured, preset_of
 from benchmark.methods.weights import load_weights, weights_for
@@ -50,7 +50,7 @@ class ClearGrasp(NetworkRestorer):
 
     def __init__(self, options: MethodOptions) -> None:
         self.config = configured(preset_of(PRESETS, options.preset), options.settings)
-        device_called(options.device)
+        torch_device(options.device)
         if self.config.grow_px < 0:
             raise ToolkitError("must not be negative", field="grow_px", value=self.config.grow_px)
         network = ClearGraspNetwork(self.config)

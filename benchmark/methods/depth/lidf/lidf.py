@@ -43,7 +43,7 @@ from benchmark.methods.depth.lidf.voxels import (
     points_on,
     true_pairs,
 )
-from benchmark.methods.network import NetworkRestorer, color_and_depth, device_called
+from benchmark.methods.network import NetworkRestorer, color_and_depth, torch_device
 from benchmark.methods.protocol import View
 from benchmark.methods.registry import MethodOptions, configured, preset_of
 from benchmark.methods.weights import load_weights, weights_for
@@ -74,7 +74,7 @@ class LIDFPrediction(NamedTuple):
     refinements: Refinements | None = None
 
 
-class _Seen(NamedTuple):
+class _Voxelized(NamedTuple):
     """A batch of images: the measurements, their voxels, what colour says around every pixel."""
 
     points: Tensor  # (n, 3) metres
@@ -135,19 +135,19 @@ class LIDFNetwork(nn.Module):
         """
         with torch.set_grad_enabled(torch.is_grad_enabled() and learns != 2):
             believed = believed & (depth > 0)
-            seen = self._seen(color, depth, rays, believed)
-            chosen = self._rays(rays, self._asked(asked), seen)
+            voxelized = self._seen(color, depth, rays, believed)
+            chosen = self._rays(rays, self._asked(asked), voxelized)
             if learns == 1:
-                found = self._terminations(chosen, seen, self._distance(chosen, rays, follow))
+                found = self._terminations(chosen, voxelized, self._distance(chosen, rays, follow))
                 distance = _distances(found)
             else:
                 found = None
-                distance = self._distances_by_parts(chosen, seen, rays, follow)
+                distance = self._distances_by_parts(chosen, voxelized, rays, follow)
         kept = torch.where(believed, depth, 0.0)
         initial = _with(kept, chosen, distance)
         if learns == 1 or (learns is None and not self.config.refine):
             return LIDFPrediction(initial, initial, None, found)
-        refined = self._refined(chosen, distance, seen, color)
+        refined = self._refined(chosen, distance, voxelized, color)
         last = (refined.points[-1] * refined.rays.direction).sum(dim=1)
         return LIDFPrediction(_with(kept, refined.rays, last), initial, None, None, refined)
 
@@ -162,7 +162,7 @@ class LIDFNetwork(nn.Module):
     def _normalised(self, color: Tensor) -> Tensor:
         return (color - self.color_mean) / self.color_deviation
 
-    def _seen(self, color: Tensor, depth: Tensor, rays: Tensor, believed: Tensor) -> _Seen:
+    def _seen(self, color: Tensor, depth: Tensor, rays: Tensor, believed: Tensor) -> _Voxelized:
         color = self._normalised(color)
         means = cell_means(self.color_net(color))
         everywhere = rays * depth
@@ -174,7 +174,7 @@ class LIDFNetwork(nn.Module):
         voxels, voxel = occupied(self.grid, points, image)
         apart = points - (voxels.corner + self.grid.side / 2)[voxel]
         features = self.points(torch.cat([apart, own], dim=1), voxel, len(voxels.image))
-        return _Seen(points, own, image, voxels, features, means)
+        return _Voxelized(points, own, image, voxels, features, means)
 
     def _asked(self, asked: Tensor) -> Tensor:
         """(r,) pixels to predict; in training not too many of an image."""
@@ -189,10 +189,10 @@ class LIDFNetwork(nn.Module):
             parts.append(pixels[begin : begin + self.config.train_rays])
         return torch.cat(parts)
 
-    def _rays(self, rays: Tensor, pixels: Tensor, seen: _Seen) -> Rays:
+    def _rays(self, rays: Tensor, pixels: Tensor, voxelized: _Voxelized) -> Rays:
         h, w = rays.shape[-2:]
         direction = nn.functional.normalize(_of_pixels(rays)[pixels], dim=1)
-        around = surroundings(seen.means, pixels)
+        around = surroundings(voxelized.means, pixels)
         features = torch.cat([around, encoded(direction, DIRECTION_WAVES)], dim=1)
         return Rays(pixels, places(pixels, h, w)[0], direction, features)
 
@@ -202,15 +202,17 @@ class LIDFNetwork(nn.Module):
             return None
         return follow.flatten()[chosen.pixel] * _of_pixels(rays)[chosen.pixel].norm(dim=1)
 
-    def _features(self, rays: Rays, seen: _Seen) -> tuple[Pairs, Features]:
-        pairs = passed(rays.direction, rays.image, seen.voxels, self.grid.side)
+    def _features(self, rays: Rays, voxelized: _Voxelized) -> tuple[Pairs, Features]:
+        pairs = passed(rays.direction, rays.image, voxelized.voxels, self.grid.side)
         way = rays.direction[pairs.ray]
         ends = [encoded(at[:, None] * way, POSITION_WAVES) for at in (pairs.entry, pairs.exit)]
         own = torch.cat(ends, dim=1)
-        return pairs, Features(seen.features, pairs.voxel, rays.features, pairs.ray, own)
+        return pairs, Features(voxelized.features, pairs.voxel, rays.features, pairs.ray, own)
 
-    def _terminations(self, rays: Rays, seen: _Seen, distance: Tensor | None) -> Terminations:
-        pairs, features = self._features(rays, seen)
+    def _terminations(
+        self, rays: Rays, voxelized: _Voxelized, distance: Tensor | None
+    ) -> Terminations:
+        pairs, features = self._features(rays, voxelized)
         logits = self.termination(features)
         count = len(rays.pixel)
         chances = log_softmax_of_groups(logits, pairs.ray, count)
@@ -224,13 +226,13 @@ class LIDFNetwork(nn.Module):
         return Terminations(rays, pairs, chances, offset, points, chosen, true)
 
     def _distances_by_parts(
-        self, rays: Rays, seen: _Seen, images: Tensor, follow: Tensor | None
+        self, rays: Rays, voxelized: _Voxelized, images: Tensor, follow: Tensor | None
     ) -> Tensor:
         """(r,) metres along the rays, NaN for none. Offsets are computed of chosen voxels only."""
         found = []
         for begin in range(0, len(rays.pixel), self.config.rays_at_once):
             part = rays.chosen(slice(begin, begin + self.config.rays_at_once))
-            pairs, features = self._features(part, seen)
+            pairs, features = self._features(part, voxelized)
             logits = self.termination(features)
             chosen = first_largest_of_groups(logits, pairs.ray, len(part.pixel))
             distance = self._distance(part, images, follow)
@@ -244,12 +246,14 @@ class LIDFNetwork(nn.Module):
             found.append(at)
         return torch.cat(found) if found else rays.direction.new_zeros(0)
 
-    def _refined(self, rays: Rays, distance: Tensor, seen: _Seen, color: Tensor) -> Refinements:
+    def _refined(
+        self, rays: Rays, distance: Tensor, voxelized: _Voxelized, color: Tensor
+    ) -> Refinements:
         there = distance.isfinite().nonzero().squeeze(1)
         chosen = rays.chosen(there)
         start = distance[there].detach()[:, None] * chosen.direction
         own = _of_pixels(self._normalised(color))[chosen.pixel]
-        measured = seen.points, seen.color, seen.image
+        measured = voxelized.points, voxelized.color, voxelized.image
         return Refinements(chosen, tuple(self.refinement(start, chosen, own, measured)))
 
 
@@ -283,7 +287,7 @@ class LIDF(NetworkRestorer):
 
     def __init__(self, options: MethodOptions) -> None:
         self.config = configured(preset_of(PRESETS, options.preset), options.settings)
-        device_called(options.device)
+        torch_device(options.device)
         network = LIDFNetwork(self.config)
         load_weights(network, weights_for("lidf", options))
         super().__init__(network, options, self.config.input_size)

@@ -157,5 +157,5 @@ def off_middle(points: Floats, obstacles: Obstacles) -> Floats:
     """(K,) how far points lie from the middle of their object, seen from above, metres."""
     from scipy.spatial import cKDTree
 
-    nearest = cKDTree(obstacles.seen).query(points)[1]
+    nearest = cKDTree(obstacles.visible).query(points)[1]
     return np.linalg.norm(points[:, :2] - obstacles.middles[obstacles.object_of[nearest]], axis=1)

@@ -50,7 +50,7 @@ class Obstacles:
     Attributes:
         fine: points about 4 mm apart, for the fingers.
         coarse: about 1 cm apart, for the palm.
-        seen: (P, 3) those of `fine` that were seen.
+        visible: (P, 3) those of `fine` that were seen.
         object_of: (P,) number of the connected piece that each of them belongs to.
         middles: (M, 2) middle of each piece on the table.
         tops: (M,) height of each piece.
@@ -58,7 +58,7 @@ class Obstacles:
 
     fine: Cloud
     coarse: Cloud
-    seen: Floats
+    visible: Floats
     object_of: NDArray[np.int64]
     middles: Floats
     tops: Floats
@@ -74,21 +74,21 @@ def obstacles_of(points: Floats) -> Obstacles:
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
-    seen = voxel_means(points, FINE_M)
-    filled = voxel_means(np.concatenate([seen, _columns(seen)]), FINE_M)
-    if len(seen):
-        i, j = cKDTree(seen).query_pairs(_CONNECTED_M, output_type="ndarray").T
-        links = coo_array((np.ones(len(i)), (i, j)), shape=(len(seen), len(seen)))
+    visible = voxel_means(points, FINE_M)
+    filled = voxel_means(np.concatenate([visible, _columns(visible)]), FINE_M)
+    if len(visible):
+        i, j = cKDTree(visible).query_pairs(_CONNECTED_M, output_type="ndarray").T
+        links = coo_array((np.ones(len(i)), (i, j)), shape=(len(visible), len(visible)))
         count, object_of = connected_components(links, directed=False)
     else:
         count, object_of = 0, np.zeros(0, dtype=np.int32)
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    np.minimum.at(low, object_of, seen)
-    np.maximum.at(high, object_of, seen)
+    np.minimum.at(low, object_of, visible)
+    np.maximum.at(high, object_of, visible)
     return Obstacles(
         fine=Cloud(filled),
         coarse=Cloud(voxel_means(filled, COARSE_M)),
-        seen=seen,
+        visible=visible,
         object_of=object_of.astype(np.int64),
         middles=(low[:, :2] + high[:, :2]) / 2,
         tops=high[:, 2],
@@ -104,7 +104,7 @@ def filled_pads(grasps: Grasps, obstacles: Obstacles, gripper: Gripper) -> Float
     across = gripper.finger_height / _PAD_CELLS
     along = gripper.finger_sections[0][0] / _PAD_CELLS
     half = grasps.widths / 2
-    cloud = Cloud(obstacles.seen)
+    cloud = Cloud(obstacles.visible)
     for row in range(_PAD_CELLS):
         low = np.stack([grasps.depths - (row + 1) * along, -half, np.zeros_like(half)], axis=1)
         high = np.stack([grasps.depths - row * along, half, np.zeros_like(half)], axis=1)

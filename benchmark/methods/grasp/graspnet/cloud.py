@@ -115,15 +115,15 @@ PRESETS = {
 }
 
 
-def seen(view: GraspView) -> NDArray[np.bool_]:
+def measured_pixels(view: GraspView) -> NDArray[np.bool_]:
     """(h, w) pixels that have depth, and a ray through the lens."""
     rays = pixel_rays(view.camera)
     return np.isfinite(view.depth) & (view.depth > 0) & np.isfinite(rays).all(axis=-1)
 
 
 def scene_cloud(view: GraspView) -> Floats:
-    """(n, 3) points of the pixels that are `seen`, camera frame, metres, row by row."""
-    there = seen(view)
+    """(n, 3) points of the pixels that are `measured_pixels`, camera frame, metres, row by row."""
+    there = measured_pixels(view)
     rays = pixel_rays(view.camera)[there]
     return (rays * view.depth[there, None]).astype(np.float32)
 
@@ -145,7 +145,7 @@ def workspace(view: GraspView, cloud: Floats, config: GraspNetConfig) -> NDArray
     T = np.eye(4) if view.T_cam_table is None else np.linalg.inv(view.T_cam_table)
     points = cloud @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32)
     kept = np.ones(len(cloud), bool)
-    inside = kept if view.mask is None else view.mask[seen(view)]
+    inside = kept if view.mask is None else view.mask[measured_pixels(view)]
     if view.T_cam_table is not None:
         kept = (points[:, 2] > config.lowest) & (points[:, 2] < config.highest)
         inside = kept & (inside if view.mask is not None else points[:, 2] > config.standing)

@@ -22,7 +22,7 @@ from benchmark.methods.grasp.graspnet.cloud import (
     workspace,
 )
 from benchmark.methods.grasp.graspnet.graspnet_network import GraspNetwork, Operations, Seeds
-from benchmark.methods.network import device_called
+from benchmark.methods.network import torch_device
 from benchmark.methods.protocol import GraspView
 from benchmark.methods.registry import MethodOptions, configured, preset_of
 from benchmark.methods.weights import load_weights, weights_for
@@ -45,7 +45,7 @@ class GraspNet:
     def __init__(self, options: MethodOptions) -> None:
         self.config = configured(preset_of(PRESETS, options.preset), options.settings)
         self.gripper = get_gripper(self.config.gripper)
-        self.device = device_called(options.device)
+        self.device = torch_device(options.device)
         network = GraspNetwork(self.config)
         load_weights(network, weights_for("graspnet", options))
         self.network = network.to(self.device).eval().requires_grad_(False)

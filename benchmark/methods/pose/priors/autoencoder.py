@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from benchmark.methods.network import device_called
+from benchmark.methods.network import torch_device
 from benchmark.methods.pointnet import SharedMLP
 from benchmark.methods.pointnet.chamfer import chamfer
 from std_toolkit.errors import ToolkitError
@@ -91,7 +91,7 @@ def mean_shapes(
     options = options or AutoencoderOptions()
     if not shapes:
         raise ToolkitError("there are no shapes to take the mean of")
-    device = device_called(options.device)
+    device = torch_device(options.device)
     torch.manual_seed(options.seed)
     network = Autoencoder(options).to(device)
     points = torch.from_numpy(np.concatenate(list(shapes.values())).astype(np.float32)).to(device)

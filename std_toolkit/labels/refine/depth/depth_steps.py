@@ -64,7 +64,7 @@ class DepthResiduals:
 
 def depth_residuals(
     surface: ObjectSurface,
-    seen: ObservedRays,
+    sensor_rays: ObservedRays,
     T_world_obj: SE3,
     *,
     gate_m: float,
@@ -76,22 +76,24 @@ def depth_residuals(
         gate_m: measured points further than this from the surface belong to something else.
         reverse_weight: of the residuals from the sensor to the model; 0 leaves them out.
     """
-    rays = seen.directions @ T_world_obj.R
-    origins = (seen.origins - T_world_obj.t) @ T_world_obj.R
-    hits = surface.cast_from(seen.origins, seen.directions, T_world_obj)
-    shown = np.isfinite(hits.depth) & (hits.depth < seen.others)
+    rays = sensor_rays.directions @ T_world_obj.R
+    origins = (sensor_rays.origins - T_world_obj.t) @ T_world_obj.R
+    hits = surface.cast_from(sensor_rays.origins, sensor_rays.directions, T_world_obj)
+    shown = np.isfinite(hits.depth) & (hits.depth < sensor_rays.others)
     cosine = -np.einsum("ij,ij->i", hits.normal, rays) / np.linalg.norm(rays, axis=1)
-    use = shown & seen.steady & (cosine > _SMALLEST_COSINE)
-    use &= np.abs(seen.sensor - np.where(shown, hits.depth, 0)) < gate_m
+    use = shown & sensor_rays.steady & (cosine > _SMALLEST_COSINE)
+    use &= np.abs(sensor_rays.sensor - np.where(shown, hits.depth, 0)) < gate_m
     n, ray = hits.normal[use], rays[use]
-    r = np.einsum("ij,ij->i", n, ray) * (seen.sensor[use] - hits.depth[use])
+    r = np.einsum("ij,ij->i", n, ray) * (sensor_rays.sensor[use] - hits.depth[use])
     points = origins[use] + ray * hits.depth[use, None]
     forward = DepthResiduals(r, _derivative(points, n), np.ones(len(n)))
-    expected = np.minimum(seen.others, seen.background)
-    stands_out = seen.steady & np.isfinite(expected) & (seen.sensor < expected - _STANDS_OUT_M)
+    expected = np.minimum(sensor_rays.others, sensor_rays.background)
+    stands_out = (
+        sensor_rays.steady & np.isfinite(expected) & (sensor_rays.sensor < expected - _STANDS_OUT_M)
+    )
     if reverse_weight <= 0 or not stands_out.any():
         return forward
-    measured = origins[stands_out] + rays[stands_out] * seen.sensor[stands_out, None]
+    measured = origins[stands_out] + rays[stands_out] * sensor_rays.sensor[stands_out, None]
     nearest, normal = surface.closest(measured)
     away = measured - nearest
     distance = np.linalg.norm(away, axis=1)
@@ -159,7 +161,7 @@ def _balance(obj: RefineObject) -> Array:
 def icp(
     surface: ObjectSurface,
     obj: RefineObject,
-    seen: ObservedRays,
+    sensor_rays: ObservedRays,
     T_world_obj: SE3,
     *,
     gates_m: Sequence[float],
@@ -169,7 +171,7 @@ def icp(
     """Steps with a narrowing gate; ends early at the last gate when nothing moves any more."""
     T = T_world_obj
     for k, gate in enumerate(gates_m):
-        rows = depth_residuals(surface, seen, T, gate_m=gate, reverse_weight=reverse_weight)
+        rows = depth_residuals(surface, sensor_rays, T, gate_m=gate, reverse_weight=reverse_weight)
         if len(rows.r) < 20:
             return T
         xi = icp_step(obj, rows, spread_m=gate / 3)

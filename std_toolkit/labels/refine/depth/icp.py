@@ -49,12 +49,12 @@ _PARALLAX = np.deg2rad(15)
 _FIXED_FACTOR_STD = 0.001
 # One view's depth against its edges, where the depth is not to be questioned.
 _DEPTH_SAMPLES = 5.0
-# The edges may move the pose of the depth by so much; further, they have found something else.
+# Edges that move the pose found from depth farther than this have found another contour.
 _LARGEST_FINISH_M, _LARGEST_FINISH = 0.03, np.deg2rad(20)
 _LARGEST_LOSS = 0.1
-# Things that are thinner than this share of the reach are missed by most starts: where fewer of
-# their readings are explained, the search is repeated with more effort. For others it is not: more
-# tries would rather find another obj of about that shape.
+# Most starts miss an object that is thinner than `_THIN` of the reach: its search is repeated with
+# more effort where it explains less than `_DOUBTFUL` of the readings. The search for a thicker one
+# is not: more starts would find another object of a similar shape.
 _THIN, _DOUBTFUL = 0.5, 0.88
 # Below this share of explained readings the fit is not to be believed.
 _SMALLEST_EXPLAINED = 0.5

@@ -60,17 +60,17 @@ _PRINT = 1.0
 # much by chance.
 _CHANCE = 0.3
 
-# What a turn away from the start costs, per 1 - cos(angle): half a turn 6 % of the pixels.
+# Cost of a turn away from the start, per 1 - cos(angle): half a turn costs 6 % of the pixels.
 _TURN = 0.03
 
-# What a shift beyond the reach costs, per reach: there are other things that look like this one.
+# Cost of a shift beyond the reach, per reach: other objects may look like this one.
 _BEYOND = 2.0
 
-# Something in front of what is expected may be a obj that has no label: it counts less than
-# surface in free space, which nothing excuses.
+# A reading in front of the expected surface may come from an object without a label. It counts
+# less than a reading behind it, which no other object explains.
 _UNLABELLED = 0.7
 
-# Without a known background, a pixel that the object does not cover.
+# Cost of a pixel that the object does not cover where the background is unknown.
 _UNKNOWN = 0.3
 
 
@@ -166,12 +166,12 @@ def _rivals(
     obj: RefineObject,
     surface: ObjectSurface,
     best: SE3,
-    seen: ObservedRays,
+    sensor_rays: ObservedRays,
     scorer: PoseScorer,
 ) -> list[SE3]:
     """Turns of a pose that the shape may tell apart, and that fit but for the print; best first."""
     turned = _turned(best, obj.centre, _PLAIN_TURNS)
-    rivals = [icp(surface, obj, seen, T, gates_m=_SHORT) for T in turned]
+    rivals = [icp(surface, obj, sensor_rays, T, gates_m=_SHORT) for T in turned]
     if obj.colors is not None:
         limit = scorer.depth(best) + _TURN_SLACK
         printed = _turned(best, obj.centre, _PRINT_TURNS)

@@ -1,10 +1,14 @@
 """Where along its normal a contour point's edge lies: colour steps and colour statistics.
 
-Two kinds of evidence along each normal are added. A colour step (signed, per channel, averaged
-with the neighbours along the contour, so that texture cancels and the object's border does not)
-is sharp but finds wrong borders as readily as the right one; the colour statistics of object and
-surroundings (histograms, as region-based trackers use) are blunt but know which side is which.
-The region takes the lead while the pose is far off, the step decides the last pixel.
+Two kinds of evidence along each normal are added:
+
+- The colour step is signed, taken per channel, and averaged with the neighbours along the contour,
+  so that texture cancels and the object's border does not. It is precise, and it finds wrong
+  borders as readily as the right one.
+- The colour statistics of object and surroundings are histograms, as in region-based trackers.
+  They are imprecise, and they know which side is the object.
+
+The statistics dominate while the pose is far off; the step decides the last pixel.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ import torch
 from network_cases import views
 from torch import nn
 
-from benchmark.methods.network import NetworkRestorer, Prediction, count_macs, device_called
+from benchmark.methods.network import NetworkRestorer, Prediction, count_macs, torch_device
 from benchmark.methods.registry import MethodOptions
 from std_toolkit.errors import ToolkitError
 
@@ -76,7 +76,7 @@ def test_devices_that_are_not_there(name):
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is CUDA here")
 def test_cuda_without_cuda():
     with pytest.raises(ToolkitError, match="--device: there is no such device here"):
-        device_called("cuda")
+        torch_device("cuda")
 
 
 def test_unknown_precision():

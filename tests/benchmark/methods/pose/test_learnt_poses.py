@@ -71,17 +71,17 @@ def test_segments_are_the_objects_and_one_view_is_as_many(learnt):
 def test_validation_scores_what_was_learnt(learnt, tmp_path):
     trainable = get_trainable(learnt["method"])
     network = learnt["estimator"].network
-    judge = trainable.judge(learnt["frames"], range(FRAMES), 1, trainable.loss)
-    states = judge.states(network, torch.device("cpu"))
-    parts = [judge.states(network, torch.device("cpu"), rank=r, world=2) for r in (0, 1)]
+    validator = trainable.validator(learnt["frames"], range(FRAMES), 1, trainable.loss)
+    states = validator.states(network, torch.device("cpu"))
+    parts = [validator.states(network, torch.device("cpu"), rank=r, world=2) for r in (0, 1)]
     assert np.allclose(states, sum(parts))
-    scores = judge.scores(states)
-    name, value = judge.main_score(scores)
+    scores = validator.scores(states)
+    name, value = validator.main_score(scores)
     assert name == "nocs_error"
     assert value < 0.15
     assert scores["nocs_error_where_right"] < 0.05
     assert scores["class_recall"] > 0.75
-    judge.gallery(network, torch.device("cpu"), tmp_path / "g.jpg")
+    validator.gallery(network, torch.device("cpu"), tmp_path / "g.jpg")
     assert (tmp_path / "g.jpg").stat().st_size > 5000
 
 

@@ -13,9 +13,9 @@ from benchmark.methods.grasp.graspnet.cloud import (
     GraspNetConfig,
     fibonacci_views,
     gripper_rotations,
+    measured_pixels,
     sampled,
     scene_cloud,
-    seen,
     thinned,
     workspace,
 )
@@ -82,7 +82,7 @@ def test_the_cloud_is_what_has_depth():
     depth[:3] = [[0.0], [np.nan], [-1.0]]
     view = a_view(depth=depth)
     cloud = scene_cloud(view)
-    assert len(cloud) == seen(view).sum() == 87 * 160
+    assert len(cloud) == measured_pixels(view).sum() == 87 * 160
     assert np.isfinite(cloud).all()
     assert cloud[0] == pytest.approx([0.6 * (0 - 79.5) / 111.6, 0.6 * (3 - 44.5) / 111.6, 0.6])
 

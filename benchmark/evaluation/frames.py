@@ -1,0 +1,317 @@
+"""Tasks over the frames of a split: batches, frames that fail, what their runs have in common."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from benchmark.data.splits import DepthSource, FrameKey, names_digest
+from benchmark.evaluation.config import checked_label, data_of
+from benchmark.evaluation.engine import Task, weights_digest
+from benchmark.evaluation.results import write_part
+from benchmark.methods.protocol import Restored, Restorer, View
+from benchmark.methods.registry import MethodOptions
+from std_toolkit.errors import ToolkitError
+from std_toolkit.jobs.options import error_of
+
+if TYPE_CHECKING:
+    from benchmark.evaluation.config import FrameConfig
+
+A = TypeVar("A")
+T = TypeVar("T")
+V = TypeVar("V")
+
+# Frames that go through a method together, by their number in the split.
+Batch = tuple[int, ...]
+
+# Pieces per worker: enough that no worker waits long for the slowest at the end.
+_PIECES_PER_WORKER = 16
+
+_LONGEST_PIECE = 64
+
+# A killed worker loses what it has not written; a method slower than this writes every batch.
+_FLUSH_S = 2.0
+
+
+def chosen_frames(total: int, limit: int | None) -> list[int]:
+    """Frames of a split that a run takes: all, or `limit` of them evenly spread.
+
+    >>> chosen_frames(10, 2)
+    [2, 7]
+    """
+    if limit is None or limit >= total:
+        return list(range(total))
+    return [(2 * i + 1) * total // (2 * limit) for i in range(limit)]
+
+
+def batches_of(frames: Sequence[int], size: int) -> list[Batch]:
+    """Frames in batches.
+
+    >>> batches_of([0, 1, 4, 5, 6], 2)
+    [(0, 1), (4, 5), (6,)]
+    """
+    return [tuple(frames[i : i + size]) for i in range(0, len(frames), size)]
+
+
+def pieces_of(batches: Sequence[Batch], workers: int) -> list[tuple[Batch, ...]]:
+    """Batches in pieces of work."""
+    each = max(1, min(_LONGEST_PIECE, len(batches) // (workers * _PIECES_PER_WORKER)))
+    return [tuple(batches[i : i + each]) for i in range(0, len(batches), each)]
+
+
+def pieces_left(
+    frames: Sequence[int], size: int, workers: int, done: set[int]
+) -> list[tuple[Batch, ...]]:
+    """Pieces of work of the batches of frames that are not finished to the last frame."""
+    left = [batch for batch in batches_of(frames, size) if not done.issuperset(batch)]
+    return pieces_of(left, workers)
+
+
+def read_ahead(batches: Sequence[Batch], read: Callable[[Batch], T]) -> Iterator[tuple[Batch, T]]:
+    """Batches with what `read` makes of them; the next is read while this one is worked on."""
+    with ThreadPoolExecutor(1) as reader:
+        coming = reader.submit(read, batches[0])
+        for place, batch in enumerate(batches):
+            loaded = coming.result()
+            if place + 1 < len(batches):
+                coming = reader.submit(read, batches[place + 1])
+            yield batch, loaded
+
+
+def write_rows(
+    folder: Path,
+    batches: Sequence[Batch],
+    read: Callable[[Batch], T],
+    rows_of: Callable[[Batch, T], list[dict[str, Any]]],
+) -> int:
+    """Write the rows of a piece of work as parts of a table, as they come.
+
+    Args:
+        folder: of the run.
+        batches: the piece.
+        read: what of a batch can be read ahead.
+        rows_of: the rows of a batch, with what was read.
+
+    Returns:
+        How many frames there were.
+    """
+    rows: list[dict[str, Any]] = []
+    pending: list[Batch] = []
+
+    def flush() -> None:
+        write_part(folder, pending[0][0], pending[-1][-1], rows)
+        rows.clear()
+        pending.clear()
+
+    since = time.monotonic()
+    for batch, loaded in read_ahead(batches, read):
+        rows += rows_of(batch, loaded)
+        pending.append(batch)
+        if time.monotonic() - since > _FLUSH_S:
+            flush()
+            since = time.monotonic()
+    if pending:
+        flush()
+    return sum(len(batch) for batch in batches)
+
+
+def describe_frames(piece: Sequence[Batch]) -> str:
+    """A piece of work by its frames, for people.
+
+    >>> told_frames([(0, 1), (4, 5)])
+    'frames 0 to 5'
+    """
+    return f"frames {piece[0][0]} to {piece[-1][-1]}"
+
+
+def error_line(error: Exception) -> str:
+    """An error as one line."""
+    return error_of(error).error or type(error).__name__
+
+
+def load_each(load: Callable[[int], T], indices: Sequence[int]) -> list[T | str]:
+    """The frames of a batch; for one that cannot be read, the error as one line."""
+    loaded: list[T | str] = []
+    for index in indices:
+        try:
+            loaded.append(load(index))
+        except Exception as error:  # a damaged file can raise anything in the libraries below
+            loaded.append(error_line(error))
+    return loaded
+
+
+def answers_one_by_one(
+    call: Callable[[list[V]], Sequence[A]],
+    check: Callable[[V, A], None],
+    views: Mapping[int, V],
+) -> dict[int, A | str]:
+    """Answers of a method by index, or why there is none.
+
+    If the batch fails as a whole, its frames are tried one by one.
+
+    Args:
+        call: of the method.
+        check: raises where an answer is none.
+        views: what the method sees.
+    """
+    if not views:
+        return {}
+    try:
+        answers = call(list(views.values()))
+        if len(answers) != len(views):
+            raise ToolkitError(f"the method gave {len(answers)} answers to {len(views)} views")
+        for view, answer in zip(views.values(), answers, strict=True):
+            check(view, answer)
+        return dict(zip(views, answers, strict=True))
+    except (KeyboardInterrupt, MemoryError):
+        raise
+    except Exception as error:
+        if len(views) == 1:
+            return {next(iter(views)): error_line(error)}
+    found: dict[int, A | str] = {}
+    for index, view in views.items():
+        alone = answers_one_by_one(call, check, {index: view})
+        found |= alone
+    return found
+
+
+def restore_views(restorer: Restorer, views: Mapping[int, View]) -> dict[int, Restored | str]:
+    """Restored depth by index, or why there is none; see `answers_one_by_one`."""
+    return answers_one_by_one(restorer.restore, _check_restored, views)
+
+
+def _check_restored(view: View, answer: Restored) -> None:
+    if not isinstance(answer, Restored):
+        raise ToolkitError("the method must give Restored(depth)", value=type(answer).__name__)
+    if answer.depth.shape != view.depth.shape:
+        raise ToolkitError(
+            f"the method was given a view of {view.depth.shape}",
+            field="Restored.depth",
+            value=answer.depth.shape,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameRun:
+    """A method on a split.
+
+    Attributes:
+        split, root: name of the split and folder of the data.
+        method, options: the method; `options.device` is ignored in favour of `devices`.
+        label: what the method is called in tables.
+        out: folder of results.
+        devices: torch devices, of which each worker takes one.
+        batch_size: frames that go through the method together.
+        limit: of frames, evenly spread over the split; None for all.
+        gallery: keep pictures of a few frames.
+    """
+
+    split: str
+    root: Path
+    method: str
+    options: MethodOptions
+    label: str
+    out: Path
+    devices: tuple[str, ...] = ("cpu",)
+    batch_size: int = 8
+    limit: int | None = None
+    gallery: bool = True
+
+    def chosen(self, source: DepthSource) -> list[int]:
+        """The frames of the split that it takes."""
+        return chosen_frames(len(source), self.limit)
+
+
+def frame_options(
+    config: FrameConfig, split: str, method: str, options: Mapping[str, MethodOptions]
+) -> dict[str, Any]:
+    """The fields of `FrameRun`.
+
+    Raises:
+        ToolkitError: a split without data, or a label that cannot be a folder's name.
+    """
+    return {
+        "split": split,
+        "root": data_of(split, config.roots),
+        "method": method,
+        "options": options[method],
+        "label": checked_label(config.label or method.replace(":", ".")),
+        **{name: getattr(config, name) for name in _OF_CONFIG},
+    }
+
+
+_OF_CONFIG = ("out", "devices", "batch_size", "limit", "gallery")
+
+FR = TypeVar("FR", bound=Any)
+D = TypeVar("D", bound=Any)
+M = TypeVar("M")
+
+
+class FrameTask(Task[FR, D, M]):
+    """A task whose runs take batches of frames."""
+
+    def load(self, data: D, index: int) -> Any:
+        """What is read of a frame.
+
+        Raises:
+            ToolkitError: it cannot be read.
+        """
+        raise NotImplementedError
+
+    def rows(
+        self,
+        run: FR,
+        data: D,
+        methods: M,
+        batch: Batch,
+        keys: Sequence[FrameKey],
+        loaded: Sequence[Any],
+    ) -> list[dict[str, Any]]:
+        """The rows of a batch for the table.
+
+        Args:
+            run, data, methods: as in `Task.work`.
+            batch: the frames' numbers in the split.
+            keys: their scenes and names.
+            loaded: what was read of them, or why there is none.
+        """
+        raise NotImplementedError
+
+    def items(self, run: FR, data: D, done: set[int], workers: int) -> list[tuple[Batch, ...]]:
+        return pieces_left(run.chosen(data), run.batch_size, workers, done)
+
+    def item_title(self, item: Sequence[Batch]) -> str:
+        return describe_frames(item)
+
+    def work(self, run: FR, data: D, methods: M, item: Sequence[Batch]) -> int:
+        keys = data.keys()
+
+        def rows_of(batch: Batch, loaded: list[Any]) -> list[dict[str, Any]]:
+            return self.rows(run, data, methods, batch, [keys[i] for i in batch], loaded)
+
+        read = partial(load_each, partial(self.load, data))
+        return write_rows(run.folder, item, read, rows_of)
+
+
+def frame_setup(run: FrameRun, source: DepthSource, method: object) -> dict[str, Any]:
+    """What decides the table of a run, as far as all methods on frames have it: `FrameSetup`."""
+    keys = source.keys()
+    chosen = run.chosen(source)
+    return {
+        "split": run.split,
+        "frames": len(chosen),
+        "frames_sha256": names_digest(keys[i] for i in chosen),
+        "method": run.method,
+        "preset": run.options.preset,
+        "settings": dict(run.options.settings),
+        "weights_sha256": weights_digest(run.method, method, run.options),
+        "precision": run.options.precision,
+        "compile": run.options.compile,
+        "device": run.devices[0].partition(":")[0],
+        "batch_size": run.batch_size,
+    }

@@ -1,0 +1,152 @@
+"""How fast a method is, and what it costs: warm, on frames of the split it is scored on."""
+
+from __future__ import annotations
+
+import multiprocessing
+import resource
+import statistics
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from benchmark.evaluation.frames import chosen_frames
+from benchmark.evaluation.manifest import hardware
+from benchmark.methods.protocol import Restorer, View
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import write_document
+
+if TYPE_CHECKING:
+    from benchmark.evaluation.tasks.depth import Run
+
+SPEED = "speed.json"
+
+# The first calls compile, allocate and fill caches.
+WARM_UP = 2
+
+FEWEST = 3
+
+LONGEST_S = 10.0
+
+
+class Speed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Cost of a method.
+
+    Attributes:
+        frames_per_s: of batches of `batch_size`, from the median time of a batch, warm; reading
+            and scoring are not in it.
+        batch_size: frames restored together.
+        width, height: of the views.
+        repeats: timed batches.
+        parameters: of the network; None for a method without one.
+        gmacs: 1e9 multiplications with addition per frame, element-wise work left out; None for
+            a method without a network, or one that cannot be counted.
+        peak_memory_mib: on a GPU what torch held at most; else the most this process ever had
+            resident, with libraries and data.
+        hardware: processor or GPU.
+    """
+
+    frames_per_s: float
+    batch_size: int
+    width: int
+    height: int
+    repeats: int
+    parameters: int | None
+    gmacs: float | None
+    peak_memory_mib: float
+    hardware: str
+
+
+def measure_speed(
+    restorer: Restorer, views: Sequence[View], *, hardware: str, repeats: int = 15
+) -> Speed:
+    """Time a method on a batch of views: `repeats` times, less often where it is slow."""
+    device = _gpu(restorer)
+    for _ in range(WARM_UP):
+        restorer.restore(views)
+    if device is not None:
+        import torch
+
+        torch.cuda.reset_peak_memory_stats(device)
+    seconds: list[float] = []
+    end = time.perf_counter() + LONGEST_S
+    while len(seconds) < repeats and (len(seconds) < FEWEST or time.perf_counter() < end):
+        begin = time.perf_counter()
+        # The answers are arrays of this machine: a GPU has finished when they are there.
+        restorer.restore(views)
+        seconds.append(time.perf_counter() - begin)
+    height, width = views[0].depth.shape
+    return Speed(
+        frames_per_s=len(views) / statistics.median(seconds),
+        batch_size=len(views),
+        width=width,
+        height=height,
+        repeats=len(seconds),
+        parameters=getattr(restorer, "parameter_count", None),
+        gmacs=_gmacs(restorer, views[0]),
+        peak_memory_mib=_peak_memory(device),
+        hardware=hardware,
+    )
+
+
+def _gpu(restorer: Restorer) -> Any:
+    device = getattr(restorer, "device", None)
+    return device if device is not None and device.type == "cuda" else None
+
+
+def _gmacs(restorer: Restorer, view: View) -> float | None:
+    macs = getattr(restorer, "macs", None)
+    return None if macs is None else macs(view) / 1e9
+
+
+def _peak_memory(device: Any) -> float:
+    if device is not None:
+        import torch
+
+        return torch.cuda.max_memory_allocated(device) / 2**20
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 2**20 if sys.platform == "darwin" else peak / 2**10
+
+
+def write_speed(run: Run) -> None:
+    """Time the method of a run and keep its figures, unless they are there.
+
+    Raises:
+        ToolkitError: see `speed_of`.
+    """
+    if not (run.folder / SPEED).exists():
+        write_document(run.folder / SPEED, speed_of(run))
+
+
+def speed_of(run: Run) -> Speed:
+    """Time the method on a frame of the run, in a process of its own, whose memory is its own.
+
+    Raises:
+        ToolkitError: no frame can be read, or the method fails on it.
+    """
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=context) as pool:
+        try:
+            return pool.submit(_speed_here, run).result()
+        except BrokenProcessPool as error:
+            raise ToolkitError(
+                "the process that times the method died (killed, or out of memory)",
+                value=run.title,
+                hint="--no-speed leaves the timing out",
+            ) from error
+
+
+def _speed_here(run: Run) -> Speed:
+    from benchmark.methods.depth.full_size import restorer_view
+    from benchmark.metrics.protocols.protocol import get_protocol
+
+    source, restorer = run.open(), run.make()
+    frame = source.load(chosen_frames(len(source), 1)[0])
+    view = restorer_view(frame, restorer, get_protocol(run.protocol).view_size)
+    where = hardware()
+    on_gpu = run.devices[0].startswith("cuda")
+    return measure_speed(restorer, [view], hardware=where["gpus" if on_gpu else "processor"])
