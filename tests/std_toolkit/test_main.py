@@ -10,7 +10,18 @@ import pytest
 from std_toolkit import __version__
 from std_toolkit.cli.main import main
 
-HEAVY = ("numpy", "torch", "open3d", "pycolmap", "pyrender", "trimesh", "scipy", "pandas", "ray", "cv2")
+HEAVY = (
+    "numpy",
+    "torch",
+    "open3d",
+    "pycolmap",
+    "pyrender",
+    "trimesh",
+    "scipy",
+    "pandas",
+    "ray",
+    "cv2",
+)
 
 
 def test_help_imports_no_heavy_library() -> None:

@@ -72,11 +72,10 @@ def folder(test_data: Path) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def scene(tabletop_poses: Path, tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """Solved without the board."""
-    root = tmp_path_factory.mktemp("tabletop") / "scene"
-    return Scene.open(shutil.copytree(tabletop_poses, root, symlinks=True))
+@pytest.fixture
+def scene(tabletop_poses: Path, tmp_path: Path) -> Scene:
+    """Solved without the board; the tests change it."""
+    return Scene.open(shutil.copytree(tabletop_poses, tmp_path / "scene", symlinks=True))
 
 
 @pytest.fixture(scope="module")
