@@ -83,6 +83,7 @@ PROGRAM = Program(
         ),
     ),
     rewrite=with_link_mode,
+    on_interrupt="run the same command again to go on",
 )  # fmt: skip
 
 
