@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal
 
-from std_toolkit.cli.command import Command, Program
+from std_toolkit.cli.command import Command, Program, print_json
 
 if TYPE_CHECKING:
-    from benchmark.evaluation.config import BopConfig, FrameConfig, GraspConfig
+    from benchmark.evaluation.config import BopConfig, NetworkConfig
     from benchmark.methods.pose.priors.options import PriorsCommand
 
 
@@ -70,39 +72,24 @@ def words_of_today(words: list[str]) -> list[str]:
     return [*task, *words]
 
 
-def score(config: FrameConfig | GraspConfig) -> int:
-    """Score methods; returns the exit status."""
+def score(config: NetworkConfig | BopConfig) -> int:
+    """Score methods or result files; returns the exit status."""
     from benchmark.evaluation.engine import run_all
     from benchmark.evaluation.tasks import get_task
 
-    task = get_task(config.task)
-    report = run_all(task, task.plan(config), config.jobs)
-    results = [task.read(run.folder, run) for run in report.finished]
-    if config.json:
-        _print_json(task.records(results, config) if results else [])
-    elif results:
-        print(task.table(results, config))
+    with ExitStack() as stack:
+        if config.out is None:  # the table is only printed
+            config = replace(config, out=Path(stack.enter_context(TemporaryDirectory())))
+        task = get_task(config.task)
+        report = run_all(task, task.plan(config), config.jobs)
+        results = [task.read(run.folder, run) for run in report.finished]
+        if config.json:
+            print_json(task.records(results, config) if results else [])
+        elif results:
+            print(task.table(results, config))
     for title, error in report.failed.items():
         print(f"error: {title}: {error}", file=sys.stderr)
     return 1 if report.failed or report.failed_frames else 0
-
-
-def score_bop(config: BopConfig) -> int:
-    """Score result files of instance-level poses; returns the exit status."""
-    from benchmark.evaluation.tasks.bop import bop_result, bop_table, write_bop_result
-    from benchmark.metrics.bop import open_bop
-
-    dataset = open_bop(config.data, config.bop_split)
-    results = []
-    for path in config.results:
-        results.append(bop_result(dataset, path, data=str(config.data), split=config.bop_split))
-        if config.out is not None:
-            write_bop_result(config.out, results[-1])
-    if config.json:
-        _print_json(results)
-    else:
-        print(bop_table(results))
-    return 0
 
 
 def list_names(options: ListOptions) -> int:
@@ -131,7 +118,7 @@ def list_names(options: ListOptions) -> int:
         if options.task == "grasp":
             about["oracle"] = "Knows where the objects are: what can be reached at all."
     if options.json:
-        _print_json([{"name": name, "about": text} for name, text in about.items()])
+        print_json([{"name": name, "about": text} for name, text in about.items()])
     else:
         width = 24 if options.what == "splits" else 16
         print("\n".join(f"{name:{width}} {text}" for name, text in about.items()))
@@ -144,7 +131,7 @@ def check_data(options: CheckDataOptions) -> int:
 
     reports = [check_split(options.root, name) for name in options.splits]
     if options.json:
-        _print_json([report.record() for report in reports])
+        print_json([report.record() for report in reports])
     else:
         print("\n".join(report.text() for report in reports))
     return 0 if all(report.is_complete for report in reports) else 1
@@ -160,12 +147,6 @@ def write_priors(options: PriorsCommand) -> int:
     save_priors(options.out, priors)
     logger.info("%s: %d categories", options.out, len(priors.points))
     return 0
-
-
-def _print_json(records: Sequence[Any]) -> None:
-    import msgspec
-
-    print(msgspec.json.format(msgspec.json.encode(records)).decode())
 
 
 def _command(name: str, about: str, options: str, run: Callable[[Any], int]) -> Command:
@@ -185,7 +166,7 @@ PROGRAM = Program(
         _command("pose", "score category-level pose methods", f"{_CONFIG}:PoseConfig", score),
         _command("grasp", "clear tables in simulation", f"{_CONFIG}:GraspConfig", score),
         _command(
-            "bop", "score result files of instance-level poses", f"{_CONFIG}:BopConfig", score_bop
+            "bop", "score result files of instance-level poses", f"{_CONFIG}:BopConfig", score
         ),
         _command("list", "list methods or splits", "benchmark.cli.bench:ListOptions", list_names),
         _command(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from std_toolkit.cli.command import Command, Program
+from std_toolkit.cli.command import Command, Program, print_json
 from std_toolkit.errors import ToolkitError
 
 PAGE = "report.html"
@@ -26,6 +26,8 @@ class ReportOptions:
     """folder of the page (the first folder of results)"""
     published: bool = True
     """the figures that papers print"""
+    json: bool = False
+    """print the tables as JSON"""
 
     def __post_init__(self) -> None:
         if not self.results:
@@ -39,6 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def report(options: ReportOptions) -> int:
     """Write the page; returns the exit status."""
+    import pandas as pd
+
     from benchmark.report.page import make_parts, render_page
     from std_toolkit.io.atomic import write_bytes_atomic
 
@@ -47,8 +51,12 @@ def report(options: ReportOptions) -> int:
     texts = {name: text for part in parts for name, text in part.files.items()}
     for name, text in {**texts, PAGE: render_page(parts)}.items():
         write_bytes_atomic(out / name, text.encode())
-    print("\n\n".join(part.terminal for part in parts))
-    print(f"\n{out / PAGE}")
+    if options.json:
+        tables = {Path(name).stem: out / name for name in texts if name.endswith(".csv")}
+        print_json({name: pd.read_csv(path).to_dict("records") for name, path in tables.items()})
+    else:
+        print("\n\n".join(part.terminal for part in parts))
+        print(f"\n{out / PAGE}")
     return 0
 
 

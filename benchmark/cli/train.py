@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from std_toolkit.cli.command import Command, Program
+from std_toolkit.cli.command import Command, Program, print_json
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
 
@@ -104,13 +104,15 @@ def recipe(options: RecipeConfig) -> int:
     Raises:
         ToolkitError: no such recipe or scale, data that are not there, or a step that fails.
     """
-    from benchmark.recipes.recipe_show import plan_text, recipe_list
+    from benchmark.recipes.recipe_show import plan_text, recipe_list, recipe_records
 
     if not options.recipe:
-        print(recipe_list())
+        print_json(recipe_records()) if options.json else print(recipe_list())
         return 0
     _needs_torch()
-    from benchmark.recipes.recipe_page import write_pages
+    import pandas as pd
+
+    from benchmark.recipes.recipe_page import CSV, write_pages
     from benchmark.recipes.recipe_plan import plan_recipe
     from benchmark.recipes.recipe_run import run_recipe
 
@@ -126,7 +128,10 @@ def recipe(options: RecipeConfig) -> int:
 
     machine = replace(options.machine, progress=sys.stderr.isatty())
     outcome = run_recipe(plan, machine, options.jobs, after=show)
-    print(table)
+    if options.json:
+        print_json(pd.read_csv(plan.folder / CSV).to_dict("records"))
+    else:
+        print(table)
     return _failures(outcome.problems)
 
 

@@ -108,6 +108,7 @@ def complete(
     unit: str,
     table: str = TABLE,
     manifest_name: str = MANIFEST,
+    beside: Sequence[str] = (),
 ) -> pd.DataFrame:
     """Work out what a run's table lacks, while nobody else writes to it.
 
@@ -120,6 +121,7 @@ def complete(
         jobs: how many at a time, and where.
         unit: what the pieces of work are called, in the plural.
         table, manifest_name: names of the files.
+        beside: see `begin`.
 
     Returns:
         The whole table.
@@ -130,7 +132,7 @@ def complete(
     """
     folder.mkdir(parents=True, exist_ok=True)
     with hold_lock(folder, "lock", doing="writing to"):
-        begin(folder, manifest, manifest_name)
+        begin(folder, manifest, manifest_name, beside)
         sweep_temporaries(folder)
         # Joined before anything is added: the parts of this run may have the names of earlier ones.
         work = remaining(good_frames(join_parts(folder, table)))
@@ -221,12 +223,14 @@ class Task(Generic[R, D, M]):
     Attributes:
         manifest_name, table_name: files of a run.
         unit: what its pieces of work are called, in the plural.
+        beside: files of a run that older versions wrote without a manifest.
         network_shares_cpu: whether several workers may run a network on the CPU at a time.
     """
 
     manifest_name: str
     table_name: str
     unit: str = "pieces of work"
+    beside: tuple[str, ...] = ()
     network_shares_cpu: bool = False
 
     def plan(self, config: Any) -> list[R]:
@@ -351,6 +355,7 @@ def run_task(task: Task[R, Any, Any], run: R, jobs: JobOptions | None = None) ->
         unit=task.unit,
         table=task.table_name,
         manifest_name=task.manifest_name,
+        beside=task.beside,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import sys
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,8 @@ _PACKAGES = ("numpy", "opencv-python-headless", "pandas", "pyarrow", "scipy", "t
 GRASP_MANIFEST = "grasp.json"
 
 POSE_MANIFEST = "pose.json"
+
+BOP_MANIFEST, BOP_FILE = "bop_run.json", "bop.json"
 
 
 class _Frames(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -83,19 +86,20 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     hardware: dict[str, str]
 
 
-def begin(folder: Path, manifest: Any, name: str = MANIFEST) -> None:
+def begin(folder: Path, manifest: Any, name: str = MANIFEST, beside: Sequence[str] = ()) -> None:
     """Write the manifest of a new run, or see that the run that was begun there is the same.
 
     Args:
         folder: of the run.
         manifest: a structure with a field `setup`, such as `Manifest`.
         name: of its file.
+        beside: files that may be there without a manifest, of older versions.
 
     Raises:
         ToolkitError: another run was begun there; the field that differs is named.
     """
     path = folder / name
-    begun = begin_folder(path, manifest, hint="choose another --out")
+    begun = begin_folder(path, manifest, hint="choose another --out", beside=beside)
     for field in manifest.setup.__struct_fields__:
         was, now = getattr(begun.setup, field), getattr(manifest.setup, field)
         if was != now:
@@ -242,5 +246,41 @@ class PoseManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     root: str
     weights: str
     depth_weights: str
+    packages: dict[str, str]
+    hardware: dict[str, str]
+
+
+class BopSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What decides a run's table; a run goes on only with the same.
+
+    Attributes:
+        data, split: names of the folder of the data set, and of that of its scenes.
+        results, results_sha256: name of the result file, and its hash.
+        targets, targets_sha256: number of objects in images to be found, and hash over them.
+        renderer: that draws the models for VSD.
+    """
+
+    data: str
+    split: str
+    results: str
+    results_sha256: str
+    targets: int
+    targets_sha256: str
+    renderer: str
+
+
+class BopManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A run's setup and its circumstances, which only tell a reader where it ran.
+
+    Attributes:
+        version_of_tool: of this package.
+        root: where the data lay.
+        packages: versions of the libraries that compute.
+        hardware: processor, cores and GPUs.
+    """
+
+    version_of_tool: str
+    setup: BopSetup
+    root: str
     packages: dict[str, str]
     hardware: dict[str, str]

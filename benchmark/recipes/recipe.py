@@ -186,6 +186,8 @@ class RecipeConfig:
     """set that chooses the best weights (scenes of the training data are held out)"""
     precision: Precision = "fp32"
     """arithmetic of training"""
+    json: bool = False
+    """print the list, or the table, as JSON"""
     machine: RecipeMachine = field(default_factory=RecipeMachine)
     jobs: JobOptions = field(default_factory=JobOptions)
     devices: tuple[str, ...] = field(default=("cpu",), metadata={"option": None})

@@ -3,39 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
+from dataclasses import replace
+from math import nan
 
 import pandas as pd
 
 from benchmark.evaluation.tasks.depth_results import RunResult
 from benchmark.recipes.recipe_plan import RecipePlan
 from benchmark.recipes.recipe_run import Outcome
-from benchmark.recipes.recipe_table import ABSENT, MEASURED, PUBLISHED, findings, recipe_rows
-from benchmark.report.leaderboard import BOARD
-from benchmark.report.leaderboard_text import MAIN_SUBSETS
-from benchmark.report.parts import depth_sections
+from benchmark.recipes.recipe_table import ABSENT, PUBLISHED, findings, recipe_rows
+from benchmark.report.leaderboard import BOARD, frames_of
+from benchmark.report.parts.depth import gallery
+from benchmark.report.parts.depth_tables import MAIN_SUBSETS, OBJECTS, run_table
 from std_toolkit import __version__
-from std_toolkit.html.markup import CSS, paragraph, section, words
+from std_toolkit.html.page import Block, Bullets, Page, Paragraph, Section, Verdict
+from std_toolkit.html.table import Cell, Column, Row, Table
 from std_toolkit.io.atomic import write_bytes_atomic
 
 PAGE, MARKDOWN, CSV = "report.html", "table.md", "table.csv"
-_OBJECTS = {"all": "all objects", "specular+transparent": "specular and transparent"}
-_STYLE = """
-tr.published td { background:#f4f1ea; font-style:italic; color:var(--soft); }
-tr.absent td { color:var(--bad); white-space:normal; }
-td small, th small { display:block; color:var(--faint); font-weight:400; font-size:11.5px; }
-h2 small { font-weight:400; font-size:13px; color:var(--bad); margin-left:10px; }
-.strip { margin:0 0 10px; }
-.strip img { width:100%; display:block; border-radius:3px; }
-.panels { display:grid; grid-template-columns:repeat(5,1fr); font-size:12px; color:var(--faint); }
-details { margin:8px 0; }
-summary { cursor:pointer; color:var(--link); }
-b.over { color:var(--bad); }
-"""
 _NOTE = (
     "Figures are means over frames. `paper` is the released evaluation, which the published "
-    "figures were made by; under `strict` a hole costs its whole depth. Published rows are as "
-    "printed: of the full data and training, and the paper's own networks."
+    "figures were made by; under `strict` a missing pixel counts with its whole depth. Published "
+    "rows are as printed: with the full data and training, and the paper's own networks."
 )
 
 
@@ -70,19 +59,9 @@ def markdown(plan: RecipePlan, outcome: Outcome, rows: pd.DataFrame, told: Seque
     for target in plan.targets:
         mine = rows[rows["test"] == target.name]
         lines += [f"## {target.title} (scale {plan.scale_name})", "", f"{_data(mine)}.", ""]
-        for row in mine[mine["kind"] == ABSENT].to_dict("records"):
-            lines.append(f"- **{row['variant'] or 'Not measured'}**: {row['note']}")
-        for subset in MAIN_SUBSETS:
-            block = mine[(mine["subset"] == subset) & (mine["kind"] != ABSENT)]
-            if block.empty:
-                continue
-            heads = [_OBJECTS[subset], "figures", *(column.title for column in BOARD), "training"]
-            lines += ["", "| " + " | ".join(heads) + " |", "|---|---|" + "---:|" * 7 + "---|"]
-            for row in block.to_dict("records"):
-                cells = [row["variant"], _figures(row), *_numbers(row), _training(row)]
-                if row["kind"] == PUBLISHED:
-                    cells = [f"*{cell}*" if cell else "" for cell in cells]
-                lines.append("| " + " | ".join(c.replace("|", r"\|") for c in cells) + " |")
+        lines += [f"- **{what}**: {why}" for what, why in _absent(mine)]
+        for table in _tables(mine):
+            lines += ["", table.markdown()]
         lines.append("")
     lines += [_NOTE]
     if outcome.problems:
@@ -94,45 +73,31 @@ def markdown(plan: RecipePlan, outcome: Outcome, rows: pd.DataFrame, told: Seque
 def html(plan: RecipePlan, outcome: Outcome, rows: pd.DataFrame, told: Sequence[str]) -> str:
     """One file that needs nothing but itself; the same results give the same bytes."""
     results = [result for found in outcome.results.values() for result in found]
-    parts = []
+    sections = []
     for i, target in enumerate(plan.targets):
         mine = rows[rows["test"] == target.name]
-        body = paragraph(f"{_data(mine)}.")
-        for row in mine[mine["kind"] == ABSENT].to_dict("records"):
-            body += f'<p class="absent"><b>{escape(row["variant"] or "Not measured")}</b>: '
-            body += f"{words(row['note'])}</p>"
-        for subset in MAIN_SUBSETS:
-            block = mine[(mine["subset"] == subset) & (mine["kind"] != ABSENT)]
-            if not block.empty:
-                body += _table(_OBJECTS[subset], block.to_dict("records"))
-        parts.append((f"test-{i}", target.title, body))
-    problems = "".join(paragraph(f"{what}: {why}") for what, why in outcome.problems.items())
-    parts += [
-        ("problems", "What did not run", problems),
-        ("pictures", "Pictures", depth_sections.gallery(_shown(plan, results))),
-        ("runs", "What ran", depth_sections.runs(results) if results else ""),
+        blocks: list[Block] = [Paragraph(f"{_data(mine)}.")]
+        blocks += [Paragraph(why, f"{what}:", "bad") for what, why in _absent(mine)]
+        sections.append(Section(f"test-{i}", target.title, [*blocks, *_tables(mine)]))
+    problems = [Paragraph(why, f"{what}:") for what, why in outcome.problems.items()]
+    sections += [
+        Section("problems", "What did not run", [Bullets(problems)]),
+        Section("pictures", "Pictures", gallery(_shown(plan, results))),
+        Section("runs", "What ran", [run_table(results)]),
     ]
-    links = "".join(f'<a href="#{k}">{escape(t)}</a>' for k, t, body in parts if body)
     # Each section tells the scale: they are what is shown around in pictures.
-    mark = f" <small>scale {escape(plan.scale_name)}</small></h2>"
-    body = "".join(section(k, t, b).replace("</h2>", mark, 1) for k, t, b in parts)
-    summary = "".join(paragraph(sentence) for sentence in told)
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width,initial-scale=1">'
-        f"<title>{escape(plan.recipe.title)}, scale {escape(plan.scale_name)}</title>"
-        '<link rel="icon" href="data:,">'
-        f"<style>{CSS}{_STYLE}</style></head><body>"
-        '<header><div class="inner"><div class="kind">Recipe</div>'
-        f"<h1>{escape(plan.recipe.title)}</h1>"
-        f'<div class="verdict{" fail" if plan.scale_name == "tiny" else ""}">'
-        f"<b>Scale: {escape(plan.scale_name)}</b><span>{words(plan.scale.about)}</span></div>"
-        f"{paragraph(plan.recipe.about)}{summary}"
-        f"{paragraph(_NOTE)}</div></header>"
-        f'<nav><div class="inner">{links}</div></nav><main>{body}'
-        f"<footer>std-toolkit {__version__}, std-train recipe {escape(plan.name)} --scale "
-        f"{escape(plan.scale_name)}. The same figures: {CSV}.</footer></main></body></html>\n"
-    )
+    mark = f"scale {plan.scale_name}"
+    state = "fail" if plan.scale_name == "tiny" else ""
+    return Page(
+        kind="Recipe",
+        title=plan.recipe.title,
+        tab_title=f"{plan.recipe.title}, {mark}",
+        verdicts=[Verdict(plan.scale.about, f"Scale: {plan.scale_name}", state)],
+        intro=[Paragraph(text) for text in (plan.recipe.about, *told, _NOTE)],
+        sections=[replace(section, mark=mark) for section in sections],
+        footer=f"std-toolkit {__version__}, `std-train recipe {plan.name} --scale "
+        f"{plan.scale_name}`. The same figures: `{CSV}`.",
+    ).html()
 
 
 def terminal(plan: RecipePlan, rows: pd.DataFrame, told: Sequence[str]) -> str:
@@ -141,56 +106,52 @@ def terminal(plan: RecipePlan, rows: pd.DataFrame, told: Sequence[str]) -> str:
     for target in plan.targets:
         mine = rows[rows["test"] == target.name]
         lines.append(f"{target.title}: {_data(mine)}")
-        lines += [
-            f"  {row['variant'] or 'not measured'}: {row['note']}"
-            for row in mine[mine["kind"] == ABSENT].to_dict("records")
-        ]
+        lines += [f"  {what}: {why}" for what, why in _absent(mine)]
         shown = mine[mine["kind"] != ABSENT]
         hard = shown[shown["subset"] == MAIN_SUBSETS[-1]]
         for row in (shown if hard.empty else hard).to_dict("records"):
+            printed = row["kind"] == PUBLISHED
             numbers = "  ".join(
                 f"{c.heading} {text}{c.unit and ' ' + c.unit}"
-                for c, text in zip(BOARD, _numbers(row), strict=True)
-                if text and c.name in ("rmse", "mae", "d105")
+                for c in BOARD
+                if c.name in ("rmse", "mae", "d105")
+                and (text := c.text(row[c.name], published=printed))
             )
             lines.append(f"  {row['variant']} ({_figures(row)}, {row['subset']}): {numbers}")
     return "\n".join([*lines, *told])
 
 
-def _table(title: str, rows: Sequence[dict[str, object]]) -> str:
-    heads = "".join(
-        f'<th class="n">{escape(c.heading)}<small>{escape(c.unit)}</small></th>' for c in BOARD
-    )
-    body = []
-    for row in rows:
-        numbers = _numbers(row)
-        interval = _interval(row)
-        cells = "".join(
-            f'<td class="n">{text}{interval if i == 0 else ""}</td>'
-            for i, text in enumerate(numbers)
-        )
-        kind = ' class="published"' if row["kind"] == PUBLISHED else ""
-        body.append(
-            f"<tr{kind}><td>{escape(str(row['variant']))}</td><td>{escape(_figures(row))}</td>"
-            f"{cells}<td>{escape(_training(row))}</td></tr>"
-        )
-    return (
-        f'<h3>{escape(title)}</h3><div class="scroll"><table><thead><tr><th>variant</th>'
-        f"<th>figures</th>{heads}<th>training</th></tr></thead>"
-        f"<tbody>{''.join(body)}</tbody></table></div>"
-    )
+def _absent(rows: pd.DataFrame) -> list[tuple[str, str]]:
+    """What was not measured, and why."""
+    absent = rows[rows["kind"] == ABSENT].to_dict("records")
+    return [(row["variant"] or "Not measured", row["note"]) for row in absent]
 
 
-def _numbers(row: dict[str, object]) -> list[str]:
-    printed = row["kind"] == PUBLISHED
-    return [column.text(row[column.name], printed=printed) for column in BOARD]  # type: ignore[arg-type]
+def _tables(rows: pd.DataFrame) -> list[Table]:
+    """The rows of one test, a table for each set of objects."""
+    texts = [Column(heading=h, numeric=False) for h in ("variant", "figures", "training")]
+    tables = []
+    for subset in MAIN_SUBSETS:
+        block = rows[(rows["subset"] == subset) & (rows["kind"] != ABSENT)]
+        made = [_row(row) for row in block.to_dict("records")]
+        columns = [*texts[:2], *BOARD, texts[2]]
+        if made:
+            title = OBJECTS[subset].capitalize()
+            frames = block.loc[block["kind"] != PUBLISHED, "frames"].max()
+            if not pd.isna(frames):
+                title += f": {frames_of(str(block['test'].iloc[0]), int(frames))}"
+            tables.append(Table(columns=columns, rows=made, title=title))
+    return tables
 
 
-def _interval(row: dict[str, object]) -> str:
-    low, high = row["rmse_low"], row["rmse_high"]
-    if row["kind"] != MEASURED or pd.isna(low):
-        return ""
-    return f"<small>{BOARD[0].text(low)}–{BOARD[0].text(high)}</small>"  # type: ignore[arg-type]
+def _row(row: dict[str, object]) -> Row:
+    published = row["kind"] == PUBLISHED
+    cells = [Cell(text=str(row["variant"])), Cell(text=_figures(row))]
+    for column in BOARD:
+        ends = (row["rmse_low"], row["rmse_high"]) if column.name == "rmse" else (nan, nan)
+        interval = (nan, nan) if published else ends
+        cells.append(column.cell(row[column.name], interval=interval, published=published))  # type: ignore[arg-type]
+    return Row([*cells, Cell(text=_training(row))], "published" if published else "")
 
 
 def _figures(row: dict[str, object]) -> str:

@@ -78,19 +78,22 @@ def as_time(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds >= 120 else f"{seconds:.0f} s"
 
 
-def recipe_list() -> str:
-    """All recipes and scales with a line on each."""
-    names = recipe_names()
-    width = max(map(len, names))
-    lines = ["recipes:"]
-    for name in names:
-        _, recipe = load_recipe(name)
-        about = " ".join(recipe.about.split())
-        lines.append(f"  {name:{width}}  {about}")
-    lines.append("scales:")
+def recipe_records() -> dict[str, dict[str, str]]:
+    """A line on each recipe and each scale."""
+    about = {name: load_recipe(name)[1].about for name in recipe_names()}
+    sizes = {}
     for name, scale in scales().items():
         frames = scale.sets["train"].scenes * int(scale.sets["train"].options["views"])
-        lines.append(f"  {name:{width}}  {frames} training frames; {scale.about}")
+        sizes[name] = f"{frames} training frames; {scale.about}"
+    return {"recipes": {n: " ".join(text.split()) for n, text in about.items()}, "scales": sizes}
+
+
+def recipe_list() -> str:
+    """All recipes and scales with a line on each."""
+    width = max(map(len, recipe_names()))
+    lines = []
+    for title, rows in recipe_records().items():
+        lines += [f"{title}:", *(f"  {name:{width}}  {about}" for name, about in rows.items())]
     return "\n".join(lines)
 
 

@@ -12,7 +12,7 @@ from benchmark.recipes.recipe import Recipe
 from benchmark.recipes.recipe_plan import Entry, RecipePlan
 from benchmark.recipes.recipe_run import Outcome
 from benchmark.recipes.targets import Target
-from benchmark.report.leaderboard_text import MAIN_SUBSETS
+from benchmark.report.parts.depth_tables import MAIN_SUBSETS
 
 MEASURED, PUBLISHED, ABSENT = "measured", "published", "not measured"
 _INTERVAL = ("rmse_low", "rmse_high")

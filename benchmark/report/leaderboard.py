@@ -1,23 +1,21 @@
-"""The leaderboard: one row per method, measured or published, on every split, grid and subset.
-
-How figures are written: headings, units, digits, and which way is better.
-"""
+"""The leaderboard: one row per method, measured or published, on every split, grid and subset."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
+from benchmark.data.splits import get_split, splits
 from benchmark.evaluation.results import ERROR, FAILURES, INDEX
 from benchmark.evaluation.tasks.depth_results import OVER_ALL, OVER_ANSWERED, RunResult, summarise
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.metrics.significance import compare_methods
 from benchmark.published.load import published_depth, published_speed
 from std_toolkit.errors import ToolkitError
+from std_toolkit.html.table import Column
 from std_toolkit.log import logger
 
 MEASURED, PUBLISHED = "measured", "published"
@@ -31,59 +29,30 @@ SIGNIFICANT = 0.05
 PAPERS_PROTOCOL = "paper"
 
 
-@dataclass(frozen=True)
-class Column:
-    """A figure of the leaderboard.
-
-    Attributes:
-        name: its column.
-        heading, unit: as people read it.
-        factor: from the stored to the written unit.
-        digits: after the point.
-        less_is_better: None where neither way is.
-        printed_digits: of figures that a paper prints, which has fewer.
-    """
-
-    name: str
-    heading: str
-    unit: str = ""
-    factor: float = 1.0
-    digits: int = 2
-    less_is_better: bool | None = True
-    printed_digits: int = 2
-
-    def text(self, value: float | None, *, printed: bool = False) -> str:
-        """The figure as it is written; empty where there is none."""
-        if value is None or math.isnan(value):
-            return ""
-        return f"{value * self.factor:.{self.printed_digits if printed else self.digits}f}"
-
-    @property
-    def title(self) -> str:
-        """Heading and unit."""
-        return f"{self.heading} [{self.unit}]" if self.unit else self.heading
-
-
 METRICS = (
-    Column("rmse", "RMSE", "mm", 1e3, 1, printed_digits=0),
-    Column("rel", "REL", "", 1.0, 4, printed_digits=3),
-    Column("mae", "MAE", "mm", 1e3, 1, printed_digits=0),
-    Column("d105", "δ1.05", "%", 1e2, 2, less_is_better=False),
-    Column("d110", "δ1.10", "%", 1e2, 2, less_is_better=False),
-    Column("d125", "δ1.25", "%", 1e2, 2, less_is_better=False),
+    Column(
+        name="rmse", heading="RMSE", unit="mm", factor=1e3, published_digits=0, lower_is_better=True
+    ),
+    Column(name="rel", heading="REL", digits=4, published_digits=3, lower_is_better=True),
+    Column(
+        name="mae", heading="MAE", unit="mm", factor=1e3, published_digits=0, lower_is_better=True
+    ),
+    *(
+        Column(name=name, heading=heading, unit="%", factor=100, digits=2, lower_is_better=False)
+        for name, heading in (("d105", "δ1.05"), ("d110", "δ1.10"), ("d125", "δ1.25"))
+    ),
 )
 
-COVERAGE = Column("coverage", "answered", "%", 1e2, 2, less_is_better=False)
+COVERAGE = Column(
+    name="coverage", heading="answered", unit="%", factor=100, digits=2, lower_is_better=False
+)
 
-SPEED = Column("frames_per_s", "speed", "frames/s", 1.0, 1, less_is_better=False)
-
-PARAMETERS = Column("parameters", "parameters", "M", 1e-6, 2, less_is_better=None)
-
-MACS = Column("gmacs", "MACs", "G", 1.0, 1, less_is_better=None)
-
-MEMORY = Column("peak_memory_mib", "peak memory", "MiB", 1.0, 0, less_is_better=None)
-
-COSTS = (SPEED, PARAMETERS, MACS, MEMORY)
+COSTS = (
+    Column(name="frames_per_s", heading="speed", unit="frames/s", lower_is_better=False),
+    Column(name="parameters", heading="parameters", unit="M", factor=1e-6, digits=2),
+    Column(name="gmacs", heading="MACs", unit="G"),
+    Column(name="peak_memory_mib", heading="peak memory", unit="MiB", digits=0),
+)
 
 BOARD = (*METRICS, COVERAGE)
 
@@ -105,16 +74,23 @@ class Board:
     results: tuple[RunResult, ...]
 
     def main_rows(self, split: str, protocol: str) -> pd.DataFrame:
-        """The rows that methods are ranked by: main grid and subset, best first."""
+        """The rows that methods are ranked by: main grid and subset."""
         grid, subset = get_protocol(protocol).main
         return self.part(split, protocol, grid, subset)
 
     def part(self, split: str, protocol: str, grid: str, subset: str) -> pd.DataFrame:
-        """The rows of one split, protocol, grid and subset, best first."""
+        """The rows of one split, protocol, grid and subset: measured ones, best first, then
+        published ones, best first."""
         rows = self.rows
         chosen = (rows["split"] == split) & (rows["protocol"] == protocol)
         chosen &= (rows["grid"] == grid) & (rows["subset"] == subset)
-        return rows[chosen].sort_values([RANKED_BY, "method"], kind="stable", ignore_index=True)
+        by = ["kind", RANKED_BY, "method"]  # "measured" comes before "published"
+        return rows[chosen].sort_values(by, kind="stable", ignore_index=True)
+
+    def frames(self, split: str) -> int:
+        """Frames of the split that were scored, of the run with the most of them."""
+        runs = [r for r in self.results if r.manifest.setup.split == split]
+        return max(r.manifest.setup.frames - r.missing for r in runs)
 
     @property
     def boards(self) -> list[tuple[str, str]]:
@@ -132,6 +108,48 @@ COLUMNS = (
     *OVER_ALL, *INTERVALS, *OVER_ANSWERED, "p_best", "frames_per_s", "parameters", "gmacs",
     "peak_memory_mib", "hardware", "training_data", "table",
 )  # fmt: skip
+
+
+def frames_of(split: str, frames: int) -> str:
+    """How many frames were scored, and of how many if that is a fragment of a split.
+
+    >>> frames_of("std-catknown", 36), frames_of("scenes", 36)
+    ('36 of 22,500 frames', '36 frames')
+    """
+    if is_fragment(split, frames):
+        return f"{frames:,} of {_split_size(split):,} frames"
+    return f"{frames:,} frame{'' if frames == 1 else 's'}"
+
+
+def is_fragment(split: str, frames: int) -> bool:
+    """Whether so many frames are less than the split is published with."""
+    size = _split_size(split)
+    return size is not None and frames < size
+
+
+def _split_size(split: str) -> int | None:
+    # A name such as `module:SPLIT` comes from a file of results: nothing is imported for it.
+    known = get_split(split).published if split in splits.names() else ()
+    return min((p.frames for p in known if not p.of_more), default=None)
+
+
+def merge_equal(rows: pd.DataFrame, figures: Sequence[str]) -> pd.DataFrame:
+    """Published rows with the same figures of one method as one row that lists all its sources.
+
+    Args:
+        rows: published rows, with columns `split`, `protocol`, `subset`, `method`, `table` and
+            `training_data`.
+        figures: names of the columns that must be equal.
+    """
+    keys = ["split", "protocol", "subset", "method", *(f for f in figures if f in rows)]
+
+    def joined(values: pd.Series) -> str:
+        return "; ".join(dict.fromkeys(str(v) for v in values if isinstance(v, str) and v))
+
+    merged = rows.groupby(keys, dropna=False, sort=False, as_index=False)
+    others = [c for c in rows if c not in (*keys, "table", "training_data")]
+    how = {"table": joined, "training_data": joined, **dict.fromkeys(others, "first")}
+    return merged.agg(how)
 
 
 def one_of_each(rows: pd.DataFrame) -> pd.DataFrame:
@@ -228,5 +246,5 @@ def _published(rows: pd.DataFrame) -> pd.DataFrame:
         subsets = set(rows.loc[chosen, "subset"])
         part = printed[(printed["split"] == split) & printed["subset"].isin(subsets)]
         parts.append(part.assign(protocol=protocol, grid=grid))
-    found = pd.concat(parts, ignore_index=True).assign(kind=PUBLISHED)
+    found = merge_equal(pd.concat(parts, ignore_index=True), OVER_ALL).assign(kind=PUBLISHED)
     return found.assign(frames_per_s=found["method"].map(speeds), hardware="NVIDIA RTX 3090")

@@ -38,6 +38,7 @@ INTERRUPTED = 130
 SHELLS = ("bash", "zsh", "fish")
 COMPLETION = "--print-completion"
 _MAPPINGS = (dict, Mapping)
+_REPEATED = re.compile(r"\[(\{[^{}]*\}|[A-Z]+) \[\1 \.\.\.\]\]")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -234,6 +235,13 @@ def words_of(options: Any) -> list[str]:
     return words
 
 
+def print_json(value: Any) -> None:
+    """Print lists, dicts, dataclasses and Structs as JSON; what is not a finite number as null."""
+    import msgspec
+
+    print(msgspec.json.format(msgspec.json.encode(value)).decode())
+
+
 def exit_status(
     run: Callable[[], int],
     *,
@@ -280,9 +288,11 @@ def exit_status(
 
 
 def _tidy(page: str) -> str:
-    """A help page without rules, its paragraphs filled."""
+    """A help page without rules, its paragraphs filled, `STR ...` for `[STR [STR ...]]`."""
+    page = _REPEATED.sub(lambda found: f"{found[1]} ...".ljust(len(found[0])), page)
     filled = (fill(x, 80) if x[:1].strip() and len(x) > 80 else x for x in page.splitlines())
-    lines = (line.rstrip() for line in "\n".join(filled).splitlines())
+    lines = (line.rstrip() for line in "
+".join(filled).splitlines())
     return "\n".join(line for line in lines if line.strip("-─ ") or not line)
 
 

@@ -11,6 +11,7 @@ import gzip
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from pathlib import Path
 from typing import ClassVar, Protocol
 
 from std_toolkit.html.templates import environment
@@ -112,6 +113,29 @@ class Picture:
     width: int
     height: int
     outlines: list[tuple[int, str]] = field(default_factory=list)
+
+    @staticmethod
+    def read(path: Path, *, width: int = 1200, quality: int = 75) -> Picture:
+        """A picture file as WebP, made smaller if it is wider.
+
+        Args:
+            path: an image file.
+            width: the widest that it may be, in pixels.
+            quality: of the compression, 0 to 100.
+
+        Raises:
+            ToolkitError: it cannot be read.
+        """
+        import cv2
+
+        from std_toolkit.io.images import read_color
+
+        image = cv2.cvtColor(read_color(path), cv2.COLOR_RGB2BGR)
+        if image.shape[1] > width:
+            size = (width, round(width * image.shape[0] / image.shape[1]))
+            image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        data = cv2.imencode(".webp", image, [cv2.IMWRITE_WEBP_QUALITY, quality])[1]
+        return Picture(data.tobytes(), "image/webp", image.shape[1], image.shape[0])
 
 
 @dataclass(frozen=True)

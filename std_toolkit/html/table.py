@@ -216,6 +216,26 @@ class Table:
         return [row for group in self.groups for row in group]
 
 
+def text_table(
+    headings: Sequence[str], rows: Iterable[Sequence[str]], *, texts: int = 2, title: str = ""
+) -> Table:
+    """A table of cells that are written already.
+
+    Args:
+        headings: of the columns.
+        rows: as many cells each.
+        texts: the first so many columns are texts, the others numbers.
+        title: of the table.
+
+    >>> print(text_table(["name", "n"], [["a", "10"]], texts=1).terminal())
+    name   n
+    a     10
+    """
+    columns = [Column(heading=h, numeric=i >= texts) for i, h in enumerate(headings)]
+    made = [Row([Cell(text=text) for text in row]) for row in rows]
+    return Table(columns=columns, rows=made, title=title)
+
+
 def number(value: float | None, digits: int = 1, *, signed: bool = False) -> str:
     """A number with fixed digits and a true minus; a dash for a missing one.
 

@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 
 
 def slug(name: str) -> str:
-    """An element id made from any name; different names give different ids.
+    """An element id made from any name; names that differ in other characters stay apart.
 
     >>> slug("std-catknown")
     'std-catknown'
     >>> slug("a b")
-    'a-b-14f9cd07'
+    'a-b-806c5cd3'
     """
     safe = re.sub(r"[^A-Za-z0-9_-]+", "-", name)
     return safe if safe == name else f"{safe}-{zlib.crc32(name.encode()):08x}"

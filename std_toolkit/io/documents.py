@@ -6,6 +6,7 @@ import json
 import math
 import re
 import stat
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -98,13 +99,14 @@ def write_document(path: Path | str, document: Any) -> None:
     write_bytes_atomic(path, document_bytes(document, path=path))
 
 
-def begin_folder(path: Path, document: T, *, hint: str) -> T:
+def begin_folder(path: Path, document: T, *, hint: str, beside: Sequence[str] = ()) -> T:
     """The document that says what a folder of results was begun with; written if it is new.
 
     Args:
         path: of the document.
         document: what the folder would be begun with.
         hint: what to do where the folder is somebody else's.
+        beside: names of files that may be there already.
 
     Returns:
         The document that is there now: for the caller to compare with its own.
@@ -115,7 +117,7 @@ def begin_folder(path: Path, document: T, *, hint: str) -> T:
     """
     if path.exists():
         return read_document(path, type(document))
-    if any(p.name[0] != "." for p in path.parent.iterdir()):
+    if any(p.name[0] != "." and p.name not in beside for p in path.parent.iterdir()):
         raise ToolkitError(
             f"the folder holds files but no {path.name}", path=path.parent, hint=hint
         )

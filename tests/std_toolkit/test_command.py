@@ -144,6 +144,7 @@ def test_metadata_name_require_and_hide_options(capsys: pytest.CaptureFixture[st
     page = capsys.readouterr().out
     assert "--set" in page
     assert "a method's own" in page
+    assert "--set STR ..." in page
     assert "bar" not in page
 
 

@@ -1,17 +1,48 @@
-"""Instance-level pose as a task: figures of result files in BOP's format."""
+"""Instance-level pose as a task: result files in BOP's format, scored image by image."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
+import numpy as np
+import pandas as pd
 
-from benchmark.evaluation.results import aligned
-from benchmark.metrics.bop import BopDataset, read_bop_results, score_bop
+from benchmark.data.splits import FrameKey
+from benchmark.evaluation.config import BopConfig
+from benchmark.evaluation.frames import Batch, FrameTask
+from benchmark.evaluation.manifest import (
+    BOP_FILE,
+    BOP_MANIFEST,
+    BopManifest,
+    BopSetup,
+    circumstances,
+)
+from benchmark.evaluation.results import ERROR, FRAME, INDEX, SCENE, read_table
+from benchmark.metrics.bop import (
+    BopDataset,
+    BopScorer,
+    BopTarget,
+    found_of,
+    mean_recalls,
+    open_bop,
+    read_bop_results,
+    seconds_per_image,
+)
+from benchmark.metrics.bop.bop_dataset import BopImage
+from benchmark.metrics.significance import mean_interval
+from std_toolkit.errors import ToolkitError
+from std_toolkit.html.table import text_table
 from std_toolkit.io.documents import read_document, write_document
 
-FOLDER, FILE = "bop", "bop.json"
+FOLDER, ERRORS = "bop", "errors.parquet"
+RENDERER = "raycast"
+RECALLS = ("vsd", "mssd", "mspd")
+FOUND = tuple(f"found_{name}" for name in RECALLS)
 
 
 class BopResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -39,60 +70,231 @@ class BopResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     seconds_per_image: float | None
 
 
-def bop_result(dataset: BopDataset, path: Path, *, data: str, split: str) -> BopResult:
-    """Score a result file.
+class BopFigures(BopResult, frozen=True, kw_only=True):
+    """A result file with its intervals.
+
+    Attributes:
+        intervals: low and high ends of 95 % by the name of the figure, such as `ar_vsd`; empty
+            with one image, or for results without a table of errors.
+        intervals_over: what was drawn: "scenes", or "images" where there is one scene.
+    """
+
+    intervals: dict[str, tuple[float, float]] = {}
+    intervals_over: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BopRun:
+    """A result file on a data set.
+
+    Attributes:
+        data, split: folder of the data set, and of its scenes.
+        results: CSV file in BOP's format.
+        out: folder of results.
+    """
+
+    data: Path
+    split: str
+    results: Path
+    out: Path
+    devices: tuple[str, ...] = ("cpu",)
+    batch_size: int = 1
+
+    @property
+    def folder(self) -> Path:
+        """Where this run's files lie."""
+        return self.out / FOLDER / self.data.resolve().name / self.split / self.results.stem
+
+    @property
+    def title(self) -> str:
+        """For people."""
+        return f"{self.results.stem} on {self.data.name}, {self.split}"
+
+    @property
+    def method_title(self) -> str:
+        """As its title: no method is made."""
+        return self.title
+
+    def chosen(self, data: BopData) -> range:
+        """All images."""
+        return range(len(data))
+
+
+class BopData:
+    """Images with something to find, and what a result file says of them."""
+
+    def __init__(self, run: BopRun) -> None:
+        self.dataset: BopDataset = open_bop(run.data, run.split)
+        estimates = read_bop_results(run.results)
+        self.scorer = BopScorer(self.dataset, estimates, renderer=RENDERER)
+        if not self.scorer.targets:
+            raise ToolkitError("there is no true pose to be found", path=run.data)
+        self.images: dict[tuple[int, int], list[BopTarget]] = {}
+        for target in self.scorer.targets:
+            self.images.setdefault((target.scene_id, target.im_id), []).append(target)
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    def keys(self) -> list[FrameKey]:
+        """Scene and image, as their files are named."""
+        return [FrameKey(f"{scene:06d}", f"{image:06d}") for scene, image in self.images]
+
+
+class BopTask(FrameTask[BopRun, BopData, None]):
+    """Result files over images."""
+
+    manifest_name, table_name, unit = BOP_MANIFEST, ERRORS, "images"
+    beside = (BOP_FILE,)
+
+    def plan(self, config: BopConfig) -> list[BopRun]:
+        assert config.out is not None
+        return [
+            BopRun(data=config.data, split=config.bop_split, results=path, out=config.out)
+            for path in config.results
+        ]
+
+    def check_data(self, runs: Sequence[BopRun]) -> None:
+        for run in runs:
+            self.open(run)
+
+    def open(self, run: BopRun) -> BopData:
+        return BopData(run)
+
+    def make(self, run: BopRun, device: str) -> None:
+        """Nothing: the poses are there."""
+
+    def manifest(self, run: BopRun, data: BopData, methods: None) -> BopManifest:  # noqa: ARG002
+        lines = [f"{t.scene_id} {t.im_id} {t.obj_id} {t.inst_count}" for t in data.scorer.targets]
+        setup = BopSetup(
+            data=run.data.resolve().name,
+            split=run.split,
+            results=run.results.stem,
+            results_sha256=hashlib.sha256(run.results.read_bytes()).hexdigest(),
+            targets=len(lines),
+            targets_sha256=hashlib.sha256("\n".join(lines).encode()).hexdigest(),
+            renderer=RENDERER,
+        )
+        return BopManifest(setup=setup, root=str(run.data), **circumstances())
+
+    def load(self, data: BopData, index: int) -> BopImage:
+        return data.dataset.image(*list(data.images)[index])
+
+    def rows(
+        self,
+        run: BopRun,  # noqa: ARG002
+        data: BopData,
+        methods: None,  # noqa: ARG002
+        batch: Batch,
+        keys: Sequence[FrameKey],
+        loaded: Sequence[BopImage | str],
+    ) -> list[dict[str, Any]]:
+        """A row for each target; an image that cannot be read has them without figures."""
+        images = list(data.images.values())
+        rows = []
+        for index, key, image in zip(batch, keys, loaded, strict=True):
+            for target in images[index]:
+                found, n_estimates, error = np.full(3, np.nan), 0, image
+                if not isinstance(image, str):
+                    errors = data.scorer.errors(target, image)
+                    found, n_estimates, error = found_of(errors), len(errors.mssd), ""
+                rows.append(
+                    {
+                        INDEX: index, SCENE: key.scene, FRAME: key.name, ERROR: error,
+                        "obj_id": target.obj_id, "n_estimates": n_estimates,
+                        "n_valid": target.inst_count,
+                        **dict(zip(FOUND, found.tolist(), strict=True)),
+                    }
+                )  # fmt: skip
+        return rows
+
+    def after(self, run: BopRun) -> None:
+        """The figures, which are none with an image left out."""
+        table = read_table(run.folder / ERRORS)
+        failed = table[table[ERROR] != ""]
+        if len(failed):
+            raise ToolkitError(
+                f"{failed[INDEX].nunique()} images could not be scored, the first with: "
+                f"{failed[ERROR].iloc[0]}",
+                hint="no figure leaves targets out: repair them, and run the same command again",
+            )
+        estimates = read_bop_results(run.results)
+        scores = mean_recalls(table[list(FOUND)].to_numpy(), table["n_valid"].tolist())
+        result = BopResult(
+            results=run.results.stem,
+            data=str(run.data),
+            split=run.split,
+            targets=scores.targets,
+            estimates=len(estimates),
+            ar=scores.ar,
+            ar_vsd=scores.vsd,
+            ar_mssd=scores.mssd,
+            ar_mspd=scores.mspd,
+            seconds_per_image=seconds_per_image(estimates),
+        )
+        write_document(run.folder / BOP_FILE, result)
+
+    def read(self, folder: Path, run: BopRun | None = None) -> BopFigures:  # noqa: ARG002
+        return read_bop_run(folder)
+
+    def table(self, results: Sequence[BopResult], config: BopConfig) -> str:  # noqa: ARG002
+        return bop_table(results)
+
+    def records(self, results: Sequence[BopFigures], config: BopConfig) -> Sequence[BopFigures]:  # noqa: ARG002
+        return results
+
+
+TASK = BopTask()
+
+
+def read_bop_run(folder: Path) -> BopFigures:
+    """One result file's figures.
+
+    Raises:
+        ToolkitError: a file is missing or damaged.
+    """
+    figures = msgspec.structs.asdict(read_document(folder / BOP_FILE, BopResult))
+    path = folder / ERRORS
+    intervals, over = bop_intervals(read_table(path)) if path.exists() else ({}, "")
+    return BopFigures(**figures, intervals=intervals, intervals_over=over)
+
+
+def bop_intervals(table: pd.DataFrame) -> tuple[dict[str, tuple[float, float]], str]:
+    """Intervals of 95 % of the figures, and what was drawn for them.
 
     Args:
-        dataset: with the true poses.
-        path: CSV in BOP's format.
-        data, split: as in `BopResult`.
-
-    Raises:
-        ToolkitError: the file cannot be read, or does not fit the data set.
+        table: of errors. Every true pose to be found counts alike, as in the figures.
     """
-    estimates = read_bop_results(path)
-    scores = score_bop(dataset, estimates)
-    return BopResult(
-        results=path.stem,
-        data=data,
-        split=split,
-        targets=sum(target.inst_count for target in dataset.targets),
-        estimates=len(estimates),
-        ar=scores.ar,
-        ar_vsd=scores.vsd,
-        ar_mssd=scores.mssd,
-        ar_mspd=scores.mspd,
-        seconds_per_image=scores.seconds_per_image,
-    )
+    scenes, images = table[SCENE], table[INDEX]
+    groups, over = (scenes, "scenes") if scenes.nunique() > 1 else (images, "images")
+    if groups.nunique() < 2:
+        return {}, ""
+    times = table["n_valid"].to_numpy()
+    shares = table[list(FOUND)].to_numpy() / times[:, None]
+    values = np.column_stack([shares.mean(axis=1), shares])
+    found = mean_interval(np.repeat(values, times, axis=0), np.repeat(groups.to_numpy(), times))
+    names = ("ar", *(f"ar_{name}" for name in RECALLS))
+    ends = zip(found.low.tolist(), found.high.tolist(), strict=True)
+    return dict(zip(names, ends, strict=True)), over
 
 
-def write_bop_result(out: Path, result: BopResult) -> None:
-    """Keep figures below a folder of results.
-
-    Raises:
-        ToolkitError: the file cannot be written.
-    """
-    folder = out / FOLDER / Path(result.data).resolve().name / result.split / result.results
-    folder.mkdir(parents=True, exist_ok=True)
-    write_document(folder / FILE, result)
-
-
-def read_bop_figures(folders: Iterable[Path]) -> list[BopResult]:
+def read_bop_figures(folders: Iterable[Path]) -> list[BopFigures]:
     """All figures below some folders of results.
 
     Raises:
         ToolkitError: a file is damaged.
     """
-    paths = sorted(path for folder in folders for path in folder.rglob(FILE))
-    return [read_document(path, BopResult) for path in dict.fromkeys(paths)]
+    paths = sorted(path for folder in folders for path in folder.rglob(BOP_FILE))
+    return [read_bop_run(path.parent) for path in dict.fromkeys(paths)]
 
 
 def bop_table(results: Sequence[BopResult]) -> str:
     """Figures in percent, for a terminal."""
-    lines = [["results", "data", "targets", "AR", "VSD", "MSSD", "MSPD", "s/image"]]
+    heads = ("results", "data", "targets", "AR", "VSD", "MSSD", "MSPD", "s/image")
+    lines = []
     for r in results:
         shares = [f"{100 * x:.1f}" for x in (r.ar, r.ar_vsd, r.ar_mssd, r.ar_mspd)]
         seconds = "" if r.seconds_per_image is None else f"{r.seconds_per_image:.2f}"
         data = f"{Path(r.data).name}, {r.split}"
         lines.append([r.results, data, str(r.targets), *shares, seconds])
-    return aligned(lines)
+    return text_table(heads, lines).terminal()

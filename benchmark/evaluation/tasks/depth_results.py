@@ -11,12 +11,13 @@ import numpy as np
 import pandas as pd
 
 from benchmark.evaluation.manifest import MANIFEST, Manifest
-from benchmark.evaluation.results import ERROR, INDEX, SCENE, TABLE, aligned, find_runs, read_table
+from benchmark.evaluation.results import ERROR, INDEX, SCENE, TABLE, find_runs, read_table
 from benchmark.evaluation.tasks.depth_speed import SPEED, Speed
 from benchmark.metrics.depth.tally import NAMES
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.metrics.significance import mean_interval
 from std_toolkit.errors import ToolkitError
+from std_toolkit.html.table import text_table
 from std_toolkit.io.documents import read_document
 
 GROUPS = ("split", "protocol", "method", "grid", "subset")
@@ -218,4 +219,4 @@ def _table(means: pd.DataFrame) -> str:
     shown["frames"] = means["frames"].astype(str)
     for column, heading, factor, form in _COLUMNS:
         shown[heading] = [form.format(value * factor) for value in means[column]]
-    return aligned([list(shown.columns), *shown.to_numpy().tolist()])
+    return text_table(list(shown.columns), shown.to_numpy().tolist()).terminal()

@@ -30,7 +30,7 @@ import numpy as np
 import pandas as pd
 
 from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest
-from benchmark.evaluation.results import INDEX, aligned, find_runs, read_table
+from benchmark.evaluation.results import INDEX, find_runs, read_table
 from benchmark.evaluation.tasks.grasp_table import (
     ATTEMPT,
     ATTEMPTS,
@@ -42,6 +42,7 @@ from benchmark.evaluation.tasks.grasp_table import (
 )
 from benchmark.metrics.significance import mean_interval
 from std_toolkit.errors import ToolkitError
+from std_toolkit.html.table import text_table
 from std_toolkit.io.documents import read_document
 
 # Camera, seed, planner and depth of a run, as tables have them.
@@ -238,11 +239,11 @@ def grasp_table(results: Sequence[GraspResult]) -> str:
     blocks = []
     for camera, seed in dict.fromkeys(r.name[:2] for r in results):
         mine = [r for r in results if r.name[:2] == (camera, seed)]
-        cleared = aligned([list(HEADINGS), *(cells(r) for r in mine)])
-        planned = aligned([list(PLAN_HEADINGS), *(plan_cells(r) for r in mine)])
-        blocks.append(f"table clearing, {camera} camera, seed {seed}\n{cleared}")
-        blocks.append(f"grasps planned on the first view of each table\n{planned}")
-    return "\n\n".join(blocks)
+        title = f"table clearing, {camera} camera, seed {seed}"
+        blocks.append(text_table(HEADINGS, map(cells, mine), title=title))
+        title = "grasps planned on the first view of each table"
+        blocks.append(text_table(PLAN_HEADINGS, map(plan_cells, mine), title=title))
+    return "\n\n".join(block.terminal() for block in blocks)
 
 
 def grasp_records(results: Sequence[GraspResult]) -> list[dict[str, Any]]:

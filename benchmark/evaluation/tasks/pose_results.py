@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from benchmark.data.frame import Material
 from benchmark.evaluation.manifest import POSE_MANIFEST, PoseManifest
-from benchmark.evaluation.results import ERROR, INDEX, aligned, find_runs, read_table
+from benchmark.evaluation.results import ERROR, INDEX, find_runs, read_table
 from benchmark.evaluation.tasks.pose_table import COLUMNS, POSES, frames_of
 from benchmark.metrics.pose import (
     BoxIoU,
@@ -27,6 +27,7 @@ from benchmark.metrics.pose import (
 )
 from benchmark.metrics.pose.resampling import resampled_scores, scene_weights
 from std_toolkit.errors import ToolkitError
+from std_toolkit.html.table import text_table
 from std_toolkit.io.documents import read_document
 
 # Method, depth and fit of a run, as tables have them.
@@ -284,12 +285,13 @@ def pose_records(
 
 
 def _table(scored: Sequence[Scored], protocol: PoseProtocol) -> str:
-    lines = [[*_TEXTS, "true", *map(heading, protocol.columns)]]
+    lines = []
     for each in scored:
         figures = each.scores.mean
         numbers = [f"{100 * figures[c]:.1f}" for c in protocol.columns]
         lines.append([*each.result.name, each.subset, str(each.objects), *numbers])
-    return aligned(lines, texts=len(_TEXTS))
+    heads = [*_TEXTS, "true", *map(heading, protocol.columns)]
+    return text_table(heads, lines, texts=len(_TEXTS)).terminal()
 
 
 def heading(column: str) -> str:

@@ -1,12 +1,9 @@
-"""BOP's average recall, of matches and of a result file.
-
-Average recall of instance-level poses, as the BOP Challenge ranks methods.
-"""
+"""Average recall of instance-level poses, as the BOP Challenge ranks methods."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -103,23 +100,42 @@ def average_recalls(
     >>> scores.vsd, scores.mssd, scores.mspd
     (1.0, 0.8, 1.0)
     """
-    targets = sum(int(e.valid.sum()) for e in errors)
-    if not targets:
+    found = [found_of(e) for e in errors]
+    targets = [int(e.valid.sum()) for e in errors]
+    return mean_recalls(found, targets, seconds_per_image=seconds_per_image)
+
+
+def found_of(errors: PoseErrors) -> Floats:
+    """(3,) mean number of true poses found by VSD, MSSD and MSPD, over their thresholds."""
+    vsd = np.moveaxis(errors.vsd, 2, 0)[None]  # (1, T, E, G) against (10, 1, 1, 1)
+    pairs = (
+        (vsd, THETAS),
+        (errors.mssd[None, None], THETAS * errors.diameter_m),
+        (errors.mspd[None, None], MSPD_PIXELS * errors.width / MSPD_WIDTH),
+    )
+    return np.array([_right(error, thresholds, errors.valid) for error, thresholds in pairs])
+
+
+def mean_recalls(
+    found: Iterable[Floats], targets: Sequence[int], *, seconds_per_image: float | None = None
+) -> BopScores:
+    """Average recalls over images.
+
+    Args:
+        found: of each object and image, as `found_of` gives it.
+        targets: how many true poses there were to be found.
+        seconds_per_image: kept in the result.
+
+    Raises:
+        ToolkitError: nothing to find.
+    """
+    if not sum(targets):
         raise ToolkitError("there is no true pose to be found")
     sums = np.zeros(3)
-    for e in errors:
-        vsd = np.moveaxis(e.vsd, 2, 0)[None]  # (1, T, E, G) against (10, 1, 1, 1)
-        pixels = MSPD_PIXELS * e.width / MSPD_WIDTH
-        for kind, (error, thresholds) in enumerate(
-            (
-                (vsd, THETAS),
-                (e.mssd[None, None], THETAS * e.diameter_m),
-                (e.mspd[None, None], pixels),
-            )
-        ):
-            sums[kind] += _right(error, thresholds, e.valid)
-    vsd_ar, mssd_ar, mspd_ar = (sums / targets).tolist()
-    return BopScores(vsd_ar, mssd_ar, mspd_ar, targets, seconds_per_image)
+    for each in found:  # one after the other: numpy would sum in another order
+        sums += each
+    vsd_ar, mssd_ar, mspd_ar = (sums / sum(targets)).tolist()
+    return BopScores(vsd_ar, mssd_ar, mspd_ar, sum(targets), seconds_per_image)
 
 
 def _right(error: Floats, thresholds: Floats, valid: NDArray[np.bool_]) -> float:
@@ -156,31 +172,57 @@ def score_bop(
     >>> score_bop(open_bop("lmo"), read_bop_results("mine_lmo-test.csv")).ar  # doctest: +SKIP
     0.71
     """
-    draw = get_renderer(renderer)
-    by_target: dict[tuple[int, int, int], list[BopEstimate]] = defaultdict(list)
-    times: dict[tuple[int, int], float] = {}
-    for e in estimates:
-        if e.scene_id not in dataset.scenes:
-            known = ", ".join(str(s) for s in sorted(dataset.scenes)[:5])
-            raise ToolkitError(
-                "results of a scene that the data set lacks",
-                field="scene_id",
-                value=e.scene_id,
-                hint=f"there are scenes {known}",
-            )
-        by_target[e.scene_id, e.im_id, e.obj_id].append(e)
-        times[e.scene_id, e.im_id] = e.seconds
-    model = lru_cache(maxsize=None)(dataset.model)
+    scorer = BopScorer(dataset, estimates, renderer=renderer)
     image = lru_cache(maxsize=1)(dataset.image)
-    errors = []
-    for target in sorted(dataset.targets, key=lambda t: (t.scene_id, t.im_id, t.obj_id)):
-        mine = by_target[target.scene_id, target.im_id, target.obj_id]
+    errors = [scorer.errors(t, image(t.scene_id, t.im_id)) for t in scorer.targets]
+    return average_recalls(errors, seconds_per_image=seconds_per_image(estimates))
+
+
+def seconds_per_image(estimates: Iterable[BopEstimate]) -> float | None:
+    """Mean over images; None where a time is missing."""
+    times = {(e.scene_id, e.im_id): e.seconds for e in estimates}
+    return float(np.mean(list(times.values()))) if times and min(times.values()) >= 0 else None
+
+
+class BopScorer:
+    """Errors of a result file, target by target.
+
+    Attributes:
+        targets: of the data set, by scene, image and object.
+
+    Raises:
+        ToolkitError: an estimate of a scene that is not there.
+    """
+
+    def __init__(
+        self, dataset: BopDataset, estimates: Iterable[BopEstimate], *, renderer: str = "raycast"
+    ) -> None:
+        self.targets = sorted(dataset.targets, key=lambda t: (t.scene_id, t.im_id, t.obj_id))
+        self._dataset = dataset
+        self._renderer = get_renderer(renderer)
+        self._model = lru_cache(maxsize=None)(dataset.model)
+        self._estimates: dict[tuple[int, int, int], list[BopEstimate]] = defaultdict(list)
+        for e in estimates:
+            if e.scene_id not in dataset.scenes:
+                known = ", ".join(str(s) for s in sorted(dataset.scenes)[:5])
+                raise ToolkitError(
+                    "results of a scene that the data set lacks",
+                    field="scene_id",
+                    value=e.scene_id,
+                    hint=f"there are scenes {known}",
+                )
+            self._estimates[e.scene_id, e.im_id, e.obj_id].append(e)
+
+    def errors(self, target: BopTarget, image: BopImage) -> PoseErrors:
+        """Errors of the estimates that count for a target.
+
+        Raises:
+            ToolkitError: a damaged model, or fewer true poses than the target says.
+        """
+        mine = self._estimates[target.scene_id, target.im_id, target.obj_id]
         mine = sorted(mine, key=lambda e: -e.score)[: target.inst_count]
-        picture = image(target.scene_id, target.im_id)
-        errors.append(_errors(dataset, target, mine, model(target.obj_id), picture, draw))
-    known_times = bool(times) and min(times.values()) >= 0
-    seconds = float(np.mean(list(times.values()))) if known_times else None
-    return average_recalls(errors, seconds_per_image=seconds)
+        model = self._model(target.obj_id)
+        return _errors(self._dataset, target, mine, model, image, self._renderer)
 
 
 def _errors(

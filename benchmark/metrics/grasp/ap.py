@@ -94,8 +94,18 @@ def judge_grasps(
         poses: T_cam_obj of each.
         T_cam_table: the table, z = 0; None where there is none.
 
+    Returns:
+        The grasps that count, best first, and what became of each.
+
     Raises:
         ToolkitError: no objects, or another number of poses.
+
+    >>> import trimesh
+    >>> box = trimesh.creation.box((0.04, 0.04, 0.04))
+    >>> target = JudgedObject.of_mesh(np.asarray(box.vertices), np.asarray(box.faces))
+    >>> grasp = Grasps.make(np.eye(3)[None], [[0, 0, 0]], widths=0.06, depths=0.02)
+    >>> judge_grasps(grasp, [target], [SE3.identity()]).friction.tolist()
+    [0.2]
     """
     if not objects or len(objects) != len(poses):
         raise ToolkitError("needs objects and a pose for each", value=(len(objects), len(poses)))
@@ -146,13 +156,16 @@ def _table() -> Floats:
 
 
 def precision_at(friction: ArrayLike, frictions: Sequence[float] = FRICTIONS) -> Floats:
-    """(50, M) share of the best 1, 2, ... 50 grasps that hold at each friction.
+    """Share of the best 1, 2, ... 50 grasps that hold at each friction.
 
     Where there are fewer grasps, those that lack count as failures.
 
     Args:
         friction: (N,) of the grasps, best first, -1 for those that fail.
-        frictions: coefficients.
+        frictions: M coefficients.
+
+    Returns:
+        (50, M) shares, 0 to 1.
 
     >>> precision_at([0.4, -1, 0.2], [0.2, 0.4])[:4].round(3).tolist()
     [[0.0, 1.0], [0.0, 0.5], [0.333, 0.667], [0.25, 0.5]]
@@ -181,10 +194,20 @@ class GraspPrecision:
 
 
 def average_precision(tables: Iterable[Floats]) -> GraspPrecision:
-    """The figures of many images, each given by its `precision_at`.
+    """GraspNet's figures over many images.
+
+    Args:
+        tables: (50, 6) of each image, as `precision_at` gives them for `FRICTIONS`.
+
+    Returns:
+        Means over the images, in percent.
 
     Raises:
         ToolkitError: no image.
+
+    >>> all_hold = precision_at(np.full(50, 0.6))
+    >>> average_precision([all_hold])
+    GraspPrecision(ap=66.66666666666667, ap08=100.0, ap04=0.0, frames=1)
     """
     by_friction = [table.mean(axis=0) for table in tables]
     if not by_friction:

@@ -135,7 +135,18 @@ class Cloud:
 
 
 def voxel_means(points: ArrayLike, size: float) -> Floats:
-    """(V, 3) mean of the points in each cell of a grid of `size` metres: a thinner cloud."""
+    """Thin a cloud: the mean of the points in each cell of a grid.
+
+    Args:
+        points: (P, 3) metres.
+        size: metres, side of a cell; the grid begins half a cell before the smallest coordinates.
+
+    Returns:
+        (V, 3) means, ordered by cell.
+
+    >>> voxel_means([[0.0, 0, 0], [0.002, 0, 0], [0.01, 0, 0]], 0.01).tolist()
+    [[0.001, 0.0, 0.0], [0.01, 0.0, 0.0]]
+    """
     p = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     # The grid begins half a cell before the smallest point, as Open3D's does.
     low = p.min(axis=0, initial=0 if not len(p) else np.inf) - size / 2
@@ -150,14 +161,24 @@ def voxel_means(points: ArrayLike, size: float) -> Floats:
 def filled_share(
     grasps: Grasps, gripper: Gripper, points: ArrayLike, *, voxel: float = 0.01
 ) -> Floats:
-    """(N,) share of the gripper's volume that occupied voxels fill, as cells per volume.
+    """Share of the gripper's volume that occupied voxels fill, as cells per volume.
 
     GraspNet's post-processing drops grasps by it: more than 1 % of the hand (`GRASPNET_SWEPT`)
     inside the measured cloud.
 
     Args:
+        grasps: N grasps.
+        gripper: its boxes.
         points: (P, 3) cloud in the frame of the grasps.
         voxel: metres, side of a cell.
+
+    Returns:
+        (N,) shares.
+
+    >>> from benchmark.metrics.grasp import PANDA
+    >>> grasp = Grasps.make(np.eye(3)[None], [[0, 0, 0]], widths=0.06, depths=0.02)
+    >>> filled_share(grasp, PANDA, [[1.0, 0, 0]]).tolist()  # a point far away
+    [0.0]
     """
     boxes = gripper.boxes(grasps.widths, grasps.depths)
     counts = Cloud(voxel_means(points, voxel)).count_inside(grasps, boxes).sum(axis=1)
@@ -166,10 +187,21 @@ def filled_share(
 
 
 def lowest_points(grasps: Grasps, gripper: Gripper, T_plane: SE3 | ArrayLike) -> Floats:
-    """(N,) height of the open gripper's lowest corner above a plane, metres.
+    """Height of the open gripper's lowest corner above a plane.
 
     Args:
+        grasps: N grasps.
+        gripper: its boxes.
         T_plane: pose of the plane in the frame of the grasps: its z = 0, z points up.
+
+    Returns:
+        (N,) metres, negative below the plane.
+
+    >>> from benchmark.metrics.grasp import PANDA
+    >>> down = np.array([[[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]])  # x, the approach, points down
+    >>> grasp = Grasps.make(down, [[0, 0, 0.1]], widths=0.06, depths=0.02)
+    >>> lowest_points(grasp, PANDA, SE3.identity()).round(3).tolist()  # fingertips 2 cm deeper
+    [0.08]
     """
     pose = T_plane if isinstance(T_plane, SE3) else SE3.from_matrix(T_plane)
     up = pose.R[:, 2]
@@ -184,18 +216,47 @@ def lowest_points(grasps: Grasps, gripper: Gripper, T_plane: SE3 | ArrayLike) ->
 def hits_plane(
     grasps: Grasps, gripper: Gripper, T_plane: SE3 | ArrayLike, *, clearance: float = 0.0
 ) -> NDArray[np.bool_]:
-    """(N,) grasps whose gripper comes nearer to a plane than `clearance` metres, or through it."""
+    """Which open grippers come nearer to a plane than a clearance, or through it.
+
+    Args:
+        grasps: N grasps.
+        gripper: its boxes.
+        T_plane: pose of the plane in the frame of the grasps: its z = 0, z points up.
+        clearance: metres.
+
+    Returns:
+        (N,) bool.
+
+    >>> from benchmark.metrics.grasp import PANDA
+    >>> down = np.array([[[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]])
+    >>> grasp = Grasps.make(down, [[0, 0, 0.1]], widths=0.06, depths=0.02)
+    >>> [hits_plane(grasp, PANDA, SE3.identity(), clearance=c).item() for c in (0.07, 0.09)]
+    [False, True]
+    """
     return lowest_points(grasps, gripper, T_plane) < clearance
 
 
 def hits_mesh(
     grasps: Grasps, gripper: Gripper, vertices: ArrayLike, faces: ArrayLike
 ) -> NDArray[np.bool_]:
-    """(N,) grasps whose open gripper touches a triangle, exactly, or lies within a closed mesh.
+    """Which open grippers touch a triangle, exactly, or are within a closed mesh.
 
     Args:
+        grasps: N grasps.
+        gripper: its boxes.
         vertices: (V, 3) metres, in the frame of the grasps.
         faces: (F, 3).
+
+    Returns:
+        (N,) bool.
+
+    >>> from benchmark.metrics.grasp import PANDA
+    >>> grasp = Grasps.make(np.eye(3)[None], [[0, 0, 0]], widths=0.06, depths=0.02)
+    >>> triangle = np.array([[0, -0.01, -0.01], [0, 0.01, -0.01], [0, 0, 0.01]])
+    >>> hits_mesh(grasp, PANDA, triangle, [[0, 1, 2]]).tolist()  # between the fingers
+    [False]
+    >>> hits_mesh(grasp, PANDA, triangle + [0, 0.035, 0], [[0, 1, 2]]).tolist()  # in a finger
+    [True]
     """
     import trimesh
 

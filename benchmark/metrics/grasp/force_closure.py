@@ -27,7 +27,20 @@ _ROUNDING = 1e-4
 def even_points(
     vertices: NDArray[np.floating], faces: NDArray[np.integer], spacing: float
 ) -> NDArray[np.float64]:
-    """(n, 3) points of a surface, about `spacing` metres apart; the same mesh, the same points."""
+    """Points of a surface, evenly spaced; the same mesh gives the same points.
+
+    Args:
+        vertices: (V, 3) metres.
+        faces: (F, 3).
+        spacing: metres between neighbours, about.
+
+    Returns:
+        (n, 3) metres.
+
+    >>> square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
+    >>> even_points(square, np.array([[0, 1, 2], [0, 2, 3]]), 0.25).shape
+    (16, 3)
+    """
     import trimesh
 
     mesh = trimesh.Trimesh(vertices, faces, process=False)
@@ -115,12 +128,22 @@ class GraspedMesh:
 
 
 def needed_friction(contacts: Contacts) -> Floats:
-    """(N,) smallest coefficient of friction at which two contacts are in force closure.
+    """Smallest coefficient of friction at which two contacts are in force closure.
 
     Two contacts with friction hold an object if the line between them lies in both friction cones
     (Nguyen 1988): the coefficient is the tangent of the larger angle between the line and a
-    normal. The sign of the normals is ignored. Infinite where the fingers meet nothing, or both
-    one point.
+    normal. The sign of the normals is ignored.
+
+    Args:
+        contacts: of N grasps.
+
+    Returns:
+        (N,) coefficients; infinite where the fingers meet nothing, or both one point.
+
+    >>> facing = np.array([[[0, -1.0, 0], [0, 1.0, 0]]])
+    >>> tilted = np.array([[[0, -1.0, 0], [0, 1.0, 1.0]]]) / np.array([1, 2**0.5])[:, None]
+    >>> needed_friction(Contacts(np.array([True]), 0.02 * facing, tilted)).round(6).tolist()
+    [1.0]
     """
     line = contacts.points[:, 1] - contacts.points[:, 0]
     along = np.abs(np.einsum("nki,ni->nk", contacts.normals, line))
@@ -132,7 +155,14 @@ def needed_friction(contacts: Contacts) -> Floats:
 
 
 def friction_scores(contacts: Contacts, frictions: tuple[float, ...] = FRICTIONS) -> Floats:
-    """(N,) smallest of `frictions` (rising) that holds, -1 where none does.
+    """Smallest of some coefficients of friction that holds.
+
+    Args:
+        contacts: of N grasps.
+        frictions: coefficients in rising order.
+
+    Returns:
+        (N,) one of `frictions`, -1 where none holds.
 
     >>> facing = np.array([[[0, -1.0, 0], [0, 1.0, 0]]])
     >>> box = Contacts(np.array([True]), 0.02 * facing, facing)

@@ -237,10 +237,20 @@ def suppress_similar(
     and is turned by less than `rotation` against it.
 
     Args:
+        grasps: N grasps.
         translation: metres.
         rotation: radians, of the whole rotation between the two.
         swapped_fingers: count half a turn about the approach as no turn. GraspNet's evaluation
             does not, though both are the same grasp.
+
+    Returns:
+        The grasps that are kept.
+
+    >>> places = [[0, 0, 0], [0, 0, 0.01], [0, 0, 0.1]]
+    >>> same = np.stack([np.eye(3)] * 3)
+    >>> grasps = Grasps.make(same, places, widths=0.05, depths=0.02, scores=[0.1, 0.9, 0.5])
+    >>> suppress_similar(grasps).scores.tolist()
+    [0.9, 0.5]
     """
     ordered = grasps.top(len(grasps))
     if not len(ordered):
@@ -263,7 +273,21 @@ def suppress_similar(
 
 
 def write_grasps(path: Path | str, grasps: Grasps) -> None:
-    """Write grasps as (N, 17) float64 `.npy`, atomically."""
+    """Write grasps as (N, 17) float64 `.npy`, atomically.
+
+    Args:
+        path: file to write.
+        grasps: N grasps.
+
+    Raises:
+        ToolkitError: the file cannot be written.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_grasps(Path(folder) / "grasps.npy", Grasps.empty())
+    ...     len(read_grasps(Path(folder) / "grasps.npy"))
+    0
+    """
     buffer = io.BytesIO()
     np.save(buffer, grasps.to_array(), allow_pickle=False)
     write_bytes_atomic(path, buffer.getvalue())
@@ -272,8 +296,20 @@ def write_grasps(path: Path | str, grasps: Grasps) -> None:
 def read_grasps(path: Path | str) -> Grasps:
     """Read grasps of a `.npy` file.
 
+    Args:
+        path: file of (N, 17) numbers, as `write_grasps` and GraspNet write them.
+
+    Returns:
+        N grasps.
+
     Raises:
         ToolkitError: no such file, not an array of numbers, or not grasps.
+
+    >>> import tempfile
+    >>> with tempfile.NamedTemporaryFile(suffix=".npy") as file:
+    ...     np.save(file.name, Grasps.empty().to_array())
+    ...     len(read_grasps(file.name))
+    0
     """
     path = Path(path)
     try:
@@ -310,10 +346,22 @@ class DumpKey:
 
 
 def dumped(root: Path, *, camera: str) -> Iterator[DumpKey]:
-    """The images that a dump has grasps of, in order.
+    """The images that a dump has grasps of.
+
+    Args:
+        root: folder of the dump.
+        camera: `realsense` or `kinect`.
+
+    Returns:
+        Their keys, in order.
 
     Raises:
         ToolkitError: no such folder or camera.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     list(dumped(Path(folder), camera="kinect"))
+    []
     """
     if camera not in CAMERAS:
         raise ToolkitError(f"one of {', '.join(CAMERAS)}", field="camera", value=camera)

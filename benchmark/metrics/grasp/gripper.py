@@ -144,8 +144,17 @@ GRIPPERS = {gripper.name: gripper for gripper in (PANDA, GRASPNET, GRASPNET_SWEP
 def get_gripper(name: str) -> Gripper:
     """A gripper by its name.
 
+    Args:
+        name: a key of `GRIPPERS`.
+
+    Returns:
+        The gripper.
+
     Raises:
         ToolkitError: no such gripper.
+
+    >>> get_gripper("panda").max_width
+    0.08
     """
     if name not in GRIPPERS:
         raise ToolkitError(

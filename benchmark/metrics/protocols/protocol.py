@@ -156,6 +156,12 @@ class Protocol:
 def category_of(instance: Instance) -> str:
     """The data set's name of an object's category, or that of its class.
 
+    Args:
+        instance: an object of a frame.
+
+    Returns:
+        `other` for a class without a name.
+
     >>> category_of(Instance(1, 6, Material.RAW))
     'mug'
     """

@@ -29,7 +29,13 @@ _IDS, _NO_CELL = 256, 255  # a mask holds bytes, of which one is background
 
 
 def band_width(columns: int) -> int:
-    """Pixels on each side of an edge that belong to it, in an image of so many columns.
+    """Pixels on each side of an edge that belong to it.
+
+    Args:
+        columns: of the image.
+
+    Returns:
+        At least 1.
 
     >>> band_width(224), band_width(640), band_width(1280)
     (1, 3, 6)
@@ -127,6 +133,15 @@ def score_frame(
 
     Raises:
         ToolkitError: `restored` is not an image of floating-point numbers.
+
+    >>> from benchmark.data.frame import Material
+    >>> from benchmark.metrics.protocols.protocol import get_protocol
+    >>> from std_toolkit.geometry import Camera
+    >>> color, true = np.zeros((4, 4, 3), np.uint8), np.ones((4, 4), np.float32)
+    >>> mask, mug = np.zeros((4, 4), np.uint8), Instance(0, 6, Material.SPECULAR)
+    >>> frame = DepthFrame("a", "0", color, true, true, mask, Camera(4, 4, 5, 5, 1.5, 1.5), (mug,))
+    >>> score_frame(true + np.float32(0.25), frame, get_protocol())[0].errors.rmse
+    0.25
     """
     return score_depth(
         restored, frame.depth_true, frame.mask, frame.instances, protocol, key=frame.key
@@ -142,6 +157,15 @@ def score_sensor(frame: DepthFrame, protocol: Protocol) -> list[Row]:
 
     Returns:
         As `score_frame`.
+
+    >>> from benchmark.data.frame import Material
+    >>> from benchmark.metrics.protocols.protocol import get_protocol
+    >>> from std_toolkit.geometry import Camera
+    >>> color, true = np.zeros((4, 4, 3), np.uint8), np.ones((4, 4), np.float32)
+    >>> mask, mug = np.zeros((4, 4), np.uint8), Instance(0, 6, Material.SPECULAR)
+    >>> frame = DepthFrame("", "", color, 0 * true, true, mask, Camera(4, 4, 5, 5, 1, 1), (mug,))
+    >>> score_sensor(frame, get_protocol())[0].errors.rmse
+    1.0
     """
     return score_frame(frame.depth_raw, frame, protocol)
 

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from benchmark.report.leaderboard import MEASURED, METRICS, PUBLISHED, Board, Column, one_of_each
+from benchmark.report.leaderboard import MEASURED, METRICS, PUBLISHED, Board, one_of_each
 from std_toolkit.html.plots import FAINT, INK, OBJECT_COLORS, base_layout, figure_json
+from std_toolkit.html.table import Column
 
 RMSE = METRICS[0]
 DEPTH_PREFIX = "depth:"
@@ -28,7 +29,7 @@ def method_colors(board: Board) -> dict[str, str]:
 
 
 def bars(rows: pd.DataFrame, colors: dict[str, str], column: Column = RMSE) -> str | None:
-    """One bar per method, best on top, with its 95 % interval; published ones hollow."""
+    """One bar per method with its 95 % interval, best on top; published ones hollow, below."""
     rows = one_of_each(rows.dropna(subset=[column.name])).iloc[::-1]  # drawn from the bottom
     if rows.empty:
         return None
@@ -199,6 +200,6 @@ def _dashes(methods: Sequence[str], colors: dict[str, str]) -> list[str]:
 def _relative(values: np.ndarray, column: Column) -> Sequence[float]:
     """1 for the best, less for worse."""
     floor = 1e-9
-    if column.less_is_better:
+    if column.lower_is_better:
         return (values.min() + floor) / (values + floor)
     return values / max(values.max(), floor)

@@ -1,17 +1,11 @@
-"""Table clearing in a report: the paper's table, causes of failure, strips, and what it answers.
-
-Which runs of table clearing a report is about: with what, and where.
-"""
+"""Table clearing in a report: the paper's table, causes of failure, pictures, the answer."""
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Sequence
-from html import escape
 from pathlib import Path
 
-import cv2
 import pandas as pd
 
 from benchmark.evaluation.results import INDEX
@@ -30,24 +24,30 @@ from benchmark.evaluation.tasks.grasp_results import (
 )
 from benchmark.evaluation.tasks.grasp_table import ATTEMPT, KIND, scene_name
 from benchmark.published.load import published_rows
-from benchmark.report.page import PageSection, ReportPart
-from std_toolkit.html.markup import Cell, paragraph, table, text, words
-from std_toolkit.io.images import read_color
-
-_HEADS = ("planner", "depth", "camera", "seed", "tables", "how", "weights", "ran on", "tool")
+from benchmark.report.page import ReportPart, table_files
+from benchmark.report.parts.depth_tables import machine
+from std_toolkit.html.page import (
+    Block,
+    Bullets,
+    Figure,
+    Gallery,
+    Heading,
+    Paragraph,
+    Picture,
+    Section,
+)
+from std_toolkit.html.table import Cell, Column, Row, Table
 
 CSV, MARKDOWN, LATEX = "grasping.csv", "grasping.md", "grasping.tex"
 
-# Strips of a run that the page shows: one of every way in which attempts ended.
+# Pictures of a run that the page shows: one of every way in which attempts ended.
 _MOST_STRIPS = 6
-
-_STRIP_QUALITY = 80
 
 _DEFINITIONS = (
     "Success: attempts that ended with an object held, of all attempts; per table: the mean over "
-    "rounds, a round in which nothing could be tried counting 0. Completion: objects removed (held "
-    "after lifting, or over the table's edge) of those that stood there, over all objects, and as "
-    "the mean over tables. In brackets: 95 %, by drawing whole rounds. The published completion of "
+    "rounds, a round without an attempt counts 0. Completion: objects removed (held after lifting, "
+    "or over the table's edge) of those on the table, over all objects, and as the mean over "
+    "tables. In brackets: 95 % intervals, resampling whole rounds. The published completion of "
     "40 % does not follow from the 19 objects of about 25 printed beside it (76 %)."
 )
 
@@ -59,32 +59,6 @@ _PLANNED = (
 )
 
 
-def grasp_runs(results: Sequence[GraspResult]) -> str:
-    """What ran, with what, on what."""
-    rows = []
-    for result in results:
-        m, s = result.manifest, result.manifest.setup
-        how = [f"planner {s.planner_preset}"] if s.planner_weights_sha256 else []
-        how += [f"depth {s.depth_preset}"] if s.depth_preset else []
-        how += [f"{s.planner}.{k}={v}" for k, v in sorted(s.planner_settings.items())]
-        how += [f"{s.depth}.{k}={v}" for k, v in sorted(s.depth_settings.items())]
-        digests = [w[:12] for w in (s.planner_weights_sha256, s.depth_weights_sha256) if w]
-        rows.append(
-            [
-                Cell(escape(m.planner_label)),
-                Cell(escape(m.depth_label)),
-                Cell(escape(s.camera)),
-                Cell(str(s.seed), numeric=True),
-                Cell(str(result.rates.rounds), numeric=True),
-                Cell(escape(", ".join(how) or "-")),
-                Cell(words(" ".join(f"`{w}`" for w in digests) or "-")),
-                Cell(escape(m.hardware.get("gpus") or m.hardware.get("processor", ""))),
-                Cell(escape(m.version_of_tool)),
-            ]
-        )
-    return table([(head, "") for head in _HEADS], rows)
-
-
 def grasp_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart:
     """See `ReportTask`.
 
@@ -93,27 +67,23 @@ def grasp_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
     """
     results = read_grasp_results(folders)
     rounds = max(r.rates.rounds for r in results)
-    planners = list(dict.fromkeys(r.manifest.planner_label for r in results))
-    depths = list(dict.fromkeys(r.manifest.depth_label for r in results))
-    rows = printed_rows() if published else []
+    planners = ", ".join(dict.fromkeys(r.manifest.planner_label for r in results))
+    depths = ", ".join(dict.fromkeys(r.manifest.depth_label for r in results))
+    tables = _clearing_tables(results, printed_rows() if published else [])
     return ReportPart(
         title="Grasping: table clearing",
         summary=f"{rounds} tables of 4 to 5 specular or transparent objects in simulation; "
-        f"planners: {escape(', '.join(planners))}; depth: {escape(', '.join(depths))}",
+        f"planners: {planners}; depth: {depths}",
         sections=[
-            PageSection("clearing", "Table clearing", _board(results, rows)),
-            PageSection("clearing-plans", "What was planned", _plans(results)),
-            PageSection("clearing-causes", "How attempts ended", _causes(results)),
-            PageSection("clearing-strips", "Attempts in pictures", _strips(results)),
-            PageSection("clearing-runs", "What ran: clearing", grasp_runs(results)),
+            Section("clearing", "Table clearing", [Paragraph(_DEFINITIONS), *tables]),
+            Section("clearing-plans", "Planned grasps", [_plan_table(results)]),
+            Section("clearing-causes", "How attempts ended", [_cause_table(results)]),
+            Section("clearing-strips", "Attempts in pictures", _pictures(results)),
+            Section("clearing-runs", "What ran: clearing", [_run_table(results)]),
         ],
         answer=_answer(results),
         terminal=grasp_table(results),
-        files={
-            CSV: board_of(results).to_csv(index=False),
-            MARKDOWN: _markdown(results, rows),
-            LATEX: _latex(results, rows),
-        },
+        files=table_files((CSV, MARKDOWN, LATEX), tables, board_of(results)),
     )
 
 
@@ -175,76 +145,93 @@ def board_of(results: Sequence[GraspResult]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _board(results: Sequence[GraspResult], printed: Sequence[Sequence[str]]) -> str:
-    parts = [paragraph(_DEFINITIONS)]
+def _clearing_tables(
+    results: Sequence[GraspResult], printed: Sequence[Sequence[str]]
+) -> list[Table]:
+    notes = ["Published rows were measured with a real robot and other objects."] if printed else []
+    tables = []
     for camera, seed in dict.fromkeys(r.name[:2] for r in results):
         mine = [r for r in results if r.name[:2] == (camera, seed)]
-        parts.append(f"<h3>{escape(camera)} camera, seed {seed}</h3>")
-        rows = [[*map(text, cells(r)[:2]), *map(_figure, cells(r)[2:])] for r in mine]
-        rows += [[*map(text, row[:2]), *map(_figure, row[2:])] for row in printed]
-        parts.append(table([_heading(title) for title in HEADINGS], rows))
-    if printed:
-        parts.append(paragraph("Published rows were measured with a real robot and other objects."))
-    return "".join(parts)
+        rows = [Row([_figure(cell) for cell in cells(r)]) for r in mine]
+        rows += [Row([_figure(cell) for cell in row], "published") for row in printed]
+        rounds = max(r.rates.rounds for r in mine)
+        title = f"Table clearing, {camera} camera, seed {seed}: {rounds} tables"
+        tables.append(Table(columns=_columns(HEADINGS), rows=rows, title=title, notes=notes))
+    return tables
 
 
-def _plans(results: Sequence[GraspResult]) -> str:
-    rows = [
-        [
-            text(plan_cells(r)[0]),
-            text(plan_cells(r)[1], small=f"{r.name[0]} camera, seed {r.name[1]}"),
-            *map(_figure, plan_cells(r)[2:]),
-        ]
-        for r in results
-    ]
-    return paragraph(_PLANNED) + table([(title, "") for title in PLAN_HEADINGS], rows)
+def _plan_table(results: Sequence[GraspResult]) -> Table:
+    rows = [_with_place(r, plan_cells(r)[2:]) for r in results]
+    return Table(columns=_columns(PLAN_HEADINGS), rows=rows, notes=[_PLANNED])
 
 
-def _heading(title: str) -> tuple[str, str]:
-    """A heading in two lines: what, and of what."""
-    for mark in (" %", " / "):
-        if mark in title:
-            at = title.index(mark)
-            return title[:at], title[at:].strip()
-    return title, ""
-
-
-def _figure(cell: str) -> Cell:
-    """A number, with its interval below it."""
-    value, bracket, interval = cell.partition(" [")
-    note = f"<small>{escape(bracket.strip() + interval)}</small>" if interval else ""
-    return Cell(escape(value) + note, numeric=True)
-
-
-def _causes(results: Sequence[GraspResult]) -> str:
+def _cause_table(results: Sequence[GraspResult]) -> Table:
     names = sorted({name for r in results for name in r.rates.outcomes})
-    rows = [
-        [
-            text(r.manifest.planner_label),
-            text(r.manifest.depth_label, small=f"{r.name[0]} camera, seed {r.name[1]}"),
-            *(_figure(str(r.rates.outcomes.get(name, 0))) for name in names),
-        ]
-        for r in results
+    rows = [_with_place(r, [str(r.rates.outcomes.get(n, 0)) for n in names]) for r in results]
+    heads = [*_columns(("planner", "depth")), *(Column(heading=n, unit="views") for n in names)]
+    return Table(columns=heads, rows=rows)
+
+
+def _with_place(result: GraspResult, figures: Sequence[str]) -> Row:
+    """A row of figures behind the planner and the depth, with camera and seed."""
+    place = f"{result.name[0]} camera, seed {result.name[1]}"
+    names = [
+        Cell(text=result.manifest.planner_label),
+        Cell(text=result.manifest.depth_label, note=place),
     ]
-    return table([("planner", ""), ("depth", ""), *((name, "views") for name in names)], rows)
+    return Row([*names, *map(_figure, figures)])
 
 
-def _strips(results: Sequence[GraspResult]) -> str:
-    parts = []
+def _columns(headings: Sequence[str]) -> list[Column]:
+    """Columns of a planner, a depth and figures."""
+    found = []
+    for i, title in enumerate(headings):
+        heading, percent, of = title.partition(" %")
+        found.append(Column(heading=heading, unit=(percent + of).strip(), numeric=i > 1))
+    return found
+
+
+def _figure(text: str) -> Cell:
+    """A figure, with its interval as a note."""
+    value, bracket, interval = text.partition(" [")
+    return Cell(text=value, note=bracket.strip() + interval)
+
+
+def _run_table(results: Sequence[GraspResult]) -> Table:
+    """What ran, with what, on what."""
+    rows = []
+    for result in results:
+        m, s = result.manifest, result.manifest.setup
+        how = [f"planner {s.planner_preset}"] if s.planner_weights_sha256 else []
+        how += [f"depth {s.depth_preset}"] if s.depth_preset else []
+        how += [f"{s.planner}.{k}={v}" for k, v in sorted(s.planner_settings.items())]
+        how += [f"{s.depth}.{k}={v}" for k, v in sorted(s.depth_settings.items())]
+        digests = [w[:12] for w in (s.planner_weights_sha256, s.depth_weights_sha256) if w]
+        names = (m.planner_label, m.depth_label, s.camera, str(s.seed), str(result.rates.rounds))
+        texts = [Cell(text=text) for text in (*names, ", ".join(how))]
+        rows.append(Row([*texts, *machine(" ".join(digests), m.hardware, m.version_of_tool)]))
+    heads = ("planner", "depth", "camera", "seed", "tables", "settings", "weights", "ran on",
+             "version")  # fmt: skip
+    columns = [Column(heading=h, numeric=h in ("seed", "tables")) for h in heads]
+    return Table(columns=columns, rows=rows)
+
+
+def _pictures(results: Sequence[GraspResult]) -> list[Block]:
+    blocks: list[Block] = []
     for result in results:
         views = result.table[result.table[KIND] == ATTEMPT]
         first = views.drop_duplicates("outcome").head(_MOST_STRIPS)
-        shown = [
-            _strip(result.folder / STRIPS / name, f"{scene_name(int(index))}: {outcome}")
-            for index, number, outcome in zip(
-                first[INDEX], first["attempt"], first["outcome"], strict=True
-            )
-            if (result.folder / STRIPS / (name := strip_name(int(index), int(number)))).is_file()
-        ]
+        shown = []
+        for index, number, outcome in zip(
+            first[INDEX], first["attempt"], first["outcome"], strict=True
+        ):
+            path = result.folder / STRIPS / strip_name(int(index), int(number))
+            if path.is_file():
+                shown.append(Figure(Picture.read(path), f"{scene_name(int(index))}: {outcome}"))
         if shown:
             title = f"{result.manifest.planner_label} on {result.manifest.depth_label} depth"
-            parts.append(f"<h3>{escape(title)}</h3>{''.join(shown)}")
-    return "".join(parts)
+            blocks += [Heading(title), Gallery(shown)]
+    return blocks
 
 
 def strip_name(index: int, attempt: int) -> str:
@@ -252,19 +239,9 @@ def strip_name(index: int, attempt: int) -> str:
     return f"{scene_name(index)}-attempt-{attempt:02d}.png"
 
 
-def _strip(path: Path, caption: str) -> str:
-    image = read_color(path)
-    _, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _STRIP_QUALITY])
-    encoded = base64.b64encode(data.tobytes()).decode("ascii")
-    return (
-        f'<figure class="strip"><img alt="{escape(caption)}" '
-        f'src="data:image/jpeg;base64,{encoded}"><figcaption>{escape(caption)}</figcaption></figure>'
-    )
-
-
-def _answer(results: Sequence[GraspResult]) -> str:
+def _answer(results: Sequence[GraspResult]) -> list[Block]:
     """How much more of a table is cleared with each depth than with raw depth."""
-    lines = []
+    found = []
     for result in results:
         camera, seed, planner, depth = result.name
         raw = next((r for r in results if r.name == (camera, seed, planner, RAW)), None)
@@ -274,13 +251,15 @@ def _answer(results: Sequence[GraspResult]) -> str:
         if not gain.total:
             continue
         what = "True depth" if depth == TRUE else f"Depth by {depth}"
-        lines.append(
-            f"<li>{escape(what)} with {escape(planner)}: {escape(points(gain))} of a table's "
-            f"objects removed than with raw depth, over the same {gain.total} tables "
-            f"({escape(share(result.rates.completion_tables))} % against "
-            f"{escape(share(raw.rates.completion_tables))} %); {verdict(gain)}.</li>"
+        found.append(
+            Paragraph(
+                f"{what} with {planner}: {points(gain)} of a table's objects removed than with raw "
+                f"depth, over the same {gain.total} tables "
+                f"({share(result.rates.completion_tables)} % against "
+                f"{share(raw.rates.completion_tables)} %); {verdict(gain)}."
+            )
         )
-    return f'<ul class="findings">{"".join(lines)}</ul>' if lines else ""
+    return [Bullets(found)] if found else []
 
 
 def points(gain: Rate) -> str:
@@ -301,22 +280,4 @@ def verdict(gain: Rate) -> str:
         return "one table is too few to say"
     if gain.low > 0:
         return "it helps"
-    return "it harms" if gain.high < 0 else "chance may explain it"
-
-
-def _markdown(results: Sequence[GraspResult], printed: Sequence[Sequence[str]]) -> str:
-    lines = [["camera", *HEADINGS], ["---"] * (len(HEADINGS) + 1)]
-    lines += [[f"{r.name[0]}, seed {r.name[1]}", *cells(r)] for r in results]
-    lines += [["robot", *row] for row in printed]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
-
-
-def _latex(results: Sequence[GraspResult], printed: Sequence[Sequence[str]]) -> str:
-    rows = [cells(r) for r in results] + [list(row) for row in printed]
-    lines = [f"\\begin{{tabular}}{{ll{'r' * (len(HEADINGS) - 2)}}}"]
-    lines += [" & ".join(map(_tex, line)) + r" \\" for line in (list(HEADINGS), *rows)]
-    return "\n".join([*lines, r"\end{tabular}", ""])
-
-
-def _tex(cell: str) -> str:
-    return cell.replace("%", r"\%").replace("_", r"\_")
+    return "it harms" if gain.high < 0 else "not statistically significant"

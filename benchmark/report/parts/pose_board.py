@@ -33,8 +33,9 @@ from benchmark.evaluation.tasks.pose_results import (
 from benchmark.metrics.pose import PoseProtocol, get_pose_protocol
 from benchmark.metrics.pose.resampling import resampled_scores, scene_weights, side_by_side
 from benchmark.published.load import published_poses
-from benchmark.report.leaderboard import MEASURED, PUBLISHED, Column
+from benchmark.report.leaderboard import MEASURED, PUBLISHED, merge_equal
 from std_toolkit.errors import ToolkitError
+from std_toolkit.html.table import Column
 
 Floats = NDArray[np.float64]
 
@@ -143,7 +144,7 @@ def _swaps(scenes: int, seed: int) -> Floats:
 DETAILS = tuple(name for name in SUBSETS if name not in TABLES)
 
 FIGURES = tuple(
-    Column(name, heading(name), "%", 1e2, 1, less_is_better=False, printed_digits=1)
+    Column(name=name, heading=heading(name), unit="%", factor=100, lower_is_better=False)
     for name in get_pose_protocol(PROTOCOLS[0]).columns
 )
 
@@ -191,6 +192,11 @@ class PoseBoard:
     def splits(self) -> list[str]:
         """That were measured."""
         return list(dict.fromkeys(result.split for result in self.results))
+
+    def frames(self, split: str) -> int:
+        """Frames of the split that were scored, of the run with the most of them."""
+        mine = [r for r in self.results if r.split == split]
+        return max(r.manifest.setup.frames - r.missing for r in mine)
 
     def part(self, split: str, protocol: str, subset: str) -> pd.DataFrame:
         """The rows of one table."""
@@ -297,4 +303,5 @@ def _published(board: pd.DataFrame) -> pd.DataFrame:
     ):
         part = printed[(printed["split"] == split) & (printed["subset"] == subset)]
         parts.append(part.assign(protocol=protocol))
-    return pd.concat(parts, ignore_index=True).assign(kind=PUBLISHED, depth="", fit="")
+    rows = merge_equal(pd.concat(parts, ignore_index=True), [c.name for c in FIGURES])
+    return rows.assign(kind=PUBLISHED, depth="", fit="")

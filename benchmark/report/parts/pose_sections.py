@@ -1,35 +1,201 @@
-"""The sections on poses: tables, breakdowns, pictures, what ran.
-
-Figures of poses, as Plotly JSON.
-"""
+"""The tables and pictures of poses: leaderboard, breakdowns, boxes, what ran."""
 
 from __future__ import annotations
 
-import base64
-import re
+import math
 from collections.abc import Sequence
-from html import escape
-from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from benchmark.evaluation.tasks.pose_inputs import RAW, TRUE
 from benchmark.evaluation.tasks.pose_pictures import PICTURES_FILE, POSE_GALLERY, PosePictures
-from benchmark.evaluation.tasks.pose_results import ALL, HARD, PoseResult, RunName, heading
-from benchmark.report.leaderboard import MEASURED, PAPERS_PROTOCOL, PUBLISHED
-from benchmark.report.parts.pose_board import DETAILS, FIGURES, MAIN, PoseBoard
-from std_toolkit.html.markup import Cell, paragraph, plot, table, words
+from benchmark.evaluation.tasks.pose_results import PoseResult, RunName, heading
+from benchmark.report.leaderboard import MEASURED, PAPERS_PROTOCOL, PUBLISHED, frames_of
+from benchmark.report.parts.depth_tables import (
+    OBJECTS,
+    counted,
+    interval_note,
+    machine,
+    run_columns,
+    source_of,
+)
+from benchmark.report.parts.pose_board import DETAILS, FIGURES, MAIN, TABLES, PoseBoard
+from std_toolkit.html.page import (
+    Block,
+    Details,
+    Figure,
+    Gallery,
+    Heading,
+    Legend,
+    LegendEntry,
+    Paragraph,
+    Picture,
+    Plot,
+)
 from std_toolkit.html.plots import FAINT, OBJECT_COLORS, base_layout, figure_json
+from std_toolkit.html.table import NONE, Cell, Column, Row, Table
 from std_toolkit.io.documents import read_document
 
 _RAW_COLOR, _TRUE_COLOR = FAINT, "#2b7a4b"
-
-_OBJECTS = {ALL: "All objects", HARD: "Specular and transparent"}
-
-_FEW_SCENES = 10
-
 _ABREAST = 4  # pictures in a row
+_RUN = [Column(heading=h, numeric=False) for h in ("method", "depth", "fit")]
+_COUNTS = [Column(heading=h, digits=0) for h in ("objects", "frames", "scenes")]
+_CAUTION = (
+    "Published rows come from the evaluation of the paper, protocol `paper`, in which what is "
+    "missed costs nothing: beside other protocols they show the order of magnitude."
+)
+
+
+def pose_title(board: PoseBoard, split: str, protocol: str) -> str:
+    """What a table is about, and of how many frames."""
+    return f"{split}, protocol {protocol}: {frames_of(split, board.frames(split))}"
+
+
+def pose_tables(board: PoseBoard, split: str, protocol: str) -> list[Table]:
+    """The tables of one split and protocol, one for each set of objects; percent."""
+    tables = []
+    for subset in TABLES:
+        rows = board.part(split, protocol, subset)
+        measured = rows[rows["kind"] == MEASURED]
+        if measured.empty:
+            continue
+        title = f"{pose_title(board, split, protocol)}, {OBJECTS[subset]}, poses right"
+        notes = [f"Bold: best, true depth aside. {interval_note(int(measured['scenes'].max()))}"]
+        if protocol != PAPERS_PROTOCOL and (rows["kind"] == PUBLISHED).any():
+            notes.append(_CAUTION)
+        contest = measured[measured["depth"] != TRUE]
+        best = contest[[c.name for c in FIGURES]].max()
+        made = [_row(row, best) for row in rows.to_dict("records")]
+        columns = [*_RUN, *_COUNTS, *FIGURES]
+        tables.append(Table(columns=columns, rows=made, title=title, notes=notes, sortable=True))
+    return tables
+
+
+def _row(row: dict[str, object], best: pd.Series) -> Row:
+    published = row["kind"] == PUBLISHED
+    contends = not published and row["depth"] != TRUE
+    note = f"published; {source_of(row)}" if published else ""
+    cells = [Cell(text=str(row["method"]), note=note)]
+    cells += [Cell(text=str(row[name])) for name in ("depth", "fit")]
+    cells += [c.cell(row[c.heading]) for c in _COUNTS]  # type: ignore[arg-type]
+    for column in FIGURES:
+        value: float = row[column.name]  # type: ignore[assignment]
+        low, high = (row.get(f"{column.name}_{end}", math.nan) for end in ("low", "high"))
+        is_best = contends and value == best[column.name] and value > 0
+        mark = "best" if is_best else ""
+        cells.append(
+            column.cell(value, interval=(low, high), published=published, mark=mark)  # type: ignore[arg-type]
+        )
+    return Row(cells, "published" if published else "" if contends else "bound")
+
+
+def bar_blocks(board: PoseBoard, split: str, protocol: str) -> list[Block]:
+    """Bars of every method and fit by depth; none for the protocol of the paper."""
+    blocks: list[Block] = []
+    for subset in TABLES if protocol != PAPERS_PROTOCOL else ():
+        rows = board.part(split, protocol, subset)
+        measured = rows[rows["kind"] == MEASURED]
+        for method, fit in measured[["method", "fit"]].drop_duplicates().to_numpy().tolist():
+            figure = columns_by_depth(rows, method, fit)
+            if figure is not None:
+                blocks.append(Heading(f"{method}, fit {fit}, {OBJECTS[subset]}", 4))
+                blocks.append(Plot("-".join(("bars", split, subset, method, fit)), figure))
+    return blocks
+
+
+def breakdown_tables(board: PoseBoard, split: str) -> list[Table]:
+    """The main figure by material and by class."""
+    materials: dict[RunName, dict[str, float]] = {}
+    classes: dict[RunName, dict[str, float]] = {}
+    for each in board.details[split]:
+        if each.subset in DETAILS:
+            mine = materials.setdefault(each.result.name, {})
+            mine[f"{each.subset} ({each.objects})"] = each.scores.mean[MAIN]
+        else:
+            scores = each.scores
+            classes[each.result.name] = {
+                f"{name} ({count})": scores.of_class(name)[MAIN]
+                for name, count in zip(scores.class_names, scores.true_objects, strict=True)
+                if count
+            }
+    return [
+        _matrix(figures, f"{heading(MAIN)} by {what}, {pose_title(board, split, 'strict')} [%]")
+        for what, figures in (("material", materials), ("class", classes))
+        if figures
+    ]
+
+
+def _matrix(figures: dict[RunName, dict[str, float]], title: str) -> Table:
+    """Shares, shaded from none (white) to all (green)."""
+    names = list(dict.fromkeys(column for mine in figures.values() for column in mine))
+    columns = [Column(heading=n, factor=100, lower_is_better=False) for n in names]
+    rows = []
+    for run, mine in figures.items():
+        cells = [Cell(text=text) for text in run]
+        for column in columns:
+            value = mine.get(column.heading, math.nan)
+            shade = "" if math.isnan(value) else f"rgba(43,122,75,{0.3 * value:.2f})"
+            cells.append(Cell(text=column.text(value) or NONE, value=value, shade=shade))
+        rows.append(Row(cells))
+    notes = ["In parentheses the number of true objects."]
+    return Table(columns=[*_RUN, *columns], rows=rows, title=title, notes=notes)
+
+
+def pose_gallery(board: PoseBoard) -> list[Block]:
+    """The same frames for all depths of a method, side by side."""
+    groups: dict[tuple[str, str, str], list[tuple[PoseResult, PosePictures]]] = {}
+    for result in board.results:
+        path = result.folder / POSE_GALLERY / PICTURES_FILE
+        if path.exists():
+            method, _, fit = result.name
+            shown = (result, read_document(path, PosePictures))
+            groups.setdefault((result.split, method, fit), []).append(shown)
+    if not groups:
+        return []
+    blocks: list[Block] = [
+        Paragraph("Frames evenly spaced over the split, the same for all runs."),
+        Legend(
+            [
+                LegendEntry("#14cd4b", "true box", 26),
+                LegendEntry("#eb2d28", "estimated box", 26),
+                LegendEntry("none", "from the centre the half axes; the thick one is y", 0),
+            ]
+        ),
+    ]
+    for number, ((split, method, fit), runs) in enumerate(groups.items()):
+        frames: dict[str, list[Figure]] = {}
+        for result, pictures in runs:
+            for p in pictures.pictures:
+                found = f", {p.found} found" if p.found != p.objects else ""
+                caption = f"{result.name[1]} depth: {p.right} of {p.objects} within 10°5cm{found}"
+                picture = Picture.read(result.folder / POSE_GALLERY / p.picture, width=640)
+                frames.setdefault(f"{p.scene}/{p.frame}", []).append(Figure(picture, caption))
+        inside: list[Block] = []
+        for name, figures in frames.items():
+            inside.append(Heading(name, 4))
+            inside.append(Gallery(figures, abreast=max(2, min(len(figures), _ABREAST))))
+        of = frames_of(split, board.frames(split))
+        blocks.append(Details(f"{method}, fit {fit}, on {split}: {of}", inside, number == 0))
+    return blocks
+
+
+def run_table(results: Sequence[PoseResult]) -> Table:
+    """What ran, with what, on what; and what failed."""
+    rows = []
+    for result in results:
+        m, s = result.manifest, result.manifest.setup
+        settings = [f"{k}={v}" for k, v in sorted(s.settings.items()) if k != "fit"]
+        settings += [f"{s.depth}.{k}={v}" for k, v in sorted(s.depth_settings.items())]
+        depth = [f"depth {s.depth_preset}"] if s.depth_preset else []
+        weights = [w[:12] for w in (s.weights_sha256, s.depth_weights_sha256) if w]
+        cells = [
+            *(Cell(text=text) for text in (m.label, m.depth_label, m.fit, s.split)),
+            *counted(s.frames, result.missing, result.failed),
+            Cell(text=", ".join([s.preset, *depth, *settings])),
+            *machine(" ".join(weights), m.hardware, m.version_of_tool),
+        ]
+        rows.append(Row(cells))
+    return Table(columns=run_columns("method", "depth", "fit", "split"), rows=rows)
 
 
 def depth_colors(depths: list[str]) -> dict[str, str]:
@@ -82,228 +248,3 @@ def columns_by_depth(rows: pd.DataFrame, method: str, fit: str) -> str | None:
         bargap=0.25,
     )
     return figure_json(traces, layout)
-
-
-def pose_tables(board: PoseBoard, split: str, protocol: str) -> str:
-    """Tables and bars of one split by one protocol."""
-    parts = []
-    for subset, title in _OBJECTS.items():
-        rows = board.part(split, protocol, subset)
-        measured = rows[rows["kind"] == MEASURED]
-        if measured.empty:
-            continue
-        scenes, objects = int(measured["scenes"].max()), int(measured["objects"].max())
-        parts.append(f"<h3>{title}</h3>")
-        parts.append(paragraph(f"{objects} true objects in {scenes} scenes. {_small(scenes)}"))
-        if protocol != PAPERS_PROTOCOL and (rows["kind"] == PUBLISHED).any():
-            parts.append(
-                paragraph(
-                    "Published rows were made by the paper's own evaluation, protocol `paper`, "
-                    "in which what is missed costs nothing: here they tell the order of magnitude."
-                )
-            )
-        parts.append(_table(rows))
-        if protocol != PAPERS_PROTOCOL:
-            for method, fit in measured[["method", "fit"]].drop_duplicates().to_numpy().tolist():
-                figure = columns_by_depth(rows, method, fit)
-                if figure is not None:
-                    parts.append(f"<h4>{escape(method)}, fit {escape(fit)}</h4>")
-                    parts.append(plot(_anchor("bars", split, subset, method, fit), figure))
-    return "".join(parts)
-
-
-def breakdown(board: PoseBoard, split: str) -> str:
-    """The main figure by material and by class."""
-    details = board.details[split]
-    materials: dict[RunName, dict[str, float]] = {}
-    classes: dict[RunName, dict[str, float]] = {}
-    for each in details:
-        if each.subset in DETAILS:
-            mine = materials.setdefault(each.result.name, {})
-            mine[f"{each.subset} ({each.objects})"] = each.scores.mean[MAIN]
-        else:
-            scores = each.scores
-            classes[each.result.name] = {
-                f"{name} ({count})": scores.of_class(name)[MAIN]
-                for name, count in zip(scores.class_names, scores.true_objects, strict=True)
-                if count
-            }
-    parts = [
-        f"<h3>{heading(MAIN)} by {what}, protocol strict [%]</h3>{_matrix(figures)}"
-        for what, figures in (("material", materials), ("class", classes))
-        if figures
-    ]
-    if not parts:
-        return ""
-    return paragraph("In parentheses the number of true objects.") + "".join(parts)
-
-
-def pose_gallery(board: PoseBoard) -> str:
-    """The same frames for all depths of a method, side by side."""
-    groups: dict[tuple[str, str, str], list[tuple[PoseResult, PosePictures]]] = {}
-    for result in board.results:
-        path = result.folder / POSE_GALLERY / PICTURES_FILE
-        if path.exists():
-            method, _, fit = result.name
-            shown = (result, read_document(path, PosePictures))
-            groups.setdefault((result.split, method, fit), []).append(shown)
-    parts = []
-    for number, ((split, method, fit), runs) in enumerate(groups.items()):
-        frames: dict[str, list[str]] = {}
-        for result, pictures in runs:
-            for p in pictures.pictures:
-                data = (result.folder / POSE_GALLERY / p.picture).read_bytes()
-                caption = (
-                    f"{result.name[1]} depth: {p.right} of {p.objects} within 10°5cm"
-                    f"{f', {p.found} found' if p.found != p.objects else ''}"
-                )
-                frames.setdefault(f"{p.scene}/{p.frame}", []).append(
-                    f'<figure><img class="boxes" alt="{escape(caption)}" '
-                    f'src="data:image/jpeg;base64,{base64.b64encode(data).decode("ascii")}">'
-                    f"<figcaption>{escape(caption)}</figcaption></figure>"
-                )
-        rows = "".join(
-            f"<h4>{escape(name)}</h4>"
-            f'<div class="sidebyside" style="--n:{min(len(figures), _ABREAST)}">'
-            f"{''.join(figures)}</div>"
-            for name, figures in frames.items()
-        )
-        title = escape(f"{method}, fit {fit}, on {split}")
-        opened = " open" if number == 0 else ""
-        parts.append(f"<details{opened}><summary>{title}</summary>{rows}</details>")
-    if not parts:
-        return ""
-    legend = (
-        '<div class="scalebar"><i style="width:26px;height:4px;background:#14cd4b"></i>true box'
-        '<i style="width:26px;height:3px;background:#eb2d28"></i>estimated box'
-        "<span>from the middle of each the half axes; the thick one is the object's y</span></div>"
-    )
-    return (
-        paragraph("Frames spread evenly over the split; all runs show the same.")
-        + legend
-        + ("".join(parts))
-    )
-
-
-def pose_runs(results: Sequence[PoseResult]) -> str:
-    """What ran, with what, on what; and what failed."""
-    rows = []
-    for result in results:
-        m, s = result.manifest, result.manifest.setup
-        own = {k: v for k, v in s.settings.items() if k != "fit"}
-        settings = ", ".join(
-            [*(f"{k}={v}" for k, v in sorted(own.items()))]
-            + [f"{s.depth}.{k}={v}" for k, v in sorted(s.depth_settings.items())]
-        )
-        done = s.frames - result.missing
-        depth = [f"depth {s.depth_preset}"] if s.depth_preset else []
-        weights = [w[:12] for w in (s.weights_sha256, s.depth_weights_sha256) if w]
-        rows.append(
-            [
-                Cell(escape(m.label)),
-                Cell(escape(m.depth_label)),
-                Cell(escape(m.fit)),
-                Cell(escape(s.split)),
-                Cell(
-                    str(s.frames) if not result.missing else f"{done} of {s.frames}",
-                    numeric=True,
-                    over=bool(result.missing),
-                ),
-                Cell(str(result.failed), numeric=True, over=bool(result.failed)),
-                Cell(escape(", ".join([s.preset, *depth, *([settings] if settings else [])]))),
-                Cell(words(" ".join(f"`{w}`" for w in weights))),
-                Cell(escape(m.hardware.get("gpus") or m.hardware.get("processor", ""))),
-                Cell(escape(m.version_of_tool)),
-            ]
-        )
-    heads = (
-        "method", "depth", "fit", "split", "frames", "failed", "how", "weights", "ran on", "tool",
-    )  # fmt: skip
-    return table([(head, "") for head in heads], rows)
-
-
-def pose_summary(board: PoseBoard) -> str:
-    """One sentence on what is right most often, true depth aside."""
-    said = []
-    for split in board.splits:
-        rows = board.part(split, "strict", ALL)
-        rows = rows[(rows["kind"] == MEASURED) & (rows["depth"] != TRUE)].dropna(subset=[MAIN])
-        if not rows.empty:
-            best = rows.loc[rows[MAIN].idxmax()]
-            said.append(
-                f"{best['method']} with {best['depth']} depth on {split} "
-                f"({100 * best[MAIN]:.1f} % within {heading(MAIN)}, strict)"
-            )
-    if not said:
-        return words("Poses were fitted to true depth only.")
-    return words("Most poses right: " + "; ".join(said) + ".")
-
-
-def _small(scenes: int) -> str:
-    if scenes < 2:
-        return "With one scene there are no intervals."
-    few = ", too narrow with so few of them" if scenes < _FEW_SCENES else ""
-    return f"Small: 95 % intervals over scenes{few}. Bold: best, true depth aside."
-
-
-def _table(rows: pd.DataFrame) -> str:
-    heads = "".join(
-        f'<th class="n" data-less="0">{escape(c.heading)}<small>{escape(c.unit)}</small></th>'
-        for c in FIGURES
-    )
-    contest = rows[(rows["kind"] == MEASURED) & (rows["depth"] != TRUE)]
-    best = contest[[c.name for c in FIGURES]].max()
-    body = []
-    for row in rows.to_dict("records"):
-        printed = row["kind"] == PUBLISHED
-        contends = not printed and row["depth"] != TRUE
-        note = f"<small>published; {escape(_where(row))}</small>" if printed else ""
-        cells = [f"<td>{escape(row['method'])}{note}</td>"]
-        cells += [f"<td>{escape(row[name])}</td>" for name in ("depth", "fit")]
-        for column in FIGURES:
-            value = row[column.name]
-            text = column.text(value, printed=printed)
-            if contends and value == best[column.name] and value > 0:
-                text = f"<b>{text}</b>"
-            low, high = (row[f"{column.name}_{end}"] for end in ("low", "high"))
-            span = "" if pd.isna(low) else f"<small>{column.text(low)}–{column.text(high)}</small>"
-            order = "" if pd.isna(value) else repr(float(value))
-            cells.append(f'<td class="n" data-v="{order}">{text}{span}</td>')
-        kind = " class=published" if printed else "" if contends else " class=bound"
-        body.append(f"<tr{kind}>{''.join(cells)}</tr>")
-    return (
-        '<div class="scroll"><table class="sortable"><thead><tr><th>method</th><th>depth</th>'
-        f"<th>fit</th>{heads}</tr></thead><tbody>{''.join(body)}</tbody></table></div>"
-    )
-
-
-def _where(row: dict[str, Any]) -> str:
-    training = row["training_data"]
-    return f"{row['table']}; trained on {training}" if training else str(row["table"])
-
-
-def _matrix(figures: dict[RunName, dict[str, float]]) -> str:
-    """A table of shares, shaded from none (white) to all (green)."""
-    columns = list(dict.fromkeys(column for mine in figures.values() for column in mine))
-    head = "".join(
-        f"<th{' class=n' if i > 2 else ''}>{escape(text)}</th>"
-        for i, text in enumerate(("method", "depth", "fit", *columns))
-    )
-    body = []
-    for name, mine in figures.items():
-        cells = [f"<td>{escape(text)}</td>" for text in name]
-        for column in columns:
-            value = mine.get(column, float("nan"))
-            there = not np.isnan(value)
-            tint = f"background:rgba(43,122,75,{0.3 * value:.2f})" if there else ""
-            text = f"{100 * value:.1f}" if there else "–"
-            cells.append(f'<td class="n" style="{tint}">{text}</td>')
-        body.append(f"<tr>{''.join(cells)}</tr>")
-    return (
-        f'<div class="scroll"><table><thead><tr>{head}</tr></thead>'
-        f"<tbody>{''.join(body)}</tbody></table></div>"
-    )
-
-
-def _anchor(*names: str) -> str:
-    return "-".join(re.sub(r"[^A-Za-z0-9]+", "-", name) for name in names)

@@ -60,7 +60,7 @@ def test_pages_and_tables(results: Path, capsys: pytest.CaptureFixture[str]) -> 
     page = (results / PAGE).read_text()
     for wanted in ("Does restoring depth help", "SwinDRNet+NOCSHead", "true box", "What ran"):
         assert wanted in page
-    assert page.count("data:image/jpeg") == 3 * 6, "six frames of each of three runs"
+    assert page.count("data:image/webp") == 3 * 6, "six frames of each of three runs"
     assert "no such file" not in page
     table = pd.read_csv(results / CSV)
     mine = table[(table["kind"] == "measured") & (table["protocol"] == "strict")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from pathlib import Path
 from typing import Any
@@ -224,6 +225,8 @@ def test_the_command_line(tmp_path, capsys):
     told = capsys.readouterr().out
     assert told == recipe_list() + "\n"
     assert all(name in told for name in (*recipe_names(), "tiny", "small", "paper"))
+    assert main(["recipe", "--json"]) == 0
+    assert list(json.loads(capsys.readouterr().out)["recipes"]) == recipe_names()
     plan = ["recipe", "cross-sensor", "--scale", "paper", "--plan", "--out", str(tmp_path)]
     assert main(plan) == 0
     told = capsys.readouterr().out

@@ -16,7 +16,7 @@ from benchmark.evaluation.tasks.depth import TASK
 from benchmark.evaluation.tasks.depth_results import read_results
 from benchmark.report.leaderboard import MEASURED, PUBLISHED, make_board, one_of_each
 from benchmark.report.parts.depth_plots import bars, method_colors, radar
-from benchmark.report.parts.depth_sections import can_differ
+from benchmark.report.parts.depth_tables import can_differ
 from std_toolkit.jobs import JobOptions
 from tests.benchmark.evaluation.bench_set import SPLIT, a_run, write_split
 from tests.dreds_on_disk import write_std_scene

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import re
 import shutil
 from pathlib import Path
@@ -15,10 +16,20 @@ from benchmark.cli.report import PAGE, main
 from benchmark.evaluation.engine import run_all
 from benchmark.evaluation.tasks.depth import TASK
 from benchmark.evaluation.tasks.depth_results import read_results, summarise
-from benchmark.report.leaderboard import METRICS, PUBLISHED, make_board
-from benchmark.report.leaderboard_text import escape_latex, latex, markdown, terminal
+from benchmark.report.leaderboard import (
+    MEASURED,
+    METRICS,
+    PUBLISHED,
+    Board,
+    frames_of,
+    make_board,
+    merge_equal,
+)
+from benchmark.report.page import table_files, terminal_text
 from benchmark.report.parts.depth import CSV, LATEX, MARKDOWN
+from benchmark.report.parts.depth_tables import board_tables
 from std_toolkit.errors import ToolkitError
+from std_toolkit.html.table import Table, escape_latex
 from std_toolkit.jobs import JobOptions
 from tests.benchmark.evaluation.bench_set import a_run, write_split
 
@@ -33,6 +44,14 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     runs = [a_run(root, out, method) for method in ("raw", "nearest", "telea")]
     assert not run_all(TASK, runs, jobs).failed
     return out
+
+
+def tables(board: Board) -> list[Table]:
+    return [table for where in board.boards for table in board_tables(board, *where)]
+
+
+def file(board: Board, name: str) -> str:
+    return table_files((CSV, MARKDOWN, LATEX), tables(board), board.rows)[name]
 
 
 @pytest.mark.slow
@@ -62,18 +81,64 @@ def test_published_rows_stand_where_they_belong(results: Path) -> None:
 
 def test_tables_tell_published_from_measured(results: Path) -> None:
     board = make_board(read_results([results]), samples=50)
-    text = terminal(board)
-    assert re.search(r"^\* SwinDRNet +all", text, re.M)
-    assert re.search(r"^nearest +all", text, re.M)
+    text = terminal_text(tables(board))
+    assert re.search(r"^\* SwinDRNet  ", text, re.M)
+    assert re.search(r"^nearest +12 +3 ", text, re.M)
     assert "protocol paper" in text.splitlines()[-1]
-    assert "| *SwinDRNet* (published) |" in markdown(board)
-    assert r"\textit{SwinDRNet}" in latex(board)
+    assert "| *SwinDRNet* published; main: comparison" in file(board, MARKDOWN)
+    assert r"\textit{SwinDRNet}" in file(board, LATEX)
+
+
+def test_measured_rows_come_before_published_ones(results: Path) -> None:
+    board = make_board(read_results([results]), samples=50)
+    rows = board.main_rows("std-catknown", "strict")
+    kinds = rows["kind"].tolist()
+    assert kinds == sorted(kinds) and set(kinds) == {MEASURED, PUBLISHED}
+    for kind in (MEASURED, PUBLISHED):
+        figures = rows.loc[rows["kind"] == kind, "rmse"].dropna().tolist()
+        assert figures == sorted(figures)
+
+
+def test_a_fragment_says_so_in_every_heading(results: Path) -> None:
+    board = make_board(read_results([results]), samples=50)
+    found = tables(board)
+    assert len(found) == 2
+    assert all("12 of 22,500 frames" in table.title for table in found)
+    for name in (MARKDOWN, LATEX):
+        assert file(board, name).count("12 of 22,500 frames") == 2
+    assert terminal_text(found).count("12 of 22,500 frames") == 2
+    assert frames_of("std-catknown", 22_500) == "22,500 frames"
+    assert frames_of("os:system", 1) == "1 frame"  # nothing is imported for a name
+
+
+def test_counts_and_intervals_are_in_every_form(results: Path) -> None:
+    board = make_board(read_results([results]), samples=50)
+    row = next(iter(board.main_rows("std-catknown", "strict").to_dict("records")))
+    low, high = (METRICS[0].text(row[f"rmse_{end}"]) for end in ("low", "high"))
+    assert low and high
+    for name in (MARKDOWN, LATEX):
+        (line,) = [x for x in file(board, name).splitlines() if f"[{low}, {high}]" in x][:1]
+        assert re.search(r"[|&] 12 [|&] 3 [|&]", line)
+
+
+def test_equal_published_rows_are_one_that_lists_its_sources() -> None:
+    same = {"split": "s", "protocol": "p", "subset": "all", "method": "A", "rmse": 0.1}
+    rows = pd.DataFrame(
+        [
+            {**same, "mae": np.nan, "table": "main", "training_data": "D"},
+            {**same, "mae": np.nan, "table": "supplement", "training_data": "D"},
+            {**same, "mae": 0.2, "table": "other", "training_data": ""},
+        ]
+    )
+    merged = merge_equal(rows, ["rmse", "mae", "rel"])
+    assert merged["table"].tolist() == ["main; supplement", "other"]
+    assert merged["training_data"].tolist() == ["D", ""]
 
 
 def test_markdown_is_rectangular(results: Path) -> None:
-    lines = markdown(make_board(read_results([results]), samples=50)).splitlines()
-    widths = {line.count("|") for line in lines if line.startswith("|")}
-    assert widths == {10}
+    text = file(make_board(read_results([results]), samples=50), MARKDOWN)
+    widths = {line.count("|") for line in text.splitlines() if line.startswith("|")}
+    assert widths == {11}
 
 
 def test_latex_has_no_bare_specials() -> None:
@@ -81,12 +146,23 @@ def test_latex_has_no_bare_specials() -> None:
 
 
 def test_latex_is_balanced(results: Path) -> None:
-    text = latex(make_board(read_results([results]), samples=50))
+    text = file(make_board(read_results([results]), samples=50), LATEX)
     body = [line for line in text.splitlines() if " & " in line]
-    assert {line.count(" & ") for line in body} == {8}
+    assert {line.count(" & ") for line in body} == {9}
     assert all(line.endswith(r"\\") for line in body)
-    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 1
+    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 2
     assert not re.search(r"(?<!\\)[%_#]", "\n".join(text.splitlines()[1:]))
+
+
+def test_the_name_of_a_split_is_no_markup(results: Path, tmp_path: Path) -> None:
+    evil = "x'><script>alert(1)</script>"
+    shutil.copytree(results, tmp_path / "evil")
+    for path in (tmp_path / "evil").rglob("run.json"):
+        path.write_text(path.read_text().replace('"std-catknown"', json.dumps(evil)))
+    assert main([str(tmp_path / "evil")]) == 0
+    page = (tmp_path / "evil" / PAGE).read_text()
+    assert "<script>alert" not in page and "&lt;script&gt;alert" in page
+    assert all(re.fullmatch(r"[\w-]+", name) for name in re.findall(r'\bid="(.*?)"', page))
 
 
 def test_the_command_writes_all_forms_twice_alike(
@@ -99,16 +175,19 @@ def test_the_command_writes_all_forms_twice_alike(
     csv = pd.read_csv(tmp_path / "a" / CSV)
     assert {"measured", "published"} == set(csv["kind"])
     assert "std-catknown, protocol strict" in capsys.readouterr().out
+    assert main([str(results), "--out", str(tmp_path / "a"), "--json"]) == 0
+    board = json.loads(capsys.readouterr().out)[Path(CSV).stem]
+    assert [row["method"] for row in board] == csv["method"].tolist()
 
 
 def test_the_page_needs_nothing_but_itself(results: Path, tmp_path: Path) -> None:
     assert main([str(results), "--out", str(tmp_path)]) == 0
     page = (tmp_path / PAGE).read_text()
-    ours = re.sub(r"<script>/\*\*.*?</script>", "", page, flags=re.S)  # without Plotly itself
-    assert not re.search(r"""(src|href)=["']https?:""", ours)
-    assert ours.count('class="strip"') == 3 * (3 + 3)
-    assert "class=published" in ours
-    assert "Error against depth" in ours
+    assert not re.search(r"""(src|href)=["']https?:""", page)
+    assert page.count("<figure>") == 3 * (3 + 3)
+    assert 'class="published"' in page
+    assert "Error against depth" in page
+    assert len(page) < 3_000_000
 
 
 def test_two_folders_make_one_board(results: Path, tmp_path: Path) -> None:
@@ -154,9 +233,7 @@ def test_one_method_twice_is_refused(results: Path, tmp_path: Path) -> None:
 
 
 def test_csv_reads_back(results: Path) -> None:
-    from benchmark.report.leaderboard_text import board_csv
-
     board = make_board(read_results([results]), samples=50)
-    back = pd.read_csv(io.StringIO(board_csv(board)))
+    back = pd.read_csv(io.StringIO(file(board, CSV)))
     assert list(back.columns) == list(board.rows.columns)
     assert len(back) == len(board.rows)

@@ -66,7 +66,7 @@ def test_resumed_and_parallel_runs_give_the_same_bytes(tmp_path, capsys):
     # And std-report makes tables and a page of it.
     assert report([str(whole), "--out", str(tmp_path / "report")]) == 0
     page = (tmp_path / "report" / "report.html").read_text()
-    assert "Table clearing" in page and "38.78" in page and "image/jpeg" in page
+    assert "Table clearing" in page and "38.78" in page and "image/webp" in page
     board = pd.read_csv(tmp_path / "report" / "grasping.csv")
     objects = table[table["kind"] == "object"]
     assert board["objects"].tolist() == [len(objects)]

@@ -7,6 +7,7 @@ import pytest
 from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest, GraspSetup, circumstances
 from benchmark.evaluation.tasks.grasp_results import Rate
 from benchmark.evaluation.tasks.grasp_table import ATTEMPTS, GRASPED, LEFT
+from benchmark.report.page import render_page
 from benchmark.report.parts.grasp import grasp_part, points, printed_rows, verdict
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import write_document
@@ -38,18 +39,20 @@ def test_the_gain_over_raw_depth_is_told_with_its_interval(tmp_path):
     _write(tmp_path, "raw", [(NONE, lost)] * 3 + [(ALL, won)])
     _write(tmp_path, "gt", [(ALL, won)] * 4)
     part = grasp_part([tmp_path])
-    assert "True depth with antipodal: 75.0 points [25.0, 100.0] more" in part.answer
-    assert "it helps" in part.answer
-    assert part.files["grasping.md"].count("\n") == 2 + 2 + 2
+    ((sentence,),) = (block.items for block in part.answer)
+    assert "True depth with antipodal: 75.0 points [25.0, 100.0] more" in sentence.text
+    assert "it helps" in sentence.text
+    # Headings, a rule, two measured rows, two published ones.
+    assert part.files["grasping.md"].count("\n|") == 2 + 2 + 2
     assert "19 / 49" in part.files["grasping.tex"]
     assert r"\%" in part.files["grasping.tex"]
     assert "antipodal" in part.terminal
-    page = "".join(s.html for s in part.sections)
+    page = render_page([part])
     assert "slipped" in page and "96.15" in page
     # Of the tables 0 to 3, as `run_table` has their precision.
     assert "30.0<small>[10.0, 50.0]</small>" in page and "25.0" in part.terminal
     alone = grasp_part([tmp_path], published=False)
-    assert "96.15" not in "".join(s.html for s in alone.sections)
+    assert "96.15" not in render_page([alone])
 
 
 def test_published_rows_are_those_that_are_printed():
@@ -68,6 +71,6 @@ def test_an_interval_decides_what_may_be_said():
     nan = float("nan")
     assert verdict(Rate(0.3, 0.1, 0.5, 3, 10)) == "it helps"
     assert verdict(Rate(-0.3, -0.5, -0.1, 3, 10)) == "it harms"
-    assert verdict(Rate(0.1, -0.1, 0.3, 3, 10)) == "chance may explain it"
+    assert verdict(Rate(0.1, -0.1, 0.3, 3, 10)) == "not statistically significant"
     assert verdict(Rate(0.1, nan, nan, 1, 1)) == "one table is too few to say"
     assert points(Rate(-0.05, -0.2, 0.1, 0, 4)) == "5.0 points [-20.0, 10.0] fewer"

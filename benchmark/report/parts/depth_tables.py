@@ -1,0 +1,251 @@
+"""The tables of depth restoration: leaderboard, breakdowns, costs, what ran."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from benchmark.evaluation.tasks.depth_results import RunResult
+from benchmark.metrics.protocols.protocol import get_protocol
+from benchmark.report.leaderboard import (
+    BOARD,
+    COSTS,
+    MEASURED,
+    METRICS,
+    PAPERS_PROTOCOL,
+    PUBLISHED,
+    SIGNIFICANT,
+    Board,
+    frames_of,
+    one_of_each,
+)
+from std_toolkit.html.table import NONE, Cell, Column, Row, Table
+
+RMSE = METRICS[0]
+# Of the subsets that were measured, those that have a table of their own.
+MAIN_SUBSETS = ("all", "specular+transparent")
+OBJECTS = {"all": "all objects", "specular+transparent": "specular and transparent objects"}
+DEPTH_PREFIX = "depth:"
+FEW_SCENES = 10
+CAUTION = (
+    "Published rows come from the evaluation of the paper (`--protocol paper`), in which a missing "
+    "pixel costs less: beside other protocols they show the order of magnitude."
+)
+_COUNTS = (Column(heading="frames", digits=0), Column(heading="scenes", digits=0))
+_METHOD = Column(heading="method", numeric=False)
+
+
+def board_title(board: Board, split: str, protocol: str) -> str:
+    """What a table is about, and of how many frames."""
+    return f"{split}, protocol {protocol}: {frames_of(split, board.frames(split))}"
+
+
+def board_tables(
+    board: Board, split: str, protocol: str, *, all_published: bool = False
+) -> list[Table]:
+    """The tables of one split and protocol, one for each of the main subsets.
+
+    Args:
+        board: all rows.
+        split, protocol: which.
+        all_published: with ablations and other trainings that papers print, too.
+    """
+    grid, first = get_protocol(protocol).main
+    tables = []
+    for subset in dict.fromkeys((first, *MAIN_SUBSETS)):
+        rows = board.part(split, protocol, grid, subset)
+        measured = rows[rows["kind"] == MEASURED]
+        if measured.empty:
+            continue
+        notes = [f"Bold: best measured. {_certainty(int(measured['scenes'].max()), len(measured))}"]
+        if protocol != PAPERS_PROTOCOL and (rows["kind"] == PUBLISHED).any():
+            notes.append(CAUTION)
+        title = f"{board_title(board, split, protocol)}, {OBJECTS.get(subset, subset)}"
+        chosen = rows if all_published else one_of_each(rows)
+        tables.append(_method_table(chosen, BOARD, title=title, notes=notes, counts=True))
+    return tables
+
+
+def cost_table(board: Board, rows: pd.DataFrame, split: str, protocol: str) -> Table:
+    """What methods cost, beside their accuracy."""
+    title = board_title(board, split, protocol)
+    notes = ["Time of the method alone, without reading and scoring."]
+    return _method_table(rows, (RMSE, *COSTS), title=title, notes=notes, hardware=True)
+
+
+def breakdown_tables(board: Board, split: str, protocol: str) -> list[Table]:
+    """RMSE by material, at edges, at native size, and by scene."""
+    grid, first = get_protocol(protocol).main
+    rows = board.rows[(board.rows["split"] == split) & (board.rows["protocol"] == protocol)]
+    rows = rows[(rows["kind"] == MEASURED) & ~rows["subset"].str.startswith(DEPTH_PREFIX)]
+    order = board.part(split, protocol, grid, first)
+    methods = order.loc[order["kind"] == MEASURED, "method"].tolist()
+    of = frames_of(split, board.frames(split))
+    tables = []
+    for name, block in rows.groupby("grid", sort=False):
+        wide = block.pivot(index="method", columns="subset", values=RMSE.name)
+        wide = wide.reindex(index=methods, columns=list(dict.fromkeys(block["subset"])))
+        tables.append(_matrix(wide, f"{RMSE.title} by pixels, {name}: {of}", "method"))
+    frames = board.tables
+    chosen = (frames["split"] == split) & (frames["protocol"] == protocol)
+    chosen &= (frames["grid"] == grid) & (frames["subset"] == first) & (frames["n_pixels"] > 0)
+    scenes = frames[chosen].pivot_table(
+        index="scene", columns="method", values=RMSE.name, aggfunc="mean"
+    )
+    scenes = scenes.reindex(columns=[m for m in methods if m in scenes])
+    if len(scenes) > 1:
+        tables.append(_matrix(scenes, f"{RMSE.title} by scene: {of}", "scene"))
+    return tables
+
+
+def run_table(results: Sequence[RunResult]) -> Table:
+    """What ran, with what, on what; and what failed."""
+    rows = []
+    for result in results:
+        m, s = result.manifest, result.manifest.setup
+        settings = ", ".join(f"{k}={v}" for k, v in sorted(s.settings.items()))
+        how = [s.preset, s.precision, *(["compiled"] if s.compile else []), settings]
+        network = result.speed is not None and result.speed.parameters is not None
+        failed = result.table.loc[result.table["error"] != "", "index"].nunique()
+        cells = [
+            Cell(text=m.label),
+            Cell(text=f"{s.split}, {s.protocol}"),
+            *counted(s.frames, result.missing, failed),
+            Cell(text=", ".join(h for h in how if h) if network or settings else settings),
+            *machine(s.weights_sha256[:12], m.hardware, m.version_of_tool),
+        ]
+        rows.append(Row(cells))
+    return Table(columns=run_columns("method", "split, protocol"), rows=rows)
+
+
+def run_columns(*names: str) -> list[Column]:
+    """Columns of a table of runs, after those that name them."""
+    numeric = ("frames", "failed")
+    heads = (*names, *numeric, "settings", "weights", "ran on", "version")
+    return [Column(heading=h, numeric=h in numeric, digits=0) for h in heads]
+
+
+def counted(frames: int, missing: int, failed: int) -> list[Cell]:
+    """How many frames a run has and how many of them failed."""
+    of = f"{frames - missing} of {frames}" if missing else str(frames)
+    return [
+        Cell(text=of, mark="bad" if missing else ""),
+        Cell(text=str(failed), mark="bad" if failed else ""),
+    ]
+
+
+def machine(weights: str, hardware: dict[str, str], version: str) -> list[Cell]:
+    """What a run computed with."""
+    processor = hardware.get("gpus") or hardware.get("processor", "")
+    return [Cell(text=weights), Cell(text=processor), Cell(text=version)]
+
+
+def can_differ(scenes: int, methods: int) -> bool:
+    """Whether the test of differences could tell two of the methods apart at all: over n scenes it
+    gives no p below 2 / 2**n, and all pairs are corrected for."""
+    pairs = methods * (methods - 1) / 2
+    return bool(pairs * 2.0 ** (1 - scenes) < SIGNIFICANT)
+
+
+def interval_note(scenes: int) -> str:
+    """What the brackets behind figures are."""
+    if scenes < 2:
+        return "With one scene there are no intervals."
+    few = ", too narrow with so few scenes" if scenes < FEW_SCENES else ""
+    return f"In brackets: 95 % intervals over scenes{few}."
+
+
+def _certainty(scenes: int, methods: int) -> str:
+    note = interval_note(scenes)
+    if methods < 2 or scenes < 2:
+        return note
+    if not can_differ(scenes, methods):
+        return f"{note} With {scenes} scenes and {methods} methods no difference is significant."
+    return (
+        f"{note} ≈: not significantly worse than the best in RMSE (sign-flip test over scenes, "
+        "corrected for all pairs)."
+    )
+
+
+def _method_table(
+    rows: pd.DataFrame,
+    columns: Sequence[Column],
+    *,
+    title: str,
+    notes: Sequence[str],
+    counts: bool = False,
+    hardware: bool = False,
+) -> Table:
+    best = _best_figures(rows, columns)
+    methods = int((rows["kind"] == MEASURED).sum())
+    made = []
+    for row in rows.to_dict("records"):
+        published = row["kind"] == PUBLISHED
+        # Costs are not what the test is about.
+        tested = counts and not published and can_differ(row["scenes"], methods)
+        alike = tested and row["p_best"] >= SIGNIFICANT
+        note = f"published; {source_of(row)}" if published else "≈" if alike else ""
+        cells = [Cell(text=row["method"], note=note)]
+        cells += [c.cell(row[c.heading]) for c in _COUNTS] if counts else []
+        for column in columns:
+            value = row[column.name]
+            ends = [row.get(f"{column.name}_{end}", math.nan) for end in ("low", "high")]
+            is_best = not published and value == best.get(column.name)
+            cells.append(
+                column.cell(
+                    value,
+                    interval=(ends[0], ends[1]),
+                    published=published,
+                    mark="best" if is_best else "",
+                )
+            )
+        cells += [Cell(text=str(row["hardware"]))] if hardware else []
+        made.append(Row(cells, "published" if published else ""))
+    heads = [_METHOD, *(_COUNTS if counts else ()), *columns]
+    heads += [Column(heading="on", numeric=False)] if hardware else []
+    return Table(columns=heads, rows=made, title=title, notes=notes, sortable=True)
+
+
+def source_of(row: dict[str, object]) -> str:
+    """Where a published row is printed, and what was trained on: papers print a method several
+    times, by another training or once more."""
+    training = row["training_data"]
+    table = str(row["table"])
+    return f"{table}; trained on {training}" if isinstance(training, str) and training else table
+
+
+def _best_figures(rows: pd.DataFrame, columns: Sequence[Column]) -> dict[str, float]:
+    """The best measured figure of each column that has a direction."""
+    measured = rows[rows["kind"] == MEASURED]
+    return {
+        c.name: measured[c.name].min() if c.lower_is_better else measured[c.name].max()
+        for c in columns
+        if c.lower_is_better is not None
+    }
+
+
+def _matrix(wide: pd.DataFrame, title: str, corner: str) -> Table:
+    """RMSE, shaded from the best to the worst method: methods are columns beside scenes."""
+    values = wide.to_numpy(float)
+    axis = 1 if corner == "scene" else 0
+    with np.errstate(all="ignore"):
+        low = np.nanmin(values, axis=axis, keepdims=True)
+        high = np.nanmax(values, axis=axis, keepdims=True)
+        level = (np.log(values + 1e-4) - np.log(low + 1e-4)) / np.log((high + 1e-4) / (low + 1e-4))
+    rows = []
+    for name, line, shades in zip(wide.index, values, level, strict=True):
+        cells = [
+            Cell(
+                text=RMSE.text(value) or NONE,
+                value=value,
+                shade=f"rgba(180,35,24,{0.28 * shade:.2f})" if np.isfinite(shade) else "",
+            )
+            for value, shade in zip(line, shades, strict=True)
+        ]
+        rows.append(Row([Cell(text=str(name)), *cells]))
+    columns = [Column(heading=corner, numeric=False)]
+    columns += [Column(heading=str(c), lower_is_better=True) for c in wide.columns]
+    return Table(columns=columns, rows=rows, title=title)
