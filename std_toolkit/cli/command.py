@@ -291,8 +291,7 @@ def _tidy(page: str) -> str:
     """A help page without rules, its paragraphs filled, `STR ...` for `[STR [STR ...]]`."""
     page = _REPEATED.sub(lambda found: f"{found[1]} ...".ljust(len(found[0])), page)
     filled = (fill(x, 80) if x[:1].strip() and len(x) > 80 else x for x in page.splitlines())
-    lines = (line.rstrip() for line in "
-".join(filled).splitlines())
+    lines = (line.rstrip() for line in "\n".join(filled).splitlines())
     return "\n".join(line for line in lines if line.strip("-─ ") or not line)
 
 
