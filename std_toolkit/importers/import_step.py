@@ -17,20 +17,12 @@ import cv2
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.importers import importer
 from std_toolkit.importers.foreign_files import (
     check_unit,
     read_foreign_depth,
     read_mask_source,
     write_mesh,
-)
-from std_toolkit.importers.importer import (
-    IMPORTERS,
-    ImportRequest,
-    LinkMode,
-    Recording,
-    SourceFile,
-    SourceFrame,
-    detect_format,
 )
 from std_toolkit.io.atomic import check_vacant, new_folder
 from std_toolkit.io.exr import write_exr
@@ -58,11 +50,11 @@ class WrittenFrame:
 
 
 def write_recording(
-    recording: Recording,
+    recording: importer.Recording,
     out: Path,
     *,
     name: str,
-    link: LinkMode = "copy",
+    link: importer.LinkMode = "copy",
     options: JobOptions | None = None,
 ) -> Scene:
     """Make the scene `out` from a recording.
@@ -120,7 +112,7 @@ def write_recording(
     return Scene.open(out)
 
 
-def _check_frames(recording: Recording) -> None:
+def _check_frames(recording: importer.Recording) -> None:
     """Before anything is written: names come from files of others.
 
     Raises:
@@ -142,12 +134,12 @@ def _check_frames(recording: Recording) -> None:
 
 
 def _write_frame(
-    frame: SourceFrame,
+    frame: importer.SourceFrame,
     *,
     root: Path,
     cameras: dict[str, CameraModel],
     depth_scale: float | None,
-    link: LinkMode,
+    link: importer.LinkMode,
 ) -> WrittenFrame:
     camera = cameras[frame.camera]
     size = (camera.width, camera.height)
@@ -169,7 +161,9 @@ def _write_frame(
     return WrittenFrame(row, median, depth is not None)
 
 
-def _write_color(file: SourceFile, root: Path, size: tuple[int, int], link: LinkMode) -> str:
+def _write_color(
+    file: importer.SourceFile, root: Path, size: tuple[int, int], link: importer.LinkMode
+) -> str:
     if file.resize:
         target = file.target + ".png"
         image = cv2.resize(read_color(file.source), size, interpolation=cv2.INTER_AREA)
@@ -183,11 +177,11 @@ def _write_color(file: SourceFile, root: Path, size: tuple[int, int], link: Link
 
 
 def _write_depth(
-    file: SourceFile,
+    file: importer.SourceFile,
     root: Path,
     size: tuple[int, int],
     scene_scale: float | None,
-    link: LinkMode,
+    link: importer.LinkMode,
 ) -> tuple[str, float | None]:
     depth = read_foreign_depth(file.source, size=size)
     values: Any = depth.values
@@ -214,7 +208,9 @@ def _write_depth(
     return target, median
 
 
-def _write_reference(file: SourceFile, root: Path, size: tuple[int, int], link: LinkMode) -> None:
+def _write_reference(
+    file: importer.SourceFile, root: Path, size: tuple[int, int], link: importer.LinkMode
+) -> None:
     target = root / (file.target + file.source.suffix.lower())
     if file.kind == "color":
         _write_color(file, root, size, link)
@@ -238,7 +234,7 @@ def _write_reference(file: SourceFile, root: Path, size: tuple[int, int], link: 
         _place(file.source, target, link)
 
 
-def _place(source: Path, target: Path, link: LinkMode) -> None:
+def _place(source: Path, target: Path, link: importer.LinkMode) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
     source = source.resolve()
     if link == "hard":
@@ -256,7 +252,7 @@ def _place(source: Path, target: Path, link: LinkMode) -> None:
             os.fsync(file.fileno())
 
 
-def _check_depth_unit(recording: Recording, written: list[WrittenFrame]) -> None:
+def _check_depth_unit(recording: importer.Recording, written: list[WrittenFrame]) -> None:
     medians = [w.depth_median_m for w in written if w.depth_median_m is not None]
     sources = [f.depth.source for f in recording.frames if f.depth is not None]
     if not sources:
@@ -281,17 +277,17 @@ def _check_depth_unit(recording: Recording, written: list[WrittenFrame]) -> None
         logger.warning("depth is empty in %d frames: %s", len(empty), ", ".join(empty[:5]))
 
 
-def _write_models(recording: Recording, root: Path) -> None:
+def _write_models(recording: importer.Recording, root: Path) -> None:
     for model in recording.models:
         write_mesh(root / model.model.mesh, model.mesh)
 
 
 def import_recording(
-    request: ImportRequest,
+    request: importer.ImportRequest,
     out: Path | str,
     *,
     format_name: str | None = None,
-    link: LinkMode = "copy",
+    link: importer.LinkMode = "copy",
     options: JobOptions | None = None,
 ) -> Scene:
     """Import a recording as the new scene `out`.
@@ -324,6 +320,6 @@ def import_recording(
             hint="a calibrated factor such as 0.98; units are --depth-scale",
         )
     if format_name is None:
-        format_name = "folder" if request.color else detect_format(request.source)
-    recording = IMPORTERS.get(format_name).read(request)
+        format_name = "folder" if request.color else importer.detect_format(request.source)
+    recording = importer.IMPORTERS.get(format_name).read(request)
     return write_recording(recording, out, name=request.name, link=link, options=options)

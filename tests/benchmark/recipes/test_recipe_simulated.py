@@ -48,7 +48,7 @@ def test_the_main_comparison_runs_from_nothing_to_its_page(out: Path) -> None:
     assert measured["rmse"].between(0.001, 2).all()
     page = (out / "tiny" / "main-comparison" / PAGE).read_text()
     assert page.count("not available") >= 3
-    assert page.count("data:image/jpeg") >= 5
+    assert page.count("data:image/webp") >= 5
 
 
 @pytest.mark.long
