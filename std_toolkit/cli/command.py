@@ -17,6 +17,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import dataclasses
+import enum
 import functools
 import importlib
 import inspect
@@ -218,21 +219,25 @@ def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[
 
 def words_of(options: Any) -> list[str]:
     """The words that `parse_options` makes equal options of; defaults are left out."""
-    words: list[str] = []
-    for option in _options(type(options), options):
-        plain = {o.field: o.default for o in _options(type(options))}[option.field]
-        value = option.default
-        if value == plain:
+    positional: list[str] = []
+    named: list[str] = []
+    kind = type(options)
+    for given, plain in zip(_options(kind, options), _options(kind), strict=True):
+        value = given.default
+        if value == plain.default:
+            continue
+        if isinstance(value, bool):
+            named.append(f"--{given.name}" if value else f"--no-{given.name}")
             continue
         if isinstance(value, Mapping):
-            values = [f"{key}={item}" for key, item in value.items()]
-        elif isinstance(value, bool):
-            values = []
+            value = tuple(f"{key}={item}" for key, item in value.items())
+        values = value if isinstance(value, tuple) else (value,)
+        texts = [str(v.value if isinstance(v, enum.Enum) else v) for v in values]
+        if given.name:
+            named += [f"--{given.name}", *texts]
         else:
-            values = [str(v) for v in (value if isinstance(value, tuple) else (value,))]
-        name = f"--no-{option.name}" if value is False else f"--{option.name}"
-        words += [name, *values] if option.name else values
-    return words
+            positional += texts
+    return [*positional, *named]
 
 
 def print_json(value: Any) -> None:
