@@ -17,7 +17,6 @@ from std_toolkit.checks.contours import mesh_problem
 from std_toolkit.checks.coverage import SEEN_FRACTION, scene_up
 from std_toolkit.checks.figures import sky_figure
 from std_toolkit.checks.gates import evaluate_gates, evaluate_object, scale_share
-from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.overlay import DrawingOrder, FramePictures, draw_frame
 from std_toolkit.checks.report import PageParts, render_page
 from std_toolkit.checks.report_warnings import find_warnings
@@ -28,6 +27,7 @@ from std_toolkit.io.atomic import sweep_temporaries, write_bytes_atomic
 from std_toolkit.io.documents import document_bytes, read_document
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.log import logger
+from std_toolkit.options import CheckOptions
 from std_toolkit.rendering.ground_truth import info_path, map_paths
 from std_toolkit.scene import Frame, Scene, document
 

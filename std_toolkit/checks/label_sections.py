@@ -7,12 +7,12 @@ from math import hypot
 
 from std_toolkit.checks import figures
 from std_toolkit.checks.gates import depth_excess_mm, scale_share, shift_px
-from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.overlay import FramePictures
 from std_toolkit.checks.result import CheckReport, ObjectCheck
 from std_toolkit.html import page
 from std_toolkit.html.plots import object_color
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table, number
+from std_toolkit.options import CheckOptions
 
 _MEANINGS = {
     "edge distance": "from the contour of the label, along its normal, to the nearest edge of the "

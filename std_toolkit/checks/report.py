@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from std_toolkit import __version__
 from std_toolkit.checks import figures
 from std_toolkit.checks.label_sections import label_blocks, name_cell, overlay_blocks
-from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.overlay import FramePictures
 from std_toolkit.checks.result import CheckGate, CheckReport
 from std_toolkit.html import page
 from std_toolkit.html.plots import MATERIAL_COLORS
 from std_toolkit.html.table import MINUS, NONE, Cell, Column, Row, Table, number
+from std_toolkit.options import CheckOptions
 
 
 @dataclass(frozen=True)

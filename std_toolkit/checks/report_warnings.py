@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from std_toolkit.checks import result
 from std_toolkit.checks.coverage import NARROW_DEG
 from std_toolkit.checks.gates import has_edges, is_confirmed
-from std_toolkit.checks.options import CheckOptions
+from std_toolkit.options import CheckOptions
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 
 _ORDER: dict[result.Severity, int] = {"high": 0, "medium": 1, "low": 2}

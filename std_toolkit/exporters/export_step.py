@@ -9,7 +9,7 @@ import msgspec
 
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
-from std_toolkit.exporters.exporter import EXPORTERS, Exporter, ExportOptions, FrameRow, Target
+from std_toolkit.exporters.exporter import EXPORTERS, Exporter, FrameRow, Target
 from std_toolkit.exporters.frame_maps import check_fresh, color_camera
 from std_toolkit.exporters.staging import (
     PROGRESS,
@@ -23,6 +23,7 @@ from std_toolkit.exporters.staging import (
 from std_toolkit.io.documents import write_document
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.log import logger
+from std_toolkit.options import ExportOptions
 from std_toolkit.rendering.ground_truth import info_path, read_frame_truth, rendered_frames
 from std_toolkit.scene import model
 from std_toolkit.scene.document import digest_file, digest_of

@@ -29,6 +29,7 @@ from std_toolkit.io.exr import write_exr
 from std_toolkit.io.images import image_size, read_color, read_png, write_color, write_png
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.log import logger
+from std_toolkit.options import ImportRequest, LinkMode
 from std_toolkit.scene.document import check_name, check_relative
 from std_toolkit.scene.model import CameraModel, Frame, Frames, ObjectTable, SceneInfo
 from std_toolkit.scene.scene import Scene
@@ -54,7 +55,7 @@ def write_recording(
     out: Path,
     *,
     name: str,
-    link: importer.LinkMode = "copy",
+    link: LinkMode = "copy",
     options: JobOptions | None = None,
 ) -> Scene:
     """Make the scene `out` from a recording.
@@ -139,7 +140,7 @@ def _write_frame(
     root: Path,
     cameras: dict[str, CameraModel],
     depth_scale: float | None,
-    link: importer.LinkMode,
+    link: LinkMode,
 ) -> WrittenFrame:
     camera = cameras[frame.camera]
     size = (camera.width, camera.height)
@@ -162,7 +163,7 @@ def _write_frame(
 
 
 def _write_color(
-    file: importer.SourceFile, root: Path, size: tuple[int, int], link: importer.LinkMode
+    file: importer.SourceFile, root: Path, size: tuple[int, int], link: LinkMode
 ) -> str:
     if file.resize:
         target = file.target + ".png"
@@ -181,7 +182,7 @@ def _write_depth(
     root: Path,
     size: tuple[int, int],
     scene_scale: float | None,
-    link: importer.LinkMode,
+    link: LinkMode,
 ) -> tuple[str, float | None]:
     depth = read_foreign_depth(file.source, size=size)
     values: Any = depth.values
@@ -209,7 +210,7 @@ def _write_depth(
 
 
 def _write_reference(
-    file: importer.SourceFile, root: Path, size: tuple[int, int], link: importer.LinkMode
+    file: importer.SourceFile, root: Path, size: tuple[int, int], link: LinkMode
 ) -> None:
     target = root / (file.target + file.source.suffix.lower())
     if file.kind == "color":
@@ -234,7 +235,7 @@ def _write_reference(
         _place(file.source, target, link)
 
 
-def _place(source: Path, target: Path, link: importer.LinkMode) -> None:
+def _place(source: Path, target: Path, link: LinkMode) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
     source = source.resolve()
     if link == "hard":
@@ -283,11 +284,11 @@ def _write_models(recording: importer.Recording, root: Path) -> None:
 
 
 def import_recording(
-    request: importer.ImportRequest,
+    request: ImportRequest,
     out: Path | str,
     *,
     format_name: str | None = None,
-    link: importer.LinkMode = "copy",
+    link: LinkMode = "copy",
     options: JobOptions | None = None,
 ) -> Scene:
     """Import a recording as the new scene `out`.

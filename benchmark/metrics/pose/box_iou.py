@@ -1,6 +1,7 @@
 """Oriented boxes: corners, and their intersection over union in three definitions.
 
-The volume that two boxes at any pose have in common is exact, for many pairs at once: in coordinates in which box A is the cube [-1, 1]^3, box B is a parallelepiped. The field
+The volume that two boxes at any pose have in common is exact, for many pairs at once. In
+coordinates in which box A is the cube [-1, 1]^3, box B is a parallelepiped. The field
 F = (clamp(x, -1, 1), 0, 0), taken as zero where |y| > 1 or |z| > 1, has divergence 1 inside the
 cube and 0 elsewhere, so that by the divergence theorem the common volume is the flux of F out of
 B: a sum over the six faces of B alone. Each is projected along x, clipped by the four lines of the
