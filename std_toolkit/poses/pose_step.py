@@ -14,9 +14,9 @@ from std_toolkit.geometry import SE3
 from std_toolkit.jobs import JobOptions
 from std_toolkit.log import logger
 from std_toolkit.options import PoseOptions, Refinement
-from std_toolkit.scene import CameraPoses, Frame, FramePose, Gate, Labels, Scene
+from std_toolkit.scene import CameraPoses, Frame, FramePose, Labels, Scene
 from std_toolkit.scene.document import digest_file, digest_of, is_fresh, write_record
-from std_toolkit.scene.model import ScaleReport, without_derived
+from std_toolkit.scene.model import Gate, ScaleReport, without_derived
 
 STEP = "poses"
 
