@@ -227,14 +227,16 @@ def words_of(options: Any) -> list[str]:
         if value == plain.default:
             continue
         if isinstance(value, bool):
-            named.append(f"--{given.name}" if value else f"--no-{given.name}")
+            on = value or "off" in plain.metadata
+            named.append(f"--{plain.name}" if on else f"--no-{plain.name}")
             continue
+        value = value * plain.metadata["factor"] if "factor" in plain.metadata else value
         if isinstance(value, Mapping):
             value = tuple(f"{key}={item}" for key, item in value.items())
         values = value if isinstance(value, tuple) else (value,)
         texts = [str(v.value if isinstance(v, enum.Enum) else v) for v in values]
-        if given.name:
-            named += [f"--{given.name}", *texts]
+        if plain.name:
+            named += [f"--{plain.name}", *texts]
         else:
             positional += texts
     return [*positional, *named]
