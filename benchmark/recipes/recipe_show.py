@@ -111,7 +111,7 @@ def plan_text(plan: RecipePlan) -> str:
     for target in plan.targets:
         place = plan.place(target)
         if place is None:
-            lines.append(f"  {target.title}: not at hand: {target.absent}")
+            lines.append(f"  {target.title}: not available: {target.absent}")
         elif target.set:
             lines.append(f"  {target.title}: {plan.sets[target.set].origin}")
         else:

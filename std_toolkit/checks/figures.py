@@ -9,17 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.checks.result import CheckReport, MaterialDepth, ObjectCheck, ObjectFrameCheck
-from std_toolkit.html.plots import (
-    BAD,
-    CAMERA,
-    FAINT,
-    GRID,
-    MATERIAL_COLORS,
-    base_layout,
-    figure_json,
-    object_color,
-    object_dash,
-)
+from std_toolkit.html import plots
 
 SKIES_PER_ROW = 4
 
@@ -37,7 +27,7 @@ def registration_figure(report: CheckReport, *, limit_px: float) -> str | None:
             "name": "registered",
             "x": [f.frame for f in there],
             "y": [f.reprojection_px or 0 for f in there],
-            "marker": {"color": CAMERA},
+            "marker": {"color": plots.CAMERA},
             "customdata": [[f.name, f.points] for f in there],
             "hovertemplate": "frame %{x} (%{customdata[0]})<br>%{y:.2f} px, "
             "%{customdata[1]} points<extra></extra>",
@@ -51,16 +41,16 @@ def registration_figure(report: CheckReport, *, limit_px: float) -> str | None:
                 "name": "no camera pose",
                 "x": [f.frame for f in lost],
                 "y": [0.0] * len(lost),
-                "marker": {"symbol": "x", "size": 9, "color": BAD},
+                "marker": {"symbol": "x", "size": 9, "color": plots.BAD},
                 "cliponaxis": False,
                 "hovertext": [f.name for f in lost],
                 "hovertemplate": "frame %{x} (%{hovertext})<br>no pose<extra></extra>",
             }
         )
     top = max([limit_px * 1.1, *(f.reprojection_px or 0 for f in there)])
-    return figure_json(
+    return plots.figure_json(
         traces,
-        base_layout(
+        plots.base_layout(
             height=260,
             bargap=0.15,
             xaxis={"title": {"text": "frame"}},
@@ -97,8 +87,8 @@ def frames_figure(
                 "x": [p[0] for p in points],
                 "y": [p[1] for p in points],
                 "line": {
-                    "color": object_color(ids, item.object),
-                    "dash": object_dash(ids, item.object),
+                    "color": plots.object_color(ids, item.object),
+                    "dash": plots.object_dash(ids, item.object),
                     "width": 1.5,
                 },
                 "marker": {"size": 4},
@@ -113,9 +103,9 @@ def frames_figure(
     reach = 3 * float(np.percentile(np.abs(values), 90))
     high, low = min(high, max([reach, *limits])), max(low, min([-reach, *limits]))
     pad = 0.08 * max(high - min(low, 0), 1e-3)
-    return figure_json(
+    return plots.figure_json(
         traces,
-        base_layout(
+        plots.base_layout(
             height=320,
             xaxis={"title": {"text": "frame"}},
             yaxis={
@@ -156,9 +146,9 @@ def visibility_figure(objects: Sequence[ObjectCheck]) -> str | None:
         "ygap": 2,
         "hovertemplate": "%{y}<br>frame %{x}: %{z:.0%} visible<extra></extra>",
     }
-    return figure_json(
+    return plots.figure_json(
         [trace],
-        base_layout(
+        plots.base_layout(
             height=110 + 30 * len(rows),
             xaxis={"title": {"text": "frame"}, "showgrid": False},
             yaxis={"autorange": "reversed", "showgrid": False, "ticks": ""},
@@ -184,7 +174,7 @@ def sky_figure(
     rows = -(-len(shown) // columns)
     height = 60 + 290 * rows
     traces: list[dict[str, Any]] = []
-    layout = base_layout(
+    layout = plots.base_layout(
         height=height, showlegend=False, margin={"l": 10, "r": 10, "t": 10, "b": 10}
     )
     del layout["xaxis"], layout["yaxis"]
@@ -206,22 +196,22 @@ def sky_figure(
                 "ticktext": ["", "60°", "30°", "0°"],
                 "angle": 157.5,
                 "tickangle": 157.5,
-                "gridcolor": GRID,
-                "linecolor": GRID,
-                "tickfont": {"size": 10, "color": FAINT},
+                "gridcolor": plots.GRID,
+                "linecolor": plots.GRID,
+                "tickfont": {"size": 10, "color": plots.FAINT},
                 "ticks": "",
             },
             "angularaxis": {
                 "tickvals": list(range(0, 360, 45)),
                 "direction": "counterclockwise",
                 "rotation": -90,
-                "gridcolor": GRID,
+                "gridcolor": plots.GRID,
                 "linecolor": "#cbd2d9",
-                "tickfont": {"size": 10, "color": FAINT},
+                "tickfont": {"size": 10, "color": plots.FAINT},
                 "ticks": "",
             },
         }
-        color = object_color(ids, item.object)
+        color = plots.object_color(ids, item.object)
         annotated = [f.frame == item.annotated_frame for f in frames]
         traces.append(
             {
@@ -260,7 +250,7 @@ def sky_figure(
             }
         )
     layout["annotations"] = notes
-    return figure_json(traces, layout)
+    return plots.figure_json(traces, layout)
 
 
 def error_figure(materials: Sequence[MaterialDepth]) -> str | None:
@@ -276,16 +266,16 @@ def error_figure(materials: Sequence[MaterialDepth]) -> str | None:
             "x": m.histogram_mm,
             # A logarithmic axis has no 0: empty bins are gaps.
             "y": [100 * s or None for s in m.histogram_share],
-            "line": {"color": MATERIAL_COLORS[m.material], "width": 2, "shape": "hvh"},
+            "line": {"color": plots.MATERIAL_COLORS[m.material], "width": 2, "shape": "hvh"},
             "hovertemplate": f"{m.material}<br>%{{x}} mm: %{{y:.2f}} % of the readings"
             "<extra></extra>",
         }
         for m in rows
     ]
     limit = max(abs(x) for x in rows[0].histogram_mm)
-    return figure_json(
+    return plots.figure_json(
         traces,
-        base_layout(
+        plots.base_layout(
             height=340,
             showlegend=True,
             xaxis={
@@ -309,7 +299,7 @@ def error_figure(materials: Sequence[MaterialDepth]) -> str | None:
                     "yref": "paper",
                     "y0": 0,
                     "y1": 1,
-                    "line": {"color": FAINT, "width": 1, "dash": "dot"},
+                    "line": {"color": plots.FAINT, "width": 1, "dash": "dot"},
                 }
             ],
         ),
@@ -324,5 +314,5 @@ def _limit_line(y: float) -> dict[str, Any]:
         "x1": 1,
         "y0": y,
         "y1": y,
-        "line": {"color": BAD, "width": 1, "dash": "dash"},
+        "line": {"color": plots.BAD, "width": 1, "dash": "dash"},
     }

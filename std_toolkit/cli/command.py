@@ -18,6 +18,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import dataclasses
+import enum
 import functools
 import importlib
 import inspect
@@ -219,21 +220,27 @@ def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[
 
 def words_of(options: Any) -> list[str]:
     """The words that `parse_options` makes equal options of; defaults are left out."""
-    words: list[str] = []
-    for option in _options(type(options), options):
-        plain = {o.field: o.default for o in _options(type(options))}[option.field]
-        value = option.default
-        if value == plain:
+    positional: list[str] = []
+    named: list[str] = []
+    kind = type(options)
+    for given, plain in zip(_options(kind, options), _options(kind), strict=True):
+        value = given.default
+        if value == plain.default:
             continue
+        if isinstance(value, bool):
+            on = value or "off" in plain.metadata
+            named.append(f"--{plain.name}" if on else f"--no-{plain.name}")
+            continue
+        value = value * plain.metadata["factor"] if "factor" in plain.metadata else value
         if isinstance(value, Mapping):
-            values = [f"{key}={item}" for key, item in value.items()]
-        elif isinstance(value, bool):
-            values = []
+            value = tuple(f"{key}={item}" for key, item in value.items())
+        values = value if isinstance(value, tuple) else (value,)
+        texts = [str(v.value if isinstance(v, enum.Enum) else v) for v in values]
+        if plain.name:
+            named += [f"--{plain.name}", *texts]
         else:
-            values = [str(v) for v in (value if isinstance(value, tuple) else (value,))]
-        name = f"--no-{option.name}" if value is False else f"--{option.name}"
-        words += [name, *values] if option.name else values
-    return words
+            positional += texts
+    return [*positional, *named]
 
 
 def print_json(value: Any) -> None:

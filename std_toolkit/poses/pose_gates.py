@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from std_toolkit.poses.options import PoseOptions
+from std_toolkit.options import PoseOptions
 from std_toolkit.scene.model import Frame, FramePose, Gate, ScaleReport
 
 

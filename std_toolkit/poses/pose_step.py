@@ -12,7 +12,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.jobs import JobOptions
 from std_toolkit.log import logger
-from std_toolkit.poses.options import PoseOptions, Refinement
+from std_toolkit.options import PoseOptions, Refinement
 from std_toolkit.poses.pose_gates import pose_gates
 from std_toolkit.scene import CameraPoses, Frame, FramePose, Labels, Scene
 from std_toolkit.scene.document import digest_file, digest_of, is_fresh, write_record

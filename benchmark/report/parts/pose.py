@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmark.evaluation.tasks.bop import BopResult, bop_table, read_bop_figures
+from benchmark.evaluation.tasks.bop import BopFigures, bop_table, read_bop_figures
 from benchmark.evaluation.tasks.pose_inputs import TRUE
 from benchmark.evaluation.tasks.pose_results import ALL, HARD, heading, read_pose_results
 from benchmark.metrics.significance import holm
@@ -163,7 +163,7 @@ def _points(share: float) -> str:
 
 
 def _p(p: float) -> str:
-    return "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
+    return "p\u00a0<\u00a00.001" if p < 0.001 else f"p\u00a0=\u00a0{p:.3f}"
 
 
 def _is_true(compared: Compared) -> bool:
@@ -240,7 +240,7 @@ def _summary(board: PoseBoard) -> str:
     return "Most poses right: " + "; ".join(found) + "."
 
 
-def _bop_table(results: Sequence[BopResult]) -> Table:
+def _bop_table(results: Sequence[BopFigures]) -> Table:
     columns = [
         Column(heading="results", numeric=False),
         Column(heading="data", numeric=False),
@@ -254,13 +254,17 @@ def _bop_table(results: Sequence[BopResult]) -> Table:
     ]
     rows = []
     for r in sorted(results, key=lambda r: -r.ar):
-        shares = (r.ar, r.ar_vsd, r.ar_mssd, r.ar_mspd)
-        values = (r.targets, r.estimates, *shares, r.seconds_per_image)
-        cells = [c.cell(v, missing=NONE) for c, v in zip(columns[2:], values, strict=True)]
+        names = ("targets", "estimates", "ar", "ar_vsd", "ar_mssd", "ar_mspd", "seconds_per_image")
+        cells = [
+            c.cell(getattr(r, n), interval=r.intervals.get(n, (math.nan, math.nan)), missing=NONE)
+            for c, n in zip(columns[2:], names, strict=True)
+        ]
         rows.append(Row([Cell(text=r.results), Cell(text=_data(r)), *cells]))
     notes = ["Average recalls as the BOP Challenge defines them; AR is the mean of the three."]
+    drawn = sorted({r.intervals_over for r in results if r.intervals_over})
+    notes += [f"Brackets: 95 % intervals over {' or '.join(drawn)}."] if drawn else []
     return Table(columns=columns, rows=rows, notes=notes, sortable=True)
 
 
-def _data(result: BopResult) -> str:
+def _data(result: BopFigures) -> str:
     return f"{Path(result.data).resolve().name}, {result.split}"

@@ -26,6 +26,7 @@ from benchmark.metrics.bop import (
     score_bop,
     write_bop_results,
 )
+from benchmark.report.page import make_parts
 from std_toolkit.geometry import SE3
 from std_toolkit.jobs import JobOptions
 from tests.benchmark.metrics.bop.bop_set import TRUTHS, write_bop
@@ -157,12 +158,16 @@ def test_intervals_draw_scenes_or_images(
     found = [BopEstimate(2, 3, number, 1.0, T) for number, T in TRUTHS[3][:2]]
     write_bop_results(tmp_path / "half_set-test.csv", found)
     words = ["bop", "--data", str(root), "--results", str(tmp_path / "half_set-test.csv")]
-    assert main([*words, "--engine", "serial", "--json"]) == 0
+    words += ["--engine", "serial", "--out", str(tmp_path / "out")]
+    assert main([*words, "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)
     # One scene of two images: all found in one, with two targets, and nothing in the other.
     assert row["ar"] == pytest.approx(2 / 3)
     assert row["intervals_over"] == "images"
     assert row["intervals"] == {k: [0, 1] for k in ("ar", "ar_vsd", "ar_mssd", "ar_mspd")}
+    (part,) = make_parts([tmp_path / "out"])
+    text = part.sections[0].blocks[0].markdown()
+    assert "66.7 [0.0, 100.0]" in text and "95 % intervals over images" in text
     table = pd.DataFrame(
         {
             "index": [0, 1, 2], "scene": ["a", "a", "b"], "n_valid": [1, 2, 1],
