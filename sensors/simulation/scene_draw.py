@@ -45,7 +45,6 @@ _CLASSES: dict[MaterialSwitch, tuple[MaterialClass, ...]] = {
 # In every scene of DREDS, and the only ones that may be transparent.
 ALWAYS = ("bottle", "bowl", "mug")
 SOMETIMES = ("camera", "can", "car", "aeroplane")
-DISTRACTOR = "other"
 SOMETIMES_COUNT = (1, 4)
 DISTRACTOR_COUNT = (1, 3)
 
