@@ -229,6 +229,22 @@ class Dialogs:
 
         self._ask(symmetry_question(model, react))
 
+    def ask_pose(self, frames: str, paste: Callable[[str], object]) -> None:
+        """Ask for a pose as text, where the clipboard cannot be read.
+
+        Args:
+            frames: from which frame into which, for the person.
+            paste: called with the text.
+        """
+        self._ask(
+            Question(
+                "Paste a pose",
+                lambda _, answers: paste(answers["matrix"]),
+                fields=(Field("matrix", f"4x4 matrix, {frames}, metres", kind="lines"),),
+                buttons=(Button("set", "Set"), CANCEL),
+            )
+        )
+
     # --- help -------------------------------------------------------------------------------------
 
     def _shortcuts(self) -> None:

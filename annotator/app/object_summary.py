@@ -1,9 +1,4 @@
-"""The state of the work on each object in one line, and a hint at the next step.
-
-How far clicked points lie from where the pose puts them.
-
-What to do next, in one sentence: for the status line of every front end.
-"""
+"""The state of the work on each object in one line, and a hint at the next step."""
 
 from __future__ import annotations
 
@@ -11,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 from typing import TYPE_CHECKING, Literal
-
-import numpy as np
 
 from annotator.app.controller import Controller
 from annotator.session.state import ObjectState, Placement
@@ -174,43 +167,6 @@ def _residual(rows: Sequence[FrameResidual]) -> tuple[str, Grade, str]:
         )
         return f"{value:.0f} mm", _graded(value, DEPTH_MM), told
     return "?", "unknown", "No edge and no depth told its place apart from chance: judge by eye."
-
-
-@dataclass(frozen=True)
-class ClickRow:
-    """One clicked point.
-
-    Attributes:
-        frame: in which it was clicked.
-        number: its place among the points of the object in this frame, from 0.
-        u, v: pixel in the recorded image.
-        residual_px: distance to its point on the mesh at the object's pose now; None without a
-            pose, or behind the camera.
-    """
-
-    frame: int
-    number: int
-    u: float
-    v: float
-    residual_px: float | None
-
-
-def click_rows(c: Controller, name: str) -> list[ClickRow]:
-    """All clicked points of an object, those of the view in hand first."""
-    obj = c.session.object(name)
-    scene = c.session.scene
-    rows = []
-    for frame in sorted(obj.clicks, key=lambda f: (f != c.active_frame, f)):
-        T = c.pose(name, frame)
-        camera = scene.camera(scene.frame(frame))
-        for number, click in enumerate(obj.clicks[frame]):
-            residual = None
-            if T is not None:
-                seen = camera.project(T @ np.asarray(click.point))
-                distance = float(np.hypot(*(seen - [click.u, click.v])))
-                residual = distance if np.isfinite(distance) else None
-            rows.append(ClickRow(frame, number, click.u, click.v, residual))
-    return rows
 
 
 def next_hint(c: Controller) -> str:

@@ -1,9 +1,4 @@
-"""Poses and times as users read and type them: millimetres, degrees, 4x4 matrices.
-
-Times as people read them.
-
-A number of the pose that was typed.
-"""
+"""Poses and times as users read and type them: millimetres, degrees, 4x4 matrices."""
 
 from __future__ import annotations
 
@@ -11,6 +6,7 @@ import math
 import re
 from datetime import datetime
 from enum import StrEnum
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,20 +23,38 @@ _ORNAMENT = re.compile(r"\b(?:np\.|numpy\.)?(?:array|matrix|asarray)\b|\bdtype=\
 
 
 class RotationForm(StrEnum):
-    """How a rotation is told in three numbers, degrees."""
+    """How a rotation is written: three numbers in degrees, or a quaternion w x y z."""
 
     EULER = "euler"
     VECTOR = "vector"
+    QUATERNION = "quaternion"
+
+
+FORM_TITLES = {
+    RotationForm.EULER: "Euler x y z",
+    RotationForm.VECTOR: "rotation vector",
+    RotationForm.QUATERNION: "quaternion w x y z",
+}
+
+FORM_TIPS = {
+    RotationForm.EULER: "Angle about the fixed {axis} axis; the turns are made in the order "
+    "x, y, z.",
+    RotationForm.VECTOR: "{axis} part of the rotation vector: its direction is the axis of the "
+    "turn, its length the angle.",
+    RotationForm.QUATERNION: "Unit quaternion, w first. Enter applies.",
+}
 
 
 def rotation_numbers(R: NDArray[np.floating], form: RotationForm) -> NDArray[np.float64]:
-    """(3,) degrees of a rotation (3, 3).
+    """(3,) degrees, or (4,) unit quaternion w x y z, of a rotation (3, 3).
 
     Euler angles are about the fixed axes x, then y, then z: R = Rz Ry Rx. Where y is +-90 degrees
     x and z are one; x is told as 0 then. A rotation vector is the axis times the angle.
     """
     if form is RotationForm.VECTOR:
         return np.degrees(so3_log(R))
+    if form is RotationForm.QUATERNION:
+        return SE3(np.asarray(R, dtype=np.float64), np.zeros(3)).quat()
     y = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
     if np.hypot(R[0, 0], R[1, 0]) < 1e-9:
         # Gimbal lock: only the sum or the difference of x and z is told.
@@ -49,11 +63,22 @@ def rotation_numbers(R: NDArray[np.floating], form: RotationForm) -> NDArray[np.
 
 
 def rotation_from_numbers(numbers: ArrayLike, form: RotationForm) -> NDArray[np.float64]:
-    """(3, 3) rotation of three numbers in degrees: the inverse of `rotation_numbers`."""
+    """(3, 3) rotation of its numbers: the inverse of `rotation_numbers`.
+
+    Raises:
+        ToolkitError: a quaternion far from length 1.
+    """
+    if form is RotationForm.QUATERNION:
+        return SE3.from_quat(numbers, np.zeros(3)).R
     x, y, z = np.radians(np.asarray(numbers, dtype=np.float64))
     if form is RotationForm.VECTOR:
         return so3_exp([x, y, z])
     return so3_exp([0, 0, z]) @ so3_exp([0, y, 0]) @ so3_exp([x, 0, 0])
+
+
+def quaternion_text(wxyz: NDArray[np.floating]) -> str:
+    """Four numbers, rounded to a hundredth of a degree or less."""
+    return " ".join(f"{x:.5f}" for x in wxyz)
 
 
 def matrix_text(T: SE3) -> str:
@@ -92,28 +117,122 @@ def local_minute(time: str) -> str:
         return "an unknown time"
 
 
-def type_number(c: Controller, what: str, axis: int, text: str) -> None:
-    """Set one number of the selected object's pose in the camera of the view in hand.
+class PoseFields:
+    """The selected object's pose in numbers, to read, type, copy and paste.
 
-    Args:
-        what: "position", in mm, or "rotation": of the rotation vector, in degrees.
-
-    Raises:
-        ToolkitError: it is no number.
+    Attributes:
+        in_world: numbers in the world, instead of the camera of the view in hand.
+        form: how the rotation is written.
     """
-    T = None if c.selected is None else c.session.pose(c.selected, c.active_frame)
-    if c.selected is None or T is None or axis not in (0, 1, 2):
-        return
-    value = _number(text, what)
-    R, t = T.R, T.t.copy()
-    if what == "position":
-        t[axis] = value / 1000
-    else:
-        numbers = rotation_numbers(R, RotationForm.VECTOR)
-        numbers[axis] = value
-        R = rotation_from_numbers(numbers, RotationForm.VECTOR)
-    c.cancel_drag()
-    c.apply(SetPoses.one(c.selected, c.active_frame, SE3(R, t), method="typed"))
+
+    def __init__(self, controller: Controller) -> None:
+        self._c = controller
+        self.in_world = False
+        self.form = RotationForm.EULER
+
+    @property
+    def pose(self) -> SE3 | None:
+        """What the fields show; None if the selected object has no pose here."""
+        c = self._c
+        T_cam_obj = None if c.selected is None else c.pose(c.selected, c.active_frame)
+        if T_cam_obj is None or not self.in_world:
+            return T_cam_obj
+        T_world_cam = c.session.T_world_cam(c.active_frame)
+        return None if T_world_cam is None else T_world_cam @ T_cam_obj
+
+    @property
+    def where(self) -> str:
+        """The frame of the numbers."""
+        return "world" if self.in_world else f"camera of frame {self._c.active_frame}"
+
+    def numbers(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(3,) position in mm and the numbers of the rotation; zeros without a pose."""
+        T = self.pose
+        if T is None:
+            return np.zeros(3), np.zeros(4 if self.form is RotationForm.QUATERNION else 3)
+        return 1000 * T.t, rotation_numbers(T.R, self.form)
+
+    def set_pose(self, T: SE3, *, method: str = "typed") -> bool:
+        """Set the pose, in the frame of the numbers; False if it cannot be set."""
+        c = self._c
+        if self.in_world:
+            T_world_cam = c.session.T_world_cam(c.active_frame)
+            if T_world_cam is None:
+                return False
+            T = T_world_cam.inverse() @ T
+        c.cancel_drag()
+        return c.selected is not None and c.apply(
+            SetPoses.one(c.selected, c.active_frame, T, method=method)
+        )
+
+    def set_number(self, what: Literal["position", "rotation"], axis: int, value: float) -> bool:
+        """Set a coordinate in mm or one number of the rotation; see `rotation_numbers`."""
+        T = self.pose
+        if T is None:
+            return False
+        R, t = T.R, T.t.copy()
+        if what == "position":
+            t[axis] = value / 1000
+        else:
+            numbers = rotation_numbers(R, self.form)
+            numbers[axis] = value
+            R = rotation_from_numbers(numbers, self.form)
+        return self.set_pose(SE3(R, t))
+
+    def type_number(self, what: Literal["position", "rotation"], axis: int, text: str) -> bool:
+        """`set_number` of what was typed.
+
+        Raises:
+            ToolkitError: it is no number.
+        """
+        return self.set_number(what, axis, _number(text, what))
+
+    def type_quaternion(self, text: str) -> bool:
+        """Set the rotation from four numbers w x y z.
+
+        Raises:
+            ToolkitError: other than four numbers, or not of length 1.
+        """
+        T = self.pose
+        words = _ORNAMENT.sub(" ", text).split()
+        if len(words) != 4:
+            raise ToolkitError("a quaternion needs 4 numbers: w x y z", value=text)
+        numbers = [_number(word, "quaternion") for word in words]
+        R = rotation_from_numbers(numbers, RotationForm.QUATERNION)
+        return T is not None and self.set_pose(SE3(R, T.t))
+
+    def copied(self) -> str:
+        """The 4x4 matrix as text, "" without a pose."""
+        T = self.pose
+        return "" if T is None else matrix_text(T)
+
+    def tell_copied(self) -> None:
+        self._c.tell(f"Copied the 4x4 matrix, mesh to {self.where}, metres.")
+
+    def paste(self, text: str) -> bool:
+        """Set the pose from text; see `parse_matrix`."""
+        return self.set_pose(parse_matrix(text), method="pasted")
+
+    def provenance(self) -> str:
+        """Who set this pose, when, and with what."""
+        c = self._c
+        if c.selected is None:
+            return "Select an object to see its pose."
+        if self.pose is None:
+            return f"{c.selected} has no pose in frame {c.active_frame} yet."
+        obj = c.session.object(c.selected)
+        placement = obj.placements.get(c.active_frame) or next(iter(obj.placements.values()))
+        frame = next(f for f, p in obj.placements.items() if p is placement)
+        parts = [placement.method or "placed"]
+        if placement.annotator:
+            parts.append(f"by {placement.annotator}")
+        if placement.time:
+            parts.append(local_minute(placement.time))
+        parts.append(f"in frame {frame}")
+        text = ", ".join(parts) + "."
+        if placement.refinement:
+            text += f"\n{placement.refinement}"
+        return text + (f"\nNote: {obj.note}" if obj.note else "")
 
 
 def _number(text: str, what: str) -> float:

@@ -8,6 +8,7 @@ from PySide6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QSpinBox, QToolB
 
 from annotator.app.controller import Controller
 from annotator.app.events import Event
+from annotator.app.panels import FrameMarks, frame_marks
 from annotator.qt import theme
 from annotator.qt.commands import Commands
 
@@ -24,10 +25,8 @@ class FrameStrip(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self.count = 0
-        self.registered: list[bool] = []
         self.at = 0
-        self.sides: list[int] = []
-        self.placed: list[int] = []
+        self.marks = FrameMarks((), (), ())
         self.setMouseTracking(True)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.setCursor(Qt.CursorShape.PointingHandCursor)
@@ -52,22 +51,15 @@ class FrameStrip(QWidget):
         painter.drawRoundedRect(groove, 2, 2)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing, False)
         # Runs of frames whose camera pose is known.
-        start: int | None = None
         cell = groove.width() / max(self.count, 1)
-        for i in range(self.count + 1):
-            known = i < self.count and self.registered[i]
-            if known and start is None:
-                start = i
-            elif not known and start is not None:
-                painter.fillRect(
-                    QRectF(8 + start * cell, 10, (i - start) * cell, 6), QColor("#5a5a5a")
-                )
-                start = None
+        for first, last in self.marks.runs:
+            run = QRectF(8 + first * cell, 10, (last + 1 - first) * cell, 6)
+            painter.fillRect(run, QColor("#5a5a5a"))
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        for index in self.placed:
+        for index in self.marks.placed:
             painter.setBrush(QColor(theme.GOOD))
             painter.drawEllipse(QPointF(self.x_of(index), 21), 2.2, 2.2)
-        for index in self.sides:
+        for index in self.marks.sides:
             x = self.x_of(index)
             painter.setBrush(QColor(theme.TEXT))
             painter.drawPolygon(QPolygonF([QPointF(x - 4, 2), QPointF(x + 4, 2), QPointF(x, 9)]))
@@ -89,14 +81,18 @@ class FrameStrip(QWidget):
         step = -1 if event.angleDelta().y() > 0 else 1
         self.chosen.emit(min(max(self.at + step, 0), max(self.count - 1, 0)))
 
+    def is_registered(self, index: int) -> bool:
+        """Whether the camera pose of a frame is known."""
+        return any(first <= index <= last for first, last in self.marks.runs)
+
     def _told(self, index: int) -> str:
         if not self.count:
             return ""
         parts = [f"Frame {index + 1} of {self.count}"]
-        parts.append("camera pose known" if self.registered[index] else "no camera pose")
-        if index in self.sides:
+        parts.append("camera pose known" if self.is_registered(index) else "no camera pose")
+        if index in self.marks.sides:
             parts.append("in a side view")
-        if index in self.placed:
+        if index in self.marks.placed:
             parts.append("an object was placed here")
         return ", ".join(parts)
 
@@ -115,10 +111,8 @@ class FrameBar(QWidget):
         self._controller = controller
         self._ids = [f.id for f in controller.session.scene.frames]
         self._place = {id: i for i, id in enumerate(self._ids)}
-        usable = frozenset(controller.session.frames) if controller.session.posed else frozenset()
         self.strip = FrameStrip()
         self.strip.count = len(self._ids)
-        self.strip.registered = [id in usable for id in self._ids]
         self.strip.chosen.connect(self._choose)
         self.number = QSpinBox()
         self.number.setRange(self._ids[0], self._ids[-1])
@@ -157,20 +151,12 @@ class FrameBar(QWidget):
         c = self._controller
         strip = self.strip
         strip.at = self._place[c.frame]
-        strip.sides = [self._place[f] for f in c.view_frames[1:]]
-        strip.placed = sorted(
-            {
-                self._place[f]
-                for o in c.session.state.objects
-                for f in o.placements
-                if f in self._place
-            }
-        )
+        strip.marks = frame_marks(c)
         strip.update()
         if not self.number.hasFocus():
             self.number.setValue(c.frame)
-        registered = strip.registered[strip.at]
-        known = "" if not c.session.posed else "" if registered else " · no camera pose"
+        registered = not c.session.posed or strip.is_registered(strip.at)
+        known = "" if registered else " · no camera pose"
         text = f"{strip.at + 1} of {strip.count} · {c.session.scene.frame(c.frame).name}{known}"
         if text != self.label.text():
             self.label.setText(text)

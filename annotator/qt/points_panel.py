@@ -20,7 +20,7 @@ from PySide6.QtWidgets import (
 
 from annotator.app.controller import Controller
 from annotator.app.events import Event
-from annotator.app.object_summary import ClickRow, click_rows
+from annotator.app.panels import ClickRow, click_rows
 from annotator.qt import theme
 from annotator.qt.commands import Commands
 from annotator.qt.theme import icon

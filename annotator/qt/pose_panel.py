@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Literal
+
 from PySide6.QtCore import QSignalBlocker, Qt, QTimer, Signal
 from PySide6.QtWidgets import (
     QApplication,
@@ -10,6 +11,7 @@ from PySide6.QtWidgets import (
     QGridLayout,
     QHBoxLayout,
     QLabel,
+    QLineEdit,
     QPushButton,
     QToolButton,
     QVBoxLayout,
@@ -19,25 +21,15 @@ from PySide6.QtWidgets import (
 from annotator.app.controller import STEPS, Controller
 from annotator.app.events import Event
 from annotator.app.pose_text import (
+    FORM_TIPS,
+    FORM_TITLES,
+    PoseFields,
     RotationForm,
-    local_minute,
-    matrix_text,
-    parse_matrix,
-    rotation_from_numbers,
-    rotation_numbers,
+    quaternion_text,
 )
 from annotator.qt.commands import Commands
 from annotator.qt.number_field import NumberField
 from annotator.qt.theme import icon
-from annotator.session import SetPoses
-from std_toolkit.geometry import SE3
-
-_TURN_TIPS = {
-    RotationForm.EULER: "Angle about the fixed {axis} axis; the turns are made in the order "
-    "x, y, z.",
-    RotationForm.VECTOR: "{axis} part of the rotation vector: its direction is the axis of the "
-    "turn, its length the angle.",
-}
 
 
 class PosePanel(QWidget):
@@ -52,6 +44,7 @@ class PosePanel(QWidget):
     def __init__(self, controller: Controller, commands: Commands) -> None:
         super().__init__()
         self._controller = controller
+        self.fields = PoseFields(controller)
         self._frame_box = QComboBox()
         self._frame_box.addItem("camera", False)
         self._frame_box.addItem("world", True)
@@ -59,12 +52,12 @@ class PosePanel(QWidget):
             "<b>Frame of the numbers</b><br>Camera: x right, y down, z away."
         )
         self._form_box = QComboBox()
-        self._form_box.addItem("Euler x y z", RotationForm.EULER)
-        self._form_box.addItem("rotation vector", RotationForm.VECTOR)
-        self._form_box.setToolTip("<b>How the rotation is told</b><br>Three numbers in degrees.")
+        for form, title in FORM_TITLES.items():
+            self._form_box.addItem(title, form)
+        self._form_box.setToolTip("<b>How the rotation is written</b><br>Angles are in degrees.")
         for box in (self._frame_box, self._form_box):
             box.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
-            box.currentIndexChanged.connect(lambda _: self.refresh())
+            box.currentIndexChanged.connect(lambda _: self._choose())
 
         grid = QGridLayout()
         grid.setHorizontalSpacing(4)
@@ -81,10 +74,16 @@ class PosePanel(QWidget):
             self.position[column].setToolTip(
                 f"{axis} of the mesh's origin. Enter applies; the arrow keys step."
             )
-            self.position[column].typed.connect(lambda v, i=column: self._move(i, v))
-            self.rotation[column].typed.connect(lambda v, i=column: self._turn(i, v))
+            self.position[column].typed.connect(lambda v, i=column: self._type("position", i, v))
+            self.rotation[column].typed.connect(lambda v, i=column: self._type("rotation", i, v))
         for field in (*self.position, *self.rotation):
             field.left.connect(self.left)
+        self.quaternion = QLineEdit()
+        self.quaternion.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.quaternion.setToolTip(FORM_TIPS[RotationForm.QUATERNION])
+        self.quaternion.editingFinished.connect(self._type_quaternion)
+        self.quaternion.returnPressed.connect(self.left)
+        grid.addWidget(self.quaternion, 3, 0, 1, 3)
 
         self.copy_button = _button("copy", "Copy 4x4", "Copy the pose as a 4x4 matrix, metres.")
         self.copy_button.clicked.connect(self.copy)
@@ -150,66 +149,34 @@ class PosePanel(QWidget):
         row.addWidget(axes)
         return row
 
-    # --- the pose in the chosen frame ------------------------------------------------------------
+    # --- typing -----------------------------------------------------------------------------------
 
-    @property
-    def in_world(self) -> bool:
-        return bool(self._frame_box.currentData())
+    def _choose(self) -> None:
+        self.fields.in_world = bool(self._frame_box.currentData())
+        self.fields.form = RotationForm(self._form_box.currentData())
+        self.refresh()
 
-    @property
-    def form(self) -> RotationForm:
-        return RotationForm(self._form_box.currentData())
-
-    def pose(self) -> SE3 | None:
-        """What the fields show; None if the selected object has no pose here."""
-        c = self._controller
-        if c.selected is None:
-            return None
-        T_cam_obj = c.pose(c.selected, c.active_frame)
-        if T_cam_obj is None or not self.in_world:
-            return T_cam_obj
-        T_world_cam = c.session.T_world_cam(c.active_frame)
-        return None if T_world_cam is None else T_world_cam @ T_cam_obj
-
-    def _set_pose(self, T: SE3, method: str) -> None:
-        c = self._controller
-        if c.selected is None:
-            return
-        if self.in_world:
-            T_world_cam = c.session.T_world_cam(c.active_frame)
-            if T_world_cam is None:
-                return
-            T = T_world_cam.inverse() @ T
-        c.cancel_drag()
-        if not c.apply(SetPoses.one(c.selected, c.active_frame, T, method=method)):
+    def _type(self, what: Literal["position", "rotation"], axis: int, value: float) -> None:
+        if not self.fields.set_number(what, axis, value):
             self.refresh()
 
-    def _move(self, axis: int, value_mm: float) -> None:
-        T = self.pose()
-        if T is not None:
-            t = T.t.copy()
-            t[axis] = value_mm / 1000
-            self._set_pose(SE3(T.R, t), "typed")
-
-    def _turn(self, axis: int, value_deg: float) -> None:
-        T = self.pose()
-        if T is not None:
-            numbers = rotation_numbers(T.R, self.form)
-            numbers[axis] = value_deg
-            self._set_pose(SE3(rotation_from_numbers(numbers, self.form), T.t), "typed")
+    def _type_quaternion(self) -> None:
+        if self.quaternion.isModified():
+            text = self.quaternion.text()
+            self._controller.attempt(lambda: self.fields.type_quaternion(text))
+            self.quaternion.setModified(False)
+            self.refresh()
 
     def copy(self) -> None:
         """The shown pose onto the clipboard."""
-        T = self.pose()
-        if T is not None:
-            QApplication.clipboard().setText(matrix_text(T))
-            where = "world" if self.in_world else f"camera of frame {self._controller.active_frame}"
-            self._controller.tell(f"Copied the 4x4 matrix, mesh to {where}, metres.")
+        if text := self.fields.copied():
+            QApplication.clipboard().setText(text)
+            self.fields.tell_copied()
 
     def paste(self) -> None:
         """The pose from the clipboard."""
         text = QApplication.clipboard().text()
-        self._controller.attempt(lambda: self._set_pose(parse_matrix(text), "pasted"))
+        self._controller.attempt(lambda: self.fields.paste(text))
 
     # --- showing ---------------------------------------------------------------------------------
 
@@ -220,41 +187,27 @@ class PosePanel(QWidget):
             self._frame_box.setEnabled(c.session.posed)
             if not c.session.posed:
                 self._frame_box.setCurrentIndex(0)
-        T = self.pose()
-        editable = c.selected is not None and c.session.writable
+                self.fields.in_world = False
+        placed, form = self.fields.pose is not None, self.fields.form
+        position, rotation = self.fields.numbers()
+        for field in (*self.position, *self.rotation, self.quaternion):
+            field.setEnabled(placed and c.session.writable)
         for field in (*self.position, *self.rotation):
-            field.setEnabled(T is not None and c.session.writable)
             field.setSingleStep(c.step)
-        self.copy_button.setEnabled(T is not None)
-        self.paste_button.setEnabled(editable)
-        numbers = np.zeros(6)
-        if T is not None:
-            numbers = np.concatenate([1000 * T.t, rotation_numbers(T.R, self.form)])
-        for field, value in zip((*self.position, *self.rotation), numbers, strict=True):
+        self.copy_button.setEnabled(placed)
+        self.paste_button.setEnabled(c.selected is not None and c.session.writable)
+        for field, value in zip(self.position, position, strict=True):
             field.show_number(float(value))
-        for axis, field in zip("xyz", self.rotation, strict=True):
-            field.setToolTip(_TURN_TIPS[self.form].format(axis=axis))
-        self.provenance.setText(self._provenance(T is not None))
-
-    def _provenance(self, placed: bool) -> str:
-        c = self._controller
-        if c.selected is None:
-            return "Select an object to see its pose."
-        if not placed:
-            return f"{c.selected} has no pose in frame {c.active_frame} yet."
-        obj = c.session.object(c.selected)
-        placement = obj.placements.get(c.active_frame) or next(iter(obj.placements.values()))
-        frame = next(f for f, p in obj.placements.items() if p is placement)
-        parts = [placement.method or "placed"]
-        if placement.annotator:
-            parts.append(f"by {placement.annotator}")
-        if placement.time:
-            parts.append(local_minute(placement.time))
-        parts.append(f"in frame {frame}")
-        told = ", ".join(parts) + "."
-        if placement.refinement:
-            told += f"\n{placement.refinement}"
-        return told + (f"\nNote: {obj.note}" if obj.note else "")
+        as_quaternion = form is RotationForm.QUATERNION
+        self.quaternion.setVisible(as_quaternion)
+        if as_quaternion and not self.quaternion.isModified():
+            self.quaternion.setText(quaternion_text(rotation))
+        for axis, field, value in zip("xyz", self.rotation, rotation[-3:], strict=True):
+            field.setVisible(not as_quaternion)
+            field.setToolTip(FORM_TIPS[form].format(axis=axis))
+            if not as_quaternion:
+                field.show_number(float(value))
+        self.provenance.setText(self.fields.provenance())
 
     def _on_event(self, event: Event) -> None:
         if event.kind == "preview" and not self._soon.isActive():

@@ -18,17 +18,10 @@ from PySide6.QtWidgets import (
 
 from annotator.app.controller import Controller
 from annotator.app.events import Event
-from annotator.app.object_summary import (
-    CHANCE_SHARE,
-    DEPTH_MM,
-    EDGE_PX,
-    depth_grade,
-    edge_grade,
-    grade_row,
-)
+from annotator.app.object_summary import CHANCE_SHARE, DEPTH_MM, EDGE_PX
+from annotator.app.panels import ResidualRow, residual_rows, verdict, weak_direction
 from annotator.qt import theme
 from annotator.qt.commands import Commands
-from annotator.session.residuals import FrameResidual
 
 _INK = {
     "good": theme.GOOD,
@@ -102,30 +95,21 @@ class ResidualPanel(QWidget):
 
     def refresh(self) -> None:
         c = self._controller
-        rows = c.residuals.get(c.selected, []) if c.selected is not None else []
+        rows = residual_rows(c)
         self.table.setRowCount(len(rows))
         for i, row in enumerate(rows):
             self._fill(i, row)
         self.table.setVisible(bool(rows))
-        self.summary.setText(_sentence(c, rows))
-        weak = "" if c.selected is None else c.weak_directions.get(c.selected, "")
-        self.weak.setText(f"{weak[:1].upper()}{weak[1:]}." if weak else "")
-        self.weak.setVisible(bool(weak))
+        self.summary.setText(verdict(c))
+        self.weak.setText(weak_direction(c))
+        self.weak.setVisible(bool(self.weak.text()))
 
-    def _fill(self, i: int, row: FrameResidual) -> None:
-        cells = [
-            str(row.frame),
-            "none" if row.edge_px is None else f"{row.edge_px:.1f} px",
-            "" if row.edge_chance_px is None else f"{row.edge_chance_px:.1f} px",
-            ""
-            if row.depth_mm is None
-            else f"{row.depth_mm:+.{0 if abs(row.depth_mm) > 99 else 1}f} mm",
-        ]
+    def _fill(self, i: int, row: ResidualRow) -> None:
+        cells = [str(row.frame), row.edges, row.chance, row.depth]
         if row.problem:
             cells[1:] = [row.problem, "", ""]
         # Each number by what it tells itself: edges at the level of chance are grey.
-        edges, depth = edge_grade(row) or "unknown", depth_grade(row) or "unknown"
-        inks = (theme.TEXT, _INK[edges], theme.MUTED, _INK[depth])
+        inks = (theme.TEXT, _INK[row.edge_grade], theme.MUTED, _INK[row.depth_grade])
         for column, text in enumerate(cells):
             item = QTableWidgetItem(text)
             item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
@@ -137,21 +121,3 @@ class ResidualPanel(QWidget):
     def _on_event(self, event: Event) -> None:
         if event.kind in ("edited", "selected", "residuals"):
             self.refresh()
-
-
-def _sentence(c: Controller, rows: list[FrameResidual]) -> str:
-    if c.selected is None:
-        return "Select an object to see how well it fits."
-    if c.session.pose(c.selected, c.active_frame) is None:
-        return f"{c.selected} has no pose yet."
-    if not rows:
-        return f"Not measured since {c.selected} moved."
-    grades = [grade_row(r) for r in rows if not r.problem]
-    if not grades or all(g == "unknown" for g in grades):
-        return "Nothing in these frames tells its place apart from chance: judge by eye."
-    worst = [r.frame for r in rows if grade_row(r) == "poor"]
-    if worst:
-        return f"Off in frame {', '.join(map(str, worst))}: look there."
-    if all(edge_grade(r) is None for r in rows):
-        return "The depth agrees, but the edges tell nothing here: judge the contour by eye."
-    return "It fits in every frame where it could be measured."

@@ -7,7 +7,7 @@ import base64
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -20,7 +20,7 @@ from annotator.app.dialogs import Dialogs
 from annotator.app.events import Event, Notice, Notices
 from annotator.app.image_cache import ImageCache
 from annotator.app.placing import add_object, drop_model, drop_object
-from annotator.app.pose_text import type_number
+from annotator.app.pose_text import PoseFields, RotationForm
 from annotator.app.questions import Question
 from annotator.app.tasks import ThreadRunner
 from annotator.app.view_options import choose_view_frames
@@ -62,6 +62,7 @@ class FrontEnd:
         if session.state.objects:
             c.select(session.state.objects[0].name)
         self.dialogs = Dialogs(c, self._show_question)
+        self._fields = PoseFields(c)
         self._action_of = {k: a.id for a in available_actions(c.dialogs) for k in a.keys}
         views = len(c.view_frames)
         self._build_page(server, views)
@@ -101,7 +102,8 @@ class FrontEnd:
         self._state.client_only("sliding", "fading", "sought")
         self._refresh()
         for name in ("act", "select", "show_frame", "answer", "close_notice", "add_object",
-                     "set_number", "set_opacity", "remove_point"):  # fmt: skip
+                     "set_number", "set_form", "copied", "paste", "set_opacity",
+                     "remove_point"):  # fmt: skip
             server.trigger(name)(getattr(self, name))
         server.controller.on_client_connected.add(self._connected)
         build_page(server, views=views)
@@ -148,11 +150,11 @@ class FrontEnd:
 
     def _refresh(self) -> None:
         self._refresh_planned = False
-        self._set(**page_state(self.controller))
+        self._set(**page_state(self.controller, self._fields))
 
     def _refresh_pose(self) -> None:
         self._refresh_planned = False
-        self._set(**page_pose(self.controller))
+        self._set(**page_pose(self.controller, self._fields))
 
     def _show_notices(self, notices: list[Notice]) -> None:
         self._set(notices=[asdict(notice) for notice in notices])
@@ -284,12 +286,35 @@ class FrontEnd:
     def set_opacity(self, percent: float) -> None:
         self.controller.set_options(opacity=min(max(float(percent), 10), 100) / 100)
 
-    def set_number(self, what: str, axis: int, text: str) -> None:
-        """A number of the pose was typed: position in mm, turn (rotation vector) in degrees."""
-        if not self.controller.attempt(lambda: type_number(self.controller, what, axis, text)):
+    def set_form(self, in_world: bool, form: str) -> None:
+        """In which frame and form the numbers of the pose are."""
+        self._fields.in_world = bool(in_world) and self.controller.session.posed
+        self._fields.form = RotationForm(form)
+        self._refresh()
+
+    def set_number(
+        self, what: Literal["position", "rotation", "quaternion"], axis: int, text: str
+    ) -> None:
+        """A number of the pose was typed, or the "quaternion" as a whole."""
+
+        def enter() -> None:
+            if what == "quaternion":
+                self._fields.type_quaternion(text)
+            elif axis in (0, 1, 2):
+                self._fields.type_number(what, axis, text)
+
+        if not self.controller.attempt(enter):
             # The field is made anew, with the number as it is.
             self._set(mistyped=self._state["mistyped"] + 1)
         self._refresh()
+
+    def copied(self) -> None:
+        """The page has put the pose onto the clipboard."""
+        self._fields.tell_copied()
+
+    def paste(self) -> None:
+        """Ask for a pose: a page may not read the clipboard by itself."""
+        self.dialogs.ask_pose(f"mesh to {self._fields.where}", self._fields.paste)
 
 
 def _as_png(rgb: NDArray[np.uint8]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,21 @@ from annotator.app.action_table import (
 )
 from annotator.app.controller import Controller
 from annotator.app.icons import symbols
-from annotator.app.object_summary import click_rows, next_hint, progress, summarize
-from annotator.app.pose_text import RotationForm, rotation_numbers
+from annotator.app.object_summary import next_hint, progress, summarize
+from annotator.app.panels import (
+    click_rows,
+    frame_marks,
+    residual_rows,
+    verdict,
+    weak_direction,
+)
+from annotator.app.pose_text import (
+    FORM_TIPS,
+    FORM_TITLES,
+    PoseFields,
+    RotationForm,
+    quaternion_text,
+)
 from annotator.app.questions import symmetry_summary
 from annotator.session import Session
 from std_toolkit.html.plots import object_color
@@ -101,6 +115,8 @@ def page_constants(session: Session, *, dialogs: frozenset[str]) -> dict[str, An
         "frame_count": len(session.scene.frames),
         "menus": [_menu(menu, dialogs) for menu in MENUS],
         "tools": _tools(dialogs),
+        "forms": [{"value": f, "title": t, "tip": FORM_TIPS[f]} for f, t in FORM_TITLES.items()],
+        "posed": session.posed,
     }
 
 
@@ -144,8 +160,12 @@ def _menu(name: str, dialogs: frozenset[str]) -> dict[str, Any]:
     return {"name": name, "entries": entries}
 
 
-def page_state(c: Controller) -> dict[str, Any]:
-    """Everything beside the pictures."""
+def page_state(c: Controller, fields: PoseFields) -> dict[str, Any]:
+    """Everything beside the pictures.
+
+    Args:
+        fields: the numbers of the pose.
+    """
     frames = [f.id for f in c.session.scene.frames]
     return {
         "objects": _objects(c),
@@ -166,14 +186,18 @@ def page_state(c: Controller) -> dict[str, Any]:
         "step": c.step,
         "axes": c.axes,
         "points": _points(c),
-        "residuals": _residuals(c),
-        **page_pose(c),
+        "residuals": [asdict(row) for row in residual_rows(c)],
+        "verdict": verdict(c),
+        "weak": weak_direction(c),
+        "marks": asdict(frame_marks(c)),
+        "provenance": fields.provenance(),
+        **page_pose(c, fields),
     }
 
 
-def page_pose(c: Controller) -> dict[str, Any]:
+def page_pose(c: Controller, fields: PoseFields) -> dict[str, Any]:
     """The part of it that changes as an object is dragged."""
-    return {"pose": _pose(c), "hint": next_hint(c)}
+    return {"pose": _pose(fields), "hint": next_hint(c)}
 
 
 def _frame_problem(c: Controller) -> str:
@@ -215,15 +239,20 @@ def _model(model: Any) -> dict[str, Any]:
     return {"id": model.id, "told": told, "explanation": f"{size} mm, {model.category}, {turns}"}
 
 
-def _pose(c: Controller) -> dict[str, Any] | None:
-    """Position of the selected object in the camera of the view in hand, mm and degrees."""
-    T = None if c.selected is None else c.pose(c.selected, c.active_frame)
-    if T is None:
+def _pose(fields: PoseFields) -> dict[str, Any] | None:
+    """The numbers of the selected object's pose, mm and degrees; None without a pose."""
+    if fields.pose is None:
         return None
+    position, rotation = fields.numbers()
+    as_quaternion = fields.form is RotationForm.QUATERNION
     return {
-        "frame": c.active_frame,
-        "position": [f"{1000 * x:.2f}" for x in T.t],
-        "rotation": [f"{x:.3f}" for x in rotation_numbers(T.R, RotationForm.VECTOR)],
+        "where": fields.where,
+        "in_world": fields.in_world,
+        "form": fields.form,
+        "position": [f"{x:.2f}" for x in position],
+        "rotation": [] if as_quaternion else [f"{x:.3f}" for x in rotation],
+        "quaternion": quaternion_text(rotation) if as_quaternion else "",
+        "matrix": fields.copied(),
     }
 
 
@@ -238,20 +267,4 @@ def _points(c: Controller) -> list[dict[str, Any]]:
             "residual": "" if row.residual_px is None else f"{row.residual_px:.1f} px",
         }
         for row in click_rows(c, c.selected)
-    ]
-
-
-def _residuals(c: Controller) -> list[dict[str, Any]]:
-    def number(value: float | None, unit: str) -> str:
-        return "–" if value is None else f"{value:.1f} {unit}"
-
-    return [
-        {
-            "frame": row.frame,
-            "edge": number(row.edge_px, "px"),
-            "chance": number(row.edge_chance_px, "px"),
-            "depth": number(row.depth_mm, "mm"),
-            "problem": row.problem,
-        }
-        for row in c.residuals.get(c.selected or "", ())
     ]

@@ -68,14 +68,14 @@ def run_recipe(
         after: is told what there is so far, after every variant; at least once.
 
     Raises:
-        ToolkitError: no test is at hand, or a set or a pack cannot be made, or is another than it
+        ToolkitError: no test is available, or a set or a pack cannot be made, or is another than it
             was.
     """
     jobs = jobs or JobOptions()
     if all(plan.place(target) is None for target in plan.targets):
         first = plan.targets[0]
         raise ToolkitError(
-            "no test of this recipe is at hand: nothing could be scored",
+            "no test of this recipe is available: nothing could be scored",
             value=[target.name for target in plan.targets],
             hint=f"{first.absent} (`--plan` tells about all tests)",
         )

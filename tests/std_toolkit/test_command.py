@@ -13,7 +13,7 @@ from typing import Annotated
 import msgspec
 import pytest
 
-from std_toolkit.cli.command import Command, Program, parse_options
+from std_toolkit.cli.command import Command, Program, parse_options, words_of
 from std_toolkit.errors import ToolkitError
 
 
@@ -163,6 +163,17 @@ def test_what_options_refuse_themselves_is_wrong_usage(
     command = Command(name="n", about="", options=f"{__name__}:Named", run=f"{__name__}:gate")
     assert Program(name="std-n", about="", commands=(command,)).main(words) == 2
     assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        Options(scene=Path("a b"), policy=Policy.MODELS, share=0.25, jobs=Jobs(workers=2)),
+        Named(split=("a", "b"), phases={"one": 3}, jobs=Jobs(workers=4, bar=False)),
+    ],
+)
+def test_words_of_options_are_parsed_to_them(options: Options | Named) -> None:
+    assert parse_options(type(options), words_of(options), "std-draw")[0] == options
 
 
 def test_default_command_takes_what_names_none() -> None:

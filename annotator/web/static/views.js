@@ -269,6 +269,24 @@ function dragBegins(event) {
   if (picture) event.dataTransfer.setDragImage(picture, picture.width / 2, picture.height / 2);
 }
 
+// --- the clipboard ------------------------------------------------------------------------------
+
+async function copied(event) {
+  const source = event.target.closest?.("[data-copy]");
+  if (!source) return;
+  try {
+    await navigator.clipboard.writeText(source.dataset.copy);
+  } catch {
+    // Over plain HTTP from another machine there is only the old way.
+    const field = document.createElement("textarea");
+    field.value = source.dataset.copy;
+    document.body.append(field);
+    field.select();
+    document.execCommand("copy");
+    field.remove();
+  }
+}
+
 // --- the connection -----------------------------------------------------------------------------
 
 let leaving = false;
@@ -307,6 +325,7 @@ customElements.define("annotator-view", AnnotatorView);
 document.addEventListener("keydown", keyPressed);
 document.addEventListener("keyup", (event) => { channel.ctrlHeld = event.ctrlKey; });
 document.addEventListener("dragstart", dragBegins);
+document.addEventListener("click", copied);
 // A button that was clicked would take the next Space and Return.
 document.addEventListener("click", (event) => {
   if (!event.target.closest?.("input, textarea, .v-dialog")) document.activeElement?.blur();

@@ -6,16 +6,29 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from pages import looks, opened, picture_number, wait_for_picture
+from pages import (
+    looks,
+    notice,
+    opened,
+    picture_number,
+    position,
+    wait_for_move,
+    wait_for_picture,
+    wait_until_at,
+)
 from serving import Served
 
 from annotator.app.action_table import TOOLS
 from annotator.app.icons import STROKES
+from annotator.app.pose_text import parse_matrix
+from std_toolkit.geometry import SE3, so3_exp
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 pytestmark = pytest.mark.slow
+
+QUARTER = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
 
 
 def test_the_tool_bar_has_the_tools_of_the_window_with_the_same_icons(
@@ -49,3 +62,119 @@ def test_opacity_is_set_by_its_slider_and_follows_the_keys(served: Served, page:
     assert (np.abs(looks(page) - before).max(axis=2) > 40).mean() > 0.005  # where the box is
     page.keyboard.press("[")
     page.wait_for_selector("[data-tool='opacity'] .v-slider-thumb[aria-valuenow='90']")
+
+
+def rotation(page: Page, form: str) -> np.ndarray:
+    """The numbers of the rotation in one of its forms."""
+    labels = {"euler": "Euler", "vector": "rotation vector", "quaternion": "quaternion"}
+    page.locator("[data-pick='form']").select_option(form)
+    page.wait_for_selector(f"#pose[data-form='{form}']")
+    assert labels[form] in page.locator(f"[data-pick='form'] [value='{form}']").inner_text()
+    values = page.eval_on_selector_all("[data-rotation] input", "all => all.map(i => i.value)")
+    return np.array(" ".join(values).split(), dtype=float)
+
+
+def shown_pose(page: Page) -> SE3:
+    """The pose as the page would copy it."""
+    return parse_matrix(page.locator("[data-tool='copy']").get_attribute("data-copy") or "")
+
+
+def test_the_rotation_is_shown_and_typed_as_angles_vector_and_quaternion(
+    served: Served, page: Page
+) -> None:
+    opened(page, served.url)
+    R = shown_pose(page).R
+    x, y, z = np.radians(rotation(page, "euler"))
+    euler = so3_exp([0, 0, z]) @ so3_exp([0, y, 0]) @ so3_exp([x, 0, 0])
+    np.testing.assert_allclose(euler, R, atol=2e-5)
+    vector = np.radians(rotation(page, "vector"))
+    np.testing.assert_allclose(so3_exp(vector), R, atol=2e-5)
+    quaternion = SE3.from_quat(rotation(page, "quaternion"), np.zeros(3))
+    np.testing.assert_allclose(quaternion.R, R, atol=2e-5)
+    field = page.locator("[data-rotation='quaternion'] input")
+    field.fill("0.70711 0 0 0.70711")
+    field.press("Enter")
+    page.wait_for_selector("[data-tool='undo']:not([disabled])")
+    np.testing.assert_allclose(shown_pose(page).R, QUARTER, atol=1e-9)
+    field.fill("2 0 0 0")
+    field.press("Enter")
+    notice(page, "must have length 1")
+    np.testing.assert_allclose(shown_pose(page).R, QUARTER, atol=1e-9)
+    np.testing.assert_allclose(rotation(page, "euler"), [0, 0, 90], atol=0.001)
+    page.keyboard.press("Control+z")
+
+
+def test_a_pose_is_copied_and_pasted_as_a_matrix(served: Served, page: Page) -> None:
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    opened(page, served.url)
+    before = position(page)
+    page.locator("[data-tool='copy']").click()
+    notice(page, "Copied the 4x4 matrix, mesh to camera of frame 0")
+    copied = page.evaluate("navigator.clipboard.readText()")
+    np.testing.assert_allclose(1000 * parse_matrix(copied).t, before, atol=0.006)
+    page.keyboard.press("ArrowRight")
+    wait_for_move(page, before)
+    page.locator("[data-tool='paste']").click()
+    page.locator("[data-field='matrix'] textarea").first.fill(copied)
+    page.locator("[data-answer='set']").click()
+    wait_until_at(page, before)
+    page.wait_for_selector("#provenance:has-text('pasted')")
+    page.locator("[data-tool='paste']").click()
+    page.locator("[data-field='matrix'] textarea").first.fill("1 2 3")
+    page.locator("[data-answer='set']").click()
+    notice(page, "needs 16 numbers")
+    wait_until_at(page, before)
+
+
+def test_numbers_can_be_those_of_the_world(served: Served, page: Page) -> None:
+    opened(page, served.url)
+    page.keyboard.press("Control+Home")
+    page.keyboard.press("Control+ArrowRight")
+    page.wait_for_selector("#frame:has-text('2 of 3')")
+    page.wait_for_selector("#pose option:has-text('camera of frame 1')", state="attached")
+    in_camera = position(page)
+    page.locator("[data-pick='frame']").select_option("world")
+    in_world = wait_for_move(page, in_camera)
+    field = page.locator("[data-position='2'] input")
+    higher = in_world + np.array([0, 0, 10])
+    field.fill(f"{higher[2]:.2f}")
+    field.press("Enter")
+    wait_until_at(page, higher, tolerance=0.02)
+    page.locator("[data-pick='frame']").select_option("camera")
+    moved = wait_for_move(page, higher)
+    assert np.linalg.norm(moved - in_camera) == pytest.approx(10, abs=0.05)
+    page.keyboard.press("Control+z")
+    wait_until_at(page, in_camera)
+
+
+def test_the_verdict_follows_the_measurement(served: Served, page: Page) -> None:
+    opened(page, served.url)
+    before = position(page)
+    page.wait_for_selector("#verdict:has-text('judge by eye')")
+    page.keyboard.press("ArrowRight")
+    page.wait_for_selector("#verdict:has-text('Not measured since box_1 moved')")
+    page.wait_for_selector("#verdict:has-text('judge by eye')")  # measured by itself
+    page.keyboard.press("Control+z")
+    wait_until_at(page, before)
+
+
+def test_the_slider_marks_camera_poses_side_views_and_placed_objects(
+    served: Served, page: Page
+) -> None:
+    opened(page, served.url)
+    page.keyboard.press("Control+Home")
+    page.wait_for_selector("#frame:has-text('1 of 3')")
+    left = "all => all.map(m => m.style.left)"
+    assert page.eval_on_selector_all(".marks .side-mark", left) == ["50%", "100%"]
+    assert "0%" in page.eval_on_selector_all(".marks .placed-mark", left)
+    assert page.eval_on_selector_all(".marks .run", "all => all.map(m => m.style.right)") == ["0%"]
+    # A mark is where the thumb is at that frame.
+    page.keyboard.press("Control+ArrowRight")
+    page.wait_for_selector("#frame:has-text('2 of 3')")
+    page.wait_for_timeout(300)  # the thumb slides there
+    mark = page.locator(".marks .side-mark").first.bounding_box()
+    thumb = page.locator(".bottom .v-slider-thumb").bounding_box()
+    assert mark is not None and thumb is not None
+    middle = [box["x"] + box["width"] / 2 for box in (mark, thumb)]
+    assert middle[0] == pytest.approx(middle[1], abs=1.5)
+    page.keyboard.press("Control+Home")

@@ -1,0 +1,159 @@
+"""What the panels show: residuals and their verdict, clicked points, marks on the frame slider."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from annotator.app.controller import Controller
+from annotator.app.object_summary import Grade, depth_grade, edge_grade, grade_row
+
+if TYPE_CHECKING:
+    from annotator.session.residuals import FrameResidual
+
+
+@dataclass(frozen=True)
+class ResidualRow:
+    """How well the selected object fits one frame, as text.
+
+    Attributes:
+        edges, chance, depth: a number with its unit, "" if it was not measured.
+        edge_grade, depth_grade: how good they are; edges at the level of chance are unknown.
+        problem: why nothing was measured, or "".
+    """
+
+    frame: int
+    edges: str
+    chance: str
+    depth: str
+    edge_grade: Grade
+    depth_grade: Grade
+    problem: str
+
+
+def residual_rows(c: Controller) -> list[ResidualRow]:
+    """Residuals of the selected object in the shown frames."""
+    return [_residual_row(row) for row in _residuals(c)]
+
+
+def _residuals(c: Controller) -> Sequence[FrameResidual]:
+    return () if c.selected is None else c.residuals.get(c.selected, ())
+
+
+def _residual_row(row: FrameResidual) -> ResidualRow:
+    depth = row.depth_mm
+    return ResidualRow(
+        row.frame,
+        edges="none" if row.edge_px is None else f"{row.edge_px:.1f} px",
+        chance="" if row.edge_chance_px is None else f"{row.edge_chance_px:.1f} px",
+        depth="" if depth is None else f"{depth:+.{0 if abs(depth) > 99 else 1}f} mm",
+        edge_grade=edge_grade(row) or "unknown",
+        depth_grade=depth_grade(row) or "unknown",
+        problem=row.problem,
+    )
+
+
+def verdict(c: Controller) -> str:
+    """Whether the selected object fits, in one sentence."""
+    rows = _residuals(c)
+    if c.selected is None:
+        return "Select an object to see how well it fits."
+    if c.session.pose(c.selected, c.active_frame) is None:
+        return f"{c.selected} has no pose yet."
+    if not rows:
+        return f"Not measured since {c.selected} moved."
+    grades = [grade_row(r) for r in rows if not r.problem]
+    if not grades or all(g == "unknown" for g in grades):
+        return "Nothing in these frames tells its place apart from chance: judge by eye."
+    worst = [r.frame for r in rows if grade_row(r) == "poor"]
+    if worst:
+        return f"Off in frame {', '.join(map(str, worst))}: look there."
+    if all(edge_grade(r) is None for r in rows):
+        return "The depth agrees, but the edges tell nothing here: judge the contour by eye."
+    return "It fits in every frame where it could be measured."
+
+
+def weak_direction(c: Controller) -> str:
+    """What the last refinement of the selected object could tell least, as a sentence, or ""."""
+    weak = c.weak_directions.get(c.selected or "", "")
+    return f"{weak[:1].upper()}{weak[1:]}." if weak else ""
+
+
+@dataclass(frozen=True)
+class ClickRow:
+    """One clicked point.
+
+    Attributes:
+        frame: in which it was clicked.
+        number: its place among the points of the object in this frame, from 0.
+        u, v: pixel in the recorded image.
+        residual_px: distance to its point on the mesh at the object's pose now; None without a
+            pose, or behind the camera.
+    """
+
+    frame: int
+    number: int
+    u: float
+    v: float
+    residual_px: float | None
+
+
+def click_rows(c: Controller, name: str) -> list[ClickRow]:
+    """All clicked points of an object, those of the view in hand first."""
+    obj = c.session.object(name)
+    scene = c.session.scene
+    rows = []
+    for frame in sorted(obj.clicks, key=lambda f: (f != c.active_frame, f)):
+        T = c.pose(name, frame)
+        camera = scene.camera(scene.frame(frame))
+        for number, click in enumerate(obj.clicks[frame]):
+            residual = None
+            if T is not None:
+                seen = camera.project(T @ np.asarray(click.point))
+                distance = float(np.hypot(*(seen - [click.u, click.v])))
+                residual = distance if np.isfinite(distance) else None
+            rows.append(ClickRow(frame, number, click.u, click.v, residual))
+    return rows
+
+
+@dataclass(frozen=True)
+class FrameMarks:
+    """Places of frames in the recording, from 0.
+
+    Attributes:
+        runs: first and last frame of each run with camera poses.
+        sides: frames of the side views.
+        placed: frames in which objects were placed.
+    """
+
+    runs: tuple[tuple[int, int], ...]
+    sides: tuple[int, ...]
+    placed: tuple[int, ...]
+
+
+def frame_marks(c: Controller) -> FrameMarks:
+    """What is marked on the slider over the frames."""
+    session = c.session
+    place = {frame.id: i for i, frame in enumerate(session.scene.frames)}
+    known = sorted(place[f] for f in session.frames) if session.posed else []
+    return FrameMarks(
+        runs=_runs(known),
+        sides=tuple(place[f] for f in c.view_frames[1:]),
+        placed=tuple(
+            sorted({place[f] for o in session.state.objects for f in o.placements if f in place})
+        ),
+    )
+
+
+def _runs(places: Sequence[int]) -> tuple[tuple[int, int], ...]:
+    """First and last of each run of successive numbers."""
+    runs: list[tuple[int, int]] = []
+    for i in places:
+        if runs and runs[-1][1] == i - 1:
+            runs[-1] = (runs[-1][0], i)
+        else:
+            runs.append((i, i))
+    return tuple(runs)

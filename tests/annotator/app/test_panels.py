@@ -1,0 +1,93 @@
+"""What the panels show, without any front end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from desk_without_window import Desk
+from scene_on_disk import write_scene
+
+from annotator.app.panels import frame_marks, residual_rows, verdict, weak_direction
+from annotator.app.pose_text import PoseFields, RotationForm
+from annotator.session.residuals import FrameResidual
+from std_toolkit.errors import ToolkitError
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Iterator[Desk]:
+    write_scene(tmp_path / "scene")
+    desk = Desk(tmp_path / "scene")
+    desk.controller.select("box_1")
+    yield desk
+    desk.close()
+
+
+def residual(frame: int, edge: float | None, depth: float | None) -> FrameResidual:
+    chance = None if edge is None else 20.0
+    return FrameResidual(frame, edge_px=edge, edge_chance_px=chance, depth_mm=depth)
+
+
+@pytest.mark.parametrize(
+    "rows, sentence",
+    [
+        ([], "Not measured since box_1 moved."),
+        ([residual(0, 0.8, None), residual(1, 1.0, 3.0)], "It fits in every frame"),
+        ([residual(0, 0.8, None), residual(1, 9.0, 3.0)], "Off in frame 1: look there."),
+        ([residual(0, None, 4.0)], "the edges tell nothing here"),
+        ([residual(0, 19.0, None)], "judge by eye"),
+    ],
+)
+def test_the_verdict_is_one_sentence(desk: Desk, rows: list[FrameResidual], sentence: str) -> None:
+    desk.controller.residuals["box_1"] = rows
+    assert sentence in verdict(desk.controller)
+    assert len(residual_rows(desk.controller)) == len(rows)
+
+
+def test_a_weak_direction_is_a_sentence(desk: Desk) -> None:
+    assert weak_direction(desk.controller) == ""
+    desk.controller.weak_directions["box_1"] = "turning about z is weak"
+    assert weak_direction(desk.controller) == "Turning about z is weak."
+
+
+def test_numbers_of_a_residual_have_their_units_and_grades(desk: Desk) -> None:
+    desk.controller.residuals["box_1"] = [residual(2, 2.0, -120.4)]
+    (row,) = residual_rows(desk.controller)
+    assert (row.frame, row.edges, row.chance, row.depth) == (2, "2.0 px", "20.0 px", "-120 mm")
+    assert (row.edge_grade, row.depth_grade) == ("fair", "poor")
+
+
+def test_frames_are_marked_by_their_place(desk: Desk) -> None:
+    marks = frame_marks(desk.controller)
+    assert marks.runs == ((0, 2),)
+    assert marks.sides == (1, 2)
+    assert marks.placed == (0,)
+
+
+def test_a_pose_in_the_world_is_copied_and_pasted(desk: Desk) -> None:
+    fields = PoseFields(desk.controller)
+    desk.controller.show_frame(1)
+    fields.in_world = True
+    text, before = fields.copied(), fields.pose
+    assert before is not None
+    fields.set_number("position", 1, 1000 * before.t[1] + 5)
+    moved = fields.pose
+    assert moved is not None
+    np.testing.assert_allclose(moved.t - before.t, [0, 0.005, 0], atol=1e-9)
+    assert fields.paste(text)
+    assert fields.pose is not None
+    np.testing.assert_allclose(fields.pose.matrix(), before.matrix(), atol=1e-12)
+
+
+def test_a_quaternion_is_typed_as_a_whole(desk: Desk) -> None:
+    fields = PoseFields(desk.controller)
+    fields.form = RotationForm.QUATERNION
+    assert fields.type_quaternion("[0.5, 0.5, 0.5, 0.5]")
+    assert fields.pose is not None
+    np.testing.assert_allclose(fields.pose.R, [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-12)
+    np.testing.assert_allclose(fields.numbers()[1], [0.5, 0.5, 0.5, 0.5], atol=1e-12)
+    for text, problem in (("1 0 0", "4 numbers"), ("1 1 0 0", "length 1"), ("1 0 0 x", "number")):
+        with pytest.raises(ToolkitError, match=problem):
+            fields.type_quaternion(text)
