@@ -19,6 +19,7 @@ RAISED = "#353535"
 
 HOVER = "#414141"
 
+
 BORDER = "#464646"
 
 TEXT = "#e4e4e4"
@@ -168,14 +169,5 @@ def pixmap(name: str, size: int, color: str = TEXT, ratio: float = 1.0) -> QPixm
     painter = QPainter(drawn)
     QSvgRenderer(QByteArray(svg(name, color).encode())).render(painter, QRectF(0, 0, edge, edge))
     painter.end()
-    drawn.setDevicePixelRatio(ratio)
-    return drawn
-
-
-def chip(color: str, size: int = 12, ratio: float = 1.0) -> QPixmap:
-    """A small square of a colour."""
-    edge = round(size * ratio)
-    drawn = QPixmap(edge, edge)
-    drawn.fill(QColor(color))
     drawn.setDevicePixelRatio(ratio)
     return drawn

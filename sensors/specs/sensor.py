@@ -206,12 +206,6 @@ def figures(spec: SensorSpec) -> list[str]:
     return names
 
 
-def without_source(spec: SensorSpec) -> list[str]:
-    """Fields whose figures nobody vouches for."""
-    leaves = [f for f in figures(spec) if f not in ("depth", "projector")]
-    return [f for f in leaves if f not in spec.sources and f.split(".")[0] not in spec.sources]
-
-
 def names() -> list[str]:
     """Names of the sensors that come with the package."""
     return sorted(path.stem for path in FOLDER.glob("*.json") if path != SCHEMA)
