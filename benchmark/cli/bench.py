@@ -81,8 +81,8 @@ def score(config: NetworkConfig | BopConfig) -> int:
         if config.out is None:  # the table is only printed
             config = replace(config, out=Path(stack.enter_context(TemporaryDirectory())))
         task = get_task(config.task)
-        report = run_all(task, task.plan(config), config.jobs)
-        results = [task.read(run.folder, run) for run in report.finished]
+        report = run_all(task.plan(config), config.jobs)
+        results = [run.read() for run in report.finished]
         if config.json:
             print_json(task.records(results, config) if results else [])
         elif results:
