@@ -497,6 +497,8 @@ def _refuse(program: str, event: Any) -> None:
         problem = f"{', '.join(missing)}: needed"
         if event.unrecognized_tokens:
             problem += f"; {' '.join(event.unrecognized_tokens)}: not an option"
+    elif kind == "BadValue":
+        problem = f"expected {event.argument.lowered.metavar}"
     else:
         problem = " ".join(str(getattr(event, "message", kind)).split())
         got = re.search(r"Got errors: - <class '.*?'>: (.*)", problem)
