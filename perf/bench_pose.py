@@ -86,7 +86,7 @@ def fans(polygon: list[np.ndarray]) -> list[tuple[float, float]]:
 
 
 def common(A: np.ndarray, B: np.ndarray) -> float:
-    """Volume that two boxes share, as `benchmark.metrics.pose.intersection` has it."""
+    """Volume that two boxes share, as `benchmark.metrics.pose.box_iou` has it."""
     inverse = np.linalg.inv(A[:3, :3])
     edges, centre = inverse @ B[:3, :3], inverse @ (B[:3, 3] - A[:3, 3])
     flux = 0.0

@@ -25,11 +25,12 @@ import trimesh
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.io.images import write_color
 from std_toolkit.jobs import JobOptions
+from std_toolkit.options import RenderOptions
 from std_toolkit.rendering import ground_truth
 from std_toolkit.rendering.choose import find_gl, get_renderer
 from std_toolkit.rendering.maps import compose, mask_of, surface_maps
 from std_toolkit.rendering.placements import frame_placements, place_meshes
-from std_toolkit.rendering.render_step import RenderOptions, render_ground_truth
+from std_toolkit.rendering.render_step import render_ground_truth
 from std_toolkit.scene.model import (
     CameraModel,
     CameraPoses,

@@ -23,10 +23,10 @@ from torch.utils.data import DataLoader
 from benchmark.data.splits import open_split
 from benchmark.data.torch_dataset import DepthDataset
 from benchmark.training.frame_order import BatchOrder, Steps
-from benchmark.training.module import network_inputs, target_of
 from benchmark.training.options import PackOptions
 from benchmark.training.pack import pack_split
 from benchmark.training.packed_frames import PackedFrames
+from benchmark.training.step import network_inputs, target_of
 from std_toolkit.jobs import JobOptions
 
 SPLIT, SIZE, BATCH, ROUNDS = "dreds-catknown-test", (224, 224), 32, 5

@@ -11,24 +11,29 @@ from std_toolkit.plugins import install
 
 if TYPE_CHECKING:
     from std_toolkit.checks.check_step import run_check
-    from std_toolkit.checks.options import CheckOptions
     from std_toolkit.errors import ToolkitError
     from std_toolkit.exporters.export_step import export_scene
-    from std_toolkit.exporters.exporter import ExportOptions
     from std_toolkit.geometry.camera import Camera
     from std_toolkit.geometry.se3 import SE3
     from std_toolkit.importers.import_step import import_recording
-    from std_toolkit.importers.importer import ImportRequest
     from std_toolkit.jobs.options import JobOptions
     from std_toolkit.labels.label import add_model, add_object, set_pose
-    from std_toolkit.labels.label_command import LabelCommand, run_label_command
+    from std_toolkit.labels.label_command import run_label_command
     from std_toolkit.labels.pnp import solve_pnp
-    from std_toolkit.labels.propagate import PropagateOptions, propagate_labels
+    from std_toolkit.labels.propagate import propagate_labels
     from std_toolkit.labels.refine_step import refine_labels
-    from std_toolkit.poses.options import PoseOptions
+    from std_toolkit.options import (
+        CheckOptions,
+        ExportOptions,
+        ImportRequest,
+        LabelCommand,
+        PoseOptions,
+        PropagateOptions,
+        RenderOptions,
+    )
     from std_toolkit.poses.pose_step import estimate_poses, failed_gates
     from std_toolkit.rendering.ground_truth import read_ground_truth, rendered_frames
-    from std_toolkit.rendering.render_step import RenderOptions, render_ground_truth
+    from std_toolkit.rendering.render_step import render_ground_truth
     from std_toolkit.scene.scene import Scene
 
 __version__ = "0.1.0"
@@ -68,14 +73,14 @@ __all__ = [
 _MODULES = {
     "SE3": "geometry.se3",
     "Camera": "geometry.camera",
-    "CheckOptions": "checks.options",
-    "ExportOptions": "exporters.exporter",
-    "ImportRequest": "importers.importer",
+    "CheckOptions": "options",
+    "ExportOptions": "options",
+    "ImportRequest": "options",
     "JobOptions": "jobs.options",
-    "LabelCommand": "labels.label_command",
-    "PoseOptions": "poses.options",
-    "PropagateOptions": "labels.propagate",
-    "RenderOptions": "rendering.render_step",
+    "LabelCommand": "options",
+    "PoseOptions": "options",
+    "PropagateOptions": "options",
+    "RenderOptions": "options",
     "Scene": "scene.scene",
     "ToolkitError": "errors",
     "add_model": "labels.label",

@@ -7,17 +7,29 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TextIO
 
 logger = logging.getLogger("std_toolkit")
 
 
 def log_to_stderr(level: int = logging.INFO) -> None:
     """Print log records of `level` and above to stderr, as the command-line tools do."""
-    handler = logging.StreamHandler(sys.stderr)
+    handler = _StderrHandler()
     handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
     logger.handlers[:] = [handler]
     logger.setLevel(level)
     logger.propagate = False
+
+
+class _StderrHandler(logging.StreamHandler):
+    """Writes to what `sys.stderr` is at that time, which may be another stream than before."""
+
+    def __init__(self) -> None:
+        logging.Handler.__init__(self)
+
+    @property
+    def stream(self) -> TextIO:
+        return sys.stderr
 
 
 @contextmanager

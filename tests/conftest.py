@@ -171,7 +171,7 @@ def tabletop_poses(test_data: Path, made_once: MakeOnce) -> Path:
     source = test_data / "tabletop_board_rgb"
     if not source.is_dir():
         pytest.skip(f"{source} not found")
-    from std_toolkit.poses.options import PoseOptions
+    from std_toolkit.options import PoseOptions
     from std_toolkit.poses.pose_step import estimate_poses
     from std_toolkit.scene import CameraModel, Frame, Frames, Scene, SceneInfo
 

@@ -25,7 +25,7 @@ from std_toolkit.geometry.mesh import UNITS_IN_M, load_mesh, mesh_extents
 if TYPE_CHECKING:
     from annotator.session.merge import Side
     from annotator.session.requests import Outcome, Request
-    from std_toolkit.labels.propagate import PropagateOptions
+    from std_toolkit.options import PropagateOptions
 
 Unit = Literal["m", "cm", "mm"]
 UNITS: tuple[Unit, ...] = ("m", "mm", "cm")

@@ -13,7 +13,7 @@ import msgspec
 from annotator.app.events import Level
 from annotator.app.pose_text import local_minute
 from std_toolkit.errors import ToolkitError
-from std_toolkit.labels.propagate import PropagateOptions
+from std_toolkit.options import PropagateOptions
 
 if TYPE_CHECKING:
     from annotator.app.operations import MeshSize

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from PySide6.QtCore import QEvent, QObject, QSize, Qt, QTimer
-from PySide6.QtGui import QAction, QActionGroup, QKeyEvent, QKeySequence, QResizeEvent
+from PySide6.QtGui import QAction, QKeyEvent, QKeySequence, QResizeEvent
 from PySide6.QtWidgets import (
     QAbstractSpinBox,
     QApplication,
@@ -159,14 +159,6 @@ def _is_command(event: QKeyEvent) -> bool:
         return True
     strong = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.AltModifier
     return bool(event.modifiers() & strong)
-
-
-def exclusive(parent: QWidget, actions: list[QAction]) -> QActionGroup:
-    """Buttons of which one is down."""
-    group = QActionGroup(parent)
-    for action in actions:
-        group.addAction(action)
-    return group
 
 
 class OpacitySlider(Panel):

@@ -21,6 +21,7 @@ RAISED = "#353535"
 
 HOVER = "#414141"
 
+
 BORDER = "#464646"
 
 TEXT = "#e4e4e4"

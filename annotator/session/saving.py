@@ -32,7 +32,7 @@ from std_toolkit.scene import (
 from std_toolkit.scene.model import ClickedPoint
 
 if TYPE_CHECKING:
-    from std_toolkit.labels.propagate import PropagateOptions
+    from std_toolkit.options import PropagateOptions
 
 TOOL = "std-annotate"
 

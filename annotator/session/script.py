@@ -192,7 +192,7 @@ def _carry_out(session: Session, step: Step, path: Path) -> Iterator[str]:
 
 
 def _propagate(session: Session, step: Propagate) -> Iterator[str]:
-    from std_toolkit.labels.propagate import PropagateOptions
+    from std_toolkit.options import PropagateOptions
 
     report = session.propagate(
         PropagateOptions(

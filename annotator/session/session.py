@@ -29,7 +29,7 @@ from std_toolkit.io.atomic import hold_lock, sweep_temporaries
 from std_toolkit.scene import Scene
 
 if TYPE_CHECKING:
-    from std_toolkit.labels.propagate import PropagateOptions
+    from std_toolkit.options import PropagateOptions
 
 __all__ = ["Change", "PropagateReport", "SaveConflict", "Session", "user_name"]
 

@@ -46,12 +46,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return PROGRAM.main(arguments)
 
 
-def words_of_today(words: list[str]) -> list[str]:
+def rewrite_aliases(words: list[str]) -> list[str]:
     """The command line of an older one, which had `--task` and `--list-methods`.
 
-    >>> words_of_today(["--task", "pose", "--method", "nocs"])
+    >>> rewrite_aliases(["--task", "pose", "--method", "nocs"])
     ['pose', '--method', 'nocs']
-    >>> words_of_today(["--list-methods", "--task", "pose"])
+    >>> rewrite_aliases(["--list-methods", "--task", "pose"])
     ['list', 'methods', '--task', 'pose']
     """
     if words and not words[0].startswith("-"):
@@ -81,8 +81,8 @@ def score(config: NetworkConfig | BopConfig) -> int:
         if config.out is None:  # the table is only printed
             config = replace(config, out=Path(stack.enter_context(TemporaryDirectory())))
         task = get_task(config.task)
-        report = run_all(task, task.plan(config), config.jobs)
-        results = [task.read(run.folder, run) for run in report.finished]
+        report = run_all(task.plan(config), config.jobs)
+        results = [run.read() for run in report.finished]
         if config.json:
             print_json(task.records(results, config) if results else [])
         elif results:
@@ -183,7 +183,7 @@ PROGRAM = Program(
         ),
     ),
     default="depth",
-    rewrite=words_of_today,
+    rewrite=rewrite_aliases,
 )
 
 if __name__ == "__main__":

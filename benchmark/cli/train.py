@@ -55,9 +55,9 @@ def train(options: TrainCommand) -> int:
     if process_rank() > 0:
         return 0
     settings = " ".join(f"{name}={value}" for name, value in config.settings.items())
-    told = f" --set {settings}" if settings else ""
+    option = f" --set {settings}" if settings else ""
     command = bench_command(options.method)
-    print(f"{best}: {command} --preset {options.preset} --weights {best}{told}")
+    print(f"{best}: {command} --preset {options.preset} --weights {best}{option}")
     return 0
 
 

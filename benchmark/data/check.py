@@ -140,17 +140,6 @@ def check_split(root: Path | str, name: str) -> SplitReport:
     )
 
 
-def print_check(root: Path | str, name: str) -> bool:
-    """Print the report of a split; True if it is complete.
-
-    Raises:
-        ToolkitError: no such split.
-    """
-    report = check_split(root, name)
-    print(report.text())
-    return report.is_complete
-
-
 def _try_frames(
     source: DepthSource,
 ) -> tuple[dict[str, tuple[tuple[int, int], ...]], tuple[str, ...]]:

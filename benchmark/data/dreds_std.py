@@ -23,20 +23,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from benchmark.data import loading
 from benchmark.data.frame import DepthFrame, Instance, Material
-from benchmark.data.loading import (
-    NO_COLOR,
-    NO_DEPTH,
-    FrameIndex,
-    about,
-    check_proportions,
-    check_same_size,
-    first_file,
-    read_coord_picture,
-    read_depth_map,
-    read_id_mask,
-    scene_files,
-)
 from benchmark.data.splits import FrameKey, SceneFiles
 from benchmark.data.true_poses import KnownBox, model_handle, model_sides
 from std_toolkit.errors import ToolkitError
@@ -149,7 +137,7 @@ class LayoutScenes:
 
     name: str
     layout: str
-    index: FrameIndex
+    index: loading.FrameIndex
     _cameras: dict[str, SceneCamera] = field(default_factory=dict, repr=False, compare=False)
 
     def __len__(self) -> int:
@@ -164,16 +152,16 @@ class LayoutScenes:
         folder, needed = Path(scene.path), needed_files(LAYOUTS[self.layout])
 
         def path(what: str) -> Path:
-            return first_file(folder, tuple(stem + s for s in needed[what]), what)
+            return loading.first_file(folder, tuple(stem + s for s in needed[what]), what)
 
         camera = self._camera(scene.path)
         true_path, mask_path, meta_path = (
             path(what) for what in ("ground-truth depth", "mask", "meta file")
         )
-        true, mask = read_depth_map(true_path), read_id_mask(mask_path)
-        check_same_size(mask_path, mask, true, "mask")
+        true, mask = loading.read_depth_map(true_path), loading.read_id_mask(mask_path)
+        loading.check_same_size(mask_path, mask, true, "mask")
         size = (true.shape[1], true.shape[0])
-        color, raw = NO_COLOR, NO_DEPTH
+        color, raw = loading.NO_COLOR, loading.NO_DEPTH
         if sensor:
             color_path, raw_path = path("colour"), path("raw depth")
             if stem in camera.without_depth:
@@ -181,9 +169,9 @@ class LayoutScenes:
                     "the scene was recorded without depth: this file is a placeholder",
                     path=raw_path,
                 )
-            color, raw = read_color(color_path), read_depth_map(raw_path)
-            check_proportions(color_path, color, size)
-            check_proportions(raw_path, raw, size)
+            color, raw = read_color(color_path), loading.read_depth_map(raw_path)
+            loading.check_proportions(color_path, color, size)
+            loading.check_proportions(raw_path, raw, size)
         coord = folder / f"{stem}{NOCS[0]}"
         key = FrameKey(scene.name, stem)
         try:
@@ -196,17 +184,19 @@ class LayoutScenes:
                 mask=mask,
                 camera=camera.of(stem, size, path=true_path),
                 instances=tuple(_instance(x) for x in read_meta(meta_path, any_class=True)),
-                nocs=read_coord_picture(coord, mask) if nocs and coord.is_file() else None,
+                nocs=loading.read_coord_picture(coord, mask) if nocs and coord.is_file() else None,
             )
         except ToolkitError as error:
-            raise about(error, key, mask_path) from error
+            raise loading.about(error, key, mask_path) from error
 
     def known_boxes(self, index: int) -> dict[int, KnownBox]:
         """See `BoxSource`: of the models that lie beside the scenes."""
         scene, stem = self.index.at(index)
         folder = Path(scene.path)
         found = {}
-        for line in read_meta(first_file(folder, (stem + META[0],), "meta file"), any_class=True):
+        for line in read_meta(
+            loading.first_file(folder, (stem + META[0],), "meta file"), any_class=True
+        ):
             if line.class_folder is not None and line.instance_folder is not None:
                 names = line.class_folder, line.instance_folder
                 sides = model_sides(folder, *names)
@@ -220,7 +210,7 @@ class LayoutScenes:
         needed = needed_files(LAYOUTS[self.layout])
         for scene in self.index.scenes:
             empty = self._camera(scene.path).without_depth
-            yield scene_files(scene, needed, placeholders={"raw depth": empty})
+            yield loading.scene_files(scene, needed, placeholders={"raw depth": empty})
 
     def _camera(self, folder: str) -> SceneCamera:
         found = self._cameras.get(folder)

@@ -272,9 +272,3 @@ def selection_of(
                 "no such category", field="category", value=name, hint=", ".join(CATEGORY_CLASS_IDS)
             )
     return Selection(frozenset(chosen), frozenset(categories or []), distractors)
-
-
-def material_masks(frame: DepthFrame) -> dict[Material, NDArray[np.bool_]]:
-    """(k, l) pixels of every material that an object of the frame has."""
-    present = sorted({i.material for i in frame.instances})
-    return {material: frame.mask_of(material) for material in present}

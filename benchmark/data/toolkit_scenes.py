@@ -16,21 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.data import loading
 from benchmark.data.cleargrasp import TRANSPARENT
 from benchmark.data.dreds_std import MUG
 from benchmark.data.frame import BACKGROUND, DepthFrame, Instance, Material
-from benchmark.data.loading import (
-    NO_COLOR,
-    NO_DEPTH,
-    FrameIndex,
-    SceneFolder,
-    about,
-    check_proportions,
-    check_same_size,
-    read_coord_picture,
-    read_depth_map,
-    read_id_mask,
-)
 from benchmark.data.splits import FrameKey, SceneFiles
 from benchmark.data.true_poses import KnownBox, mesh_handle
 from std_toolkit.errors import ToolkitError
@@ -62,7 +51,7 @@ class _Truth:
             return None
         if self.rendered:
             return load_nocs(self.nocs, (mask.shape[1], mask.shape[0]))
-        return read_coord_picture(self.nocs, mask)
+        return loading.read_coord_picture(self.nocs, mask)
 
 
 @dataclass(frozen=True)
@@ -74,7 +63,7 @@ class ToolkitScenes:
     """
 
     name: str
-    index: FrameIndex
+    index: loading.FrameIndex
     left_out: dict[str, dict[str, list[str]]]
     _open: dict[str, Scene] = field(default_factory=dict, repr=False, compare=False)
 
@@ -96,11 +85,11 @@ class ToolkitScenes:
             raise ToolkitError("no such frame any more", path=scene.root, value=stem)
         camera = scene.camera(frame)
         truth = _fresh_truth(scene, frame)
-        true, mask = read_depth_map(truth.depth), read_id_mask(truth.mask)
+        true, mask = loading.read_depth_map(truth.depth), loading.read_id_mask(truth.mask)
         mask[mask == 0] = BACKGROUND
-        check_same_size(truth.mask, mask, true, "mask")
+        loading.check_same_size(truth.mask, mask, true, "mask")
         size = (true.shape[1], true.shape[0])
-        color, raw = NO_COLOR, NO_DEPTH
+        color, raw = loading.NO_COLOR, loading.NO_DEPTH
         if sensor:
             color, raw = scene.read_color(frame), _sensor_depth(scene, frame)
         key = FrameKey(listed.name, stem)
@@ -117,7 +106,7 @@ class ToolkitScenes:
                 nocs=truth.read_nocs(mask) if nocs else None,
             )
         except ToolkitError as error:
-            raise about(error, key, truth.mask) from error
+            raise loading.about(error, key, truth.mask) from error
 
     def known_boxes(self, index: int) -> dict[int, KnownBox]:
         """See `BoxSource`: of the scene's meshes, with the poses that were rendered."""
@@ -183,8 +172,8 @@ def open_scenes(name: str, top: Path, *, depth: int = 3) -> ToolkitScenes:
         listed, missing = _list_frames(Scene.open(path))
         if missing:
             left_out[scene_name] = missing
-        folders.append(SceneFolder(scene_name, str(path), listed))
-    return ToolkitScenes(name, FrameIndex(tuple(folders)), left_out)
+        folders.append(loading.SceneFolder(scene_name, str(path), listed))
+    return ToolkitScenes(name, loading.FrameIndex(tuple(folders)), left_out)
 
 
 def _scene_folders(folder: Path, depth: int) -> Iterator[Path]:
@@ -241,8 +230,8 @@ def _fresh_truth(scene: Scene, frame: Frame) -> _Truth:
 def _sensor_depth(scene: Scene, frame: Frame) -> NDArray[np.float32]:
     if frame.depth is not None and frame.depth.endswith(".exr"):
         path = scene.root / frame.depth
-        depth = read_depth_map(path) * np.float32(scene.info.depth_correction)
-        check_proportions(path, depth, scene.camera(frame).size)
+        depth = loading.read_depth_map(path) * np.float32(scene.info.depth_correction)
+        loading.check_proportions(path, depth, scene.camera(frame).size)
         return depth
     read = scene.read_depth(frame)
     if read is None:

@@ -62,7 +62,7 @@ class FrameSet:
     def origin(self) -> str:
         """Where its frames come from, for people."""
         if self.options is None:
-            return f"given: {self.root}"
+            return f"from {self.root}"
         return f"simulated by std-sim: {self.size}"
 
     @property

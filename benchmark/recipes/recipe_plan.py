@@ -96,7 +96,7 @@ class RecipePlan:
     devices: tuple[str, ...]
 
     def place(self, target: Target) -> tuple[str, Path, str] | None:
-        """Split and folder of a test and the name of its results; None if it is not at hand."""
+        """Split and folder of a test and the name of its results; None if it is not available."""
         if target.set:
             frames = self.sets[target.set]
             return frames.split, frames.root, f"simulated-{frames.name}"
@@ -106,7 +106,7 @@ class RecipePlan:
         return target.split, target.root, f"{target.name}-{digest}"
 
     def runs(self, entry: Entry) -> list[tuple[Target, Run]]:
-        """Scores of an entry on all tests that are at hand."""
+        """Scores of an entry on all tests that are available."""
         weights = None if entry.folder is None else entry.folder / BEST
         options = MethodOptions(preset=entry.preset, weights=weights, settings=entry.settings)
         found = []

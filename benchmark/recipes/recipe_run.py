@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from benchmark.evaluation.engine import run_all
-from benchmark.evaluation.tasks.depth import TASK
 from benchmark.evaluation.tasks.depth_results import RunResult, read_run
 from benchmark.recipes.frame_sets import FrameSet, simulate
 from benchmark.recipes.recipe_plan import Entry, Pack, RecipePlan
@@ -69,14 +68,14 @@ def run_recipe(
         after: is told what there is so far, after every variant; at least once.
 
     Raises:
-        ToolkitError: no test is at hand, or a set or a pack cannot be made, or is another than it
+        ToolkitError: no test is available, or a set or a pack cannot be made, or is another than it
             was.
     """
     jobs = jobs or JobOptions()
     if all(plan.place(target) is None for target in plan.targets):
         first = plan.targets[0]
         raise ToolkitError(
-            "no test of this recipe is at hand: nothing could be scored",
+            "no test of this recipe is available: nothing could be scored",
             value=[target.name for target in plan.targets],
             hint=f"{first.absent} (`--plan` tells about all tests)",
         )
@@ -193,7 +192,7 @@ def _score(plan: RecipePlan, entry: Entry, jobs: JobOptions, outcome: Outcome) -
     for target in dict.fromkeys(target.name for target, _ in runs):
         mine = [run for of, run in runs if of.name == target]
         try:
-            report = run_all(TASK, mine, jobs)
+            report = run_all(mine, jobs)
         except ToolkitError as error:
             outcome.problems[f"{entry.title} on {target}"] = str(error)
             continue

@@ -37,7 +37,7 @@ _COLOR_BYTES = 2.0
 def simulation_s(options: SimulationOptions, scenes: int) -> float:
     """Processor seconds that scenes take where no shape is known from before: by pixels and light
     paths from what was measured at draft quality."""
-    from sensors.simulation.options import quality_of
+    from sensors.render.sim_renderer import quality_of
 
     quality = quality_of(options.quality)
     pixels = options.width * options.height / _MEASURED_PIXELS
@@ -111,7 +111,7 @@ def plan_text(plan: RecipePlan) -> str:
     for target in plan.targets:
         place = plan.place(target)
         if place is None:
-            lines.append(f"  {target.title}: not at hand: {target.absent}")
+            lines.append(f"  {target.title}: not available: {target.absent}")
         elif target.set:
             lines.append(f"  {target.title}: {plan.sets[target.set].origin}")
         else:

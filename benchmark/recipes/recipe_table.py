@@ -31,7 +31,7 @@ RANKED_BY = "rmse"
 def recipe_rows(plan: RecipePlan, outcome: Outcome) -> pd.DataFrame:
     """All rows, test by test, in the order of the recipe; see `COLUMNS`.
 
-    Nothing is left out: a test that is not at hand and a variant that did not run have a row that
+    Nothing is left out: a test that is not available and a variant that did not run have a row that
     says so.
 
     Raises:
@@ -43,7 +43,7 @@ def recipe_rows(plan: RecipePlan, outcome: Outcome) -> pd.DataFrame:
         mine = printed[printed["dataset"] == target.dataset]
         here: list[dict[str, object]] = []
         if plan.place(target) is None:
-            here.append({"kind": ABSENT, "variant": "", "note": f"not at hand: {target.absent}"})
+            here.append({"kind": ABSENT, "variant": "", "note": f"not available: {target.absent}"})
         shown: set[tuple[str, str]] = set()
         for entry in plan.entries:
             if plan.place(target) is not None:
@@ -82,7 +82,7 @@ def origin(plan: RecipePlan, target: Target) -> str:
     """Where a test's frames come from, for people."""
     if target.set:
         return plan.sets[target.set].origin
-    return "not at hand" if target.root is None else f"given: {target.root}"
+    return "not available" if target.root is None else f"from {target.root}"
 
 
 def findings(plan: RecipePlan, outcome: Outcome) -> list[str]:
@@ -110,7 +110,7 @@ def findings(plan: RecipePlan, outcome: Outcome) -> list[str]:
             pair = next(p for p in pairs.itertuples() if {p.first, p.second} == {best, name})
             others.append(f"{name} {1e3 * value:.1f} mm (p = {pair.p_flip_holm:.2g})")
         sentence = (
-            f"{target.title}, {subset}: least RMSE {best}, {1e3 * means.iloc[0]:.1f} mm; "
+            f"{target.title}, {subset}: lowest RMSE {best}, {1e3 * means.iloc[0]:.1f} mm; "
             + ", ".join(others)
         )
         order = _printed_order(plan, printed, target, subset)
@@ -140,7 +140,7 @@ def _printed_order(plan: RecipePlan, printed: pd.DataFrame, target: Target, subs
                 found[entry.title] = float(match[RANKED_BY].iloc[0])
     ordered = sorted(found.items(), key=lambda item: item[1])
     figures = ", ".join(f"{title} {1e3 * value:.0f}" for title, value in ordered)
-    return f"The paper prints {figures} mm." if ordered else ""
+    return f"Published: {figures} mm." if ordered else ""
 
 
 def _measured(outcome: Outcome, entry: Entry, target: Target) -> list[dict[str, object]]:

@@ -23,9 +23,9 @@ class Target:
         name, title: for files and for people.
         dataset: the paper's name of it; empty where the paper has none.
         split: of the benchmark.
-        root: folder of the data; None where they are simulated, or not at hand.
+        root: folder of the data; None where they are simulated, or not available.
         set: name of the set that is simulated; empty for none.
-        absent: what to do about a test that is not at hand; empty where it is.
+        absent: what to do about a test that is not available; empty where it is.
     """
 
     name: str
@@ -38,7 +38,7 @@ class Target:
 
 
 def find_targets(recipe: Recipe, data: Sequence[str]) -> list[Target]:
-    """All tests of a recipe, those that are not at hand, too.
+    """All tests of a recipe, those that are not available, too.
 
     Args:
         data: what the user gives: `ROOT` of any number of data sets, or `TEST=ROOT` of one test.

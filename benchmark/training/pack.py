@@ -12,15 +12,8 @@ import numpy as np
 
 from benchmark.data.frame import BACKGROUND, DepthFrame, Material, resize_nearest
 from benchmark.data.splits import names_digest, open_split
+from benchmark.training import shards
 from benchmark.training.options import PackOptions
-from benchmark.training.shards import (
-    PACK,
-    PackSetup,
-    ShardIndex,
-    index_path,
-    record_type,
-    shard_path,
-)
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import atomic_path, hold_lock, sweep_temporaries
 from std_toolkit.io.documents import begin_folder, read_document, write_document
@@ -57,7 +50,7 @@ def pack_split(
     """
     options = options or PackOptions()
     source = open_split(split, root)
-    setup = PackSetup(
+    setup = shards.PackSetup(
         split=split,
         root=str(root.resolve()),
         frames=len(source),
@@ -74,20 +67,20 @@ def pack_split(
         )
     frames, failed = 0, {f"shard {key}": error for key, error in report.failed.items()}
     for number in range(setup.shards):
-        if index_path(folder, number).exists():
-            index = read_document(index_path(folder, number), ShardIndex)
+        if shards.index_path(folder, number).exists():
+            index = read_document(shards.index_path(folder, number), shards.ShardIndex)
             frames += len(index.names)
             failed |= index.failed
     return Packed(frames, failed)
 
 
-def record_of(frame: DepthFrame, setup: PackSetup) -> np.ndarray:
+def record_of(frame: DepthFrame, setup: shards.PackSetup) -> np.ndarray:
     """() the record of a frame.
 
     Raises:
         ToolkitError: NOCS is wanted of a frame that has none.
     """
-    record = np.zeros((), record_type(setup))
+    record = np.zeros((), shards.record_type(setup))
     if setup.color == "nearest":
         record["color"] = resize_nearest(frame.color, setup.size)
     else:
@@ -115,10 +108,10 @@ def record_of(frame: DepthFrame, setup: PackSetup) -> np.ndarray:
     return record
 
 
-def _begin(folder: Path, setup: PackSetup) -> None:
-    path = folder / PACK
+def _begin(folder: Path, setup: shards.PackSetup) -> None:
+    path = folder / shards.PACK
     begun = begin_folder(path, setup, hint="choose another one")
-    for name in PackSetup.__struct_fields__:
+    for name in shards.PackSetup.__struct_fields__:
         if getattr(begun, name) != getattr(setup, name):
             raise ToolkitError(
                 f"this pack was begun with {getattr(begun, name)!r}",
@@ -130,15 +123,15 @@ def _begin(folder: Path, setup: PackSetup) -> None:
 
 
 def _is_whole(folder: Path, number: int) -> bool:
-    path = index_path(folder, number)
-    return path.exists() and not read_document(path, ShardIndex).failed
+    path = shards.index_path(folder, number)
+    return path.exists() and not read_document(path, shards.ShardIndex).failed
 
 
-def _pack_shard(folder: Path, setup: PackSetup, root: Path, number: int) -> int:
+def _pack_shard(folder: Path, setup: shards.PackSetup, root: Path, number: int) -> int:
     source = open_split(setup.split, root)
     keys = source.keys()
     cv2.setNumThreads(1)
-    index = ShardIndex(scenes=[], names=[], digests=[], failed={})
+    index = shards.ShardIndex(scenes=[], names=[], digests=[], failed={})
     records = []
     for i in range(number * setup.shard, min((number + 1) * setup.shard, setup.frames)):
         try:
@@ -151,8 +144,8 @@ def _pack_shard(folder: Path, setup: PackSetup, root: Path, number: int) -> int:
         index.names.append(keys[i].name)
         index.digests.append(hashlib.blake2b(record.tobytes(), digest_size=8).hexdigest())
     # An earlier index must not vouch for the new records.
-    index_path(folder, number).unlink(missing_ok=True)
-    with atomic_path(shard_path(folder, number)) as temporary:
-        np.save(temporary, np.array(records, record_type(setup)))
-    write_document(index_path(folder, number), index)
+    shards.index_path(folder, number).unlink(missing_ok=True)
+    with atomic_path(shards.shard_path(folder, number)) as temporary:
+        np.save(temporary, np.array(records, shards.record_type(setup)))
+    write_document(shards.index_path(folder, number), index)
     return len(records)

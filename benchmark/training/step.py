@@ -48,12 +48,6 @@ class Loss(NamedTuple):
     parts: dict[str, Tensor]
 
 
-class LossFunction(Protocol):
-    """A loss of a batch."""
-
-    def __call__(self, prediction: Prediction, target: Target) -> Loss: ...
-
-
 def object_weights(target: Target, objects: float) -> Tensor:
     """(b, 1, h, w) what each pixel counts: pixels of objects `objects` times as much as others."""
     return target.foreground.to(target.depth.dtype) * (objects - 1) + 1

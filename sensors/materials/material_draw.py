@@ -13,21 +13,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sensors.materials.material_library import (
-    MATERIAL_CLASSES,
-    PARAMETERS,
-    Color,
-    Document,
-    GlassMaterial,
-    MaterialClass,
-    MaterialLibrary,
-    OpaqueMaterial,
-    Range,
-    Share,
-    TextureKind,
-    class_id,
-    load_library,
-)
+from sensors.materials import material_library
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import InvalidDocument, read_document
 
@@ -36,7 +22,7 @@ BUILT_IN = Path(__file__).with_name("object_classes.json")
 FALLBACK_CATEGORY = "other"
 
 
-class DrawnTexture(Document, frozen=True, kw_only=True):
+class DrawnTexture(material_library.Document, frozen=True, kw_only=True):
     """A procedural texture with all its numbers; `textures.make_texture` draws it.
 
     Attributes:
@@ -45,23 +31,23 @@ class DrawnTexture(Document, frozen=True, kw_only=True):
         seed: of the pattern.
     """
 
-    kind: TextureKind
+    kind: material_library.TextureKind
     tile_m: float
-    contrast: Share
+    contrast: material_library.Share
     seed: int
 
 
-class Glass(Document, frozen=True, kw_only=True):
+class Glass(material_library.Document, frozen=True, kw_only=True):
     """The transparent part of a material; see `GlassMaterial` for the meaning."""
 
     ior: float
-    roughness: Share
-    see_through: Share
-    gloss: Share
-    gloss_roughness: Share
+    roughness: material_library.Share
+    see_through: material_library.Share
+    gloss: material_library.Share
+    gloss_roughness: material_library.Share
 
 
-class DrawnMaterial(Document, frozen=True, kw_only=True):
+class DrawnMaterial(material_library.Document, frozen=True, kw_only=True):
     """A material as a renderer takes it: plain numbers only.
 
     Attributes:
@@ -78,37 +64,37 @@ class DrawnMaterial(Document, frozen=True, kw_only=True):
     """
 
     name: str
-    material_class: MaterialClass
-    color: Color
-    own_share: Share
-    metallic: Share = 0.0
-    specular: Share = 0.5
-    spec_tint: Share = 0.0
-    roughness: Share = 0.5
-    anisotropic: Share = 0.0
-    sheen: Share = 0.0
-    sheen_tint: Share = 0.0
-    clearcoat: Share = 0.0
-    clearcoat_gloss: Share = 0.9
+    material_class: material_library.MaterialClass
+    color: material_library.Color
+    own_share: material_library.Share
+    metallic: material_library.Share = 0.0
+    specular: material_library.Share = 0.5
+    spec_tint: material_library.Share = 0.0
+    roughness: material_library.Share = 0.5
+    anisotropic: material_library.Share = 0.0
+    sheen: material_library.Share = 0.0
+    sheen_tint: material_library.Share = 0.0
+    clearcoat: material_library.Share = 0.0
+    clearcoat_gloss: material_library.Share = 0.9
     texture: DrawnTexture | None = None
     glass: Glass | None = None
-    infrared: Share | None = None
-    own_infrared: Share = 0.5
-    infrared_pattern: Share = 1.0
+    infrared: material_library.Share | None = None
+    own_infrared: material_library.Share = 0.5
+    infrared_pattern: material_library.Share = 1.0
 
     @property
     def class_id(self) -> int:
         """0 raw, 1 diffuse, 2 transparent, 3 specular."""
-        return class_id(self.material_class)
+        return material_library.class_id(self.material_class)
 
 
 def draw_material(
     rng: np.random.Generator,
-    material_class: MaterialClass,
+    material_class: material_library.MaterialClass,
     *,
     textured: bool = False,
     name: str | None = None,
-    library: MaterialLibrary | None = None,
+    library: material_library.MaterialLibrary | None = None,
 ) -> DrawnMaterial:
     """Draw a material of a class: which one, its parameters, its share of the object's own look.
 
@@ -122,8 +108,8 @@ def draw_material(
     Raises:
         ToolkitError: no such class or name, or the library has no material of the class.
     """
-    library = library or load_library()
-    class_id(material_class)  # refuses an unknown one
+    library = library or material_library.load_library()
+    material_library.class_id(material_class)  # refuses an unknown one
     if material_class == "raw":
         return DrawnMaterial(
             name="raw",
@@ -145,20 +131,24 @@ def draw_material(
             value=name,
         )
     chosen = choices[int(rng.integers(len(choices)))]
-    if isinstance(chosen, GlassMaterial):
+    if isinstance(chosen, material_library.GlassMaterial):
         return _draw_glass(rng, chosen)
     return _draw_opaque(rng, chosen, library, textured=textured)
 
 
 def _draw_opaque(
-    rng: np.random.Generator, chosen: OpaqueMaterial, library: MaterialLibrary, *, textured: bool
+    rng: np.random.Generator,
+    chosen: material_library.OpaqueMaterial,
+    library: material_library.MaterialLibrary,
+    *,
+    textured: bool,
 ) -> DrawnMaterial:
     family = library.families[chosen.family]
     jitter = {**family.jitter, **chosen.jitter}
     values: dict[str, Any] = {}
     # Every parameter consumes one number whether it varies or not, so that a library with another
     # range changes that parameter of a seeded scene and nothing after it.
-    for parameter in PARAMETERS:
+    for parameter in material_library.PARAMETERS:
         shift = _uniform(rng, jitter.get(parameter, (0.0, 0.0)))
         values[parameter] = float(np.clip(getattr(chosen.base, parameter) + shift, 0, 1))
     mixed = rng.random() < family.mix_probability
@@ -186,7 +176,7 @@ def _draw_opaque(
     )
 
 
-def _draw_glass(rng: np.random.Generator, chosen: GlassMaterial) -> DrawnMaterial:
+def _draw_glass(rng: np.random.Generator, chosen: material_library.GlassMaterial) -> DrawnMaterial:
     return DrawnMaterial(
         name=chosen.name,
         material_class="transparent",
@@ -202,11 +192,13 @@ def _draw_glass(rng: np.random.Generator, chosen: GlassMaterial) -> DrawnMateria
     )
 
 
-def _uniform(rng: np.random.Generator, bounds: Range) -> float:
+def _uniform(rng: np.random.Generator, bounds: material_library.Range) -> float:
     return float(rng.uniform(*bounds))
 
 
-def _color(rng: np.random.Generator, box: tuple[Color, Color]) -> Color:
+def _color(
+    rng: np.random.Generator, box: tuple[material_library.Color, material_library.Color]
+) -> material_library.Color:
     r, g, b = (float(x) for x in rng.uniform(box[0], box[1]))
     return (r, g, b)
 
@@ -223,7 +215,7 @@ def decode_material(data: bytes) -> DrawnMaterial:
         raise ToolkitError(f"not a material record: {error}") from error
 
 
-class ClassChoice(Document, frozen=True, kw_only=True):
+class ClassChoice(material_library.Document, frozen=True, kw_only=True):
     """Probabilities of the material classes per object category.
 
     Attributes:
@@ -232,7 +224,7 @@ class ClassChoice(Document, frozen=True, kw_only=True):
     """
 
     source: str = ""
-    probabilities: dict[str, dict[MaterialClass, Share]]
+    probabilities: dict[str, dict[material_library.MaterialClass, material_library.Share]]
 
     def __post_init__(self) -> None:
         if FALLBACK_CATEGORY not in self.probabilities:
@@ -248,7 +240,7 @@ class ClassChoice(Document, frozen=True, kw_only=True):
                     value=sum(row.values()),
                 )
 
-    def row(self, category: str) -> dict[MaterialClass, Share]:
+    def row(self, category: str) -> dict[material_library.MaterialClass, material_library.Share]:
         """Probabilities of a category, those of `other` where it is not named."""
         return self.probabilities.get(category, self.probabilities[FALLBACK_CATEGORY])
 
@@ -271,9 +263,9 @@ def draw_material_class(
     rng: np.random.Generator,
     category: str,
     *,
-    allowed: Collection[MaterialClass] = MATERIAL_CLASSES,
+    allowed: Collection[material_library.MaterialClass] = material_library.MATERIAL_CLASSES,
     choice: ClassChoice | None = None,
-) -> MaterialClass:
+) -> material_library.MaterialClass:
     """Draw the material class of an object; consumes one random number.
 
     Args:
@@ -287,7 +279,7 @@ def draw_material_class(
         ToolkitError: `allowed` is empty.
     """
     row = (choice or load_class_choice()).row(category)
-    names = [c for c in MATERIAL_CLASSES if c in allowed]
+    names = [c for c in material_library.MATERIAL_CLASSES if c in allowed]
     if not names:
         raise ToolkitError("no material class is allowed", field="allowed", value=list(allowed))
     weights = np.array([row.get(c, 0.0) for c in names])

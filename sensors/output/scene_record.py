@@ -12,39 +12,31 @@ from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.scene.model import (
-    CameraModel,
-    Count,
-    Document,
-    Material,
-    ObjectId,
-    Pose16,
-    Positive,
-)
+from std_toolkit.scene import model
 
 
-class ObjectRecord(Document, frozen=True, kw_only=True):
+class ObjectRecord(model.Document, frozen=True, kw_only=True):
     """An object; `instance_id` is its value in masks, `scale_m` its diagonal in metres."""
 
-    instance_id: ObjectId
+    instance_id: model.ObjectId
     asset_id: str
     category: str
-    class_id: Count
-    material_class: Material
-    scale_m: Positive
-    T_world_obj: Pose16
+    class_id: model.Count
+    material_class: model.Material
+    scale_m: model.Positive
+    T_world_obj: model.Pose16
 
 
-class ViewRecord(Document, frozen=True, kw_only=True):
+class ViewRecord(model.Document, frozen=True, kw_only=True):
     """A frame: poses of the colour and the left infrared camera, and the objects left out."""
 
-    index: Count
-    T_world_cam: Pose16
-    T_world_ir: Pose16
-    hidden: list[ObjectId]
+    index: model.Count
+    T_world_cam: model.Pose16
+    T_world_ir: model.Pose16
+    hidden: list[model.ObjectId]
 
 
-class SceneRecord(Document, frozen=True, kw_only=True):
+class SceneRecord(model.Document, frozen=True, kw_only=True):
     """parameters.json of a scene. Metres, OpenCV cameras, pixel centres at integers.
 
     `K`, `width` and `height` are the label maps' camera, so that `std-curate import --intrinsics`
@@ -59,14 +51,14 @@ class SceneRecord(Document, frozen=True, kw_only=True):
     version: Literal[1] = 1
     version_of_tool: str
     name: str
-    seed: Count
+    seed: model.Count
     sensor: str
     width: int
     height: int
     K: list[list[float]]
-    color_camera: CameraModel
-    infrared_camera: CameraModel
-    depth_camera: CameraModel
+    color_camera: model.CameraModel
+    infrared_camera: model.CameraModel
+    depth_camera: model.CameraModel
     objects: list[ObjectRecord]
     frames: list[ViewRecord]
     parameters: dict[str, Any]
@@ -83,9 +75,9 @@ def scene_record(received: ReceivedFrames) -> SceneRecord:
         width=label.width,
         height=label.height,
         K=label.K.tolist(),
-        color_camera=CameraModel.of(received.color_camera),
-        infrared_camera=CameraModel.of(received.infrared_camera),
-        depth_camera=CameraModel.of(received.depth_camera),
+        color_camera=model.CameraModel.of(received.color_camera),
+        infrared_camera=model.CameraModel.of(received.infrared_camera),
+        depth_camera=model.CameraModel.of(received.depth_camera),
         objects=[
             ObjectRecord(
                 instance_id=item.instance_id,

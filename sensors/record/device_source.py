@@ -12,19 +12,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from sensors.record import sdk_frames
 from sensors.record.calibration import read_calibration
 from sensors.record.realsense import INFRARED, Stream, device_info, librealsense
 from sensors.record.recording_document import CapturedFrame
-from sensors.record.sdk_frames import (
-    Pairing,
-    SdkAligner,
-    StreamCount,
-    check_formats,
-    color_image,
-    depth_image,
-    exposure,
-    grey_image,
-)
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
 
@@ -68,7 +59,7 @@ class DeviceSource:
         self.fps = float(streams["color"].profile.fps() or 30)
         self.overrun: Counter[str] = Counter()
         self.live = not playback
-        check_formats({name: s.profile for name, s in streams.items()})
+        sdk_frames.check_formats({name: s.profile for name, s in streams.items()})
         self._device = device
         self._streams = streams
         self._stop = stop
@@ -78,13 +69,13 @@ class DeviceSource:
         self._running: list[Any] = []
         self._starter: threading.Thread | None = None
         self._failed: RuntimeError | None = None
-        self._aligner = SdkAligner() if align else None
+        self._aligner = sdk_frames.SdkAligner() if align else None
         slowest = min(s.profile.fps() or 30 for s in streams.values())
         names = ["color", *(n for n in streams if n != "color")]
-        self._pairing = Pairing(names, 1000.0 / slowest)
+        self._pairing = sdk_frames.Pairing(names, 1000.0 / slowest)
 
     @property
-    def counts(self) -> dict[str, StreamCount]:
+    def counts(self) -> dict[str, sdk_frames.StreamCount]:
         """What became of each stream's images so far; `lost` without those of `overrun`."""
         return {
             name: replace(count, lost=max(0, count.lost - self.overrun[name]))
@@ -220,12 +211,14 @@ class DeviceSource:
     def _converted(self, images: dict[str, Any]) -> CapturedFrame:
         color, depth = images["color"], images["depth"]
         return CapturedFrame(
-            color=color_image(color),
-            depth=depth_image(depth),
+            color=sdk_frames.color_image(color),
+            depth=sdk_frames.depth_image(depth),
             timestamp=color.get_timestamp() / 1000,
             aligned=None if self._aligner is None else self._aligner(depth, color),
-            infrared={name: grey_image(images[name]) for name in INFRARED if name in images},
-            exposure_s=exposure(color),
+            infrared={
+                name: sdk_frames.grey_image(images[name]) for name in INFRARED if name in images
+            },
+            exposure_s=sdk_frames.exposure(color),
         )
 
     def _check_length(self, first: float | None, last: float | None) -> None:

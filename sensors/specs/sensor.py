@@ -17,21 +17,13 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.documents import DIALECT, InvalidDocument, read_document
-from std_toolkit.scene.document import (
-    Document,
-    NonNegative,
-    Pose16,
-    Positive,
-    Vector3,
-    check_pose,
-    pose_from_list,
-)
+from std_toolkit.scene import document
 from std_toolkit.scene.pose_model import CameraModel
 
 Angles = Annotated[list[Annotated[float, msgspec.Meta(gt=1, lt=170)]],
                    msgspec.Meta(min_length=2, max_length=2)]  # fmt: skip
 
-Range = Annotated[list[NonNegative], msgspec.Meta(min_length=2, max_length=2)]
+Range = Annotated[list[document.NonNegative], msgspec.Meta(min_length=2, max_length=2)]
 
 # Two sizes are scaled copies of one picture if their aspect ratios differ by less: 848x480 is
 # meant to be 16:9.
@@ -42,7 +34,7 @@ FOLDER = Path(__file__).parent
 SCHEMA = FOLDER / "sensor.schema.json"
 
 
-class Source(Document, frozen=True, kw_only=True):
+class Source(document.Document, frozen=True, kw_only=True):
     """Where figures come from.
 
     Attributes:
@@ -54,7 +46,7 @@ class Source(Document, frozen=True, kw_only=True):
     estimate: bool = False
 
 
-class ProjectorSpec(Document, frozen=True, kw_only=True):
+class ProjectorSpec(document.Document, frozen=True, kw_only=True):
     """The infrared projector of dots.
 
     Attributes:
@@ -66,7 +58,7 @@ class ProjectorSpec(Document, frozen=True, kw_only=True):
         roll_deg: rotation of the pattern about its axis.
     """
 
-    position_m: Vector3
+    position_m: document.Vector3
     fov_deg: Angles
     style: Literal["two_lattices", "scattered"]
     dots_in_view: Annotated[int, msgspec.Meta(ge=100, le=1_000_000)]
@@ -79,7 +71,7 @@ class ProjectorSpec(Document, frozen=True, kw_only=True):
         return SE3.from_quat([np.cos(angle), 0, 0, np.sin(angle)], self.position_m)
 
 
-class DepthSpec(Document, frozen=True, kw_only=True):
+class DepthSpec(document.Document, frozen=True, kw_only=True):
     """What the depth stream can tell.
 
     Attributes:
@@ -91,17 +83,17 @@ class DepthSpec(Document, frozen=True, kw_only=True):
     """
 
     field_of_view_deg: Angles
-    unit_m: Positive
+    unit_m: document.Positive
     range_m: Range
     disparities: Annotated[int, msgspec.Meta(ge=16, le=512)]
-    noise_px: NonNegative
+    noise_px: document.NonNegative
 
     def check(self) -> None:
         if not self.range_m[0] < self.range_m[1]:
             raise ToolkitError("near must be less than far", field="range_m", value=self.range_m)
 
 
-class SensorSpec(Document, frozen=True, kw_only=True):
+class SensorSpec(document.Document, frozen=True, kw_only=True):
     """An active stereo depth camera.
 
     Attributes:
@@ -122,13 +114,13 @@ class SensorSpec(Document, frozen=True, kw_only=True):
     infrared: Annotated[list[CameraModel], msgspec.Meta(min_length=1)]
     color: Annotated[list[CameraModel], msgspec.Meta(min_length=1)]
     baseline_m: Annotated[float, msgspec.Meta(gt=0, lt=1)]
-    T_ir_color: Pose16
+    T_ir_color: document.Pose16
     projector: ProjectorSpec | None
     depth: DepthSpec
     sources: dict[str, Source] = msgspec.field(default_factory=dict)
 
     def check(self) -> None:
-        check_pose(self.T_ir_color, "T_ir_color")
+        document.check_pose(self.T_ir_color, "T_ir_color")
         for stream in ("infrared", "color"):
             sizes = [(c.width, c.height) for c in getattr(self, stream)]
             if len(set(sizes)) < len(sizes):
@@ -161,7 +153,7 @@ class SensorSpec(Document, frozen=True, kw_only=True):
     @property
     def pose_of_color(self) -> SE3:
         """`T_ir_color` as a pose."""
-        return pose_from_list(self.T_ir_color)
+        return document.pose_from_list(self.T_ir_color)
 
     def disparity_range(self, width: int, height: int) -> tuple[int, int]:
         """Least and largest whole disparity that `depth.range_m` gives at this image size.
@@ -212,12 +204,6 @@ def figures(spec: SensorSpec) -> list[str]:
         names += ["projector"]
         names += [f"projector.{field}" for field in ProjectorSpec.__struct_fields__]
     return names
-
-
-def without_source(spec: SensorSpec) -> list[str]:
-    """Fields whose figures nobody vouches for."""
-    leaves = [f for f in figures(spec) if f not in ("depth", "projector")]
-    return [f for f in leaves if f not in spec.sources and f.split(".")[0] not in spec.sources]
 
 
 def names() -> list[str]:

@@ -10,14 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from sensors.stereo.local_options import (
-    DISPARITIES,
-    ZNCC_STEPS,
-    Cost,
-    LocalMatcherOptions,
-    Subpixel,
-    window_sums,
-)
+from sensors.stereo import local_options
 from sensors.stereo.stereo_matcher import Disparity, Image
 from std_toolkit.errors import ToolkitError
 
@@ -27,7 +20,7 @@ NEVER = 2**31 - 1
 _HALVES = (0x5555555555555555, 0x3333333333333333, 0x0F0F0F0F0F0F0F0F, 0x0101010101010101)
 
 
-def match(left: Image, right: Image, options: LocalMatcherOptions) -> Disparity:
+def match(left: Image, right: Image, options: local_options.LocalMatcherOptions) -> Disparity:
     """See `LocalMatcher.match`."""
     device = device_of(options)
     with torch.inference_mode():
@@ -40,7 +33,7 @@ def match(left: Image, right: Image, options: LocalMatcherOptions) -> Disparity:
         return found.cpu().numpy()
 
 
-def device_of(options: LocalMatcherOptions) -> torch.device:
+def device_of(options: local_options.LocalMatcherOptions) -> torch.device:
     """The device to compute on.
 
     Raises:
@@ -59,31 +52,33 @@ def device_of(options: LocalMatcherOptions) -> torch.device:
 
 
 def _pixel_costs(
-    left: Image, right: Image, options: LocalMatcherOptions, device: torch.device
+    left: Image, right: Image, options: local_options.LocalMatcherOptions, device: torch.device
 ) -> Tensor:
     """(D, H, W) int32: cost of disparity min_disparity + d, 0 where the right pixel is outside."""
     height, width = left.shape
     costs = torch.zeros((options.count, height, width), dtype=torch.int32, device=device)
     # Copied: torch takes neither read-only arrays nor mirrored ones.
     pair = [torch.from_numpy(np.array(image)).to(device) for image in (left, right)]
-    if options.cost is Cost.CENSUS:
+    if options.cost is local_options.Cost.CENSUS:
         a, b = (_census(image) for image in pair)
         for i, d in _disparities(options, width):
             costs[i, :, d:] = _ones(a[:, d:] ^ b[:, : width - d])
         return costs
     size = options.zncc_px
     a, b = (_continued(image, size // 2).int() for image in pair)
-    sums = [window_sums(image.to(torch.uint8).cpu().numpy(), size) for image in (a, b)]
+    sums = [
+        local_options.window_sums(image.to(torch.uint8).cpu().numpy(), size) for image in (a, b)
+    ]
     (l_sum, l_inv), (r_sum, r_inv) = ([torch.from_numpy(v).to(device) for v in s] for s in sums)
     for i, d in _disparities(options, width):
         products = _box(a[:, d:] * b[:, : b.shape[1] - d], size)
         top = size * size * products - l_sum[:, d:] * r_sum[:, : width - d]
         correlation = top.double() * l_inv[:, d:] * r_inv[:, : width - d]
-        costs[i, :, d:] = ((1.0 - correlation) * ZNCC_STEPS + 0.5).int()
+        costs[i, :, d:] = ((1.0 - correlation) * local_options.ZNCC_STEPS + 0.5).int()
     return costs
 
 
-def _disparities(options: LocalMatcherOptions, width: int) -> list[tuple[int, int]]:
+def _disparities(options: local_options.LocalMatcherOptions, width: int) -> list[tuple[int, int]]:
     """(index, disparity) of those that any pixel can have."""
     return [(i, d) for i, d in enumerate(range(options.min_disparity, width)) if i < options.count]
 
@@ -126,7 +121,7 @@ def _box(values: Tensor, size: int) -> Tensor:
     return values
 
 
-def _aggregated(costs: Tensor, options: LocalMatcherOptions) -> Tensor:
+def _aggregated(costs: Tensor, options: local_options.LocalMatcherOptions) -> Tensor:
     """(D, H, W) int32 sums over the box, scaled to its full size; NEVER where there is no pixel."""
     count, height, width = costs.shape
     side, radius = options.aggregation_px, options.aggregation_px // 2
@@ -144,7 +139,7 @@ def _aggregated(costs: Tensor, options: LocalMatcherOptions) -> Tensor:
     return costs
 
 
-def _winners(costs: Tensor, options: LocalMatcherOptions) -> Tensor:
+def _winners(costs: Tensor, options: local_options.LocalMatcherOptions) -> Tensor:
     """(H, W) float32 disparity, 0 = none; see `numba_winner.winners`."""
     count, height, width = costs.shape
     index = torch.arange(count, dtype=torch.int32, device=costs.device)[:, None, None]
@@ -152,10 +147,10 @@ def _winners(costs: Tensor, options: LocalMatcherOptions) -> Tensor:
     left_key = torch.full((height, width), NEVER, dtype=torch.int32, device=costs.device)
     right_key = left_key.clone()
     for i, d in _disparities(options, width):
-        key = costs[i, :, d:] * DISPARITIES + i
+        key = costs[i, :, d:] * local_options.DISPARITIES + i
         left_key[:, d:] = torch.minimum(left_key[:, d:], key)
         right_key[:, : width - d] = torch.minimum(right_key[:, : width - d], key)
-    best = (left_key % DISPARITIES).long()
+    best = (left_key % local_options.DISPARITIES).long()
     x = torch.arange(width, device=costs.device)
     reach = (x - options.min_disparity + 1).clamp(min=0, max=count)
     valid = (left_key != NEVER) & (best > 0) & (best + 1 < reach)
@@ -168,19 +163,21 @@ def _winners(costs: Tensor, options: LocalMatcherOptions) -> Tensor:
     valid &= (second == NEVER) | (least.long() * 100 < second.long() * share)
     if options.left_right_px is not None:
         partner = (x - options.min_disparity - inner).clamp(min=0)
-        theirs = right_key.gather(1, partner) % DISPARITIES
+        theirs = right_key.gather(1, partner) % local_options.DISPARITIES
         valid &= (theirs - inner).abs() <= options.left_right_px
     offset = _offset(before, least, after, options)
     disparity = (options.min_disparity + inner).float() + offset
     return torch.where(valid, disparity, torch.zeros_like(disparity))
 
 
-def _offset(before: Tensor, least: Tensor, after: Tensor, options: LocalMatcherOptions) -> Tensor:
+def _offset(
+    before: Tensor, least: Tensor, after: Tensor, options: local_options.LocalMatcherOptions
+) -> Tensor:
     """Place of the minimum of the curve through three costs, -0.5 to 0.5 of a pixel."""
     curve = options.curve
-    if curve is Subpixel.NONE:
+    if curve is local_options.Subpixel.NONE:
         return torch.zeros_like(least, dtype=torch.float32)
-    if curve is Subpixel.GAUSSIAN:
+    if curve is local_options.Subpixel.GAUSSIAN:
         plateau = options.gaussian_foot
         a, b, c = ((plateau - v.double()).clamp(min=plateau * 1e-3).log() for v in
                    (before, after, least))  # fmt: skip
@@ -189,7 +186,7 @@ def _offset(before: Tensor, least: Tensor, after: Tensor, options: LocalMatcherO
         return offset.clamp(-0.5, 0.5).float()
     # No sum may leave 32 bits where a cost does not exist; such pixels are dropped anyway.
     before, after = before.long(), after.long()
-    if curve is Subpixel.QUADRATIC:
+    if curve is local_options.Subpixel.QUADRATIC:
         bend = 2 * (before + after - 2 * least)
     else:
         bend = 2 * (torch.maximum(before, after) - least)

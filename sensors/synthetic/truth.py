@@ -19,18 +19,7 @@ from std_toolkit.geometry.mesh import hull_vertices, load_mesh, mesh_diameter, m
 from std_toolkit.geometry.se3 import SE3, so3_exp
 from std_toolkit.geometry.symmetry import mssd, rotation_error, translation_error
 from std_toolkit.io.atomic import atomic_path
-from std_toolkit.scene.model import (
-    CameraPoses,
-    Frame,
-    FramePose,
-    Frames,
-    Label,
-    Labels,
-    Model,
-    Object,
-    ObjectTable,
-    SceneInfo,
-)
+from std_toolkit.scene import model
 from std_toolkit.scene.scene import Scene
 
 
@@ -168,21 +157,21 @@ def scene_from_truth(recording: Path, out: Path) -> Scene:
         target = out / "models" / item.name / Path(item.mesh).name
         target.parent.mkdir(parents=True)
         shutil.copyfile(recording / item.mesh, target)
-    info = SceneInfo(
+    info = model.SceneInfo(
         name=recording.name,
         cameras={"color": truth.camera},
         depth_scale=truth.depth_scale,
         source="synthetic:truth",
     )
     frames = [
-        Frame(id=i, name=name, color=f"color/{name}.png", depth=f"depth/{name}.png")
+        model.Frame(id=i, name=name, color=f"color/{name}.png", depth=f"depth/{name}.png")
         for i, name in enumerate(truth.frames)
     ]
-    scene = Scene.create(out, info, Frames(frames=frames), _objects(truth, recording))
+    scene = Scene.create(out, info, model.Frames(frames=frames), _objects(truth, recording))
     scene.save_poses(
-        CameraPoses(
+        model.CameraPoses(
             frames=[
-                FramePose(frame=i, status="registered", T_world_cam=T)
+                model.FramePose(frame=i, status="registered", T_world_cam=T)
                 for i, T in enumerate(truth.T_world_cam)
             ],
             source="truth",
@@ -190,9 +179,9 @@ def scene_from_truth(recording: Path, out: Path) -> Scene:
     )
     T_cam_world = truth.camera_pose(0).inverse()
     scene.save_labels(
-        Labels(
+        model.Labels(
             labels=[
-                Label(
+                model.Label(
                     object=i,
                     frame=0,
                     T_cam_obj=(T_cam_world @ SE3.from_matrix(item.T_world_obj)).flat(),
@@ -206,12 +195,12 @@ def scene_from_truth(recording: Path, out: Path) -> Scene:
     return scene
 
 
-def _objects(truth: Truth, recording: Path) -> ObjectTable:
+def _objects(truth: Truth, recording: Path) -> model.ObjectTable:
     models, objects = [], []
     for i, item in enumerate(truth.objects, start=1):
         mesh = load_mesh(recording / item.mesh)
         models.append(
-            Model(
+            model.Model(
                 id=item.name,
                 mesh=f"models/{item.name}/{Path(item.mesh).name}",
                 category=item.category,
@@ -221,5 +210,5 @@ def _objects(truth: Truth, recording: Path) -> ObjectTable:
                 symmetry=item.symmetry,
             )
         )
-        objects.append(Object(id=i, name=item.name, model=item.name, material=item.material))
-    return ObjectTable(models=models, objects=objects)
+        objects.append(model.Object(id=i, name=item.name, model=item.name, material=item.material))
+    return model.ObjectTable(models=models, objects=objects)

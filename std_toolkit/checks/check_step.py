@@ -12,42 +12,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.checks import aggregate
+from std_toolkit.checks import aggregate, result
 from std_toolkit.checks.contours import mesh_problem
 from std_toolkit.checks.coverage import SEEN_FRACTION, scene_up
 from std_toolkit.checks.figures import sky_figure
 from std_toolkit.checks.gates import evaluate_gates, evaluate_object, scale_share
-from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.overlay import DrawingOrder, FramePictures, draw_frame
 from std_toolkit.checks.report import PageParts, render_page
 from std_toolkit.checks.report_warnings import find_warnings
 from std_toolkit.checks.residuals import FrameObservation, observe_frame
-from std_toolkit.checks.result import (
-    CheckGate,
-    CheckReport,
-    FrameCheck,
-    ObjectCheck,
-    ObjectFrameCheck,
-    SceneSummary,
-    frames_csv,
-    objects_csv,
-)
 from std_toolkit.checks.view3d import Cloud, fused_cloud, scene_figure, sparse_cloud
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import sweep_temporaries, write_bytes_atomic
 from std_toolkit.io.documents import document_bytes, read_document
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.log import logger
+from std_toolkit.options import CheckOptions
 from std_toolkit.rendering.ground_truth import info_path, map_paths
-from std_toolkit.scene import Frame, Scene
-from std_toolkit.scene.document import (
-    Record,
-    digest_file,
-    digest_of,
-    is_fresh,
-    record_path,
-    write_record,
-)
+from std_toolkit.scene import Frame, Scene, document
 
 STEP = "check"
 FOLDER = "check"
@@ -58,7 +40,7 @@ _DRAWN_HERE = 30
 
 def run_check(
     scene: Scene, options: CheckOptions | None = None, jobs: JobOptions | None = None
-) -> CheckReport:
+) -> result.CheckReport:
     """Check the labels of a scene and write `check/report.html`, `.json`, `.csv`, `frames.csv`.
 
     A gate that fails is told in the report, not raised. Whatever the scene lacks (poses, labels,
@@ -80,22 +62,22 @@ def run_check(
         sweep_temporaries(scene.root)
         frames = spread(scene.registered_frames(), options.max_frames)
         fingerprint = _fingerprint(scene)
-        digest = digest_of(
+        digest = document.digest_of(
             fingerprint, asdict(options), version("plotly"), _file_digests(scene, frames)
         )
-        if is_fresh(scene.root, STEP, digest):
+        if document.is_fresh(scene.root, STEP, digest):
             logger.info("check: nothing changed, the report is up to date")
-            return read_document(scene.root / FOLDER / "report.json", CheckReport)
+            return read_document(scene.root / FOLDER / "report.json", result.CheckReport)
         report, page = _check(scene, frames, fingerprint, options, jobs)
         outputs = {
             "report.html": page.encode(),
-            "report.csv": objects_csv(report),
-            "frames.csv": frames_csv(report),
+            "report.csv": result.objects_csv(report),
+            "frames.csv": result.frames_csv(report),
             "report.json": document_bytes(report),
         }
         for name, data in outputs.items():
             write_bytes_atomic(scene.root / FOLDER / name, data)
-        write_record(
+        document.write_record(
             scene.root,
             STEP,
             digest,
@@ -111,7 +93,7 @@ def report_is_current(scene: Scene) -> bool:
     Looks at no image. A report whose record was deleted counts as current.
     """
     try:
-        record = read_document(record_path(scene.root, STEP), Record)
+        record = read_document(document.record_path(scene.root, STEP), document.Record)
     except ToolkitError:
         return True
     return record.parameters.get("scene", "") in ("", _fingerprint(scene))
@@ -137,7 +119,7 @@ def _check(
     fingerprint: str,
     options: CheckOptions,
     jobs: JobOptions | None,
-) -> tuple[CheckReport, str]:
+) -> tuple[result.CheckReport, str]:
     work: dict[str, Any] = {"root": scene.root, "fingerprint": fingerprint, "options": options}
     observed_job = run_jobs(
         partial(observe_frame, **work), [f.id for f in frames], name="check", options=jobs
@@ -172,7 +154,7 @@ def _check(
     pictures: list[FramePictures] = list(drawn.results.values())
     view3d = scene_figure(scene, up, sparse, fused)
     failed = [g for g in gates if g.status == "fail"]
-    report = CheckReport(
+    report = result.CheckReport(
         scene=scene.info.name,
         passed=not failed,
         verdict=_verdict(failed, summary),
@@ -191,16 +173,16 @@ def _check(
 
 def _summary(
     scene: Scene,
-    objects: list[ObjectCheck],
-    rows: list[FrameCheck],
+    objects: list[result.ObjectCheck],
+    rows: list[result.FrameCheck],
     observed: list[FrameObservation],
     bias: float | None,
-) -> SceneSummary:
+) -> result.SceneSummary:
     registered = [r for r in rows if r.status == "registered"]
     errors = [r.reprojection_px for r in registered if r.reprojection_px is not None]
     current = sum(o.truth == "current" for o in observed)
     cast = any(o.tallies for o in observed)
-    return SceneSummary(
+    return result.SceneSummary(
         frames=len(rows),
         registered=len(registered),
         looked_at=len(observed),
@@ -216,7 +198,9 @@ def _summary(
     )
 
 
-def _missing(scene: Scene, summary: SceneSummary, observed: list[FrameObservation]) -> list[str]:
+def _missing(
+    scene: Scene, summary: result.SceneSummary, observed: list[FrameObservation]
+) -> list[str]:
     found = []
     if scene.poses is None:
         found.append("Camera poses: run `std-curate poses`. Without them no label can be checked.")
@@ -243,7 +227,7 @@ def _missing(scene: Scene, summary: SceneSummary, observed: list[FrameObservatio
     return found
 
 
-def _mesh_gate(scene: Scene) -> list[CheckGate]:
+def _mesh_gate(scene: Scene) -> list[result.CheckGate]:
     problems = {
         o.name: p
         for o in scene.objects.objects
@@ -252,7 +236,7 @@ def _mesh_gate(scene: Scene) -> list[CheckGate]:
     if not problems:
         return []
     return [
-        CheckGate(
+        result.CheckGate(
             key="meshes",
             title="labelled objects whose mesh cannot be read",
             value=float(len(problems)),
@@ -266,7 +250,7 @@ def _mesh_gate(scene: Scene) -> list[CheckGate]:
 
 
 def _drawing_orders(
-    frames: list[Frame], objects: list[ObjectCheck], options: CheckOptions
+    frames: list[Frame], objects: list[result.ObjectCheck], options: CheckOptions
 ) -> list[DrawingOrder]:
     """Spread frames whole; of every object its annotated, its worst and some spread frames."""
     whole = [f.id for f in spread(frames, max(options.overlay_frames, 1))]
@@ -307,8 +291,8 @@ def _even(length: int, count: int) -> list[int]:
 
 
 def _sky(
-    scene: Scene, objects: list[ObjectCheck], up: NDArray[np.float64]
-) -> dict[int, tuple[NDArray[np.float64], NDArray[np.float64], list[ObjectFrameCheck]]]:
+    scene: Scene, objects: list[result.ObjectCheck], up: NDArray[np.float64]
+) -> dict[int, tuple[NDArray[np.float64], NDArray[np.float64], list[result.ObjectFrameCheck]]]:
     views = {}
     for item in objects:
         seen = [f for f in item.frames if f.visible_fraction >= SEEN_FRACTION]
@@ -323,7 +307,7 @@ def _up(scene: Scene, cloud: Cloud | None) -> NDArray[np.float64]:
     return scene_up(poses, None if cloud is None else cloud.xyz.astype(np.float64))
 
 
-def _verdict(failed: list[CheckGate], summary: SceneSummary) -> str:
+def _verdict(failed: list[result.CheckGate], summary: result.SceneSummary) -> str:
     if failed:
         count = f"{len(failed)} gate{'s' if len(failed) > 1 else ''}"
         return f"FAIL: {count}: {', '.join(g.key for g in failed)}"
@@ -335,7 +319,7 @@ def _verdict(failed: list[CheckGate], summary: SceneSummary) -> str:
 def _fingerprint(scene: Scene) -> str:
     """Digest of the documents and meshes: what every frame's work depends on."""
     meshes = {m.id: _digest_or_none(scene.mesh_path(m)) for m in scene.objects.models}
-    return digest_of(
+    return document.digest_of(
         scene.info, scene.frame_table, scene.objects, scene.poses, scene.labels, meshes
     )
 
@@ -353,4 +337,4 @@ def _file_digests(scene: Scene, frames: list[Frame]) -> dict[str, Any]:
 
 
 def _digest_or_none(path: Path) -> str | None:
-    return digest_file(path) if path.is_file() else None
+    return document.digest_file(path) if path.is_file() else None

@@ -9,17 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.checks.result import CheckReport, MaterialDepth, ObjectCheck, ObjectFrameCheck
-from std_toolkit.html.plots import (
-    BAD,
-    CAMERA,
-    FAINT,
-    GRID,
-    MATERIAL_COLORS,
-    base_layout,
-    figure_json,
-    object_color,
-    object_dash,
-)
+from std_toolkit.html import plots
 
 SKIES_PER_ROW = 4
 
@@ -37,7 +27,7 @@ def registration_figure(report: CheckReport, *, limit_px: float) -> str | None:
             "name": "registered",
             "x": [f.frame for f in there],
             "y": [f.reprojection_px or 0 for f in there],
-            "marker": {"color": CAMERA},
+            "marker_color": plots.CAMERA,
             "customdata": [[f.name, f.points] for f in there],
             "hovertemplate": "frame %{x} (%{customdata[0]})<br>%{y:.2f} px, "
             "%{customdata[1]} points<extra></extra>",
@@ -51,23 +41,22 @@ def registration_figure(report: CheckReport, *, limit_px: float) -> str | None:
                 "name": "no camera pose",
                 "x": [f.frame for f in lost],
                 "y": [0.0] * len(lost),
-                "marker": {"symbol": "x", "size": 9, "color": BAD},
+                "marker": {"symbol": "x", "size": 9, "color": plots.BAD},
                 "cliponaxis": False,
                 "hovertext": [f.name for f in lost],
                 "hovertemplate": "frame %{x} (%{hovertext})<br>no pose<extra></extra>",
             }
         )
     top = max([limit_px * 1.1, *(f.reprojection_px or 0 for f in there)])
-    return figure_json(
+    return plots.figure(
         traces,
-        base_layout(
-            height=260,
-            bargap=0.15,
-            xaxis={"title": {"text": "frame"}},
-            yaxis={"title": {"text": "reprojection error (px)"}, "range": [0, top * 1.05]},
-            showlegend=bool(lost),
-            shapes=[_limit_line(limit_px)],
-        ),
+        height=260,
+        x="frame",
+        y="reprojection error (px)",
+        yaxis={"range": [0, top * 1.05]},
+        bargap=0.15,
+        showlegend=bool(lost),
+        shapes=[_limit_line(limit_px)],
     )
 
 
@@ -96,12 +85,10 @@ def frames_figure(
                 "name": item.name,
                 "x": [p[0] for p in points],
                 "y": [p[1] for p in points],
-                "line": {
-                    "color": object_color(ids, item.object),
-                    "dash": object_dash(ids, item.object),
-                    "width": 1.5,
-                },
-                "marker": {"size": 4},
+                "line_color": plots.object_color(ids, item.object),
+                "line_dash": plots.object_dash(ids, item.object),
+                "line_width": 1.5,
+                "marker_size": 4,
                 "hovertemplate": f"{item.name}<br>frame %{{x}}: %{{y:.2f}} {unit}<extra></extra>",
             }
         )
@@ -113,18 +100,14 @@ def frames_figure(
     reach = 3 * float(np.percentile(np.abs(values), 90))
     high, low = min(high, max([reach, *limits])), max(low, min([-reach, *limits]))
     pad = 0.08 * max(high - min(low, 0), 1e-3)
-    return figure_json(
+    return plots.figure(
         traces,
-        base_layout(
-            height=320,
-            xaxis={"title": {"text": "frame"}},
-            yaxis={
-                "title": {"text": f"{title} ({unit})"},
-                "range": [0 if from_zero else low - pad, high + pad],
-            },
-            shapes=[_limit_line(x) for x in limits],
-            showlegend=True,
-        ),
+        height=320,
+        x="frame",
+        y=f"{title} ({unit})",
+        yaxis={"range": [0 if from_zero else low - pad, high + pad]},
+        shapes=[_limit_line(x) for x in limits],
+        showlegend=True,
     )
 
 
@@ -146,23 +129,20 @@ def visibility_figure(objects: Sequence[ObjectCheck]) -> str | None:
         "zmin": 0,
         "zmax": 1,
         "colorscale": [[0, "#f1f3f5"], [0.5, "#8fb8d8"], [1, "#0b4a7a"]],
-        "colorbar": {
-            "title": {"text": "visible", "side": "right"},
-            "tickformat": ".0%",
-            "thickness": 12,
-            "outlinewidth": 0,
-        },
+        "colorbar_title": {"text": "visible", "side": "right"},
+        "colorbar_tickformat": ".0%",
+        "colorbar_thickness": 12,
+        "colorbar_outlinewidth": 0,
         "xgap": 0,
         "ygap": 2,
         "hovertemplate": "%{y}<br>frame %{x}: %{z:.0%} visible<extra></extra>",
     }
-    return figure_json(
+    return plots.figure(
         [trace],
-        base_layout(
-            height=110 + 30 * len(rows),
-            xaxis={"title": {"text": "frame"}, "showgrid": False},
-            yaxis={"autorange": "reversed", "showgrid": False, "ticks": ""},
-        ),
+        height=110 + 30 * len(rows),
+        x="frame",
+        xaxis={"showgrid": False},
+        yaxis={"autorange": "reversed", "showgrid": False, "ticks": ""},
     )
 
 
@@ -184,10 +164,12 @@ def sky_figure(
     rows = -(-len(shown) // columns)
     height = 60 + 290 * rows
     traces: list[dict[str, Any]] = []
-    layout = base_layout(
+    layout = plots.base_layout(
         height=height, showlegend=False, margin={"l": 10, "r": 10, "t": 10, "b": 10}
     )
     del layout["xaxis"], layout["yaxis"]
+    small = {"size": 10, "color": plots.FAINT}
+    axis = {"gridcolor": plots.GRID, "linecolor": plots.GRID, "tickfont": small, "ticks": ""}
     notes = []
     for place, item in enumerate(shown):
         azimuth, elevation, frames = views[item.object]
@@ -200,28 +182,22 @@ def sky_figure(
         layout[name] = {
             "domain": {"x": [x0, x1], "y": [max(y0, 0), y1]},
             "bgcolor": "rgba(0,0,0,0)",
-            "radialaxis": {
+            "radialaxis": axis
+            | {
                 "range": [0, deepest],
                 "tickvals": [0, 30, 60, 90],
                 "ticktext": ["", "60°", "30°", "0°"],
                 "angle": 157.5,
                 "tickangle": 157.5,
-                "gridcolor": GRID,
-                "linecolor": GRID,
-                "tickfont": {"size": 10, "color": FAINT},
-                "ticks": "",
             },
-            "angularaxis": {
+            "angularaxis": axis
+            | {
                 "tickvals": list(range(0, 360, 45)),
                 "direction": "counterclockwise",
                 "rotation": -90,
-                "gridcolor": GRID,
                 "linecolor": "#cbd2d9",
-                "tickfont": {"size": 10, "color": FAINT},
-                "ticks": "",
             },
         }
-        color = object_color(ids, item.object)
         annotated = [f.frame == item.annotated_frame for f in frames]
         traces.append(
             {
@@ -230,13 +206,11 @@ def sky_figure(
                 "mode": "markers",
                 "theta": [round(float(a), 1) for a in azimuth],
                 "r": [round(90 - float(e), 1) for e in elevation],
-                "marker": {
-                    "color": color,
-                    "size": [13 if a else 7 for a in annotated],
-                    "symbol": ["star" if a else "circle" for a in annotated],
-                    "opacity": [round(0.25 + 0.75 * f.visible_fraction, 2) for f in frames],
-                    "line": {"width": 0.5, "color": "white"},
-                },
+                "marker_color": plots.object_color(ids, item.object),
+                "marker_size": [13 if a else 7 for a in annotated],
+                "marker_symbol": ["star" if a else "circle" for a in annotated],
+                "marker_opacity": [round(0.25 + 0.75 * f.visible_fraction, 2) for f in frames],
+                "marker_line": {"width": 0.5, "color": "white"},
                 "customdata": [
                     [f.frame, round(float(e), 1), f.visible_fraction]
                     for f, e in zip(frames, elevation, strict=True)
@@ -260,7 +234,7 @@ def sky_figure(
             }
         )
     layout["annotations"] = notes
-    return figure_json(traces, layout)
+    return plots.figure_json(traces, layout)
 
 
 def error_figure(materials: Sequence[MaterialDepth]) -> str | None:
@@ -276,53 +250,27 @@ def error_figure(materials: Sequence[MaterialDepth]) -> str | None:
             "x": m.histogram_mm,
             # A logarithmic axis has no 0: empty bins are gaps.
             "y": [100 * s or None for s in m.histogram_share],
-            "line": {"color": MATERIAL_COLORS[m.material], "width": 2, "shape": "hvh"},
+            "line": {"color": plots.MATERIAL_COLORS[m.material], "width": 2, "shape": "hvh"},
             "hovertemplate": f"{m.material}<br>%{{x}} mm: %{{y:.2f}} % of the readings"
             "<extra></extra>",
         }
         for m in rows
     ]
     limit = max(abs(x) for x in rows[0].histogram_mm)
-    return figure_json(
+    ticks = [0.01, 0.1, 1, 10, 100]
+    zero = {"type": "line", "x0": 0, "x1": 0, "yref": "paper", "y0": 0, "y1": 1}
+    return plots.figure(
         traces,
-        base_layout(
-            height=340,
-            showlegend=True,
-            xaxis={
-                "title": {
-                    "text": "raw minus ground-truth depth (mm); outermost bins hold the rest"
-                },
-                "range": [-limit - 2, limit + 2],
-            },
-            yaxis={
-                "title": {"text": "readings per 2 mm (%)"},
-                "type": "log",
-                "range": [-2, 2],
-                "tickvals": [0.01, 0.1, 1, 10, 100],
-                "ticktext": ["0.01", "0.1", "1", "10", "100"],
-            },
-            shapes=[
-                {
-                    "type": "line",
-                    "x0": 0,
-                    "x1": 0,
-                    "yref": "paper",
-                    "y0": 0,
-                    "y1": 1,
-                    "line": {"color": FAINT, "width": 1, "dash": "dot"},
-                }
-            ],
-        ),
+        height=340,
+        x="raw minus ground-truth depth (mm); outermost bins hold the rest",
+        y="readings per 2 mm (%)",
+        xaxis={"range": [-limit - 2, limit + 2]},
+        yaxis={"type": "log", "range": [-2, 2], "tickvals": ticks, "ticktext": [*map(str, ticks)]},
+        shapes=[zero | {"line": {"color": plots.FAINT, "width": 1, "dash": "dot"}}],
+        showlegend=True,
     )
 
 
 def _limit_line(y: float) -> dict[str, Any]:
-    return {
-        "type": "line",
-        "xref": "paper",
-        "x0": 0,
-        "x1": 1,
-        "y0": y,
-        "y1": y,
-        "line": {"color": BAD, "width": 1, "dash": "dash"},
-    }
+    line = {"color": plots.BAD, "width": 1, "dash": "dash"}
+    return {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": y, "y1": y, "line": line}

@@ -7,8 +7,8 @@ from typing import Literal
 
 import msgspec
 
-from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.result import CheckGate, FrameCheck, Number, ObjectCheck, SceneSummary
+from std_toolkit.options import CheckOptions
 from std_toolkit.scene import CameraPoses
 from std_toolkit.scene.model import ScaleReport
 

@@ -7,22 +7,12 @@ from math import hypot
 
 from std_toolkit.checks import figures
 from std_toolkit.checks.gates import depth_excess_mm, scale_share, shift_px
-from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.overlay import FramePictures
 from std_toolkit.checks.result import CheckReport, ObjectCheck
-from std_toolkit.html.page import (
-    Block,
-    Figure,
-    Gallery,
-    Heading,
-    Legend,
-    LegendEntry,
-    Paragraph,
-    Plot,
-    Terms,
-)
+from std_toolkit.html import page
 from std_toolkit.html.plots import object_color
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table, number
+from std_toolkit.options import CheckOptions
 
 _MEANINGS = {
     "edge distance": "from the contour of the label, along its normal, to the nearest edge of the "
@@ -57,14 +47,14 @@ _COLUMNS = (
 )
 
 
-def label_blocks(report: CheckReport, options: CheckOptions) -> list[Block]:
+def label_blocks(report: CheckReport, options: CheckOptions) -> list[page.Block]:
     """Table of the objects and figures over frames."""
     if not report.objects:
-        return [Paragraph("The scene has no objects (`objects.json`).")]
+        return [page.Paragraph("The scene has no objects (`objects.json`).")]
     if any(o.frames_seen for o in report.objects):
         share = scale_share(report.summary)
         rows = [_label_row(report, o, share, options) for o in report.objects]
-        blocks: list[Block] = [Table(columns=_COLUMNS, rows=rows), Terms(_MEANINGS)]
+        blocks: list[page.Block] = [Table(columns=_COLUMNS, rows=rows), page.Terms(_MEANINGS)]
     else:
         rows = [
             Row([name_cell(report, o), Cell(text=o.verdict, tag=o.verdict), Cell(text=o.label)])
@@ -75,7 +65,7 @@ def label_blocks(report: CheckReport, options: CheckOptions) -> list[Block]:
     return blocks + _label_figures(report, options)
 
 
-def _label_figures(report: CheckReport, options: CheckOptions) -> list[Block]:
+def _label_figures(report: CheckReport, options: CheckOptions) -> list[page.Block]:
     bias = report.summary.depth_bias
     residual_title = "Depth residual over frames, diffuse objects"
     if bias is not None:
@@ -104,10 +94,10 @@ def _label_figures(report: CheckReport, options: CheckOptions) -> list[Block]:
         ),
         "Visible part over frames": figures.visibility_figure(report.objects),
     }
-    blocks: list[Block] = []
+    blocks: list[page.Block] = []
     for place, (title, figure) in enumerate(found.items()):
         if figure is not None:
-            blocks += [Heading(title), Plot(f"frames-{place}", figure)]
+            blocks += [page.Heading(title), page.Plot(f"frames-{place}", figure)]
     return blocks
 
 
@@ -135,12 +125,12 @@ def _label_row(report: CheckReport, item: ObjectCheck, share: float, options: Ch
     return Row(cells)
 
 
-def overlay_blocks(report: CheckReport, pictures: Sequence[FramePictures]) -> list[Block]:
+def overlay_blocks(report: CheckReport, pictures: Sequence[FramePictures]) -> list[page.Block]:
     """Whole frames with all outlines, then the close-ups of every object."""
     colors = _colors(report)
     names = {f.frame: f.name for f in report.frames}
     whole = [
-        Figure(p.overview, f"frame {p.frame} ({names[p.frame]})", colors)
+        page.Figure(p.overview, f"frame {p.frame} ({names[p.frame]})", colors)
         for p in pictures
         if p.overview is not None
     ]
@@ -153,8 +143,8 @@ def overlay_blocks(report: CheckReport, pictures: Sequence[FramePictures]) -> li
         if labelled
         else "Frames spread over the recording; there are no labels to draw over them."
     )
-    legend = Legend([LegendEntry(colors[o.object], o.name) for o in labelled])
-    blocks: list[Block] = [Paragraph(about), legend, Gallery(whole, layout="wide")]
+    legend = page.Legend([page.LegendEntry(colors[o.object], o.name) for o in labelled])
+    blocks: list[page.Block] = [page.Paragraph(about), legend, page.Gallery(whole, layout="wide")]
     for item in labelled:
         rows = {f.frame: f for f in item.frames}
         cards = []
@@ -166,10 +156,10 @@ def overlay_blocks(report: CheckReport, pictures: Sequence[FramePictures]) -> li
                     notes.append("annotated here")
                 if edge is not None:
                     notes.append(f"edge {edge:.2f} px")
-                cards.append(Figure(p.closeups[item.object], ", ".join(notes), colors))
+                cards.append(page.Figure(p.closeups[item.object], ", ".join(notes), colors))
         if cards:
-            blocks.append(Heading(item.name, color=colors[item.object]))
-            blocks.append(Gallery(cards, layout="small"))
+            blocks.append(page.Heading(item.name, color=colors[item.object]))
+            blocks.append(page.Gallery(cards, layout="small"))
     return blocks
 
 

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.checks.contours import Contour, svg_path
-from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.residuals import LabelledView, open_for_work, render_view
 from std_toolkit.html.page import Picture
+from std_toolkit.options import CheckOptions
 
 CROP_MARGIN = 0.25
 SMALLEST_CROP_PX = 96

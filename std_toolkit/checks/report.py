@@ -8,26 +8,12 @@ from dataclasses import dataclass
 from std_toolkit import __version__
 from std_toolkit.checks import figures
 from std_toolkit.checks.label_sections import label_blocks, name_cell, overlay_blocks
-from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.overlay import FramePictures
 from std_toolkit.checks.result import CheckGate, CheckReport
-from std_toolkit.html.page import (
-    Block,
-    Bullets,
-    Fact,
-    Figure,
-    Gallery,
-    Heading,
-    Legend,
-    LegendEntry,
-    Page,
-    Paragraph,
-    Plot,
-    Section,
-    Verdict,
-)
+from std_toolkit.html import page
 from std_toolkit.html.plots import MATERIAL_COLORS
 from std_toolkit.html.table import MINUS, NONE, Cell, Column, Row, Table, number
+from std_toolkit.options import CheckOptions
 
 
 @dataclass(frozen=True)
@@ -51,23 +37,25 @@ _TEXT = Column(heading="", numeric=False)
 def render_page(report: CheckReport, parts: PageParts, options: CheckOptions) -> str:
     """The report as HTML."""
     word, _, rest = report.verdict.partition(": ")
-    return Page(
+    return page.Page(
         kind="Label check",
         title=report.scene,
         tab_title=f"{report.scene}: {word}",
-        verdicts=[Verdict(rest, word, "pass" if report.passed else "fail")],
+        verdicts=[page.Verdict(rest, word, "pass" if report.passed else "fail")],
         facts=_facts(report),
         outlines=True,
         sections=[
-            Section("gates", "Gates", [_gates(report)]),
-            Section("warnings", "Warnings", [_warnings(report)]),
-            Section("labels", "Labels", label_blocks(report, options)),
-            Section("overlays", "Overlays", overlay_blocks(report, parts.pictures)),
-            Section("scene", "Scene", _scene(report, parts, options)),
-            Section("coverage", "Coverage", _coverage(report, parts)),
-            Section("depth", "Sensor depth", _depth(report, parts)),
-            Section(
-                "missing", "Not in this report", [Bullets([Paragraph(m) for m in report.missing])]
+            page.Section("gates", "Gates", [_gates(report)]),
+            page.Section("warnings", "Warnings", [_warnings(report)]),
+            page.Section("labels", "Labels", label_blocks(report, options)),
+            page.Section("overlays", "Overlays", overlay_blocks(report, parts.pictures)),
+            page.Section("scene", "Scene", _scene(report, parts, options)),
+            page.Section("coverage", "Coverage", _coverage(report, parts)),
+            page.Section("depth", "Sensor depth", _depth(report, parts)),
+            page.Section(
+                "missing",
+                "Not in this report",
+                [page.Bullets([page.Paragraph(m) for m in report.missing])],
             ),
         ],
         footer=f"std-toolkit {__version__}, `std-curate check`. The same numbers: `report.json`, "
@@ -75,20 +63,22 @@ def render_page(report: CheckReport, parts: PageParts, options: CheckOptions) ->
     ).html()
 
 
-def _facts(report: CheckReport) -> list[Fact]:
+def _facts(report: CheckReport) -> list[page.Fact]:
     s = report.summary
     edges = sorted(o.edge_px for o in report.objects if o.edge_px is not None)
     gates = [g for g in report.gates if g.status != "open"]
     reprojection = number(s.reprojection_px, 2)
     return [
-        Fact("gates passed", f"{len(gates) - len(report.failed_gates())} of {len(gates)}"),
-        Fact("frames registered", f"{s.registered} of {s.frames}", f"{s.looked_at} checked"),
-        Fact("reprojection", reprojection if reprojection == NONE else f"{reprojection} px"),
-        Fact("objects labelled", f"{s.labelled} of {s.objects}"),
-        Fact("contour to edge", f"{edges[len(edges) // 2]:.2f} px", f"worst {edges[-1]:.2f} px")
+        page.Fact("gates passed", f"{len(gates) - len(report.failed_gates())} of {len(gates)}"),
+        page.Fact("frames registered", f"{s.registered} of {s.frames}", f"{s.looked_at} checked"),
+        page.Fact("reprojection", reprojection if reprojection == NONE else f"{reprojection} px"),
+        page.Fact("objects labelled", f"{s.labelled} of {s.objects}"),
+        page.Fact(
+            "contour to edge", f"{edges[len(edges) // 2]:.2f} px", f"worst {edges[-1]:.2f} px"
+        )
         if edges
-        else Fact("contour to edge", NONE),
-        Fact("scale from", *_scale_fact(report)),
+        else page.Fact("contour to edge", NONE),
+        page.Fact("scale from", *_scale_fact(report)),
     ]
 
 
@@ -114,27 +104,27 @@ def _gates(report: CheckReport) -> Table:
     return Table(columns=columns[:shown], rows=[Row(row[:shown]) for row in rows])
 
 
-def _warnings(report: CheckReport) -> Block:
+def _warnings(report: CheckReport) -> page.Block:
     rows = [
         Row([Cell(text=w.severity, tag=w.severity), *_texts(w.about, w.problem, w.advice)])
         for w in report.warnings
         if not w.gate
     ]
     if not rows:
-        return Paragraph("None besides the gates.")
+        return page.Paragraph("None besides the gates.")
     heads = ("about", "problem", "what to do")
     return Table(columns=[_TEXT, *(Column(heading=h, numeric=False) for h in heads)], rows=rows)
 
 
-def _scene(report: CheckReport, parts: PageParts, options: CheckOptions) -> list[Block]:
-    blocks: list[Block] = []
+def _scene(report: CheckReport, parts: PageParts, options: CheckOptions) -> list[page.Block]:
+    blocks: list[page.Block] = []
     if parts.view3d is not None:
         blocks += [
-            Paragraph(
+            page.Paragraph(
                 "Drag to rotate, scroll to zoom, click a name to hide it. The vertical axis is up; "
                 "lengths are metres."
             ),
-            Plot("scene", parts.view3d),
+            page.Plot("scene", parts.view3d),
         ]
     scale = report.summary.scale
     if scale is not None and scale.estimates:
@@ -156,11 +146,11 @@ def _scene(report: CheckReport, parts: PageParts, options: CheckOptions) -> list
         blocks.append(Table(title="Sources of metric scale", columns=columns, rows=rows))
     figure = figures.registration_figure(report, limit_px=options.max_reprojection_px)
     if figure is not None:
-        blocks += [Heading("Camera poses over frames"), Plot("registration", figure)]
+        blocks += [page.Heading("Camera poses over frames"), page.Plot("registration", figure)]
     return blocks
 
 
-def _coverage(report: CheckReport, parts: PageParts) -> list[Block]:
+def _coverage(report: CheckReport, parts: PageParts) -> list[page.Block]:
     if parts.sky is None:
         return []
     columns = [
@@ -185,17 +175,17 @@ def _coverage(report: CheckReport, parts: PageParts) -> list[Block]:
         ]
         rows.append(Row(cells))
     return [
-        Paragraph(
+        page.Paragraph(
             "Each dot is a frame that sees the object: the centre is straight from above, the rim "
             "level with it, and the angle the side it was seen from, 0 degrees being the side of "
             "the first frame. Paler dots see less of it; the star is the annotated frame."
         ),
-        Plot("sky", parts.sky),
+        page.Plot("sky", parts.sky),
         Table(columns=columns, rows=rows),
     ]
 
 
-def _depth(report: CheckReport, parts: PageParts) -> list[Block]:
+def _depth(report: CheckReport, parts: PageParts) -> list[page.Block]:
     if not report.materials:
         return []
     source = {
@@ -219,35 +209,35 @@ def _depth(report: CheckReport, parts: PageParts) -> list[Block]:
         texture = "original texture (`raw`)" if m.material == "raw" else m.material
         name = Cell(text=texture, color=MATERIAL_COLORS[m.material])
         rows.append(Row([name, *_cells(columns[1:-1], values), bounds]))
-    blocks: list[Block] = [
-        Paragraph(
+    blocks: list[page.Block] = [
+        page.Paragraph(
             f"Raw sensor depth minus {source}: negative where the sensor reads in front of the "
             "object, positive where it reads behind it, through glass for instance. Errors are "
             "over the pixels that have a reading."
         ),
         Table(columns=columns, rows=rows),
-        Plot("errors", figures.error_figure(report.materials)),
+        page.Plot("errors", figures.error_figure(report.materials)),
     ]
     panels = [(p.frame, p.depth) for p in parts.pictures if p.depth is not None]
     if panels:
         gradient = "linear-gradient(90deg,#2166ac,#92c5de,#fafafa,#f4a582,#b2182b)"
         blocks += [
-            Heading("Where it is missing or wrong"),
-            Legend(
+            page.Heading("Where it is missing or wrong"),
+            page.Legend(
                 [
-                    LegendEntry(gradient, "raw minus truth, −20 to +20 mm", 180),
-                    LegendEntry("#3a3a40", "no reading"),
+                    page.LegendEntry(gradient, "raw minus truth, −20 to +20 mm", 180),
+                    page.LegendEntry("#3a3a40", "no reading"),
                 ]
             ),
         ]
     for frame, depth in panels:
         span = f"{depth.near_m:.2f} m (bright) to {depth.far_m:.2f} m"
         shown = (
-            Figure(depth.sensor, f"frame {frame}: sensor, {span}"),
-            Figure(depth.truth, "labels"),
-            Figure(depth.error, "raw minus truth"),
+            page.Figure(depth.sensor, f"frame {frame}: sensor, {span}"),
+            page.Figure(depth.truth, "labels"),
+            page.Figure(depth.error, "raw minus truth"),
         )
-        blocks.append(Gallery(shown, abreast=3))
+        blocks.append(page.Gallery(shown, abreast=3))
     return blocks
 
 

@@ -4,21 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from std_toolkit.checks import result
 from std_toolkit.checks.coverage import NARROW_DEG
 from std_toolkit.checks.gates import has_edges, is_confirmed
-from std_toolkit.checks.options import CheckOptions
-from std_toolkit.checks.result import (
-    CheckGate,
-    CheckWarning,
-    FrameCheck,
-    MaterialDepth,
-    ObjectCheck,
-    SceneSummary,
-    Severity,
-)
+from std_toolkit.options import CheckOptions
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 
-_ORDER: dict[Severity, int] = {"high": 0, "medium": 1, "low": 2}
+_ORDER: dict[result.Severity, int] = {"high": 0, "medium": 1, "low": 2}
 # Gates whose detail names the objects or frames concerned.
 _NAMING = (
     "labelled", "edges", "shift", "depth", "drift", "covariance", "evidence", "frames", "meshes",
@@ -31,16 +23,16 @@ _GOOD_COMPLETENESS = 0.8
 
 
 def find_warnings(
-    summary: SceneSummary,
-    gates: Sequence[CheckGate],
-    objects: Sequence[ObjectCheck],
-    frames: Sequence[FrameCheck],
-    materials: Sequence[MaterialDepth],
+    summary: result.SceneSummary,
+    gates: Sequence[result.CheckGate],
+    objects: Sequence[result.ObjectCheck],
+    frames: Sequence[result.FrameCheck],
+    materials: Sequence[result.MaterialDepth],
     options: CheckOptions,
-) -> list[CheckWarning]:
+) -> list[result.CheckWarning]:
     """All warnings, the severest first; failed gates come before everything else."""
     found = [
-        CheckWarning(
+        result.CheckWarning(
             severity="high",
             gate=gate.key,
             about=gate.detail.split(";")[0] if gate.key in _NAMING and gate.detail else gate.key,
@@ -60,9 +52,9 @@ def find_warnings(
     return found + sorted(rest, key=lambda w: _ORDER[w.severity])
 
 
-def _frame_warnings(frames: Sequence[FrameCheck]) -> list[CheckWarning]:
+def _frame_warnings(frames: Sequence[result.FrameCheck]) -> list[result.CheckWarning]:
     found = [
-        CheckWarning(
+        result.CheckWarning(
             severity="high",
             about=f"frame {f.name}",
             problem=f"could not be looked at: {f.problem}",
@@ -74,7 +66,7 @@ def _frame_warnings(frames: Sequence[FrameCheck]) -> list[CheckWarning]:
     lost = [f for f in frames if f.status == "unregistered"]
     if lost:
         found.append(
-            CheckWarning(
+            result.CheckWarning(
                 severity="medium" if len(lost) > 0.05 * len(frames) else "low",
                 about=f"{len(lost)} frames",
                 problem=f"have no camera pose: {_ranges([f.frame for f in lost])}",
@@ -84,7 +76,7 @@ def _frame_warnings(frames: Sequence[FrameCheck]) -> list[CheckWarning]:
     stale = [f for f in frames if f.truth == "stale"]
     if stale:
         found.append(
-            CheckWarning(
+            result.CheckWarning(
                 severity="high",
                 about=f"{len(stale)} frames",
                 problem="ground truth was rendered from other labels or camera poses: "
@@ -95,12 +87,12 @@ def _frame_warnings(frames: Sequence[FrameCheck]) -> list[CheckWarning]:
     return found
 
 
-def _object_warnings(item: ObjectCheck, options: CheckOptions) -> list[CheckWarning]:
-    found: list[CheckWarning] = []
+def _object_warnings(item: result.ObjectCheck, options: CheckOptions) -> list[result.CheckWarning]:
+    found: list[result.CheckWarning] = []
 
-    def warn(severity: Severity, problem: str, advice: str) -> None:
+    def warn(severity: result.Severity, problem: str, advice: str) -> None:
         found.append(
-            CheckWarning(severity=severity, about=item.name, problem=problem, advice=advice)
+            result.CheckWarning(severity=severity, about=item.name, problem=problem, advice=advice)
         )
 
     if item.label == "annotated":
@@ -154,13 +146,13 @@ def _object_warnings(item: ObjectCheck, options: CheckOptions) -> list[CheckWarn
     return found
 
 
-def _scale_warnings(summary: SceneSummary) -> list[CheckWarning]:
+def _scale_warnings(summary: result.SceneSummary) -> list[result.CheckWarning]:
     """Labels refined against biased depth fit it: no residual shows a wrong scale."""
     scale = summary.scale
     if scale is None or {e.source for e in scale.estimates} != {"depth"}:
         return []
     return [
-        CheckWarning(
+        result.CheckWarning(
             severity="medium",
             about="scale",
             problem="the metres come from sensor depth alone, which errs by 1 to 2 %: labels may "
@@ -172,13 +164,13 @@ def _scale_warnings(summary: SceneSummary) -> list[CheckWarning]:
 
 
 def _depth_warnings(
-    summary: SceneSummary, materials: Sequence[MaterialDepth]
-) -> list[CheckWarning]:
+    summary: result.SceneSummary, materials: Sequence[result.MaterialDepth]
+) -> list[result.CheckWarning]:
     found = []
     if summary.depth_bias is not None and abs(summary.depth_bias) > _LARGE_BIAS:
         word = "short" if summary.depth_bias > 0 else "long"
         found.append(
-            CheckWarning(
+            result.CheckWarning(
                 severity="low",
                 about="sensor depth",
                 problem=f"reads {100 * abs(summary.depth_bias):.2f} % {word} of the labels on all "
@@ -195,7 +187,7 @@ def _depth_warnings(
         and m.completeness < _GOOD_COMPLETENESS
     }
     return found + [
-        CheckWarning(
+        result.CheckWarning(
             severity="low",
             about="sensor depth",
             problem=f"is missing on {share:.0f} % of the {material} objects, which a sensor should "

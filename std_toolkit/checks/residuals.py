@@ -20,10 +20,10 @@ from std_toolkit.checks.edges import (
     shift_jacobian,
     smooth_image,
 )
-from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.sensor_depth import DepthResidual, ErrorTally, depth_residual
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.options import CheckOptions
 from std_toolkit.rendering.ground_truth import (
     GroundTruth,
     info_path,

@@ -6,7 +6,8 @@ command line from the dataclass: the help of an option is the docstring below it
 is a `msgspec.Meta` in its annotation, its choices are an enum or a `Literal`. A field without a
 default is a positional argument, a mapping takes `NAME=VALUE ...`. The field's metadata may say
 otherwise: `{"option": "set"}` makes it the option `--set`, `{"option": None}` keeps it off the
-command line, `{"option": ""}` makes it positional. The help of a flag `--no-NAME`, which is on by
+command line, `{"option": ""}` makes it positional. A nested `msgspec.Struct` serves as well; its
+metadata are the `extra` of a `msgspec.Meta`. The help of a flag `--no-NAME`, which is on by
 default, is a noun: "pictures" becomes "without pictures".
 
 Exit status of every program: 0 done, 1 failed or a gate failed, 2 wrong usage, 130 interrupted.
@@ -17,6 +18,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import dataclasses
+import enum
 import functools
 import importlib
 import inspect
@@ -27,6 +29,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from textwrap import fill
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from std_toolkit.errors import ToolkitError, check_options
@@ -217,21 +220,27 @@ def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[
 
 def words_of(options: Any) -> list[str]:
     """The words that `parse_options` makes equal options of; defaults are left out."""
-    words: list[str] = []
-    for option in _options(type(options), options):
-        plain = {o.field: o.default for o in _options(type(options))}[option.field]
-        value = option.default
-        if value == plain:
+    positional: list[str] = []
+    named: list[str] = []
+    kind = type(options)
+    for given, plain in zip(_options(kind, options), _options(kind), strict=True):
+        value = given.default
+        if value == plain.default:
             continue
+        if isinstance(value, bool):
+            on = value or "off" in plain.metadata
+            named.append(f"--{plain.name}" if on else f"--no-{plain.name}")
+            continue
+        value = value * plain.metadata["factor"] if "factor" in plain.metadata else value
         if isinstance(value, Mapping):
-            values = [f"{key}={item}" for key, item in value.items()]
-        elif isinstance(value, bool):
-            values = []
+            value = tuple(f"{key}={item}" for key, item in value.items())
+        values = value if isinstance(value, tuple) else (value,)
+        texts = [str(v.value if isinstance(v, enum.Enum) else v) for v in values]
+        if plain.name:
+            named += [f"--{plain.name}", *texts]
         else:
-            values = [str(v) for v in (value if isinstance(value, tuple) else (value,))]
-        name = f"--no-{option.name}" if value is False else f"--{option.name}"
-        words += [name, *values] if option.name else values
-    return words
+            positional += texts
+    return [*positional, *named]
 
 
 def print_json(value: Any) -> None:
@@ -287,9 +296,10 @@ def exit_status(
 
 
 def _tidy(page: str) -> str:
-    """A help page without rules, and with `STR ...` for `[STR [STR ...]]`."""
+    """A help page without rules, its paragraphs filled, `STR ...` for `[STR [STR ...]]`."""
     page = _REPEATED.sub(lambda found: f"{found[1]} ...".ljust(len(found[0])), page)
-    lines = (line.rstrip() for line in page.splitlines())
+    filled = (fill(x, 80) if x[:1].strip() and len(x) > 80 else x for x in page.splitlines())
+    lines = (line.rstrip() for line in "\n".join(filled).splitlines())
     return "\n".join(line for line in lines if line.strip("-─ ") or not line)
 
 
@@ -315,6 +325,7 @@ class _Option:
         type: with annotations.
         default: `dataclasses.MISSING` for none.
         help: its text.
+        metadata: of the field.
     """
 
     field: str
@@ -322,6 +333,7 @@ class _Option:
     type: Any
     default: Any
     help: str
+    metadata: Mapping[str, Any]
 
     @property
     def title(self) -> str:
@@ -338,12 +350,12 @@ def _options(kind: type[Any], given: Any = dataclasses.MISSING) -> Iterator[_Opt
         for text in parse_from_object(c).params
     }
     for field, hint, default in _fields(kind, given):
-        if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+        if _is_record(hint):
             yield from _options(hint, default)
             continue
         plain = "" if default is dataclasses.MISSING else field.name.replace("_", "-")
-        name = field.metadata.get("option", plain)
-        yield _Option(field.name, name, hint, default, texts.get(field.name, ""))
+        name = field.metadata.get("off", field.metadata.get("option", plain))
+        yield _Option(field.name, name, hint, default, texts.get(field.name, ""), field.metadata)
 
 
 def _fields(kind: type[Any], given: Any) -> Iterator[tuple[dataclasses.Field[Any], Any, Any]]:
@@ -356,8 +368,8 @@ def _fields(kind: type[Any], given: Any) -> Iterator[tuple[dataclasses.Field[Any
     for place, owner in enumerate(kind.__mro__):
         owners |= {name: place for name in inspect.get_annotations(owner) if name not in owners}
     for field in sorted(
-        dataclasses.fields(kind),
-        key=lambda field: (dataclasses.is_dataclass(hints[field.name]), owners[field.name]),
+        dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else _struct_fields(kind, hints),
+        key=lambda field: (_is_record(hints[field.name]), owners[field.name]),
     ):
         if not field.init or field.metadata.get("option", "") is None:
             continue
@@ -374,12 +386,43 @@ def _build(kind: type[Any], values: Mapping[str, Any], given: Any = dataclasses.
     found = {}
     for field, hint, default in _fields(kind, given):
         value: Any = values.get(field.name)
-        if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+        if _is_record(hint):
             value = _build(hint, values, default)
         elif get_origin(hint) in _MAPPINGS:
             value = _pairs(field.name, value, get_args(hint)[1])
+        elif "off" in field.metadata:
+            value = not value
+        elif "factor" in field.metadata:
+            value = value / field.metadata["factor"]
+        elif value == () and default is None:
+            value = None
         found[field.name] = value
-    return kind(**found) if given is dataclasses.MISSING else dataclasses.replace(given, **found)
+    if given is dataclasses.MISSING:
+        return kind(**found)
+    if dataclasses.is_dataclass(kind):
+        return dataclasses.replace(given, **found)
+    from msgspec import structs
+
+    return structs.replace(given, **found)
+
+
+def _is_record(hint: Any) -> bool:
+    """Whether a type is a dataclass or a `msgspec.Struct` of options."""
+    return dataclasses.is_dataclass(hint) or hasattr(hint, "__struct_fields__")
+
+
+def _struct_fields(kind: type[Any], hints: Mapping[str, Any]) -> Iterator[dataclasses.Field[Any]]:
+    """Fields of a Struct as those of a dataclass; their metadata are the `extra` of a `Meta`."""
+    from msgspec import NODEFAULT, structs
+
+    for info in structs.fields(kind):
+        extras = (
+            getattr(meta, "extra", None) for meta in getattr(hints[info.name], "__metadata__", ())
+        )
+        default = dataclasses.MISSING if info.default is NODEFAULT else info.default
+        field: Any = dataclasses.field(default=default, metadata=next(filter(None, extras), {}))
+        field.name = info.name
+        yield field
 
 
 def _pairs(name: str, words: Sequence[str], kind: type[Any]) -> dict[str, Any]:
@@ -408,6 +451,13 @@ def _with_verbosity(kind: type[Any]) -> type[Any]:
         if get_origin(hint) in _MAPPINGS:
             hint, metavar = tuple[str, ...], "NAME=VALUE ..."
             default = tuple(f"{name}={value}" for name, value in default.items())
+        elif "off" in option.metadata:
+            default = not default
+        elif "factor" in option.metadata:
+            default = default * option.metadata["factor"]
+        elif option.metadata.get("repeat"):
+            default = () if default is None else default
+            hint = conf.UseAppendAction[next(t for t in (*get_args(hint), hint) if _is_tuple(t))]  # type: ignore[misc]
         needed = default is dataclasses.MISSING
         says_nothing = default in (None, "", ()) or isinstance(default, bool)
         suffix: Any = "" if says_nothing else "(required)" if needed else "(default: {})".format
@@ -429,6 +479,10 @@ def _with_verbosity(kind: type[Any]) -> type[Any]:
     return call
 
 
+def _is_tuple(hint: Any) -> bool:
+    return get_origin(hint) is tuple
+
+
 def _refuse(program: str, event: Any) -> None:
     """Raise the parser's complaint as one line."""
     kind = type(event).__name__
@@ -443,6 +497,8 @@ def _refuse(program: str, event: Any) -> None:
         problem = f"{', '.join(missing)}: needed"
         if event.unrecognized_tokens:
             problem += f"; {' '.join(event.unrecognized_tokens)}: not an option"
+    elif kind == "BadValue":
+        problem = f"expected {event.argument.lowered.metavar}"
     else:
         problem = " ".join(str(getattr(event, "message", kind)).split())
         got = re.search(r"Got errors: - <class '.*?'>: (.*)", problem)

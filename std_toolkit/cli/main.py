@@ -1,54 +1,90 @@
-"""Entry point of `std-curate`: one module per subcommand, errors as one line."""
+"""Entry point of `std-curate`: the table of its commands."""
 
 from __future__ import annotations
 
-import argparse
-import importlib
-import logging
 import sys
 from collections.abc import Sequence
 
-from std_toolkit import __version__
-from std_toolkit.cli.command import exit_status
-from std_toolkit.log import log_to_stderr
-
-# In the order of the work. Each module has add_parser(subparsers) and run(args) -> exit status.
-COMMANDS = (
-    "import_",
-    "info",
-    "poses",
-    "trajectory",
-    "label",
-    "propagate",
-    "render",
-    "check",
-    "export",
-    "run",
-    "schema",
-)
+from std_toolkit.cli.command import Command, Program
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """The parser with all subcommands; imports no heavy library."""
-    parser = argparse.ArgumentParser(
-        prog="std-curate",
-        description="Curate an RGB-D recording of specular, transparent and diffuse objects: "
-        "camera poses in metres, 6D labels, ground truth, checks, export.",
-    )
-    parser.add_argument("--version", action="version", version=f"std-toolkit {__version__}")
-    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    parser.add_argument("--quiet", action="store_true", help="print warnings and errors only")
-    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for name in COMMANDS:
-        importlib.import_module(f"std_toolkit.cli.{name}").add_parser(subparsers)
-    return parser
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command. Exit status: 0 done, 1 a failure or failed gate, 2 wrong usage."""
+    return PROGRAM.main(arguments)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command. Exit status: 0 done, 1 a failure or failed gate, 2 bad usage."""
-    args = build_parser().parse_args(argv)
-    log_to_stderr(logging.WARNING if args.quiet else logging.INFO)
-    return exit_status(lambda: args.run(args), program="std-curate", debug=args.debug)
+def with_link_mode(words: list[str]) -> list[str]:
+    """`--link` without a mode is `--link hard`.
+
+    >>> with_link_mode(["import", "SRC", "--link", "--out", "SCENE"])
+    ['import', 'SRC', '--link', 'hard', '--out', 'SCENE']
+    """
+    if "import" not in words or "--link" not in words:
+        return words
+    place = words.index("--link") + 1
+    if words[place : place + 1] in (["copy"], ["hard"], ["sym"]):
+        return words
+    return [*words[:place], "hard", *words[place:]]
+
+
+def _command(name: str, about: str, place: str, options: str, run: str) -> Command:
+    module = f"std_toolkit.cli.{place}"
+    return Command(name=name, about=about, options=f"{module}:{options}", run=f"{module}:{run}")
+
+
+PROGRAM = Program(
+    name="std-curate",
+    about="Curate an RGB-D recording of specular, transparent and diffuse objects: camera poses\n"
+    "in metres, 6D labels, ground truth, checks, export.",
+    commands=(
+        _command(
+            "import", "make a scene from a recording", "recording", "ImportCommand", "import_scene"
+        ),
+        _command(
+            "info", "print what a scene holds and lacks", "recording", "InfoCommand", "print_info"
+        ),
+        _command(
+            "poses", "recover camera poses in metres", "recording", "PosesCommand", "recover_poses"
+        ),
+        _command(
+            "trajectory",
+            "write the camera poses for other tools",
+            "recording",
+            "TrajectoryCommand",
+            "write_path",
+        ),
+        _command(
+            "label", "set or import an object's pose in a frame", "labelling", "LabelArguments",
+            "label",
+        ),
+        _command(
+            "propagate", "carry annotated poses to every registered frame", "labelling",
+            "PropagateCommand", "propagate",
+        ),
+        _command(
+            "render", "render depth, masks, NOCS and normals of the labelled objects", "labelling",
+            "RenderCommand", "render",
+        ),
+        _command(
+            "check", "judge the labels: report with pictures and numbers, gates", "labelling",
+            "CheckCommand", "check",
+        ),
+        _command(
+            "export", "write a labelled scene in the layout of STD, BOP or NOCS", "labelling",
+            "ExportCommand", "export",
+        ),
+        _command(
+            "run", "poses, propagate --refine, render and check in one go", "labelling",
+            "RunCommand", "run",
+        ),
+        _command(
+            "schema", "print or write the JSON Schema of the documents", "recording",
+            "SchemaCommand", "print_schema",
+        ),
+    ),
+    rewrite=with_link_mode,
+    on_interrupt="run the same command again to go on",
+)  # fmt: skip
 
 
 if __name__ == "__main__":

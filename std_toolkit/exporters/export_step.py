@@ -9,7 +9,7 @@ import msgspec
 
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
-from std_toolkit.exporters.exporter import EXPORTERS, Exporter, ExportOptions, FrameRow, Target
+from std_toolkit.exporters.exporter import EXPORTERS, Exporter, FrameRow, Target
 from std_toolkit.exporters.frame_maps import check_fresh, color_camera
 from std_toolkit.exporters.staging import (
     PROGRESS,
@@ -23,16 +23,10 @@ from std_toolkit.exporters.staging import (
 from std_toolkit.io.documents import write_document
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.log import logger
+from std_toolkit.options import ExportOptions
 from std_toolkit.rendering.ground_truth import info_path, read_frame_truth, rendered_frames
+from std_toolkit.scene import model
 from std_toolkit.scene.document import digest_file, digest_of
-from std_toolkit.scene.model import (
-    CameraModel,
-    CameraPoses,
-    Frame,
-    Labels,
-    ObjectTable,
-    SceneInfo,
-)
 from std_toolkit.scene.scene import Scene
 from std_toolkit.scene.sidecar import (
     SIDECAR_NAME,
@@ -188,8 +182,8 @@ def _close(
         folder=exporter.folder(target),
         version=__version__,
         digest=digest,
-        scene=_scene_info(scene, {k: CameraModel.of(c) for k, c in sorted(color.items())}),
-        label_cameras={k: CameraModel.of(c) for k, c in sorted(labels.items())},
+        scene=_scene_info(scene, {k: model.CameraModel.of(c) for k, c in sorted(color.items())}),
+        label_cameras={k: model.CameraModel.of(c) for k, c in sorted(labels.items())},
         frames=[r.frame for r in rows],
         left_out=[
             LeftOut(id=f.id, name=f.name, reason="no ground truth")
@@ -215,9 +209,9 @@ def _expected(staging: Path, target: Target, rows: list[FrameRow], others: list[
     return files | {k for k in keys if (staging / k).is_file()}
 
 
-def _scene_info(scene: Scene, cameras: dict[str, CameraModel]) -> SceneInfo:
+def _scene_info(scene: Scene, cameras: dict[str, model.CameraModel]) -> model.SceneInfo:
     info = scene.info
-    return SceneInfo(
+    return model.SceneInfo(
         name=info.name,
         cameras=cameras,
         depth_scale=info.depth_scale,
@@ -226,15 +220,15 @@ def _scene_info(scene: Scene, cameras: dict[str, CameraModel]) -> SceneInfo:
     )
 
 
-def _objects(target: Target) -> ObjectTable:
+def _objects(target: Target) -> model.ObjectTable:
     table = target.scene.objects
-    return ObjectTable(
+    return model.ObjectTable(
         models=[m for m in table.models if m.id in target.model_ids],
         objects=[o for o in table.objects if o.id in target.object_ids],
     )
 
 
-def _labels(target: Target, rows: list[FrameRow]) -> Labels:
+def _labels(target: Target, rows: list[FrameRow]) -> model.Labels:
     """The labels of the exported objects, told in exported frames only.
 
     One whose annotated frame stays behind moves to a further annotated view or, without one, to
@@ -252,14 +246,14 @@ def _labels(target: Target, rows: list[FrameRow]) -> Labels:
             frame = min(map(int, views)) if views else next(shown)
             T_cam_obj = views.pop(str(frame), poses[frame][label.object])
         kept.append(msgspec.structs.replace(label, frame=frame, T_cam_obj=T_cam_obj, views=views))
-    return Labels(labels=kept)
+    return model.Labels(labels=kept)
 
 
-def _poses(scene: Scene, exported: set[int]) -> CameraPoses | None:
+def _poses(scene: Scene, exported: set[int]) -> model.CameraPoses | None:
     poses = scene.poses
     if poses is None:
         return None
-    return CameraPoses(
+    return model.CameraPoses(
         frames=[p for p in poses.frames if p.frame in exported],
         scale=poses.scale,
         gates=poses.gates,
@@ -273,7 +267,7 @@ def _documents_digest(scene: Scene) -> str:
     return digest_of([digest_file(p) if (p := scene.root / n).is_file() else None for n in names])
 
 
-def _frame_digest(target: Target, frame: Frame, format_name: str, documents: str) -> str:
+def _frame_digest(target: Target, frame: model.Frame, format_name: str, documents: str) -> str:
     scene = target.scene
     return digest_of(
         format_name,

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit.options import ExportOptions
 from std_toolkit.plugins import Registry
 from std_toolkit.rendering.ground_truth import FrameTruth
 from std_toolkit.scene.model import Frame
@@ -20,39 +20,6 @@ from std_toolkit.scene.sidecar import ExportedFrame, ExportedModel, ExportedObje
 if TYPE_CHECKING:
     from std_toolkit.geometry.camera import Camera
     from std_toolkit.scene.scene import Scene
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExportOptions:
-    """How to export.
-
-    Attributes:
-        label_size: (width, height) of labels in the STD layout; None for the layout's own: half
-            the colour image's when that is 1280x720, else the colour image's.
-        scene_number: of the scene in layouts that number their scenes.
-        split: name of the split folder in BOP and NOCS.
-        quaternion: of the STD meta file: "dreds" is the inverse rotation, as the released
-            generator writes it; "plain" is object to camera.
-        overwrite: replace an export that is there already.
-    """
-
-    label_size: tuple[int, int] | None = None
-    scene_number: int = 1
-    split: str = "test"
-    quaternion: Literal["dreds", "plain"] = "dreds"
-    overwrite: bool = False
-
-    def __post_init__(self) -> None:
-        if self.label_size is not None and min(self.label_size) < 1:
-            raise ToolkitError("must be positive", field="--label-size", value=self.label_size)
-        if not 0 <= self.scene_number <= 999999:
-            raise ToolkitError(
-                "must lie between 0 and 999999", field="--scene-number", value=self.scene_number
-            )
-        if self.split not in ("train", "val", "test"):
-            raise ToolkitError("one of train, val, test", field="--split", value=self.split)
-        if self.quaternion not in ("dreds", "plain"):
-            raise ToolkitError("one of dreds, plain", field="--quaternion", value=self.quaternion)
 
 
 @dataclass(frozen=True)

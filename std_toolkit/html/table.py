@@ -17,7 +17,8 @@ _LATEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
     "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
     "δ": r"$\delta$", "°": r"$^\circ$", "≈": r"$\approx$", "±": r"$\pm$", "≤": r"$\leq$",
-    "≥": r"$\geq$", MINUS: "$-$", NONE: "--", "<": r"\textless{}", ">": r"\textgreater{}",
+    "≥": r"$\geq$", MINUS: "$-$", NONE: "--", "\u00a0": "~", "<": r"\textless{}",
+    ">": r"\textgreater{}",
 }  # fmt: skip
 
 

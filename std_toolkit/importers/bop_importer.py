@@ -14,8 +14,9 @@ from std_toolkit.importers.bop_objects import (
     instances_from_sidecar,
     read_models,
 )
-from std_toolkit.importers.importer import ImportRequest, Recording, SourceFile, SourceFrame
+from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
 from std_toolkit.io.images import image_size
+from std_toolkit.options import ImportRequest
 from std_toolkit.scene.model import CameraModel, CameraPoses, FramePose, Material
 from std_toolkit.scene.sidecar import ExportedFrame, Sidecar, find_sidecar
 

@@ -11,15 +11,10 @@ from pathlib import Path
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.importers.foreign_files import natural_key
-from std_toolkit.importers.importer import (
-    FileKind,
-    ImportRequest,
-    Recording,
-    SourceFile,
-    SourceFrame,
-)
+from std_toolkit.importers.importer import FileKind, Recording, SourceFile, SourceFrame
 from std_toolkit.importers.intrinsics import read_intrinsics
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size
+from std_toolkit.options import ImportRequest
 from std_toolkit.scene.document import check_name
 from std_toolkit.scene.model import CameraModel
 

@@ -9,10 +9,11 @@ from pathlib import Path
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.importers.foreign_files import DEPTH_SUFFIXES, natural_key
-from std_toolkit.importers.importer import ImportRequest, Recording, SourceFile, SourceFrame
+from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
 from std_toolkit.importers.intrinsics import parse_distortion, read_intrinsics
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size
 from std_toolkit.log import logger
+from std_toolkit.options import ImportRequest
 from std_toolkit.scene.document import safe_name
 from std_toolkit.scene.model import CameraModel
 

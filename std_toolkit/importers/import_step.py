@@ -17,26 +17,19 @@ import cv2
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.importers import importer
 from std_toolkit.importers.foreign_files import (
     check_unit,
     read_foreign_depth,
     read_mask_source,
     write_mesh,
 )
-from std_toolkit.importers.importer import (
-    IMPORTERS,
-    ImportRequest,
-    LinkMode,
-    Recording,
-    SourceFile,
-    SourceFrame,
-    detect_format,
-)
 from std_toolkit.io.atomic import check_vacant, new_folder
 from std_toolkit.io.exr import write_exr
 from std_toolkit.io.images import image_size, read_color, read_png, write_color, write_png
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.log import logger
+from std_toolkit.options import ImportRequest, LinkMode
 from std_toolkit.scene.document import check_name, check_relative
 from std_toolkit.scene.model import CameraModel, Frame, Frames, ObjectTable, SceneInfo
 from std_toolkit.scene.scene import Scene
@@ -58,7 +51,7 @@ class WrittenFrame:
 
 
 def write_recording(
-    recording: Recording,
+    recording: importer.Recording,
     out: Path,
     *,
     name: str,
@@ -120,7 +113,7 @@ def write_recording(
     return Scene.open(out)
 
 
-def _check_frames(recording: Recording) -> None:
+def _check_frames(recording: importer.Recording) -> None:
     """Before anything is written: names come from files of others.
 
     Raises:
@@ -142,7 +135,7 @@ def _check_frames(recording: Recording) -> None:
 
 
 def _write_frame(
-    frame: SourceFrame,
+    frame: importer.SourceFrame,
     *,
     root: Path,
     cameras: dict[str, CameraModel],
@@ -169,7 +162,9 @@ def _write_frame(
     return WrittenFrame(row, median, depth is not None)
 
 
-def _write_color(file: SourceFile, root: Path, size: tuple[int, int], link: LinkMode) -> str:
+def _write_color(
+    file: importer.SourceFile, root: Path, size: tuple[int, int], link: LinkMode
+) -> str:
     if file.resize:
         target = file.target + ".png"
         image = cv2.resize(read_color(file.source), size, interpolation=cv2.INTER_AREA)
@@ -183,7 +178,7 @@ def _write_color(file: SourceFile, root: Path, size: tuple[int, int], link: Link
 
 
 def _write_depth(
-    file: SourceFile,
+    file: importer.SourceFile,
     root: Path,
     size: tuple[int, int],
     scene_scale: float | None,
@@ -214,7 +209,9 @@ def _write_depth(
     return target, median
 
 
-def _write_reference(file: SourceFile, root: Path, size: tuple[int, int], link: LinkMode) -> None:
+def _write_reference(
+    file: importer.SourceFile, root: Path, size: tuple[int, int], link: LinkMode
+) -> None:
     target = root / (file.target + file.source.suffix.lower())
     if file.kind == "color":
         _write_color(file, root, size, link)
@@ -256,7 +253,7 @@ def _place(source: Path, target: Path, link: LinkMode) -> None:
             os.fsync(file.fileno())
 
 
-def _check_depth_unit(recording: Recording, written: list[WrittenFrame]) -> None:
+def _check_depth_unit(recording: importer.Recording, written: list[WrittenFrame]) -> None:
     medians = [w.depth_median_m for w in written if w.depth_median_m is not None]
     sources = [f.depth.source for f in recording.frames if f.depth is not None]
     if not sources:
@@ -281,7 +278,7 @@ def _check_depth_unit(recording: Recording, written: list[WrittenFrame]) -> None
         logger.warning("depth is empty in %d frames: %s", len(empty), ", ".join(empty[:5]))
 
 
-def _write_models(recording: Recording, root: Path) -> None:
+def _write_models(recording: importer.Recording, root: Path) -> None:
     for model in recording.models:
         write_mesh(root / model.model.mesh, model.mesh)
 
@@ -324,6 +321,6 @@ def import_recording(
             hint="a calibrated factor such as 0.98; units are --depth-scale",
         )
     if format_name is None:
-        format_name = "folder" if request.color else detect_format(request.source)
-    recording = IMPORTERS.get(format_name).read(request)
+        format_name = "folder" if request.color else importer.detect_format(request.source)
+    recording = importer.IMPORTERS.get(format_name).read(request)
     return write_recording(recording, out, name=request.name, link=link, options=options)

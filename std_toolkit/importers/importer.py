@@ -11,47 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.options import ImportRequest
 from std_toolkit.plugins import Registry
-from std_toolkit.scene.model import CameraModel, CameraPoses, Labels, Material, Model, Object
+from std_toolkit.scene.model import CameraModel, CameraPoses, Labels, Model, Object
 
 if TYPE_CHECKING:
     import trimesh
 
-LinkMode = Literal["copy", "hard", "sym"]
 FileKind = Literal["color", "depth", "mask", "map"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class ImportRequest:
-    """What the user asked for.
-
-    Attributes:
-        source: folder or file of the foreign recording; for separate colour and depth folders
-            that of the colour images.
-        name: of the scene.
-        color, depth: folders (or glob patterns) of separate images, or None.
-        depth_scale: metres per unit of 16-bit depth images; None for the format's own.
-        depth_correction: the sensor's calibrated factor on depth.
-        intrinsics: a file or "fx,fy,cx,cy"; None for the format's own.
-        distortion: OpenCV coefficients, as "k1,k2,p1,p2[,k3]"; None for those of the file.
-        skip_unpaired: leave out frames whose colour or depth is missing, instead of an error.
-        off_centre: accept a principal point far from the middle (cropped images).
-        material: of imported objects whose format does not tell it.
-        models: folder of CAD models, where the format keeps them apart from the images.
-    """
-
-    source: Path
-    name: str
-    color: str | None = None
-    depth: str | None = None
-    depth_scale: float | None = None
-    depth_correction: float = 1.0
-    intrinsics: str | None = None
-    distortion: str | None = None
-    skip_unpaired: bool = False
-    off_centre: bool = False
-    material: Material | None = None
-    models: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,7 +14,7 @@ from pathlib import Path
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.importers.foreign_files import natural_key
-from std_toolkit.importers.importer import ImportRequest, Recording, SourceFile, SourceFrame
+from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
 from std_toolkit.importers.intrinsics import parse_distortion, read_intrinsics
 from std_toolkit.importers.sidecar_recording import (
     recording_from_sidecar,
@@ -22,6 +22,7 @@ from std_toolkit.importers.sidecar_recording import (
 )
 from std_toolkit.importers.std_objects import read_objects
 from std_toolkit.io.images import image_size
+from std_toolkit.options import ImportRequest
 from std_toolkit.scene.document import check_name
 from std_toolkit.scene.model import CameraModel
 from std_toolkit.scene.sidecar import find_sidecar

@@ -21,8 +21,9 @@ from std_toolkit.importers.foreign_files import (
     read_foreign_depth,
     read_mask_source,
 )
-from std_toolkit.importers.importer import ImportRequest, SourceModel
+from std_toolkit.importers.importer import SourceModel
 from std_toolkit.io.images import image_size, read_png
+from std_toolkit.options import ImportRequest
 from std_toolkit.scene.document import check_name, safe_name
 from std_toolkit.scene.model import (
     CATEGORY_CLASS_IDS,

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels import refine_inputs
 from std_toolkit.labels.refine.caster import LayerStore
 from std_toolkit.labels.refine.depth.icp import (
     DepthFit,
@@ -32,14 +33,6 @@ from std_toolkit.labels.refine.problem import (
     RefineObject,
     RefineOptions,
     sub_progress,
-)
-from std_toolkit.labels.refine_inputs import (
-    NOT_CONVERGED,
-    AutoProblem,
-    MeshSource,
-    auto_problem,
-    method_sentence,
-    quality_warnings,
 )
 from std_toolkit.scene.scene import Scene
 
@@ -115,7 +108,7 @@ def refine_objects(
     method: Method = "auto",
     keyframes: int = 8,
     always: Sequence[int] = (),
-    mesh: MeshSource | None = None,
+    mesh: refine_inputs.MeshSource | None = None,
     progress: Callable[[float], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> RefineOutcome:
@@ -143,7 +136,7 @@ def refine_objects(
     chosen = list(dict.fromkeys(poses if chosen is None else chosen))
     if not chosen:
         raise ToolkitError("there is no object to refine", path=scene.root)
-    problem = auto_problem(
+    problem = refine_inputs.auto_problem(
         scene, poses, chosen, frames=frames, keyframes=keyframes, always=always, mesh=mesh
     )
     run = _Run(problem, method, progress or (lambda _: None), cancelled or (lambda: False))
@@ -158,7 +151,7 @@ class _Run:
 
     def __init__(
         self,
-        problem: AutoProblem,
+        problem: refine_inputs.AutoProblem,
         method: Method,
         progress: Callable[[float], None],
         cancelled: Callable[[], bool],
@@ -345,14 +338,16 @@ class _Run:
         seen = replace(self._problem.objects[i], T_world_obj=pose)
         warnings = [
             *self._notes.get(i, []),
-            *([] if settled else [NOT_CONVERGED]),
-            *quality_warnings(self._problem, seen, covariance, edge_rms_px, depth_m, explained),
+            *([] if settled else [refine_inputs.NOT_CONVERGED]),
+            *refine_inputs.quality_warnings(
+                self._problem, seen, covariance, edge_rms_px, depth_m, explained
+            ),
         ]
         return RefinedPose(
             i,
             obj.name,
             pose,
-            method_sentence(edge_rms_px, depth_m, views),
+            refine_inputs.method_sentence(edge_rms_px, depth_m, views),
             covariance,
             weak_direction,
             edge_rms_px,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,33 +14,10 @@ from std_toolkit.labels.label import add_model, add_object, set_pose
 from std_toolkit.labels.pnp import PnPResult, read_correspondences, solve_pnp
 from std_toolkit.labels.posefile import read_pose
 from std_toolkit.labels.symmetry_argument import parse_symmetry
+from std_toolkit.options import LabelCommand
 from std_toolkit.scene.document import check_name, safe_name
 from std_toolkit.scene.model import Frame, SymmetryModel
 from std_toolkit.scene.scene import Scene
-
-
-@dataclass(frozen=True, kw_only=True)
-class LabelCommand:
-    """What `std-curate label` was asked for; `frames` pair with `poses` or `correspondences`."""
-
-    object: str
-    mesh: Path | None = None
-    mesh_unit: str = "m"
-    model: str | None = None
-    category: str | None = None
-    material: str | None = None
-    symmetry: tuple[str, ...] | None = None
-    frames: tuple[int, ...] = ()
-    poses: tuple[Path, ...] = ()
-    correspondences: tuple[Path, ...] = ()
-    pose_format: str = "auto"
-    pose_unit: str | None = None
-    pose_convention: str = "opencv"
-    pose_frame: str | None = None
-    pose_item: str | None = None
-    threshold_px: float = 4.0
-    add_view: bool = False
-    annotator: str = ""
 
 
 def run_label_command(scene: Scene, command: LabelCommand) -> Iterator[str]:

@@ -23,6 +23,7 @@ from std_toolkit.geometry.se3 import SE3, skew
 from std_toolkit.geometry.symmetry import Symmetry, mssd, nearest_variant
 from std_toolkit.io.atomic import sweep_temporaries
 from std_toolkit.log import logger
+from std_toolkit.options import PropagateOptions
 from std_toolkit.scene.document import digest_file, digest_of, is_fresh, write_record
 from std_toolkit.scene.model import Label, Labels, annotated_views, without_derived
 from std_toolkit.scene.scene import Scene, require_metres
@@ -30,32 +31,6 @@ from std_toolkit.scene.scene import Scene, require_metres
 STEP = "propagate"
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, kw_only=True)
-class PropagateOptions:
-    """How labels are carried over.
-
-    Attributes:
-        refine: adjust each object's one pose jointly over spread keyframes.
-        refine_scale: estimate one scale of the whole reconstruction as well; the camera poses
-            are rewritten with it. Only with `refine`.
-        objects: names of the objects to work on; default: all labelled ones.
-        keyframes: frames used for the refinement.
-        use_depth: let sensor depth take part, on diffuse objects only.
-    """
-
-    refine: bool = False
-    refine_scale: bool = False
-    objects: tuple[str, ...] | None = None
-    keyframes: int = 10
-    use_depth: bool = True
-
-    def __post_init__(self) -> None:
-        if self.refine_scale and not self.refine:
-            raise ToolkitError("--refine-scale needs --refine")
-        if not 2 <= self.keyframes <= 200:
-            raise ToolkitError("must be 2 to 200", field="keyframes", value=self.keyframes)
 
 
 def propagate_labels(scene: Scene, options: PropagateOptions | None = None) -> Labels:

@@ -30,8 +30,6 @@ NOT_CONVERGED = (
     "the refinement did not settle: its last step still moved it; refine again, and look"
 )
 
-# Standard deviation along the viewing ray beyond which the distance is called weak, metres.
-_WEAK_M = 0.003
 
 # A contour that fits scatters by one or two pixels.
 _LOOSE_PX = 4.0

@@ -13,9 +13,9 @@ import pycolmap
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import Camera
 from std_toolkit.log import logger
+from std_toolkit.options import Mapper, PoseOptions, Refinement
 from std_toolkit.poses.colmap import quiet_colmap, to_colmap_camera, to_colmap_pixels
 from std_toolkit.poses.features import Features
-from std_toolkit.poses.options import Mapper, PoseOptions, Refinement
 
 # A point is kept while its reprojection error is below this; moving people are far above.
 MAX_POINT_ERROR_PX = 4.0

@@ -17,6 +17,7 @@ from std_toolkit.geometry import Camera
 from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.jobs import JobOptions
 from std_toolkit.log import logger
+from std_toolkit.options import PoseOptions
 from std_toolkit.poses.colmap import add_image, from_colmap_camera, quiet_colmap
 from std_toolkit.poses.features import (
     FeatureJob,
@@ -30,7 +31,6 @@ from std_toolkit.poses.features import (
     train_vocabulary,
 )
 from std_toolkit.poses.mapping import MappingImage, adjust, map_keyframes
-from std_toolkit.poses.options import PoseOptions
 from std_toolkit.poses.register import (
     Registration,
     RegistrationJob,

@@ -12,7 +12,6 @@ object's foot. Small loose pieces are dropped.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +24,7 @@ from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.atomic import atomic_path
 from std_toolkit.log import logger
+from std_toolkit.options import FusionOptions
 from std_toolkit.rendering.maps import compose
 from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
 from std_toolkit.rendering.placements import frame_placements, place_meshes
@@ -44,19 +44,6 @@ _TRUNCATION_VOXELS = 4.0
 _HALF_PIXEL = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 _OUTLINE_MARGIN_PX = 7
 _SMALLEST_PIECE_M2 = 4e-4
-
-
-@dataclass(frozen=True, kw_only=True)
-class FusionOptions:
-    """How the occluding geometry is made.
-
-    Attributes:
-        voxel_m: edge of the volume's cells.
-        clearance_m: geometry closer than this to a labelled object is cut out.
-    """
-
-    voxel_m: float = 0.004
-    clearance_m: float = 0.03
 
 
 def fuse_occluders(scene: Scene, options: FusionOptions) -> tuple[str, str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from typing import Literal
 
@@ -11,52 +10,14 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import sweep_temporaries
 from std_toolkit.jobs import JobOptions, JobReport, run_jobs
 from std_toolkit.log import logger
-from std_toolkit.rendering.choose import DEFAULT_RENDERER, choose_renderer, find_gl
-from std_toolkit.rendering.frame import DEFAULT_DELTA_M, FrameJob, render_frame, resolve_policy
+from std_toolkit.options import RenderOptions
+from std_toolkit.rendering.choose import choose_renderer, find_gl
+from std_toolkit.rendering.frame import FrameJob, render_frame, resolve_policy
 from std_toolkit.rendering.ground_truth import FOLDER, Policy, info_path, map_paths
-from std_toolkit.rendering.occluders import OCCLUDER_FILE, FusionOptions, fuse_occluders
+from std_toolkit.rendering.occluders import OCCLUDER_FILE, fuse_occluders
 from std_toolkit.rendering.placements import frame_placements, labelled_frames
 from std_toolkit.scene.document import digest_file, digest_of
 from std_toolkit.scene.scene import Scene
-
-
-@dataclass(frozen=True, kw_only=True)
-class RenderOptions:
-    """How ground truth is rendered.
-
-    Attributes:
-        renderer: "pyrender", "raycast", or a plug-in's name. pyrender gives way to the ray caster
-            where no GL context can be made and for cameras with distortion.
-        policy: what occludes besides labelled objects; see `occlusion.py`. "auto" takes the best
-            that the scene's data allows.
-        delta_m: tolerance of the policies "sensor" and "fused", metres of distance.
-        fusion: how the geometry of the policy "fused" is made.
-        smooth_normals: interpolate vertex normals where edges are flatter than 40 degrees.
-        force: render again what is finished and fresh.
-    """
-
-    renderer: str = DEFAULT_RENDERER
-    policy: Literal["auto"] | Policy = "auto"
-    delta_m: float = DEFAULT_DELTA_M
-    fusion: FusionOptions = field(default_factory=FusionOptions)
-    smooth_normals: bool = True
-    force: bool = False
-
-    def __post_init__(self) -> None:
-        if self.policy not in ("auto", "models", "sensor", "fused"):
-            raise ToolkitError(
-                "unknown occlusion policy",
-                field="policy",
-                value=self.policy,
-                hint="one of auto, models, sensor, fused",
-            )
-        for name, value in (
-            ("delta_m", self.delta_m),
-            ("clearance_m", self.fusion.clearance_m),
-            ("voxel_m", self.fusion.voxel_m),
-        ):
-            if not 0 < value < 1:
-                raise ToolkitError("must lie between 0 and 1 m", field=name, value=value)
 
 
 def render_ground_truth(

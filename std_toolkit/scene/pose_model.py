@@ -14,24 +14,13 @@ import msgspec
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
-from std_toolkit.scene.document import (
-    Count,
-    Covariance36,
-    Document,
-    NonNegative,
-    ObjectId,
-    Pose16,
-    Positive,
-    Vector3,
-    check_pose,
-    check_unique,
-)
+from std_toolkit.scene import document
 
 # UTC, ISO 8601, to the second or finer.
 Time = Annotated[str, msgspec.Meta(pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?(Z|\+00:00)$")]
 
 
-class FramePose(Document, frozen=True, kw_only=True):
+class FramePose(document.Document, frozen=True, kw_only=True):
     """Camera pose of one frame.
 
     Attributes:
@@ -43,12 +32,12 @@ class FramePose(Document, frozen=True, kw_only=True):
             xi = (rho, phi) in metres and radians.
     """
 
-    frame: Count
+    frame: document.Count
     status: Literal["registered", "unregistered"]
-    T_world_cam: Pose16 | None = None
-    reprojection_px: NonNegative | None = None
-    points: Count = 0
-    covariance: Covariance36 | None = None
+    T_world_cam: document.Pose16 | None = None
+    reprojection_px: document.NonNegative | None = None
+    points: document.Count = 0
+    covariance: document.Covariance36 | None = None
 
     def check(self) -> None:
         if (self.T_world_cam is not None) != (self.status == "registered"):
@@ -57,10 +46,10 @@ class FramePose(Document, frozen=True, kw_only=True):
                 field="T_world_cam",
                 value=self.status,
             )
-        check_pose(self.T_world_cam, "T_world_cam")
+        document.check_pose(self.T_world_cam, "T_world_cam")
 
 
-class ScaleEstimate(Document, frozen=True, kw_only=True):
+class ScaleEstimate(document.Document, frozen=True, kw_only=True):
     """What one source says about the metres of a reconstruction.
 
     Attributes:
@@ -73,14 +62,14 @@ class ScaleEstimate(Document, frozen=True, kw_only=True):
     """
 
     source: str
-    factor: Positive
-    spread: NonNegative
-    standard_error: NonNegative
-    count: Count
+    factor: document.Positive
+    spread: document.NonNegative
+    standard_error: document.NonNegative
+    count: document.Count
     note: str = ""
 
 
-class ScaleReport(Document, frozen=True, kw_only=True):
+class ScaleReport(document.Document, frozen=True, kw_only=True):
     """Where the metres come from.
 
     Attributes:
@@ -92,10 +81,10 @@ class ScaleReport(Document, frozen=True, kw_only=True):
     unit: Literal["metre", "unknown"]
     chosen: str
     estimates: list[ScaleEstimate] = msgspec.field(default_factory=list)
-    disagreement: NonNegative = 0.0
+    disagreement: document.NonNegative = 0.0
 
 
-class Gate(Document, frozen=True, kw_only=True):
+class Gate(document.Document, frozen=True, kw_only=True):
     """One quality gate: a measured value against its limit."""
 
     name: str
@@ -105,7 +94,7 @@ class Gate(Document, frozen=True, kw_only=True):
     advice: str = ""
 
 
-class CameraPoses(Document, frozen=True, kw_only=True):
+class CameraPoses(document.Document, frozen=True, kw_only=True):
     """poses.json: camera poses of all frames.
 
     Attributes:
@@ -124,16 +113,16 @@ class CameraPoses(Document, frozen=True, kw_only=True):
     notes: list[str] = msgspec.field(default_factory=list)
 
     def check(self) -> None:
-        check_unique([str(f.frame) for f in self.frames], "frames", "frame")
+        document.check_unique([str(f.frame) for f in self.frames], "frames", "frame")
 
 
-class CameraModel(Document, frozen=True, kw_only=True):
+class CameraModel(document.Document, frozen=True, kw_only=True):
     """Intrinsics of one image stream; see `geometry.Camera`."""
 
     width: Annotated[int, msgspec.Meta(gt=0)]
     height: Annotated[int, msgspec.Meta(gt=0)]
-    fx: Positive
-    fy: Positive
+    fx: document.Positive
+    fy: document.Positive
     cx: float
     cy: float
     distortion: list[float] = msgspec.field(default_factory=list)
@@ -162,7 +151,7 @@ class CameraModel(Document, frozen=True, kw_only=True):
 _camera = lru_cache(maxsize=32)(Camera)
 
 
-class LabelProvenance(Document, frozen=True, kw_only=True):
+class LabelProvenance(document.Document, frozen=True, kw_only=True):
     """How a label came about, beside its `method` and `annotator`.
 
     Attributes:
@@ -179,10 +168,10 @@ class LabelProvenance(Document, frozen=True, kw_only=True):
     tool: str
     version: str
     refinement: str = ""
-    hands_on_s: NonNegative | None = None
+    hands_on_s: document.NonNegative | None = None
 
 
-class ClickedPoint(Document, frozen=True, kw_only=True):
+class ClickedPoint(document.Document, frozen=True, kw_only=True):
     """One clicked 2D-3D correspondence.
 
     Attributes:
@@ -191,13 +180,13 @@ class ClickedPoint(Document, frozen=True, kw_only=True):
         point: the same point on the mesh, metres, mesh frame.
     """
 
-    frame: Count
+    frame: document.Count
     u: float
     v: float
-    point: Vector3
+    point: document.Vector3
 
 
-class ObjectAnnotation(Document, frozen=True, kw_only=True):
+class ObjectAnnotation(document.Document, frozen=True, kw_only=True):
     """State of the work on one object.
 
     Attributes:
@@ -207,19 +196,19 @@ class ObjectAnnotation(Document, frozen=True, kw_only=True):
         clicks: in the order in which they were made, frame by frame.
     """
 
-    object: ObjectId
+    object: document.ObjectId
     status: Literal["open", "done"] = "open"
     note: str = ""
     clicks: list[ClickedPoint] = msgspec.field(default_factory=list)
 
 
-class Annotation(Document, frozen=True, kw_only=True):
+class Annotation(document.Document, frozen=True, kw_only=True):
     """annotation.json: state of the annotation; an object without a row is open."""
 
     objects: list[ObjectAnnotation] = msgspec.field(default_factory=list)
 
     def check(self) -> None:
-        check_unique([str(x.object) for x in self.objects], "objects", "object")
+        document.check_unique([str(x.object) for x in self.objects], "objects", "object")
 
     def of(self, object_id: int) -> ObjectAnnotation:
         """The row of an object; an empty one if it has none."""

@@ -14,11 +14,10 @@ import numpy as np
 import pytest
 
 from annotator.cli import main
-from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.residuals import ObjectObservation, observe_frame
 from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.geometry.se3 import SE3, so3_exp
-from std_toolkit.poses.options import PoseOptions
+from std_toolkit.options import CheckOptions, PoseOptions
 from std_toolkit.poses.pose_step import estimate_poses
 from std_toolkit.scene import Scene
 

@@ -13,7 +13,7 @@ from typing import Annotated
 import msgspec
 import pytest
 
-from std_toolkit.cli.command import Command, Program, parse_options
+from std_toolkit.cli.command import Command, Program, parse_options, words_of
 from std_toolkit.errors import ToolkitError
 
 
@@ -111,6 +111,7 @@ def test_nested_options_are_flat_and_enums_go_by_value() -> None:
         (["draw", "s", "--policy", "nothing"], "expected one of auto, models"),
         (["draw", "s", "--share", "x"], "--share"),
         (["draw", "s", "--wrong", "1"], "--wrong"),
+        (["draw", "s", "--share"], "--share: expected FLOAT"),
         (["draw", "s", "--share", "1.5"], "--share: must be at most 1 (got 1.5)"),
         (["draw", "s", "--workers", "0"], "--workers: must be at least 1 (got 0)"),
         (["drew", "s"], "drew: no command of std-draw; expected one of draw, refuse, gate"),
@@ -163,6 +164,17 @@ def test_what_options_refuse_themselves_is_wrong_usage(
     command = Command(name="n", about="", options=f"{__name__}:Named", run=f"{__name__}:gate")
     assert Program(name="std-n", about="", commands=(command,)).main(words) == 2
     assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        Options(scene=Path("a b"), policy=Policy.MODELS, share=0.25, jobs=Jobs(workers=2)),
+        Named(split=("a", "b"), phases={"one": 3}, jobs=Jobs(workers=4, bar=False)),
+    ],
+)
+def test_words_of_options_are_parsed_to_them(options: Options | Named) -> None:
+    assert parse_options(type(options), words_of(options), "std-draw")[0] == options
 
 
 def test_default_command_takes_what_names_none() -> None:

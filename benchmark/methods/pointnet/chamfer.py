@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
 from benchmark.methods.pointnet import at, nearest
@@ -22,10 +21,3 @@ def one_way(points: Tensor, others: Tensor) -> Tensor:
 def chamfer(a: Tensor, b: Tensor) -> Tensor:
     """(batch,) mean squared distances to the nearest point, from a to b and from b to a, added."""
     return one_way(a, b).mean(dim=1) + one_way(b, a).mean(dim=1)
-
-
-@torch.no_grad()
-def chamfer_of_sets(a: Tensor, b: Tensor) -> Tensor:
-    """(n, m) chamfer distance of each of n sets to each of m sets (n, p, 3) and (m, q, 3)."""
-    rows = [chamfer(one.expand(len(b), -1, -1), b) for one in a[:, None].unbind(0)]
-    return torch.stack(rows)

@@ -96,7 +96,7 @@ class NetworkEstimator:
         return answers
 
     def segment(self, views: Sequence[PoseView]) -> list[Segmented]:
-        """See `Segmenter`."""
+        """The objects of each of a batch of views, at the view's size, best first."""
         seen = zip(views, self._seen(views), strict=True)
         return [found.segmented.resized(view.camera.size) for view, found in seen]
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -16,7 +16,6 @@ from torch import Tensor
 from torch.nn.functional import affine_grid, grid_sample
 
 from benchmark.data.frame import Instance, resize_nearest
-from benchmark.methods.protocol import PoseView
 from std_toolkit.errors import ToolkitError
 
 # With fewer pixels that have depth, points would be the same few again and again.
@@ -60,20 +59,6 @@ class Segmented:
             return self
         masks = [resize_nearest(mask, size) for mask in self.masks]
         return Segmented(self.class_ids, self.scores, _stacked(masks, size[::-1]))
-
-
-class Segmenter(Protocol):
-    """Finds objects. The networks of `nocs` and `swindrnet-nocs` do; so can any other.
-
-    Attributes:
-        input_size: (width, height) that it works at, or None for any.
-    """
-
-    input_size: tuple[int, int] | None
-
-    def segment(self, views: Sequence[PoseView]) -> list[Segmented]:
-        """The objects of each of a batch of views, at the view's size, best first."""
-        ...
 
 
 def true_segments(mask: NDArray[np.uint8], instances: Sequence[Instance]) -> Segmented:

@@ -18,17 +18,10 @@ from benchmark.methods.depth.swindrnet.swindrnet_network import PRESETS as SWIND
 from benchmark.methods.depth.swindrnet.swindrnet_network import SwinDRNetwork
 from benchmark.training.catalogue import Trainable
 from benchmark.training.config import Optimization
+from benchmark.training.depth import lidf_training
 from benchmark.training.depth.cleargrasp_losses import ClearGraspLoss
 from benchmark.training.depth.cleargrasp_training import ClearGraspValidator, cleargrasp_step
 from benchmark.training.depth.depth_losses import DFNetLoss, NLSPNLoss, SwinDRNetLoss
-from benchmark.training.depth.lidf_training import (
-    COARSE,
-    HARD,
-    REFINE,
-    LIDFLoss,
-    lidf_depth,
-    lidf_step,
-)
 from benchmark.training.validation import DepthValidator
 
 NLSPN_TRAINING = Trainable(
@@ -73,9 +66,9 @@ DFNET_TRAINING = Trainable(
 LIDF_TRAINING = Trainable(
     presets=LIDF,
     network=LIDFNetwork,
-    loss=LIDFLoss(),
-    step=lidf_step,
-    validator=partial(DepthValidator, restore=lidf_depth),
+    loss=lidf_training.LIDFLoss(),
+    step=lidf_training.lidf_step,
+    validator=partial(DepthValidator, restore=lidf_training.lidf_depth),
     optimization=Optimization(
         optimizer="adam",
         learning_rate=1e-3,
@@ -83,8 +76,8 @@ LIDF_TRAINING = Trainable(
         batch_size=32,
         epochs=120,
         decay="steps",
-        phase_epochs={COARSE: 60, REFINE: 30, HARD: 30},
-        phase_rates={HARD: 0.1},
+        phase_epochs={lidf_training.COARSE: 60, lidf_training.REFINE: 30, lidf_training.HARD: 30},
+        phase_rates={lidf_training.HARD: 0.1},
     ),
     geometry=False,
     idle=lambda config: True,  # noqa: ARG005  # one stage always rests

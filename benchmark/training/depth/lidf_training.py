@@ -15,18 +15,8 @@ from torch import Tensor, nn
 from benchmark.data.frame import Material
 from benchmark.methods.depth.lidf.lidf import LIDFNetwork, LIDFPrediction
 from benchmark.methods.depth.lidf.voxels import Terminations, true_pairs
+from benchmark.training import step
 from benchmark.training.depth.depth_losses import normals, points
-from benchmark.training.step import (
-    Batch,
-    Loss,
-    ModelInput,
-    StepInfo,
-    Target,
-    made_of,
-    mean_where,
-    model_input,
-    target_of,
-)
 
 COARSE, REFINE, HARD = "coarse", "refine", "hard"  # phases of the training
 
@@ -56,7 +46,7 @@ class LIDFLoss:
     hard_share: float = 0.1
     told: float = 0.1
 
-    def __call__(self, prediction: LIDFPrediction, target: Target, phase: str) -> Loss:
+    def __call__(self, prediction: LIDFPrediction, target: step.Target, phase: str) -> step.Loss:
         depth = prediction.depth.to(target.depth.dtype)
         rays = points(torch.ones_like(target.depth), target.K)
         reach = rays.abs().mean(dim=1, keepdim=True)
@@ -65,18 +55,18 @@ class LIDFLoss:
         counts = known
         if phase == HARD:
             counts = known & hardest(apart.detach(), known, self.hard_share)
-        distance = mean_where(apart, counts)
+        distance = step.mean_where(apart, counts)
         bent = (1 - (normals(depth, target.K) * normals(target.depth, target.K)).sum(1)) / 2
-        bend = mean_where(bent[:, None], counts & with_neighbours(known))
+        bend = step.mean_where(bent[:, None], counts & with_neighbours(known))
         parts = {"positions": distance.detach(), "normals": bend.detach()}
         if phase == HARD:
-            return Loss(self.hard_positions * distance + self.hard_normals * bend, parts)
+            return step.Loss(self.hard_positions * distance + self.hard_normals * bend, parts)
         total = self.positions * distance + self.normals * bend
         if prediction.terminations is not None:
             ends = end_loss(prediction.terminations, target.depth)
             total = total + self.terminations * ends
             parts["terminations"] = ends.detach()
-        return Loss(total, parts)
+        return step.Loss(total, parts)
 
 
 def end_loss(told: Terminations, true: Tensor) -> Tensor:
@@ -116,25 +106,27 @@ def with_neighbours(known: Tensor) -> Tensor:
     return found
 
 
-def lidf_inputs(network: LIDFNetwork, inputs: ModelInput) -> tuple[Tensor, ...]:
+def lidf_inputs(network: LIDFNetwork, inputs: step.ModelInput) -> tuple[Tensor, ...]:
     """Colour, depth, rays, which depth is believed and which pixels are asked for, as the restorer
     gives them to the network."""
     color, depth, batch = inputs
     rays = points(torch.ones_like(depth), batch["K"])
     believed = depth > 0
     if network.config.mask == "objects":
-        believed &= ~made_of(batch, Material.TRANSPARENT, Material.SPECULAR)[:, None]
+        believed &= ~step.made_of(batch, Material.TRANSPARENT, Material.SPECULAR)[:, None]
     asked = torch.ones_like(believed) if network.config.predict == "all" else ~believed
     return color, depth, rays, believed, asked
 
 
-def lidf_step(network: nn.Module, loss: Any, inputs: ModelInput, step_info: StepInfo) -> Loss:
+def lidf_step(
+    network: nn.Module, loss: Any, inputs: step.ModelInput, step_info: step.StepInfo
+) -> step.Loss:
     """The first stage learns in the phase `coarse`, at its beginning told the true voxels; in the
     others the second one does."""
     own, loss = cast(LIDFNetwork, network), cast(LIDFLoss, loss)
     stage: Literal[1, 2] = 1 if step_info.phase == COARSE else 2
     own.train_stage(stage)
-    target = target_of(inputs.batch)
+    target = step.target_of(inputs.batch)
     told = stage == 1 and step_info.step < loss.told * step_info.steps
     found: LIDFPrediction = own(
         *lidf_inputs(own, inputs), learns=stage, follow=target.depth if told else None
@@ -144,10 +136,10 @@ def lidf_step(network: nn.Module, loss: Any, inputs: ModelInput, step_info: Step
         if not total.requires_grad:  # frames without any believed measurement have no answer
             learning = [p.sum() for p in own.parameters() if p.requires_grad]
             total = total + 0 * torch.stack(learning).sum()
-    return Loss(total, parts)
+    return step.Loss(total, parts)
 
 
-def lidf_depth(network: nn.Module, batch: Batch) -> Tensor:
+def lidf_depth(network: nn.Module, batch: step.Batch) -> Tensor:
     """(b, h, w) metres after both stages."""
     own = cast(LIDFNetwork, network)
-    return own(*lidf_inputs(own, model_input(batch))).depth[:, 0]
+    return own(*lidf_inputs(own, step.model_input(batch))).depth[:, 0]

@@ -20,16 +20,8 @@ from benchmark.methods.grasp.graspnet.cloud import (
 )
 from benchmark.methods.protocol import GraspView
 from benchmark.metrics.grasp.gripper import get_gripper
+from benchmark.training.grasp import pack_files
 from benchmark.training.grasp.grasp_labels import ObjectLabels, kept_labels, scene_labels
-from benchmark.training.grasp.pack_files import (
-    PACK,
-    GraspPackSetup,
-    PackedObject,
-    PackedView,
-    SceneIndex,
-    index_path,
-    scene_folder,
-)
 from benchmark.training.grasp.tabletop import (
     TableObject,
     draw_cameras,
@@ -92,14 +84,14 @@ def pack_grasps(
     with hold_lock(folder, "lock", doing="packing into"):
         begin_pack(folder, options, network)
         sweep_temporaries(folder)
-        left = [n for n in range(scenes) if not index_path(folder, n).exists()]
+        left = [n for n in range(scenes) if not pack_files.index_path(folder, n).exists()]
         report = run_jobs(
             partial(_make_scene, folder, options, network), left, name="pack grasps", options=jobs
         )
     made = [
-        read_document(index_path(folder, n), SceneIndex)
+        read_document(pack_files.index_path(folder, n), pack_files.SceneIndex)
         for n in range(scenes)
-        if index_path(folder, n).exists()
+        if pack_files.index_path(folder, n).exists()
     ]
     frames = sum(len(index.frames) for index in made)
     graspable = float(np.mean([index.graspable for index in made])) if made else 0.0
@@ -108,19 +100,19 @@ def pack_grasps(
 
 def begin_pack(
     folder: Path, options: GraspPackOptions, network: GraspNetConfig | None = None
-) -> GraspPackSetup:
+) -> pack_files.GraspPackSetup:
     """Keep what decides what is in a pack, or see that it was begun with the same.
 
     Raises:
         ToolkitError: it was begun with something else, or the folder holds something else.
     """
     setup = _setup_of(options, network)
-    begun = begin_folder(folder / PACK, setup, hint="choose another one")
-    for name in GraspPackSetup.__struct_fields__:
+    begun = begin_folder(folder / pack_files.PACK, setup, hint="choose another one")
+    for name in pack_files.GraspPackSetup.__struct_fields__:
         if getattr(begun, name) != getattr(setup, name):
             raise ToolkitError(
                 f"this pack was begun with {getattr(begun, name)!r}",
-                path=folder / PACK,
+                path=folder / pack_files.PACK,
                 field=name,
                 value=getattr(setup, name),
                 hint="choose another folder",
@@ -128,13 +120,15 @@ def begin_pack(
     return setup
 
 
-def _setup_of(options: GraspPackOptions, network: GraspNetConfig | None) -> GraspPackSetup:
+def _setup_of(
+    options: GraspPackOptions, network: GraspNetConfig | None
+) -> pack_files.GraspPackSetup:
     network = network or GraspNetConfig()
     own = {f.name: getattr(options, f.name) for f in fields(GraspPackOptions) if f.name != "table"}
     table = asdict(options.table)
     del table["half_width_m"]
     root = table.pop("assets_root")
-    return GraspPackSetup(
+    return pack_files.GraspPackSetup(
         **own,
         **table,
         assets_root=None if root is None else str(root.resolve()),
@@ -192,8 +186,8 @@ def write_scene(
     for o, mine in enumerate(seen_points):
         here = (owner == o) & (point >= 0)
         row[here] = begins[o] + np.searchsorted(mine, point[here])
-    index_path(folder, number).unlink(missing_ok=True)
-    place = scene_folder(folder, number)
+    pack_files.index_path(folder, number).unlink(missing_ok=True)
+    place = pack_files.scene_folder(folder, number)
     place.mkdir(exist_ok=True)
     arrays: dict[str, NDArray[Any]] = {
         "points": np.concatenate(clouds),
@@ -210,14 +204,16 @@ def write_scene(
     _write_meshes(place / "meshes.npz", objects)
     ends = np.cumsum([len(c) for c in clouds]).tolist()
     frames = [
-        PackedView(begin=b, end=e, T_world_cam=T.matrix().ravel().tolist(), digest=_digest(c))
+        pack_files.PackedView(
+            begin=b, end=e, T_world_cam=T.matrix().ravel().tolist(), digest=_digest(c)
+        )
         for b, e, T, c in zip([0, *ends], ends, cameras, clouds, strict=False)
     ]
     on_objects = owner >= 0
-    index = SceneIndex(
+    index = pack_files.SceneIndex(
         seed=seed,
         objects=[
-            PackedObject(
+            pack_files.PackedObject(
                 name=o.name, surface=o.surface, T_world_obj=o.T_world_obj.matrix().ravel().tolist()
             )
             for o in objects
@@ -227,14 +223,14 @@ def write_scene(
         known=float((row[on_objects] >= 0).mean()) if on_objects.any() else 0.0,
         graspable=float(rows.friction.any(axis=(1, 2, 3)).mean()) if len(rows.friction) else 0.0,
     )
-    write_document(index_path(folder, number), index)
+    write_document(pack_files.index_path(folder, number), index)
     return len(frames)
 
 
 def _cloud(
     objects: Sequence[TableObject],
     T_world_cam: SE3,
-    setup: GraspPackSetup,
+    setup: pack_files.GraspPackSetup,
     network: GraspNetConfig,
     seed: tuple[int, int],
 ) -> tuple[NDArray[np.float32], NDArray[np.int16]]:

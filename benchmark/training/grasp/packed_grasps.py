@@ -13,15 +13,7 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from benchmark.methods.grasp.graspnet.cloud import GraspNetConfig, sampled
-from benchmark.training.grasp.pack_files import (
-    GraspPackSetup,
-    PackedView,
-    SceneIndex,
-    index_path,
-    open_array,
-    read_setup,
-    scene_folder,
-)
+from benchmark.training.grasp import pack_files
 from benchmark.training.grasp.tabletop import TableObject, look_at_table
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
@@ -81,9 +73,11 @@ class PackedGrasps(Dataset[dict[str, Tensor]]):
 
     def __init__(self, folders: Sequence[Path], config: GraspNetConfig) -> None:
         self.folders, self.config = tuple(folders), config
-        self.packs: list[GraspPackSetup] = [read_setup(folder) for folder in folders]
+        self.packs: list[pack_files.GraspPackSetup] = [
+            pack_files.read_setup(folder) for folder in folders
+        ]
         self.frames: list[PackedGraspFrame] = []
-        self.scenes: dict[tuple[int, int], SceneIndex] = {}
+        self.scenes: dict[tuple[int, int], pack_files.SceneIndex] = {}
         for pack, (folder, setup) in enumerate(zip(folders, self.packs, strict=True)):
             for name in ("views", "angles", "depths"):
                 if getattr(setup, name) != getattr(config, name):
@@ -102,10 +96,10 @@ class PackedGrasps(Dataset[dict[str, Tensor]]):
         ]
         self._arrays: dict[tuple[int, int], dict[str, np.ndarray]] = {}
 
-    def _list(self, pack: int, folder: Path, setup: GraspPackSetup) -> None:
+    def _list(self, pack: int, folder: Path, setup: pack_files.GraspPackSetup) -> None:
         numbers = sorted(int(path.stem.partition("-")[2]) for path in folder.glob("scene-*.json"))
         for number in numbers:
-            index = read_document(index_path(folder, number), SceneIndex)
+            index = read_document(pack_files.index_path(folder, number), pack_files.SceneIndex)
             self.scenes[pack, number] = index
             scene = f"{self._kind(setup)}: {index.seed}"
             self.frames += [
@@ -114,7 +108,7 @@ class PackedGrasps(Dataset[dict[str, Tensor]]):
             ]
 
     @staticmethod
-    def _kind(setup: GraspPackSetup) -> str:
+    def _kind(setup: pack_files.GraspPackSetup) -> str:
         """Scenes of one seed are the same only if they are drawn from the same."""
         return f"{setup.assets} {setup.split} {setup.objects} {setup.sizes}"
 
@@ -167,7 +161,7 @@ class PackedGrasps(Dataset[dict[str, Tensor]]):
             ToolkitError: their meshes cannot be read.
         """
         frame = self.frames[index]
-        path = scene_folder(self.folders[frame.pack], frame.number) / "meshes.npz"
+        path = pack_files.scene_folder(self.folders[frame.pack], frame.number) / "meshes.npz"
         known = self.scenes[frame.pack, frame.number].objects
         try:
             with np.load(path, allow_pickle=False) as kept:
@@ -192,7 +186,7 @@ class PackedGrasps(Dataset[dict[str, Tensor]]):
         objects, T = self.objects(index), self.T_world_cam(index)
         return look_at_table(objects, setup.camera, T, setup.depth, (seed, frame.view))
 
-    def _view(self, index: int) -> PackedView:
+    def _view(self, index: int) -> pack_files.PackedView:
         frame = self.frames[index]
         return self.scenes[frame.pack, frame.number].frames[frame.view]
 
@@ -201,7 +195,9 @@ class PackedGrasps(Dataset[dict[str, Tensor]]):
         place = frame.pack, frame.number
         if place not in self._arrays:
             folder = self.folders[frame.pack]
-            self._arrays[place] = {n: open_array(folder, frame.number, n) for n in _EVERY}
+            self._arrays[place] = {
+                n: pack_files.open_array(folder, frame.number, n) for n in _EVERY
+            }
         return self._arrays[place]
 
     def _points(self, index: int) -> np.ndarray:

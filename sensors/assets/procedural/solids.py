@@ -319,10 +319,3 @@ def closed(vertices: Array, faces: NDArray[Any]) -> Manifold:
     if solid.status() != Error.NoError or solid.volume() <= 0:
         raise ToolkitError("the surface does not close to a solid", value=str(solid.status()))
     return solid
-
-
-def united(solids: Sequence[Manifold]) -> Manifold:
-    """The union of solids."""
-    from manifold3d import Manifold, OpType
-
-    return Manifold.batch_boolean(list(solids), OpType.Add)

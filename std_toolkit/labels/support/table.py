@@ -11,16 +11,7 @@ import numpy as np
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.plane_fit import PlaneFit, connected_patch, find_planes
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.labels.support.evidence import (
-    Correction,
-    Points,
-    View,
-    correction_by_heights,
-    correction_by_points,
-    depth_points,
-    placed_objects,
-    reconstructed_points,
-)
+from std_toolkit.labels.support import evidence
 from std_toolkit.labels.support.neighbours import (
     Cameras,
     SupportScore,
@@ -69,7 +60,7 @@ class _Place:
     """Where to look: the views, their cameras and the common frame's name."""
 
     scene: Scene
-    views: list[View]
+    views: list[evidence.View]
     cameras: Cameras
     objects: Sequence[PlacedObject]
     frame: str
@@ -102,9 +93,9 @@ def search_table(
             return TableSearch(None, problem)
         name = WORLD
     else:
-        views = [View(scene.frame(camera_frame), SE3.identity())]
+        views = [evidence.View(scene.frame(camera_frame), SE3.identity())]
         name = camera_frame_name(camera_frame)
-    objects = placed_objects(scene, camera_frame) if objects is None else objects
+    objects = evidence.placed_objects(scene, camera_frame) if objects is None else objects
     place = _Place(scene, views, Cameras.of([v.T_frame_cam for v in views]), objects, name)
     reasons = []
     for look in (_from_depth, _from_reconstruction, _from_objects):
@@ -115,13 +106,13 @@ def search_table(
     return TableSearch(None, "no table found: " + "; ".join(reasons))
 
 
-def _world_views(scene: Scene, frames: Sequence[Frame] | None) -> tuple[list[View], str]:
+def _world_views(scene: Scene, frames: Sequence[Frame] | None) -> tuple[list[evidence.View], str]:
     try:
         require_metres(scene)
     except ToolkitError as error:
         return [], f"no table in the world: {error.problem}"
     posed = [
-        View(f, T)
+        evidence.View(f, T)
         for f in (scene.frames if frames is None else frames)
         if (T := scene.T_world_cam(f.id)) is not None
     ]
@@ -134,7 +125,7 @@ def _world_views(scene: Scene, frames: Sequence[Frame] | None) -> tuple[list[Vie
 
 
 def _from_depth(place: _Place) -> TablePlane | str:
-    points = depth_points(place.scene, place.views, place.objects)
+    points = evidence.depth_points(place.scene, place.views, place.objects)
     if points is None:
         return "no sensor depth outside the objects"
     found = _support(points, place)
@@ -145,13 +136,13 @@ def _from_depth(place: _Place) -> TablePlane | str:
     bias = _CALIBRATED_BIAS if place.scene.info.depth_correction != 1 else UNKNOWN_BIAS
     correction = None
     if place.frame == WORLD:
-        sparse = reconstructed_points(place.scene, place.cameras.centres, place.objects)
+        sparse = evidence.reconstructed_points(place.scene, place.cameras.centres, place.objects)
         if sparse is not None:
-            correction = correction_by_points(
+            correction = evidence.correction_by_points(
                 table.plane, sparse.xyz, height, table.centre, table.radius_m
             )
         if correction is None and not _metres_of_the_sensor(place.scene):
-            correction = correction_by_heights(
+            correction = evidence.correction_by_heights(
                 table.plane, points, found[0].inliers, place.cameras.centres
             )
     if correction is not None:
@@ -172,7 +163,7 @@ def _metres_of_the_sensor(scene: Scene) -> bool:
 def _from_reconstruction(place: _Place) -> TablePlane | str:
     if place.frame != WORLD:
         return "one frame has no reconstructed points"
-    points = reconstructed_points(place.scene, place.cameras.centres, place.objects)
+    points = evidence.reconstructed_points(place.scene, place.cameras.centres, place.objects)
     if points is None:
         return "no reconstructed points outside the objects"
     found = _support(points, place)
@@ -215,7 +206,7 @@ def _from_objects(place: _Place) -> TablePlane | str:
     )
 
 
-def _support(points: Points, place: _Place) -> tuple[PlaneFit, SupportScore, str] | str:
+def _support(points: evidence.Points, place: _Place) -> tuple[PlaneFit, SupportScore, str] | str:
     """The best support among the planes in points, and a doubt about it; or what was seen."""
     if len(points.xyz) < _FEWEST_POINTS:
         return "too few points"
@@ -240,7 +231,7 @@ def _support(points: Points, place: _Place) -> tuple[PlaneFit, SupportScore, str
 
 
 def _described(
-    points: Points, fit: PlaneFit, verdict: SupportScore, doubt: str, place: _Place
+    points: evidence.Points, fit: PlaneFit, verdict: SupportScore, doubt: str, place: _Place
 ) -> TablePlane:
     plane = Plane(verdict.normal, verdict.offset, place.frame)
     inside = points.xyz[fit.inliers]
@@ -273,7 +264,7 @@ def _described(
     )
 
 
-def _corrected(table: TablePlane, correction: Correction) -> TablePlane:
+def _corrected(table: TablePlane, correction: evidence.Correction) -> TablePlane:
     plane = Plane(table.plane.normal, table.plane.offset - correction.shift_m, table.plane.frame)
     return replace(
         table,

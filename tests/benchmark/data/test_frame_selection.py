@@ -10,7 +10,7 @@ import pytest
 from dreds_on_disk import Drawn, write_dreds_scene
 
 from benchmark.data import frame as selection
-from benchmark.data.frame import DepthFrame, Material, Selection, material_masks, selection_of
+from benchmark.data.frame import DepthFrame, Material, Selection, selection_of
 from benchmark.data.splits import open_split
 from std_toolkit.errors import ToolkitError
 
@@ -38,13 +38,6 @@ def frame_and_truth(tmp_path_factory) -> tuple[DepthFrame, Drawn]:
 def test_selected_pixels(frame_and_truth, chosen: Selection, ids: list[int]) -> None:
     frame, drawn = frame_and_truth
     np.testing.assert_array_equal(chosen.mask(frame), np.isin(drawn.mask, ids))
-
-
-def test_masks_of_the_materials_share_no_pixel_and_cover_all_objects(frame_and_truth) -> None:
-    frame, drawn = frame_and_truth
-    masks = material_masks(frame)
-    assert list(masks) == list(Material)
-    np.testing.assert_array_equal(sum(m.astype(int) for m in masks.values()), drawn.mask != 255)
 
 
 def test_names_that_mean_nothing() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from dreds_on_disk import write_cleargrasp_real, write_dreds_scene, write_equal, write_std_scene
 
-from benchmark.data.check import check_split, print_check
+from benchmark.data.check import check_split
 from std_toolkit.errors import ToolkitError
 
 
@@ -131,12 +131,6 @@ def test_counts_as_published_are_said_to_fit(tmp_path: Path) -> None:
     assert report.is_complete
     assert "published by the paper: 173 frames (as found)" in report.text()
     assert "expected:" not in report.text()
-
-
-def test_the_check_prints_and_answers(std: Path, capsys) -> None:
-    assert print_check(std, "std-catknown")
-    assert capsys.readouterr().out.startswith("std-catknown: real D415")
-    assert not print_check(std, "std-catnovel")
 
 
 def test_an_unknown_split(tmp_path: Path) -> None:

@@ -26,8 +26,9 @@ from std_toolkit.exporters import export_scene
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.importers import ImportRequest, import_recording
 from std_toolkit.jobs import JobOptions
+from std_toolkit.options import RenderOptions
 from std_toolkit.rendering.ground_truth import read_ground_truth
-from std_toolkit.rendering.render_step import RenderOptions, render_ground_truth
+from std_toolkit.rendering.render_step import render_ground_truth
 from std_toolkit.scene import Scene
 
 SERIAL = JobOptions(engine="serial", progress=False)

@@ -11,7 +11,8 @@ import pytest
 from benchmark.data.splits import open_split
 from benchmark.data.true_poses import KnownBox, known_boxes, true_poses
 from std_toolkit.errors import ToolkitError
-from std_toolkit.rendering.render_step import RenderOptions, render_ground_truth
+from std_toolkit.options import RenderOptions
+from std_toolkit.rendering.render_step import render_ground_truth
 from tests.benchmark.evaluation.pose_set import SERIAL, SPLIT, write_pose_split
 from tests.dreds_on_disk import BALLS, pose, write_dreds_scene
 from tests.scene_on_disk import write_scene

@@ -24,6 +24,7 @@ NEVER_RAISE = {
     "edge_band",
     "even_points",
     "filled_share",
+    "found_of",
     "friction_scores",
     "hits_mesh",
     "hits_plane",

@@ -100,11 +100,11 @@ def test_own_data_are_taken_and_derived_sets_follow_them(tmp_path, own):
 def test_a_test_not_at_hand_is_told_with_where_to_get_it(tmp_path, own):
     plan = planned(tmp_path, "main-comparison", data=[str(own["std"])])
     text = plan_text(plan)
-    assert "STD-CatNovel: not at hand" in text
+    assert "STD-CatNovel: not available" in text
     assert "https://pku-epic.github.io/DREDS/" in text
     assert "--scenes-from graspnet" in text
     assert "--data std-catnovel=ROOT" in text
-    assert "STD-CatKnown: not at hand" not in text
+    assert "STD-CatKnown: not available" not in text
     assert "DREDS-CatKnown, simulated anew: simulated by std-sim" in text
     assert [t.name for t in plan.targets if plan.place(t) is None] == [
         "dreds-catnovel",

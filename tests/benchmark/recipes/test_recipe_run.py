@@ -72,7 +72,7 @@ def test_the_table_holds_everything(done):
         assert mine["rmse"].notna().all()
     absent = rows[rows["kind"] == ABSENT]
     assert set(absent["test"]) == {"std-catnovel", "cleargrasp-real-known"}
-    assert absent["note"].str.contains("not at hand: .* download: https://").all()
+    assert absent["note"].str.contains("not available: .* download: https://").all()
     printed = rows[(rows["kind"] == PUBLISHED) & (rows["test"] == "std-catknown")]
     hard = printed[printed["subset"] == "specular+transparent"].set_index("variant")
     assert hard.loc["SwinDRNet, simulated depth", "rmse"] == 0.018
@@ -117,7 +117,7 @@ def test_every_page_tells_the_scale(done):
     for told in (page, text):
         assert "Scale: tiny" in told
         assert "its numbers mean nothing" in told
-        assert "not at hand" in told
+        assert "not available" in told
         assert "47" in told  # 46.7 mm is printed for cropped depth
     assert "<title>Sim-to-real, scale tiny</title>" in page
     sections = re.findall(r"<h2>.*?</h2>", page)
@@ -232,7 +232,7 @@ def test_without_any_test_nothing_is_begun(own, tmp_path, capsys):
     line = ["recipe", "domain-transfer", "--scale", "tiny", "--out", str(tmp_path / "out")]
     assert main([*line, *HERE]) == 1
     error = capsys.readouterr().err
-    assert error.startswith("error: no test of this recipe is at hand")
+    assert error.startswith("error: no test of this recipe is available")
     assert "sites.google.com/view/cleargrasp" in error
     assert error.count("\n") == 1
     assert not (tmp_path / "out").exists()

@@ -47,7 +47,7 @@ def test_the_main_comparison_runs_from_nothing_to_its_page(out: Path) -> None:
     assert set(measured["data"]) == {"simulated by std-sim: 1 scene of 2 views"}
     assert measured["rmse"].between(0.001, 2).all()
     page = (out / "tiny" / "main-comparison" / PAGE).read_text()
-    assert page.count("not at hand") >= 3
+    assert page.count("not available") >= 3
     assert page.count("data:image/webp") >= 5
 
 
@@ -61,7 +61,7 @@ def test_sim_to_real_takes_a_set_that_is_there(out: Path, tmp_path: Path) -> Non
     rows = pd.read_csv(tmp_path / "o" / "tiny" / "sim-to-real" / CSV)
     measured = rows[rows["kind"] == MEASURED]
     assert measured["variant"].nunique() == 3
-    assert measured["data"].str.startswith("given: ").all()
+    assert measured["data"].str.startswith("from ").all()
 
 
 def test_cut_packs_are_what_the_simulator_would_render(tiny_dreds: Path, tmp_path: Path) -> None:

@@ -19,9 +19,9 @@ from benchmark.training.depth.depth_losses import (
     sobel,
     whole_around,
 )
-from benchmark.training.step import LossFunction, Target, mean_where
+from benchmark.training.step import Target, mean_where
 
-LOSSES: dict[str, LossFunction] = {
+LOSSES = {
     "swindrnet": SwinDRNetLoss(),
     "swindrnet-released": SwinDRNetLoss(form="released"),
     "nlspn": NLSPNLoss(),

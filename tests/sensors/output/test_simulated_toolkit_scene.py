@@ -28,9 +28,10 @@ from std_toolkit.exporters import export_scene
 from std_toolkit.geometry import SE3, Symmetry, so3_exp
 from std_toolkit.io.exr import read_exr_depth
 from std_toolkit.jobs import JobOptions
+from std_toolkit.options import RenderOptions
 from std_toolkit.rendering.ground_truth import read_ground_truth, rendered_frames
 from std_toolkit.rendering.placements import truth_is_current
-from std_toolkit.rendering.render_step import RenderOptions, render_ground_truth
+from std_toolkit.rendering.render_step import render_ground_truth
 from std_toolkit.scene import Labels, Scene
 
 SERIAL = JobOptions(engine="serial", progress=False)

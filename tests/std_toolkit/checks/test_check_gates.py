@@ -6,10 +6,10 @@ import msgspec
 import pytest
 
 from std_toolkit.checks.gates import evaluate_gates, evaluate_object, scale_share
-from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.report_warnings import find_warnings
 from std_toolkit.checks.result import CheckGate, FrameCheck, ObjectCheck, SceneSummary
 from std_toolkit.errors import ToolkitError
+from std_toolkit.options import CheckOptions
 from std_toolkit.scene.model import ScaleEstimate, ScaleReport
 
 OPTIONS = CheckOptions()

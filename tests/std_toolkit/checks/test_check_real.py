@@ -9,11 +9,11 @@ import pytest
 import scipy.io
 
 from std_toolkit.checks.check_step import run_check
-from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.result import ObjectCheck
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.mesh import load_mesh, mesh_diameter, mesh_extents
 from std_toolkit.jobs import JobOptions
+from std_toolkit.options import CheckOptions
 from std_toolkit.scene import (
     CameraModel,
     CameraPoses,

@@ -16,14 +16,14 @@ import pytest
 from toy_balls import CAMERA, DISTANCE_M, Toy, arc_pose
 
 from std_toolkit.checks.check_step import report_is_current, run_check
-from std_toolkit.checks.options import CheckOptions
 from std_toolkit.checks.result import CheckReport
+from std_toolkit.checks.summary import summarise
 from std_toolkit.cli import main as cli
-from std_toolkit.cli.summary import summarise
 from std_toolkit.io.documents import read_document
 from std_toolkit.io.images import read_color, read_mask, write_color, write_png
 from std_toolkit.jobs import JobOptions
-from std_toolkit.rendering.render_step import RenderOptions, render_ground_truth
+from std_toolkit.options import CheckOptions, RenderOptions
+from std_toolkit.rendering.render_step import render_ground_truth
 from std_toolkit.scene import CameraPoses, FramePose, Frames, Labels, ObjectTable, Scene
 from std_toolkit.scene.model import ScaleEstimate, ScaleReport
 

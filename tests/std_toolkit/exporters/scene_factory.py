@@ -12,7 +12,8 @@ from std_toolkit.geometry import SE3, Camera, so3_exp
 from std_toolkit.geometry.mesh import mesh_diameter, mesh_extents
 from std_toolkit.io.images import write_color, write_depth_png16
 from std_toolkit.jobs import JobOptions
-from std_toolkit.rendering.render_step import RenderOptions, render_ground_truth
+from std_toolkit.options import RenderOptions
+from std_toolkit.rendering.render_step import render_ground_truth
 from std_toolkit.scene import (
     CameraModel,
     CameraPoses,

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scene_factory import SERIAL, make_scene
 
-from std_toolkit.cli.summary import summarise
+from std_toolkit.checks.summary import summarise
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters import EXPORTERS, ExportOptions, export_scene
 from std_toolkit.exporters.std_exporter import StdExporter

@@ -85,7 +85,8 @@ def test_random_scenes_survive_export_and_import(name, tmp_path):
 @pytest.mark.parametrize("name", ["std", "bop", "nocs"])
 def test_export_of_the_imported_scene_is_byte_identical(name, tmp_path):
     """The second generation loses nothing: what rounding there is happens once."""
-    from std_toolkit.rendering.render_step import RenderOptions, render_ground_truth
+    from std_toolkit.options import RenderOptions
+    from std_toolkit.rendering.render_step import render_ground_truth
 
     scene = make_scene(tmp_path / "scene", frames=2)
     first = export_scene(scene, name, tmp_path / "first", jobs=SERIAL)
@@ -103,7 +104,8 @@ def test_export_of_the_imported_scene_is_byte_identical(name, tmp_path):
 
 @pytest.mark.parametrize("name", ["std", "bop", "nocs"])
 def test_an_export_without_the_annotated_frame_can_be_imported(name, tmp_path):
-    from std_toolkit.rendering.render_step import RenderOptions, render_ground_truth
+    from std_toolkit.options import RenderOptions
+    from std_toolkit.rendering.render_step import render_ground_truth
 
     scene = make_scene(tmp_path / "scene", frames=3, render=False)
     options = RenderOptions(renderer="raycast", policy="models")

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from std_toolkit.cli.summary import summarise
+from std_toolkit.checks.summary import summarise
 from std_toolkit.errors import ToolkitError
 from std_toolkit.importers import ImportRequest, import_recording
 from std_toolkit.io.exr import write_exr

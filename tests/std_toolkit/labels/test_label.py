@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import argparse
 import json
 
 import numpy as np
@@ -9,7 +8,8 @@ import trimesh
 from PIL import Image
 from tiny_camera import CAMERA
 
-from std_toolkit.cli import label
+from std_toolkit.cli.command import parse_options
+from std_toolkit.cli.labelling import LabelArguments, label
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.geometry.se3 import SE3
@@ -23,10 +23,8 @@ POSE = SE3.exp(np.array([0.0, 0.0, 0.7, 0.3, 0.2, 0.1]))
 
 
 def run(*arguments) -> int:
-    parser = argparse.ArgumentParser()
-    label.add_parser(parser.add_subparsers())
-    args = parser.parse_args(["label", *map(str, arguments)])
-    return args.run(args)
+    options, _ = parse_options(LabelArguments, [str(a) for a in arguments], "std-curate label")
+    return label(options)
 
 
 def snapshot(root):

@@ -7,8 +7,9 @@ from tiny_camera import camera_pose
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.label import add_model, add_object, set_pose
-from std_toolkit.labels.propagate import PropagateOptions, propagate_labels
+from std_toolkit.labels.propagate import propagate_labels
 from std_toolkit.labels.symmetry_argument import parse_symmetry
+from std_toolkit.options import PropagateOptions
 from std_toolkit.scene import Scene
 
 T_WORLD_OBJ = SE3.exp(np.array([0.02, -0.03, 0.05, 0.1, 0.2, 0.5]))

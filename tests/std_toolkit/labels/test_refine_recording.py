@@ -12,7 +12,8 @@ from sensors.synthetic.truth import annotate_first_frame, label_errors
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.geometry.se3 import SE3, so3_exp
 from std_toolkit.labels.label import add_model, add_object, set_pose
-from std_toolkit.labels.propagate import PropagateOptions, propagate_labels
+from std_toolkit.labels.propagate import propagate_labels
+from std_toolkit.options import PropagateOptions
 from std_toolkit.scene import CameraPoses, Frame, FramePose, Frames, Scene, SceneInfo
 
 pytestmark = pytest.mark.slow

@@ -13,13 +13,13 @@ import pytest
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.label import add_model, add_object, set_pose
 from std_toolkit.labels.pnp import solve_pnp
-from std_toolkit.labels.propagate import PropagateOptions, propagate_labels
+from std_toolkit.labels.propagate import propagate_labels
 from std_toolkit.labels.refine.caster import WorldCaster, cast_patch
 from std_toolkit.labels.refine.edges.contour import Kind, contour_image, trace_contour
 from std_toolkit.labels.refine.edges.evidence import colour_odds, measure_edges
 from std_toolkit.labels.refine_step import load_views, scene_object
 from std_toolkit.labels.support.table import find_table
-from std_toolkit.poses.options import PoseOptions
+from std_toolkit.options import PoseOptions, PropagateOptions
 from std_toolkit.poses.pose_step import estimate_poses
 from std_toolkit.scene import Scene
 

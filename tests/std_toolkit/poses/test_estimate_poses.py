@@ -231,7 +231,7 @@ def test_command_line(copy: Scene, capsys) -> None:
 
 @pytest.mark.slow
 def test_global_mapper_and_refined_distortion(copy: Scene, recording) -> None:
-    from std_toolkit.poses.options import Mapper, Refinement
+    from std_toolkit.options import Mapper, Refinement
 
     estimate_poses(copy, PoseOptions(threads=1, mapper=Mapper.GLOBAL))
     check_against_truth(copy, recording.truth, metric=5e-3)

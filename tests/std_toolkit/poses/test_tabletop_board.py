@@ -17,8 +17,8 @@ import pytest
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, rotation_error, umeyama
 from std_toolkit.geometry.mesh import load_mesh, mesh_diameter, mesh_extents
+from std_toolkit.options import Refinement
 from std_toolkit.poses import PoseOptions
-from std_toolkit.poses.options import Refinement
 from std_toolkit.poses.pose_step import estimate_poses, failed_gates
 from std_toolkit.scene import Label, Labels, Model, Object, ObjectTable, Scene
 
@@ -72,11 +72,10 @@ def folder(test_data: Path) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def scene(tabletop_poses: Path, tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """Solved without the board."""
-    root = tmp_path_factory.mktemp("tabletop") / "scene"
-    return Scene.open(shutil.copytree(tabletop_poses, root, symlinks=True))
+@pytest.fixture
+def scene(tabletop_poses: Path, tmp_path: Path) -> Scene:
+    """Solved without the board; the tests change it."""
+    return Scene.open(shutil.copytree(tabletop_poses, tmp_path / "scene", symlinks=True))
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,8 @@ import pytest
 
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.io.images import write_color, write_depth_png16
-from std_toolkit.rendering.occluders import FusionOptions, fuse_occluders, load_occluder
+from std_toolkit.options import FusionOptions
+from std_toolkit.rendering.occluders import fuse_occluders, load_occluder
 from std_toolkit.scene.model import (
     CameraModel,
     CameraPoses,

@@ -17,6 +17,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.io.documents import write_document
 from std_toolkit.jobs import JobOptions
+from std_toolkit.options import RenderOptions
 from std_toolkit.rendering.frame import hidden_by_depth
 from std_toolkit.rendering.ground_truth import (
     info_path,
@@ -25,7 +26,7 @@ from std_toolkit.rendering.ground_truth import (
     rendered_frames,
 )
 from std_toolkit.rendering.placements import truth_is_current
-from std_toolkit.rendering.render_step import RenderOptions, render_ground_truth
+from std_toolkit.rendering.render_step import render_ground_truth
 from std_toolkit.scene.model import Frames, Labels
 from std_toolkit.scene.scene import Scene
 

@@ -39,8 +39,8 @@ def written(tmp_path_factory) -> dict[str, Path]:
     from scene_factory import SERIAL, make_scene
 
     from std_toolkit.checks.check_step import run_check
-    from std_toolkit.checks.options import CheckOptions
     from std_toolkit.exporters import export_scene
+    from std_toolkit.options import CheckOptions
     from std_toolkit.scene import Annotation, ObjectAnnotation
     from std_toolkit.scene.document import write_record
 

@@ -14,6 +14,7 @@ from typing import Literal, NamedTuple, Protocol
 import torch
 from torch import Tensor, nn
 
+from benchmark.methods import network
 from benchmark.methods.depth.swindrnet.fusion_decoder import (
     BEFORE_TOKENS,
     TOKEN_OF_DETAILS,
@@ -25,14 +26,6 @@ from benchmark.methods.depth.swindrnet.fusion_decoder import (
     enlarged,
 )
 from benchmark.methods.depth.swindrnet.swin import PATCH, Swin
-from benchmark.methods.network import (
-    COMPACT_SIZE,
-    Prediction,
-    coarse_depth,
-    in_metres,
-    told_color,
-    told_depth,
-)
 
 _DEPTH_COPIES = 3  # depth goes into a network of three channels, which ImageNet weights fit
 
@@ -212,7 +205,7 @@ PRESETS = {
         relative=True,
         details=True,
         drop_path=0.1,
-        input_size=COMPACT_SIZE,
+        input_size=network.COMPACT_SIZE,
     ),
 }
 
@@ -247,7 +240,7 @@ class SwinDRNetwork(SwinStreams):
                 lambda _, channels: PaperFusion(channels, config.fusion_heads, config.fusion_window)
             )
 
-    def forward(self, color: Tensor, depth: Tensor) -> Prediction:
+    def forward(self, color: Tensor, depth: Tensor) -> network.Prediction:
         """Restore depth.
 
         Args:
@@ -268,7 +261,7 @@ class SwinDRNetwork(SwinStreams):
         config = self.config
         measured = (depth > 0).to(depth.dtype)
         if config.relative:
-            color, depth = told_color(color), told_depth(depth)
+            color, depth = network.told_color(color), network.told_depth(depth)
         if config.details:
             depth = torch.cat([depth, measured], dim=1)
         if config.fusion == "none":
@@ -279,16 +272,16 @@ class SwinDRNetwork(SwinStreams):
 
     def answer(
         self, depth: Tensor, details: list[Tensor], initial: Tensor, confidence: Tensor | None
-    ) -> Prediction:
+    ) -> network.Prediction:
         """What the decoders' maps say; that of confidence is None without such a decoder."""
         config = self.config
         if config.details:
             initial = self.details_of_depth(initial, details)
         initial = enlarged(initial, depth)
         if config.relative:
-            initial = in_metres(coarse_depth(depth), initial)
+            initial = network.in_metres(network.coarse_depth(depth), initial)
         if confidence is None:
-            return Prediction(initial, initial)
+            return network.Prediction(initial, initial)
         if config.details:
             confidence = self.details_of_confidence(confidence, details)
         confidence = enlarged(confidence, depth)
@@ -298,10 +291,10 @@ class SwinDRNetwork(SwinStreams):
         return blended(depth, initial, confidence)
 
 
-def blended(depth: Tensor, initial: Tensor, logits: Tensor) -> Prediction:
+def blended(depth: Tensor, initial: Tensor, logits: Tensor) -> network.Prediction:
     """The sensor's depth and the predicted one, by a softmax over their two logits (b, 2, h, w)."""
     of_sensor, of_initial = logits.softmax(dim=1).split(1, dim=1)
-    return Prediction(of_sensor * depth + of_initial * initial, initial, of_sensor)
+    return network.Prediction(of_sensor * depth + of_initial * initial, initial, of_sensor)
 
 
 def _images_of(config: SwinDRNetConfig) -> dict[str, int]:

@@ -11,14 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.methods.grasp.antipodal.contact_pairs import (
-    Pairs,
-    antipodal_pairs,
-    best_spread,
-    rim_pairs,
-    round_pairs,
-    with_edges,
-)
+from benchmark.methods.grasp.antipodal import contact_pairs
 from benchmark.methods.grasp.antipodal.hands import Obstacles, filled_pads, hands_at, obstacles_of
 from benchmark.methods.grasp.antipodal.surface import find_table, surface_of
 from benchmark.methods.protocol import GraspView
@@ -119,20 +112,24 @@ class Antipodal:
             view, T_cam_table, least_height=s.least_height, count=s.points, rng=rng
         )
         points, normals = surface.points, surface.normals
-        places, faces, trust = with_edges(points, normals, surface.outwards, surface.at_edge)
+        places, faces, trust = contact_pairs.with_edges(
+            points, normals, surface.outwards, surface.at_edge
+        )
         widest = self.gripper.max_width
-        pairs = Pairs.concatenated(
+        pairs = contact_pairs.Pairs.concatenated(
             [
-                antipodal_pairs(places, faces, widest=widest, cone=s.cone, trust=trust),
-                round_pairs(points, normals, widest=widest),
-                rim_pairs(points, normals, surface.at_edge, surface.eye),
+                contact_pairs.antipodal_pairs(
+                    places, faces, widest=widest, cone=s.cone, trust=trust
+                ),
+                contact_pairs.round_pairs(points, normals, widest=widest),
+                contact_pairs.rim_pairs(points, normals, surface.at_edge, surface.eye),
             ]
         )
         if not len(pairs):
             return Grasps.empty()
         obstacles = obstacles_of(surface.obstacles)
         worth = _worth(pairs, obstacles)
-        pairs = best_spread(pairs, s.pairs, worth)
+        pairs = contact_pairs.best_spread(pairs, s.pairs, worth)
         grasps, of_pair = hands_at(
             pairs, obstacles, self.gripper, surface.eye, room=s.room, table_room=s.table_room
         )
@@ -145,7 +142,7 @@ class Antipodal:
         return kept.top(s.grasps)
 
 
-def _worth(pairs: Pairs, obstacles: Obstacles) -> Floats:
+def _worth(pairs: contact_pairs.Pairs, obstacles: Obstacles) -> Floats:
     """(K,) how good pairs are before hands are fitted: square to the surface, level, central."""
     if not len(pairs):
         return np.zeros(0)

@@ -14,16 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from benchmark.methods.network import padded_to
-from benchmark.methods.pose.nocs.detector import (
-    LEVELS,
-    Boxes,
-    Detector,
-    Regions,
-    cut_out,
-    detections_of,
-    groups_of,
-    put_back,
-)
+from benchmark.methods.pose.nocs import detector
 from benchmark.methods.pose.nocs.nocs_backbone import CLASSES, PRESETS, STRIDES, NOCSConfig, Pyramid
 from benchmark.methods.pose.pose_network import Found, NetworkEstimator
 from benchmark.methods.pose.segmented import Segmented
@@ -43,8 +34,8 @@ class NOCSPrediction(NamedTuple):
         bins: (n, 3, bins, 28, 28) logits of x, y and z.
     """
 
-    boxes: Boxes
-    regions: Regions
+    boxes: detector.Boxes
+    regions: detector.Regions
     masks: Tensor
     bins: Tensor
 
@@ -56,20 +47,22 @@ class NOCSNetwork(nn.Module):
         super().__init__()
         self.config = config = config or NOCSConfig()
         self.pyramid = Pyramid(config)
-        self.detector = Detector(config)
+        self.detector = detector.Detector(config)
         self.mask_head = RegionHead(config, CLASSES)
         self.coordinate_heads = nn.ModuleList(
             RegionHead(config, CLASSES * config.bins) for _ in range(3)
         )
 
-    def forward(self, color: Tensor, regions: Regions | None = None) -> NOCSPrediction:
+    def forward(self, color: Tensor, regions: detector.Regions | None = None) -> NOCSPrediction:
         """(b, 3, h, w) RGB in [0, 1]."""
         h, w = color.shape[-2:]
         levels = self.pyramid(padded_to(color, STRIDES[-1]))
-        boxes = self.detector([levels[i] for i in LEVELS], [STRIDES[i] for i in LEVELS])
+        boxes = self.detector(
+            [levels[i] for i in detector.LEVELS], [STRIDES[i] for i in detector.LEVELS]
+        )
         if regions is None:
-            regions = detections_of(boxes, self.config, (w, h))
-        cut = cut_out(levels, regions.boxes, regions.image, STRIDES, SIDE // 2)
+            regions = detector.detections_of(boxes, self.config, (w, h))
+        cut = detector.cut_out(levels, regions.boxes, regions.image, STRIDES, SIDE // 2)
         masks = of_class(self.mask_head(cut), regions.class_ids)[:, 0]
         bins = [of_class(head(cut), regions.class_ids) for head in self.coordinate_heads]
         return NOCSPrediction(boxes, regions, masks.float(), torch.stack(bins, dim=1).float())
@@ -87,7 +80,7 @@ class RegionHead(nn.Module):
             layers += [
                 nn.Conv2d(inputs, wide, 3, padding=1),
                 # Of groups, not of the batch as published: it may hold one object, or none.
-                nn.GroupNorm(groups_of(wide), wide),
+                nn.GroupNorm(detector.groups_of(wide), wide),
                 nn.ReLU(),
             ]
             inputs = wide
@@ -144,10 +137,12 @@ def objects_of(outputs: NOCSPrediction, image: int, decode: str, size: tuple[int
     regions = outputs.regions
     mine = (regions.image == image).nonzero()[:, 0]
     boxes, class_ids, scores = regions.boxes[mine], regions.class_ids[mine], regions.scores[mine]
-    masks = put_back(outputs.masks[mine, None].sigmoid(), boxes, size, "bilinear")[:, 0] > 0.5
+    masks = (
+        detector.put_back(outputs.masks[mine, None].sigmoid(), boxes, size, "bilinear")[:, 0] > 0.5
+    )
     inside = coordinates_of(outputs.bins[mine], decode)
     # By the nearest cell: what lies outside of an object's mask was never learnt.
-    coordinates = put_back(inside, boxes, size, "nearest").permute(0, 2, 3, 1)
+    coordinates = detector.put_back(inside, boxes, size, "nearest").permute(0, 2, 3, 1)
     there = masks.flatten(1).any(dim=1)
     segmented = Segmented(
         class_ids[there].cpu().numpy().astype(np.int64),

@@ -16,30 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from benchmark.methods import weights
 from benchmark.methods.pose.pose_network import Found, NetworkEstimator, points_of
 from benchmark.methods.pose.segmented import Segmented
-from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs_network import (
-    BACKGROUND_CLASS,
-    CLASSES,
-    PRESETS,
-    SwinNOCSConfig,
-    SwinNOCSNetwork,
-    SwinNOCSPrediction,
-)
+from benchmark.methods.pose.swindrnet_nocs import swindrnet_nocs_network
 from benchmark.methods.registry import MethodOptions, configured, preset_of
-from benchmark.methods.weights import (
-    SWINDRNET,
-    architecture_of,
-    check_keys,
-    load_weights,
-    read_weights,
-    weights_for,
-)
 
 _LAST = ".conv_seg.weight"
 
 # Decoders are known by how many maps they make: their names in the authors' program are not.
-_OWN_NAMES = {CLASSES: "decode_head_classes", 3: "decode_head_nocs"}
+_OWN_NAMES = {swindrnet_nocs_network.CLASSES: "decode_head_classes", 3: "decode_head_nocs"}
 
 # Parts that SwinDRNet has, too.
 _SHARED = ("backbone_rgb_branch", "backbone_xyz_branch", "cross_attention_")
@@ -54,15 +40,17 @@ class SwinDRNetNOCS(NetworkEstimator):
     """
 
     def __init__(self, options: MethodOptions) -> None:
-        self.config = configured(preset_of(PRESETS, options.preset), options.settings)
-        network = SwinNOCSNetwork(self.config)
-        self.flipped = load_pose_weights(network, weights_for("swindrnet-nocs", options))
+        self.config = configured(
+            preset_of(swindrnet_nocs_network.PRESETS, options.preset), options.settings
+        )
+        network = swindrnet_nocs_network.SwinNOCSNetwork(self.config)
+        self.flipped = load_pose_weights(network, weights.weights_for("swindrnet-nocs", options))
         super().__init__(network, options, self.config)
 
     def inputs(self, color: Tensor, depth: Tensor, K: Tensor) -> tuple[Tensor, ...]:
         return color, points_of(depth, K)
 
-    def found(self, outputs: SwinNOCSPrediction) -> list[Found]:
+    def found(self, outputs: swindrnet_nocs_network.SwinNOCSPrediction) -> list[Found]:
         chances = outputs.classes.float().softmax(dim=1)
         nocs = outputs.nocs.float()
         if self.flipped:
@@ -74,7 +62,9 @@ class SwinDRNetNOCS(NetworkEstimator):
         ]
 
 
-def segments_of(chances: NDArray[np.float32], config: SwinNOCSConfig) -> Segmented:
+def segments_of(
+    chances: NDArray[np.float32], config: swindrnet_nocs_network.SwinNOCSConfig
+) -> Segmented:
     """The objects of an image, best first; a score is the mean chance of the object's pixels.
 
     Args:
@@ -85,7 +75,7 @@ def segments_of(chances: NDArray[np.float32], config: SwinNOCSConfig) -> Segment
     classes: list[int] = []
     scores: list[float] = []
     masks: list[NDArray[np.bool_]] = []
-    for class_id in range(1, BACKGROUND_CLASS):
+    for class_id in range(1, swindrnet_nocs_network.BACKGROUND_CLASS):
         for mask in _objects(best == class_id, config.instances):
             if mask.sum() >= config.least_pixels:
                 classes.append(class_id)
@@ -107,7 +97,7 @@ def _objects(mask: NDArray[np.bool_], instances: str) -> list[NDArray[np.bool_]]
     return [labels == number for number in range(1, count)]
 
 
-def load_pose_weights(network: SwinNOCSNetwork, path: Path) -> bool:
+def load_pose_weights(network: swindrnet_nocs_network.SwinNOCSNetwork, path: Path) -> bool:
     """Read the network's weights from a file.
 
     Returns:
@@ -116,18 +106,18 @@ def load_pose_weights(network: SwinNOCSNetwork, path: Path) -> bool:
     Raises:
         ToolkitError: the file cannot be read, or holds weights of another network.
     """
-    state = read_weights(path)
+    state = weights.read_weights(path)
     own = f"decode_head_nocs{_LAST}" in state
     authors = not own and {len(t) for k, t in state.items() if k.endswith(_LAST)} >= {*_OWN_NAMES}
     if authors:
         state = own_names(state)
-    check_keys(network.state_dict(), state, path)
+    weights.check_keys(network.state_dict(), state, path)
     wanted = {name: tensor.dtype for name, tensor in network.state_dict().items()}
     network.load_state_dict({n: t.to(wanted[n]) for n, t in state.items()}, assign=True)
     return authors
 
 
-def begin_pose_network(network: SwinNOCSNetwork, path: Path) -> None:
+def begin_pose_network(network: swindrnet_nocs_network.SwinNOCSNetwork, path: Path) -> None:
     """Give a network, before it is trained, the weights of a file.
 
     Args:
@@ -138,14 +128,14 @@ def begin_pose_network(network: SwinNOCSNetwork, path: Path) -> None:
     Raises:
         ToolkitError: the file cannot be read, or holds weights of another network or other sizes.
     """
-    state = read_weights(path)
-    if architecture_of(state) != SWINDRNET:
-        load_weights(network, path)  # not the authors', whose z is turned
+    state = weights.read_weights(path)
+    if weights.architecture_of(state) != weights.SWINDRNET:
+        weights.load_weights(network, path)  # not the authors', whose z is turned
         return
     shared = {k: v for k, v in state.items() if k.startswith(_SHARED)}
     own = {k: v for k, v in network.state_dict().items() if k.startswith(_SHARED)}
     rest = {k: v for k, v in state.items() if k not in shared}
-    check_keys(own | rest, state, path)
+    weights.check_keys(own | rest, state, path)
     network.load_state_dict(shared, strict=False)
 
 

@@ -15,16 +15,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import scaled_dot_product_attention
 
+from benchmark.methods.depth.swindrnet import swin
 from benchmark.methods.depth.swindrnet.fusion_decoder import DetailDecoder, PaperFusion, enlarged
-from benchmark.methods.depth.swindrnet.swin import (
-    Perceptron,
-    Swin,
-    from_windows,
-    padded,
-    relative_index,
-    shift_mask,
-    to_windows,
-)
 from benchmark.methods.depth.swindrnet.swindrnet_network import SwinStreams
 from benchmark.methods.network import COMPACT_SIZE, told_color, told_depth
 from benchmark.methods.pose.fitting import FitSettings
@@ -134,8 +126,8 @@ class SwinNOCSNetwork(SwinStreams):
     """
 
     config: SwinNOCSConfig
-    backbone_rgb_branch: Swin
-    backbone_xyz_branch: Swin
+    backbone_rgb_branch: swin.Swin
+    backbone_xyz_branch: swin.Swin
 
     def __init__(self, config: SwinNOCSConfig | None = None) -> None:
         config = config or SwinNOCSConfig()
@@ -230,8 +222,8 @@ class _CrossBlock(nn.Module):
         self.attn = _CrossAttention(channels, heads, window)
         self.norm2_branch_1 = nn.LayerNorm(channels)
         self.norm2_branch_2 = nn.LayerNorm(channels)
-        self.mlp_branch_1 = Perceptron(channels)
-        self.mlp_branch_2 = Perceptron(channels)
+        self.mlp_branch_1 = swin.Perceptron(channels)
+        self.mlp_branch_2 = swin.Perceptron(channels)
 
     def forward(self, color: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
         change = self.norm1_branch_1(color)
@@ -246,13 +238,13 @@ class _CrossBlock(nn.Module):
     def _attend(self, color: Tensor, points: Tensor) -> Tensor:
         h, w = color.shape[1:3]
         color, points = (
-            torch.roll(padded(tokens, self.window), (-self.shift, -self.shift), (1, 2))
+            torch.roll(swin.padded(tokens, self.window), (-self.shift, -self.shift), (1, 2))
             for tokens in (color, points)
         )
         high, wide = color.shape[1:3]
-        mask = shift_mask(high, wide, self.window, self.shift, color.device)
-        windows = (to_windows(tokens, self.window) for tokens in (color, points))
-        attended = from_windows(self.attn(*windows, mask), self.window, high, wide)
+        mask = swin.shift_mask(high, wide, self.window, self.shift, color.device)
+        windows = (swin.to_windows(tokens, self.window) for tokens in (color, points))
+        attended = swin.from_windows(self.attn(*windows, mask), self.window, high, wide)
         return torch.roll(attended, (self.shift, self.shift), (1, 2))[:, :h, :w]
 
 
@@ -268,7 +260,7 @@ class _CrossAttention(nn.Module):
         self.relative_position_bias_table_1 = nn.Parameter(torch.zeros(rows, heads))
         self.relative_position_bias_table_2 = nn.Parameter(torch.zeros(rows, heads))
         nn.init.trunc_normal_(self.relative_position_bias_table_1, std=0.02)
-        self.register_buffer("relative_position_index", relative_index(window))
+        self.register_buffer("relative_position_index", swin.relative_index(window))
         self.qkv_branch_1 = nn.Linear(channels, 3 * channels)
         self.qkv_branch_2 = nn.Linear(channels, 3 * channels)
         self.proj_branch_1 = nn.Linear(channels, channels)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.geometry.symmetry import rotation_error
+from std_toolkit.labels.refine import problem
 from std_toolkit.labels.refine.caster import LayerStore
 from std_toolkit.labels.refine.depth.depth_steps import (
     DepthAgreement,
@@ -27,16 +28,6 @@ from std_toolkit.labels.refine.depth.observed import ObservedRays, ObservedView,
 from std_toolkit.labels.refine.depth.pose_search import THOROUGH, SearchRange, search_pose
 from std_toolkit.labels.refine.edges.solver import refine_poses
 from std_toolkit.labels.refine.object_surface import ObjectSurface
-from std_toolkit.labels.refine.problem import (
-    Progress,
-    RefineObject,
-    RefineOptions,
-    RefineResult,
-    RefineView,
-    no_progress,
-    sub_progress,
-    weakest_direction,
-)
 
 Array = NDArray[np.float64]
 
@@ -109,13 +100,13 @@ class DepthFit:
 
 
 def refine_on_depth(
-    views: Sequence[RefineView],
-    obj: RefineObject,
+    views: Sequence[problem.RefineView],
+    obj: problem.RefineObject,
     options: DepthFitOptions | None = None,
     *,
-    others: Sequence[RefineObject] = (),
+    others: Sequence[problem.RefineObject] = (),
     layers: LayerStore | None = None,
-    progress: Progress = no_progress,
+    progress: problem.Progress = problem.no_progress,
 ) -> DepthFit:
     """Adjust the world pose of one object to the sensor depth around it.
 
@@ -139,7 +130,7 @@ def refine_on_depth(
     _check(views, obj, observed)
     search = SearchRange(1.2 * reach_m, 1.2 * options.turn, options.flips)
     pose = search_pose(
-        obj, surface, observed, search, progress=sub_progress(progress, 0.1, searched)
+        obj, surface, observed, search, progress=problem.sub_progress(progress, 0.1, searched)
     )
     agreement = measure_depth(surface, observed, pose)
     if (
@@ -164,7 +155,7 @@ def refine_on_depth(
             observed,
             agreement,
             others,
-            progress=sub_progress(progress, searched, 1),
+            progress=problem.sub_progress(progress, searched, 1),
         )
         if finished is not None:
             return finished
@@ -175,7 +166,7 @@ def refine_on_depth(
         obj.name,
         pose,
         covariance,
-        weakest_direction(covariance, obj.centre, obj.radius, obj.symmetry),
+        problem.weakest_direction(covariance, obj.centre, obj.radius, obj.symmetry),
         agreement,
         None,
         len(observed),
@@ -185,9 +176,9 @@ def refine_on_depth(
 
 
 def depth_agreement(
-    views: Sequence[RefineView],
-    obj: RefineObject,
-    others: Sequence[RefineObject],
+    views: Sequence[problem.RefineView],
+    obj: problem.RefineObject,
+    others: Sequence[problem.RefineObject],
     *,
     depth_factor: float = 1.0,
     layers: LayerStore | None = None,
@@ -205,7 +196,7 @@ def depth_agreement(
 
 
 def _check(
-    views: Sequence[RefineView], obj: RefineObject, observed: Sequence[ObservedView]
+    views: Sequence[problem.RefineView], obj: problem.RefineObject, observed: Sequence[ObservedView]
 ) -> None:
     if not views:
         raise ToolkitError("a refinement needs at least one view")
@@ -228,27 +219,29 @@ def _check(
 
 
 def _finish(
-    views: Sequence[RefineView],
-    found: RefineObject,
+    views: Sequence[problem.RefineView],
+    found: problem.RefineObject,
     surface: ObjectSurface,
     observed: Sequence[ObservedView],
     before: DepthAgreement,
-    others: Sequence[RefineObject],
+    others: Sequence[problem.RefineObject],
     *,
-    progress: Progress,
+    progress: problem.Progress,
 ) -> DepthFit | None:
     """The pose with the edges' help; None where they make it worse."""
     around = _apart(views, found) > _PARALLAX
     if around:
-        options = RefineOptions(search_px=24)
+        options = problem.RefineOptions(search_px=24)
     else:
         # One view cannot tell a wrong sensor from a wrong distance: it follows the sensor.
-        options = RefineOptions(
+        options = problem.RefineOptions(
             search_px=12, depth_factor_std=_FIXED_FACTOR_STD, depth_samples=_DEPTH_SAMPLES
         )
     fixed = [replace(o, fixed=True) for o in _near(views, found, others)]
     try:
-        result: RefineResult = refine_poses(views, [found, *fixed], options, progress=progress)
+        result: problem.RefineResult = refine_poses(
+            views, [found, *fixed], options, progress=progress
+        )
     except ToolkitError:  # nothing of it can be seen well enough
         return None
     edges = result.objects[0]
@@ -273,14 +266,14 @@ def _finish(
     )
 
 
-def moved_too_far(obj: RefineObject, T_world_obj: SE3) -> bool:
+def moved_too_far(obj: problem.RefineObject, T_world_obj: SE3) -> bool:
     """Whether a pose is too far from the one that the depth gave to be the same, only better."""
     step = T_world_obj @ obj.centre - obj.T_world_obj @ obj.centre
     turn = rotation_error(T_world_obj, obj.T_world_obj, obj.symmetry)
     return bool(np.linalg.norm(step) > _LARGEST_FINISH_M or turn > _LARGEST_FINISH)
 
 
-def _apart(views: Sequence[RefineView], obj: RefineObject) -> float:
+def _apart(views: Sequence[problem.RefineView], obj: problem.RefineObject) -> float:
     """Largest angle between two views of the object, radians."""
     centre = obj.T_world_obj @ obj.centre
     rays = np.array([v.T_world_cam.t - centre for v in views])
@@ -289,8 +282,10 @@ def _apart(views: Sequence[RefineView], obj: RefineObject) -> float:
 
 
 def _near(
-    views: Sequence[RefineView], obj: RefineObject, others: Sequence[RefineObject]
-) -> list[RefineObject]:
+    views: Sequence[problem.RefineView],
+    obj: problem.RefineObject,
+    others: Sequence[problem.RefineObject],
+) -> list[problem.RefineObject]:
     """The others that may touch the object's image in some view."""
     near = []
     for other in others:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3, so3_exp
 from std_toolkit.geometry.symmetry import rotation_error
+from std_toolkit.labels.refine import problem
 from std_toolkit.labels.refine.caster import LayerStore
 from std_toolkit.labels.refine.edges.descent import descend
 from std_toolkit.labels.refine.edges.edge_search import (
@@ -27,14 +28,6 @@ from std_toolkit.labels.refine.edges.edge_search import (
     spread_views,
 )
 from std_toolkit.labels.refine.edges.measure import PoseState, coarse_to_fine
-from std_toolkit.labels.refine.problem import (
-    Progress,
-    RefineObject,
-    RefineOptions,
-    RefineView,
-    no_progress,
-    sub_progress,
-)
 
 # The search ends within this share of an object's size in the image.
 _LEFT = 0.08
@@ -70,13 +63,13 @@ _ROUNDS = 8
 
 
 def approach(
-    views: Sequence[RefineView],
-    objects: Sequence[RefineObject],
-    options: RefineOptions,
+    views: Sequence[problem.RefineView],
+    objects: Sequence[problem.RefineObject],
+    options: problem.RefineOptions,
     *,
     layers: LayerStore | None = None,
-    progress: Progress = no_progress,
-) -> list[RefineObject]:
+    progress: problem.Progress = problem.no_progress,
+) -> list[problem.RefineObject]:
     """The objects, rough ones at poses from which `descend` takes over, found one by one.
 
     Candidates of the search and the start itself are refined at coarse levels with the other
@@ -93,7 +86,7 @@ def approach(
     rough = [i for i, o in enumerate(objects) if o.rough and not o.fixed]
     for done, i in enumerate(rough):
         obj = objects[i]
-        share = sub_progress(progress, done / len(rough), (done + 1) / len(rough))
+        share = problem.sub_progress(progress, done / len(rough), (done + 1) / len(rough))
         share(0)
         others = [replace(o, fixed=True) for k, o in enumerate(found) if k != i]
         few = spread_views(views, obj)
@@ -103,7 +96,7 @@ def approach(
         tried = [_converged(few, obj, others, options, scorer, layers)]
         for thorough in (False, True):
             # Few objects need the thorough search; the others are done after the quick one.
-            searched = sub_progress(share, *((0.7, 0.9) if thorough else (0.1, 0.6)))
+            searched = problem.sub_progress(share, *((0.7, 0.9) if thorough else (0.1, 0.6)))
             candidates = search_edges(
                 few,
                 obj,
@@ -130,10 +123,10 @@ def approach(
 
 
 def search_turns(
-    views: Sequence[RefineView],
-    obj: RefineObject,
-    others: Sequence[RefineObject],
-    options: RefineOptions,
+    views: Sequence[problem.RefineView],
+    obj: problem.RefineObject,
+    others: Sequence[problem.RefineObject],
+    options: problem.RefineOptions,
     *,
     layers: LayerStore | None = None,
 ) -> SE3:
@@ -160,10 +153,10 @@ def search_turns(
 
 
 def _search_turns(
-    views: Sequence[RefineView],
-    obj: RefineObject,
-    others: Sequence[RefineObject],
-    options: RefineOptions,
+    views: Sequence[problem.RefineView],
+    obj: problem.RefineObject,
+    others: Sequence[problem.RefineObject],
+    options: problem.RefineOptions,
     scorer: EdgeScore,
     layers: LayerStore,
 ) -> SE3:
@@ -202,10 +195,10 @@ class _Converged:
 
 
 def _converged(
-    views: Sequence[RefineView],
-    obj: RefineObject,
-    others: Sequence[RefineObject],
-    options: RefineOptions,
+    views: Sequence[problem.RefineView],
+    obj: problem.RefineObject,
+    others: Sequence[problem.RefineObject],
+    options: problem.RefineOptions,
     scorer: EdgeScore,
     layers: LayerStore,
 ) -> _Converged:
@@ -213,7 +206,7 @@ def _converged(
     return _Converged(T, float(scorer.of([T])[0]))
 
 
-def _agreed(tried: Sequence[_Converged], obj: RefineObject) -> bool:
+def _agreed(tried: Sequence[_Converged], obj: problem.RefineObject) -> bool:
     """Whether the last one confirms the best one, which convinces: no more need be tried."""
     *before, last = tried
     best = max(before, key=lambda t: t.score)
@@ -225,10 +218,10 @@ def _agreed(tried: Sequence[_Converged], obj: RefineObject) -> bool:
 
 
 def _follow(
-    views: Sequence[RefineView],
-    obj: RefineObject,
-    others: Sequence[RefineObject],
-    options: RefineOptions,
+    views: Sequence[problem.RefineView],
+    obj: problem.RefineObject,
+    others: Sequence[problem.RefineObject],
+    options: problem.RefineOptions,
     layers: LayerStore,
 ) -> SE3:
     size = max(_size_px(v, obj) for v in views)
@@ -242,7 +235,7 @@ def _follow(
     return state.poses[0]
 
 
-def _size_px(view: RefineView, obj: RefineObject) -> float:
+def _size_px(view: problem.RefineView, obj: problem.RefineObject) -> float:
     z = float((view.T_world_cam.inverse() @ (obj.T_world_obj @ obj.centre))[2])
     return 2 * obj.radius * view.camera.fx / max(z, obj.radius)
 
@@ -260,7 +253,7 @@ class Axis:
         return T @ SE3(R, self.point - R @ self.point)
 
 
-def near_symmetry(obj: RefineObject) -> Axis | None:
+def near_symmetry(obj: problem.RefineObject) -> Axis | None:
     """The axis about which most of the surface is round, but not all; along x, y, or z.
 
     None also where the object is declared symmetric: what shows a turn then is not its shape.

@@ -12,16 +12,9 @@ from numpy.typing import NDArray
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.refine.caster import LayerStore, WorldCaster, cast_patch
+from std_toolkit.labels.refine.edges import system
 from std_toolkit.labels.refine.edges.contour import contour_image, trace_contour
 from std_toolkit.labels.refine.edges.evidence import colour_odds, measure_edges
-from std_toolkit.labels.refine.edges.system import (
-    ContourRows,
-    DepthRows,
-    Step,
-    contour_rows,
-    depth_rows,
-    sample_depth,
-)
 from std_toolkit.labels.refine.problem import RefineObject, RefineOptions, RefineView
 
 
@@ -97,10 +90,10 @@ class PoseState:
 class Measurements:
     """Residuals with their derivatives, by object index, one entry per view that shows it."""
 
-    contours: list[tuple[int, ContourRows]]
-    depths: list[tuple[int, DepthRows]]
+    contours: list[tuple[int, system.ContourRows]]
+    depths: list[tuple[int, system.DepthRows]]
 
-    def after(self, steps: Mapping[int, Step]) -> Measurements:
+    def after(self, steps: Mapping[int, system.Step]) -> Measurements:
         """The residuals of the objects that made these steps, by index, to first order."""
         return Measurements(
             [(k, rows.after(steps[k])) for k, rows in self.contours if k in steps],
@@ -156,7 +149,7 @@ def measure(
                     crease_weight=0.4 if obj.trusts_depth else 1.0,
                     taken=contour_image(patch),
                 )
-                rows = contour_rows(
+                rows = system.contour_rows(
                     contour.points,
                     contour.normals,
                     edges.offset,
@@ -167,9 +160,13 @@ def measure(
                 )
                 found.contours.append((i, rows))
             if sensor is not None and obj.trusts_depth:
-                samples = sample_depth(patch, i, sensor, camera, T_world_cam, gate_m=level.gate_m)
+                samples = system.sample_depth(
+                    patch, i, sensor, camera, T_world_cam, gate_m=level.gate_m
+                )
                 if samples is not None:
-                    found.depths.append((i, depth_rows(samples, T_world_cam, state.poses[i])))
+                    found.depths.append(
+                        (i, system.depth_rows(samples, T_world_cam, state.poses[i]))
+                    )
     return found
 
 

@@ -15,21 +15,11 @@ from dataclasses import replace
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.labels.refine import problem
 from std_toolkit.labels.refine.caster import LayerStore
 from std_toolkit.labels.refine.edges.approach import approach
 from std_toolkit.labels.refine.edges.descent import Descent, assemble, descend
 from std_toolkit.labels.refine.edges.measure import PoseState, coarse_to_fine
-from std_toolkit.labels.refine.problem import (
-    Progress,
-    RefinedObject,
-    RefineObject,
-    RefineOptions,
-    RefineResult,
-    RefineView,
-    no_progress,
-    sub_progress,
-    weakest_direction,
-)
 
 # The edges are within this after a search; at lower resolutions glass and metal would be lost
 # again. Objects that are not rough are as near.
@@ -39,13 +29,13 @@ _SEARCH = 3.0
 
 
 def refine_poses(
-    views: Sequence[RefineView],
-    objects: Sequence[RefineObject],
-    options: RefineOptions | None = None,
+    views: Sequence[problem.RefineView],
+    objects: Sequence[problem.RefineObject],
+    options: problem.RefineOptions | None = None,
     *,
     layers: LayerStore | None = None,
-    progress: Progress = no_progress,
-) -> RefineResult:
+    progress: problem.Progress = problem.no_progress,
+) -> problem.RefineResult:
     """Adjust the world poses of objects to the images, all together.
 
     Args:
@@ -61,7 +51,7 @@ def refine_poses(
     Raises:
         ToolkitError: no views or objects, or no object is visible in any view.
     """
-    options = options or RefineOptions()
+    options = options or problem.RefineOptions()
     if not views or not objects:
         raise ToolkitError("a refinement needs at least one view and one object")
     layers = LayerStore() if layers is None else layers
@@ -70,7 +60,11 @@ def refine_poses(
     searched = _SEARCH * len(rough) / max((_SEARCH + 1) * len(rough) + near, 1)
     if rough:
         objects = approach(
-            views, objects, options, layers=layers, progress=sub_progress(progress, 0, searched)
+            views,
+            objects,
+            options,
+            layers=layers,
+            progress=problem.sub_progress(progress, 0, searched),
         )
         options = replace(options, search_px=min(options.search_px, _APPROACHED_PX))
     state = PoseState([o.T_world_obj for o in objects])
@@ -82,17 +76,17 @@ def refine_poses(
         levels,
         options,
         layers=layers,
-        progress=sub_progress(progress, searched, 1),
+        progress=problem.sub_progress(progress, searched, 1),
     )
     return _result(objects, state, descent, options)
 
 
 def _result(
-    objects: Sequence[RefineObject],
+    objects: Sequence[problem.RefineObject],
     state: PoseState,
     descent: Descent,
-    options: RefineOptions,
-) -> RefineResult:
+    options: problem.RefineOptions,
+) -> problem.RefineResult:
     measured, scale = descent.measured, descent.scale
     zero = np.zeros(6 * len(objects) + 2)
     system, edge_std, depth_std = assemble(objects, state, measured, scale, options, zero)
@@ -102,11 +96,11 @@ def _result(
         block = covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6]
         seen = sum(1 for k, rows in measured.contours if k == i and len(rows.residual) >= 8)
         refined.append(
-            RefinedObject(
+            problem.RefinedObject(
                 obj.name,
                 state.poses[i],
                 block,
-                weakest_direction(block, obj.centre, obj.radius, obj.symmetry),
+                problem.weakest_direction(block, obj.centre, obj.radius, obj.symmetry),
                 edge_std.get(i, float("nan")) / scale,
                 depth_std.get(i),
                 seen,
@@ -115,7 +109,7 @@ def _result(
         )
     scale_std = float(np.sqrt(covariance[system.SCALE, system.SCALE]))
     factor_std = float(np.sqrt(covariance[system.FACTOR, system.FACTOR]))
-    return RefineResult(
+    return problem.RefineResult(
         tuple(refined),
         float(np.exp(state.log_scale)) if options.refine_scale else 1.0,
         scale_std if options.refine_scale else 0.0,

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from pose_cases import boxes, oracle, pose, rigid
 
 from benchmark.metrics.pose import BoxIoU, box_iou
-from benchmark.metrics.pose.intersection import common_volume
+from benchmark.metrics.pose.box_iou import common_volume
 from std_toolkit.errors import ToolkitError
 
 Box = tuple[np.ndarray, np.ndarray]

@@ -1,4 +1,4 @@
-"""Help of every command of the benchmark: each option once, with a text, and soon."""
+"""Help of every command: each option once, with a text, and soon."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ import sys
 import pytest
 
 from benchmark.cli import bench, report, train
+from sensors.simulation import cli as simulate
+from std_toolkit.cli import main as curate
 from std_toolkit.cli.command import Command, Program
 
-PROGRAMS: tuple[Program, ...] = (bench.PROGRAM, train.PROGRAM, report.PROGRAM)
+MODULES = (curate, bench, train, report, simulate)
+PROGRAMS: tuple[Program, ...] = tuple(module.PROGRAM for module in MODULES)
 COMMANDS = [(program, command) for program in PROGRAMS for command in program.commands]
 
 
@@ -31,7 +34,7 @@ def test_each_option_has_one_text(
     assert end.value.code == 0
     page = capsys.readouterr().out
     # An option begins its line; its text follows there or below.
-    names = re.findall(r"^  (?:-h, )?(--?[\w-]+|[A-Z_]+)", page, re.M)
+    names = re.findall(r"^  \[?(?:-h, )?(--?[\w-]+|[A-Z_]+)", page, re.M)
     assert len(names) == len(set(names)) >= 5
     texts = re.split(r"^  (?=\S)", page.partition("options\n")[2], flags=re.M)[1:]
     for text in texts:
@@ -43,10 +46,10 @@ def test_each_option_has_one_text(
 @pytest.mark.parametrize(
     ("module", "words", "seconds"),
     [
-        (f"benchmark.cli.{program.name.removeprefix('std-')}", words, seconds)
-        for program in PROGRAMS
+        (module.__name__, words, seconds)
+        for module, program in zip(MODULES, PROGRAMS, strict=True)
         for words, seconds in [
-            (["--help"], 0.2 if program is bench.PROGRAM else 0.35),
+            (["--help"], 0.2),
             *((words_of(program, command), 0.35) for command in program.commands),
         ]
     ],

@@ -1,0 +1,257 @@
+"""Commands of `std-curate` from labels on: label, propagate, render, check, export, run."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+from std_toolkit import options
+from std_toolkit.cli.recording import PosesCommand, asked, print_json, recover_poses
+from std_toolkit.errors import ToolkitError
+from std_toolkit.jobs.options import JobOptions
+
+# A step whose result the next ones build on ends the run when it fails; a frame that could not
+# be rendered does not: the check tells what is missing.
+ENDS_THE_RUN = ("poses", "propagate")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelArguments(options.LabelCommand):
+    __doc__ = options.LabelCommand.__doc__
+
+    scene: Path
+    """scene folder"""
+
+
+def label(command: LabelArguments) -> int:
+    """Enter an object and set its poses."""
+    from std_toolkit.io.atomic import sweep_temporaries
+    from std_toolkit.labels.label_command import run_label_command
+    from std_toolkit.scene.scene import Scene
+
+    files = len(command.poses) + len(command.correspondences)
+    if command.poses and command.correspondences:
+        raise ToolkitError("give either --pose or --correspondences, not both")
+    shared = len(command.poses) == 1 and len(command.frames) > 0
+    if files != len(command.frames) and not shared:
+        raise ToolkitError(
+            "each --frame needs its own --pose or --correspondences",
+            value=f"{len(command.frames)} frames, {files} files",
+        )
+    if shared:  # one file of many images (BOP, 6D-PAT) may serve several frames
+        command = replace(command, poses=command.poses * len(command.frames))
+    scene = Scene.open(command.scene)
+    with scene.lock():
+        sweep_temporaries(scene.root)
+        for line in run_label_command(scene, command):
+            print(line)
+    return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PropagateCommand:
+    """Give every labelled object one pose in the world, and with it one in every frame."""
+
+    scene: Path
+    """scene folder"""
+    options: options.PropagateOptions = field(default_factory=options.PropagateOptions)
+
+
+def propagate(command: PropagateCommand) -> int:
+    """Carry labels over; 1 if an object got no pose."""
+    from std_toolkit.labels.propagate import label_lines, propagate_labels
+    from std_toolkit.scene.scene import Scene
+
+    scene = Scene.open(command.scene)
+    labels = propagate_labels(scene, command.options)
+    print("\n".join(label_lines(scene, labels)))
+    chosen = {scene.objects.object_named(n).id for n in command.options.objects or ()}
+    placed = {x.object: x.T_world_obj is not None for x in labels.labels}
+    return 0 if all(placed[x] for x in chosen or placed) else 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderCommand:
+    """Render ground truth for every labelled frame into SCENE/gt.
+
+    Per frame z-depth, instance mask, NOCS map and surface normals, per object the visible fraction
+    and boxes. Frames that are finished and whose inputs did not change are kept.
+    """
+
+    scene: Path
+    """scene folder"""
+    options: options.RenderOptions = field(default_factory=options.RenderOptions)
+    frames: tuple[int, ...] | None = None
+    """ids of the frames to render (all that are labelled)"""
+    jobs: JobOptions = field(default_factory=JobOptions)
+
+
+def render(command: RenderCommand) -> int:
+    """Render and print a summary; 1 if a frame failed."""
+    from std_toolkit.rendering.render_step import render_ground_truth
+    from std_toolkit.scene.scene import Scene
+
+    scene = Scene.open(command.scene)
+    with scene.lock():
+        report = render_ground_truth(
+            scene, command.options, frames=command.frames, jobs=command.jobs
+        )
+    kept = sum(1 for outcome in report.results.values() if outcome == "kept")
+    print(
+        f"ground truth: {len(report.results) - kept} frames rendered, {kept} kept, "
+        f"{len(report.failed)} failed; in {scene.root / 'gt'}"
+    )
+    return 1 if report.failed else 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckCommand:
+    """Measure the labels of a scene against its images and depth.
+
+    Writes check/report.html, report.json, report.csv and frames.csv. Exit status 1 if a gate
+    fails.
+    """
+
+    scene: Path
+    """scene folder"""
+    options: options.CheckOptions = field(default_factory=options.CheckOptions)
+    json: bool = False
+    """print the report as JSON"""
+    jobs: JobOptions = field(default_factory=JobOptions)
+
+
+def check(command: CheckCommand) -> int:
+    """Check the labels; 1 if a gate failed."""
+    from std_toolkit.checks.check_step import report_path, run_check
+    from std_toolkit.scene.scene import Scene
+
+    scene = Scene.open(command.scene)
+    report = run_check(scene, command.options, command.jobs)
+    if command.json:
+        print_json(report)
+        return 0 if report.passed else 1
+    for gate in report.failed_gates():
+        unit = f" {gate.unit}" if gate.unit else ""
+        about = f" ({gate.detail})" if gate.detail else ""
+        print(
+            f"FAIL {gate.key}: {gate.title}: {gate.value:.4g}{unit}{about}, must be {gate.rule} "
+            f"{gate.limit:g}{unit}; {gate.advice}"
+        )
+    for warning in report.warnings:
+        # Failed gates are named above; what is of low weight is in the report.
+        if warning.severity != "low" and not warning.gate:
+            print(f"warning: {warning.about}: {warning.problem}; {warning.advice}")
+    print(report.verdict)
+    print(f"report: {report_path(scene.root)}")
+    return 0 if report.passed else 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportCommand:
+    """Write every frame with ground truth in the layout of STD, BOP or NOCS.
+
+    std_toolkit.json beside it holds what the layout has no place for: camera poses, intrinsics,
+    object poses, where the metres come from.
+    """
+
+    scene: Path
+    """scene folder"""
+    format: str = field(metadata={"option": "format"})
+    """std, bop, nocs or a plug-in"""
+    out: Path = field(metadata={"option": "out"})
+    """new folder"""
+    label_size: str | None = None
+    """STD: WxH of the labels (half of 1280x720, else that of colour)"""
+    options: options.ExportOptions = field(default_factory=options.ExportOptions)
+    jobs: JobOptions = field(default_factory=JobOptions)
+
+
+def export(command: ExportCommand) -> int:
+    """Export the scene."""
+    from std_toolkit.exporters.export_step import export_scene
+    from std_toolkit.scene.scene import Scene
+
+    sidecar = export_scene(
+        Scene.open(command.scene),
+        command.format,
+        command.out,
+        options=replace(command.options, label_size=_size(command.label_size)),
+        jobs=asked(command.jobs),
+    )
+    print(
+        f"{command.out}: {len(sidecar.frames)} frames, {len(sidecar.models)} models, "
+        f"{len(sidecar.files)} files in the layout of {sidecar.layout}"
+    )
+    if sidecar.left_out:
+        print(f"left out {len(sidecar.left_out)} frames without ground truth")
+    return 0
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    width, _, height = text.lower().partition("x")
+    if not (width.isdigit() and height.isdigit()):
+        raise ToolkitError("a size is WIDTHxHEIGHT", field="--label-size", value=text)
+    return int(width), int(height)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunCommand:
+    """Run poses, propagate --refine, render and check on a scene whose objects are labelled.
+
+    Steps and frames that are done are kept, stale ones are redone; run it again after any
+    interruption. Poses that came with an import are kept.
+    """
+
+    scene: Path
+    """scene folder"""
+    refine: bool = True
+    """propagate the annotated poses as they are"""
+    refine_scale: bool = False
+    """let the known sizes of the objects correct the scale of the camera poses"""
+    poses: options.PoseBasics = field(default_factory=options.PoseBasics)
+    render: options.RenderBasics = field(default_factory=options.RenderBasics)
+    jobs: JobOptions = field(default_factory=JobOptions)
+
+
+def run(command: RunCommand) -> int:
+    """Run the steps as their own commands would; the first failure that matters ends it."""
+    status = 0
+    for name, step in _steps(command):
+        print(f"\n== {name}", flush=True)
+        outcome = step()
+        status = max(status, outcome)
+        if outcome and name in ENDS_THE_RUN:
+            print(f"the run ends here: `{name}` failed, see above", file=sys.stderr)
+            break
+    return status
+
+
+def _steps(command: RunCommand) -> Iterator[tuple[str, Callable[[], int]]]:
+    """The steps, one by one, so that each is chosen by what the last one did."""
+    from std_toolkit.log import logger
+    from std_toolkit.scene.scene import Scene
+
+    scene, jobs = Scene.open(command.scene), command.jobs
+    if scene.poses is not None and scene.poses.source != "sfm":
+        logger.info("camera poses: kept as they came (%s)", scene.poses.source)
+    else:
+        poses = options.PoseOptions(**vars(command.poses))
+        asked_poses = PosesCommand(scene=command.scene, options=poses, jobs=jobs)
+        yield "poses", partial(recover_poses, asked_poses)
+    if not scene.labels.labels:
+        raise ToolkitError(
+            "no object is labelled yet",
+            path=command.scene,
+            hint="the camera poses are done; label objects with `std-curate label`, then run again",
+        )
+    labels = options.PropagateOptions(refine=command.refine, refine_scale=command.refine_scale)
+    yield "propagate", partial(propagate, PropagateCommand(scene=command.scene, options=labels))
+    truth = options.RenderOptions(**vars(command.render))
+    rendered = RenderCommand(scene=command.scene, options=truth, jobs=jobs)
+    yield "render", partial(render, rendered)
+    yield "check", partial(check, CheckCommand(scene=command.scene, jobs=jobs))

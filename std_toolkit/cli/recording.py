@@ -1,0 +1,202 @@
+"""Commands of `std-curate` up to the camera poses: import, info, poses, trajectory, schema."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.jobs.options import JobOptions
+from std_toolkit.options import ImportOptions, ImportRequest, LinkMode, PoseOptions
+
+if TYPE_CHECKING:
+    from std_toolkit.scene.model import CameraPoses
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportCommand:
+    """Make a scene from separate images, or from a recording in another format.
+
+    Separate images need --color DIR, --intrinsics and mostly --depth DIR; another format its
+    folder SRC.
+    """
+
+    source: Path | None = field(default=None, metadata={"option": ""})
+    """folder of a known format"""
+    out: Path = field(metadata={"option": "out"})
+    """new scene folder"""
+    name: str | None = None
+    """name of the scene (that of its folder)"""
+    format: str | None = None
+    """folder, std, dreds, bop, nocs, cleargrasp or a plug-in (by SRC)"""
+    options: ImportOptions = field(default_factory=ImportOptions)
+    link: LinkMode = "copy"
+    """link images that need no conversion instead of copying them; --link alone is --link hard"""
+    jobs: JobOptions = field(default_factory=JobOptions)
+
+
+def import_scene(command: ImportCommand) -> int:
+    """Make the scene and print what it holds."""
+    from std_toolkit.checks.summary import summarise
+    from std_toolkit.importers.import_step import import_recording
+    from std_toolkit.scene.document import check_name, safe_name
+
+    source = command.source or command.options.color
+    if source is None or (command.source and command.options.color):
+        raise ToolkitError("give either SRC or --color", hint="see `std-curate import --help`")
+    if command.name:
+        name = check_name(command.name, field="--name")
+    else:
+        name = safe_name(command.out.resolve().name)
+    request = ImportRequest(source=Path(source), name=name, **vars(command.options))
+    scene = import_recording(
+        request,
+        command.out,
+        format_name=command.format,
+        link=command.link,
+        options=asked(command.jobs),
+    )
+    print("\n".join(summarise(scene).lines()))
+    return 0
+
+
+def asked(jobs: JobOptions) -> JobOptions | None:
+    """None where the step may choose: for short work, processes cost more than they gain."""
+    return None if jobs == JobOptions() else jobs
+
+
+@dataclass(frozen=True, kw_only=True)
+class InfoCommand:
+    """Print what a scene holds, what it lacks, and the command that comes next."""
+
+    scene: Path
+    """scene folder"""
+    json: bool = False
+    """print the same as JSON"""
+
+
+def print_info(command: InfoCommand) -> int:
+    """Print the summary of a scene."""
+    from std_toolkit.checks.summary import summarise
+    from std_toolkit.scene.scene import Scene
+
+    summary = summarise(Scene.open(command.scene))
+    if command.json:
+        print_json({**asdict(summary), "root": str(summary.root)})
+    else:
+        print("\n".join(summary.lines()))
+    return 0
+
+
+def print_json(data: Any) -> None:
+    """Print data as indented JSON."""
+    import msgspec
+
+    print(msgspec.json.format(msgspec.json.encode(data), indent=2).decode())
+
+
+@dataclass(frozen=True, kw_only=True)
+class PosesCommand:
+    """Recover the camera pose of every frame with structure from motion.
+
+    The metres come from every source that the scene has, and the result is judged. Exit status 1
+    if a quality gate fails; the poses are saved and marked.
+    """
+
+    scene: Path
+    """scene folder"""
+    options: PoseOptions = field(default_factory=PoseOptions)
+    json: bool = False
+    """print the result as JSON"""
+    jobs: JobOptions = field(default_factory=JobOptions)
+
+
+def recover_poses(command: PosesCommand) -> int:
+    """Recover camera poses; 1 if a gate failed."""
+    from std_toolkit.log import logger
+    from std_toolkit.poses.pose_step import estimate_poses, failed_gates
+    from std_toolkit.scene.scene import Scene
+
+    scene = Scene.open(command.scene)
+    poses = estimate_poses(scene, command.options, jobs=command.jobs)
+    if command.json:
+        print_json(poses)
+    else:
+        print("\n".join(pose_lines(poses, [f.name for f in scene.frames])))
+    failed = failed_gates(poses)
+    for line in failed:
+        logger.error("gate failed: %s", line)
+    return 1 if failed else 0
+
+
+def pose_lines(poses: CameraPoses, names: list[str]) -> list[str]:
+    """What a person wants to know of camera poses, one line each."""
+    lost = [name for p, name in zip(poses.frames, names, strict=True) if p.status != "registered"]
+    lines = [f"registered {len(names) - len(lost)} of {len(names)} frames"]
+    if lost:
+        lines.append(f"  unregistered: {', '.join(lost[:8])}{' ...' if len(lost) > 8 else ''}")
+    lines += [f"  note: {note}" for note in poses.notes]
+    for gate in poses.gates:
+        mark = "ok    " if gate.passed else "FAILED"
+        lines.append(f"  {mark} {gate.name}: {gate.value:.4g} (limit {gate.limit:.4g})")
+    if poses.scale is not None:
+        lines.append(f"scale: {poses.scale.chosen}, unit {poses.scale.unit}")
+        lines += [
+            f"  {e.source}: {e.factor:.6g} m per unit, spread {100 * e.spread:.2f} %, "
+            f"standard error {100 * e.standard_error:.3f} %, n = {e.count} ({e.note})"
+            for e in poses.scale.estimates
+        ]
+    for key, camera in poses.cameras.items():
+        values = " ".join(f"{v:.2f}" for v in (camera.fx, camera.fy, camera.cx, camera.cy))
+        extra = " ".join(f"{v:.4f}" for v in camera.distortion)
+        lines.append(f"camera {key}: {values}" + (f" distortion {extra}" if extra else ""))
+    return lines
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrajectoryCommand:
+    """Write the camera poses, in metres, for other tools."""
+
+    scene: Path
+    """scene folder"""
+    out: Path = field(metadata={"option": "out"})
+    """file, or folder for colmap"""
+    format: Literal["csv", "tum", "colmap", "nerf"] = "csv"
+    """csv (a row per frame, T_world_cam row-major), tum, colmap (a text model) or nerf
+    (transforms.json, OpenGL axes)"""
+
+
+def write_path(command: TrajectoryCommand) -> int:
+    """Write the trajectory."""
+    from std_toolkit.poses.trajectory import write_trajectory
+    from std_toolkit.scene.scene import Scene
+
+    scene = Scene.open(command.scene)
+    write_trajectory(scene, command.out, format=command.format)
+    done, total = len(scene.registered_frames()), len(scene.frames)
+    print(f"{command.out}: {done} of {total} frames have a pose")
+    return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SchemaCommand:
+    """Print the JSON Schema of one document, write those of all, or list the documents."""
+
+    document: str | None = field(default=None, metadata={"option": ""})
+    """such as scene or poses"""
+    out: Path | None = None
+    """write all schemas to this folder"""
+
+
+def print_schema(command: SchemaCommand) -> int:
+    """Print or write JSON Schemas."""
+    from std_toolkit.cli.document_schema import document_types, schema_bytes, write_schemas
+
+    if command.out is not None:
+        print("\n".join(str(path) for path in write_schemas(command.out)))
+    elif command.document is not None:
+        print(schema_bytes(command.document).decode(), end="")
+    else:
+        print("\n".join(document_types()))
+    return 0
