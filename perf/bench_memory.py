@@ -17,8 +17,7 @@ import numpy as np
 from benchmark.data.frame import DepthFrame, Instance, Material
 from benchmark.data.splits import FrameKey, Split
 from benchmark.evaluation.engine import run_task
-from benchmark.evaluation.tasks import depth as batch
-from benchmark.evaluation.tasks.depth import TASK, Run
+from benchmark.evaluation.tasks.depth import Run
 from benchmark.methods.registry import MethodOptions
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.jobs import JobOptions
@@ -60,18 +59,16 @@ def resident_mib() -> float:
 def main() -> None:
     argparse.ArgumentParser(description=__doc__).parse_args()
     seen: list[tuple[int, float]] = []
-    score = batch.score_batch
 
-    def watched(indices, *args, **more):
-        if indices[0] % (FRAMES // 10) < 8:
-            seen.append((indices[0], resident_mib()))
-        return score(indices, *args, **more)
+    class Watched(Run):
+        def rows(self, data, methods, frames):
+            first = frames[0][0]["index"]
+            if first % (FRAMES // 10) < 8:
+                seen.append((first, resident_mib()))
+            return super().rows(data, methods, frames)
 
-    import benchmark.evaluation.tasks.depth as running
-
-    running.score_batch = watched
     with tempfile.TemporaryDirectory() as folder:
-        run = Run(
+        run = Watched(
             split="__main__:SPLIT",
             root=Path(folder),
             method="raw",
@@ -80,7 +77,7 @@ def main() -> None:
             label="raw",
             out=Path(folder) / "out",
         )
-        table = run_task(TASK, run, JobOptions(engine="serial"))
+        table = run_task(run, JobOptions(engine="serial"))
         size = sum(p.stat().st_size for p in run.folder.rglob("*.parquet")) / 2**20
         print(f"{'frames':>8}{'resident MiB':>14}")
         for index, mib in seen:

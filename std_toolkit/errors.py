@@ -72,7 +72,7 @@ class ToolkitError(Exception):
 
 
 def check_options(options: Any) -> None:
-    """Refuse values of a dataclass outside the range or the choices that its annotations name.
+    """Refuse values of a dataclass or Struct outside what its annotations name as range or choices.
 
     A range is a `msgspec.Meta`, choices are a `Literal`; None has neither. Each value of a tuple is
     checked, and nested dataclasses are.
@@ -80,20 +80,19 @@ def check_options(options: Any) -> None:
     Raises:
         ToolkitError: the first such field and its value.
     """
-    hints = get_type_hints(type(options), include_extras=True)
-    for field in dataclasses.fields(options):
-        value = getattr(options, field.name)
+    for name, hint in get_type_hints(type(options), include_extras=True).items():
+        value = getattr(options, name)
         if dataclasses.is_dataclass(value):
             check_options(value)
         values = value if isinstance(value, tuple) else () if value is None else (value,)
-        for part in _parts(hints[field.name]):
+        for part in _parts(hint):
             if get_origin(part) is Literal and not all(v in get_args(part) for v in values):
                 problem = f"expected one of {', '.join(map(str, get_args(part)))}"
-                raise ToolkitError(problem, field=field.name, value=value)
-            for name, (words, holds) in _BOUNDS.items():
-                bound = getattr(part, name, None)
+                raise ToolkitError(problem, field=name, value=value)
+            for bound_name, (words, holds) in _BOUNDS.items():
+                bound = getattr(part, bound_name, None)
                 if bound is not None and not all(holds(v, bound) for v in values):
-                    raise ToolkitError(f"must be {words} {bound}", field=field.name, value=value)
+                    raise ToolkitError(f"must be {words} {bound}", field=name, value=value)
 
 
 def _parts(hint: Any) -> Iterator[Any]:

@@ -96,7 +96,7 @@ class PoseBasics:
     """description of a fiducial board (SCENE/board.json)"""
     seed: int = 0
     """of every random choice"""
-    threads: Annotated[int | None, msgspec.Meta(ge=1)] = None
+    threads: Annotated[int, msgspec.Meta(ge=1)] | None = None
     """1 makes the result byte-identical (all cores)"""
 
 

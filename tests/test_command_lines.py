@@ -10,10 +10,11 @@ import sys
 import pytest
 
 from benchmark.cli import bench, report, train
+from sensors.simulation import cli as simulate
 from std_toolkit.cli import main as curate
 from std_toolkit.cli.command import Command, Program
 
-MODULES = (curate, bench, train, report)
+MODULES = (curate, bench, train, report, simulate)
 PROGRAMS: tuple[Program, ...] = tuple(module.PROGRAM for module in MODULES)
 COMMANDS = [(program, command) for program in PROGRAMS for command in program.commands]
 

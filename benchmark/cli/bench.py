@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -75,14 +76,13 @@ def rewrite_aliases(words: list[str]) -> list[str]:
 def score(config: NetworkConfig | BopConfig) -> int:
     """Score methods or result files; returns the exit status."""
     from benchmark.evaluation.engine import run_all
-    from benchmark.evaluation.tasks import get_task
 
     with ExitStack() as stack:
         if config.out is None:  # the table is only printed
             config = replace(config, out=Path(stack.enter_context(TemporaryDirectory())))
-        task = get_task(config.task)
-        report = run_all(task, task.plan(config), config.jobs)
-        results = [task.read(run.folder, run) for run in report.finished]
+        task = importlib.import_module(f"benchmark.evaluation.tasks.{config.task}").TASK
+        report = run_all(task.plan(config), config.jobs)
+        results = [run.read() for run in report.finished]
         if config.json:
             print_json(task.records(results, config) if results else [])
         elif results:

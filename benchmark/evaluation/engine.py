@@ -1,4 +1,4 @@
-"""The run engine: every task is a `Task`; workers, resume and failures exist once, here.
+"""The run engine: every task has its `TaskRun`; workers, resume and failures exist once, here.
 
 A run is a folder. Its manifest is written first, its table grows by parts, and whatever is
 interrupted, killed or spread over machines, the table is the same in the end.
@@ -14,12 +14,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import pandas as pd
 
-from benchmark.evaluation.manifest import MANIFEST, begin
-from benchmark.evaluation.results import TABLE, good_frames, join_parts, report_failures
+from benchmark.evaluation.manifest import begin
+from benchmark.evaluation.results import good_frames, join_parts, report_failures
 from benchmark.methods.registry import MethodOptions, shipped_file
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import hold_lock, sweep_temporaries
@@ -28,8 +28,6 @@ from std_toolkit.scene.document import digest_file
 
 # A worker that takes the place of a dead one waits until the system has freed its lock.
 _PATIENCE_S = 30.0
-
-T = TypeVar("T")
 
 # Frames that go through a method together, by their number in the split.
 Batch = tuple[int, ...]
@@ -96,59 +94,6 @@ def _hold(path: Path) -> bool:
     return True  # left open on purpose: the lock lives as long as the process
 
 
-def complete(
-    folder: Path,
-    manifest: Any,
-    remaining: Callable[[set[int]], Sequence[T]],
-    worker: Callable[[T], int],
-    *,
-    title: str,
-    key: Callable[[T], str],
-    jobs: JobOptions,
-    unit: str,
-    table: str = TABLE,
-    manifest_name: str = MANIFEST,
-    beside: Sequence[str] = (),
-) -> pd.DataFrame:
-    """Work out what a run's table lacks, while nobody else writes to it.
-
-    Args:
-        folder: of the run.
-        manifest: what the run is; see `begin`.
-        remaining: the work that is left, given the numbers of what is finished.
-        worker: does one of these and writes its rows by `write_part`.
-        title, key: the run and a piece of its work, for people.
-        jobs: how many at a time, and where.
-        unit: what the pieces of work are called, in the plural.
-        table, manifest_name: names of the files.
-        beside: see `begin`.
-
-    Returns:
-        The whole table.
-
-    Raises:
-        ToolkitError: another run was begun there, somebody writes to it, or work failed; what
-            was finished is kept.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    with hold_lock(folder, "lock", doing="writing to"):
-        begin(folder, manifest, manifest_name, beside)
-        sweep_temporaries(folder)
-        # Joined before anything is added: the parts of this run may have the names of earlier ones.
-        work = remaining(good_frames(join_parts(folder, table)))
-        report = run_jobs(worker, work, name=title, key=key, options=jobs)
-        whole = join_parts(folder, table)
-    if report.failed:
-        # The log has a line for each; here the first one, since they tend to be of one kind.
-        where, why = next(iter(report.failed.items()))
-        raise ToolkitError(
-            f"{len(report.failed)} of {len(work)} {unit} failed; {where}: {why}",
-            path=folder,
-            hint="what was finished is kept; the same command goes on",
-        )
-    return whole
-
-
 class UnusableMethod(ToolkitError):
     """A method that cannot be made with these options, whatever the data."""
 
@@ -188,83 +133,75 @@ def weights_digest(name: str, method: object, options: MethodOptions) -> str:
     return digest_file(weights) if isinstance(weights, Path) else ""
 
 
-class AnyRun(Protocol):
-    """What every task's run says of itself; a frozen dataclass, so that workers can have it."""
-
-    @property
-    def devices(self) -> tuple[str, ...]:
-        """Torch devices, of which each worker takes one."""
-        ...
-
-    @property
-    def folder(self) -> Path:
-        """Where its files lie."""
-        ...
-
-    @property
-    def title(self) -> str:
-        """For people."""
-        ...
-
-    @property
-    def method_title(self) -> str:
-        """What its methods are called; runs of the same are left out where these are unusable."""
-        ...
-
-
-R = TypeVar("R", bound=AnyRun)
 D = TypeVar("D")
 M = TypeVar("M")
 
 
-class Task(Generic[R, D, M]):
-    """Something that is scored: runs R of methods M on data D.
+class TaskRun(Generic[D, M]):
+    """A run: methods M on data D, one folder of results.
+
+    A subclass is a frozen dataclass, so that worker processes can have it.
 
     Attributes:
         manifest_name, table_name: files of a run.
         unit: what its pieces of work are called, in the plural.
         beside: files of a run that older versions wrote without a manifest.
         network_shares_cpu: whether several workers may run a network on the CPU at a time.
+        devices: torch devices, of which each worker takes one.
     """
 
-    manifest_name: str
-    table_name: str
-    unit: str = "pieces of work"
-    beside: tuple[str, ...] = ()
-    network_shares_cpu: bool = False
+    manifest_name: ClassVar[str]
+    table_name: ClassVar[str]
+    unit: ClassVar[str] = "pieces of work"
+    beside: ClassVar[tuple[str, ...]] = ()
+    network_shares_cpu: ClassVar[bool] = False
+    devices: tuple[str, ...]
 
-    def plan(self, config: Any) -> list[R]:
-        """The runs that a user means, in the order that they are to run in.
-
-        Raises:
-            ToolkitError: options that do not go together, or name nothing.
-        """
+    @property
+    def folder(self) -> Path:
+        """Where its files lie."""
         raise NotImplementedError
 
-    def check_data(self, runs: Sequence[R]) -> None:
-        """See that all data are there, before anything runs.
+    @property
+    def title(self) -> str:
+        """For people."""
+        raise NotImplementedError
+
+    @property
+    def method_title(self) -> str:
+        """What its methods are called; runs of the same are left out where these are unusable."""
+        return self.title
+
+    @property
+    def data_key(self) -> object:
+        """Of runs with the same key one is checked before anything runs."""
+        return self.title
+
+    def check_data(self) -> None:
+        """See that the data are there.
 
         Raises:
             ToolkitError: they are not.
         """
+        self.open()
 
-    def open(self, run: R) -> D:
-        """The data of a run.
+    def open(self) -> D:
+        """The data.
 
         Raises:
             ToolkitError: they are not there.
         """
         raise NotImplementedError
 
-    def check(self, run: R, data: D) -> None:
-        """See that a run can be done, before its methods are made.
+    def check(self, data: D) -> None:
+        """See that it can be done, before its methods are made.
 
         Raises:
             ToolkitError: it cannot.
         """
 
-    def make(self, run: R, device: str) -> M:
-        """The methods of a run.
+    def make(self, device: str) -> M:
+        """The methods.
 
         Raises:
             ToolkitError: they cannot be made.
@@ -278,11 +215,11 @@ class Task(Generic[R, D, M]):
     def begin_worker(self) -> None:
         """Prepare a process for work."""
 
-    def manifest(self, run: R, data: D, methods: M) -> Any:
+    def manifest(self, data: D, methods: M) -> Any:
         """What the run is, see `benchmark.evaluation.manifest.begin`."""
         raise NotImplementedError
 
-    def items(self, run: R, data: D, done: set[int], workers: int) -> Sequence[Any]:
+    def items(self, data: D, done: set[int], workers: int) -> Sequence[Any]:
         """The work that is left, given the numbers of what is finished."""
         raise NotImplementedError
 
@@ -290,36 +227,46 @@ class Task(Generic[R, D, M]):
         """A piece of work, for people."""
         raise NotImplementedError
 
-    def work(self, run: R, data: D, methods: M, item: Any) -> int:
-        """Do a piece of work and write its rows by `write_part`; returns their frames."""
+    def work(self, data: D, methods: M, item: Any) -> int:
+        """Do a piece of work and write its rows by `write_part`; returns how many frames."""
         raise NotImplementedError
 
-    def after(self, run: R) -> None:
-        """What a finished run gets beside its table.
+    def after(self) -> None:
+        """Make what a finished run has beside its table.
 
         Raises:
             ToolkitError: a file cannot be written.
         """
 
-    def read(self, folder: Path, run: R | None = None) -> Any:
-        """Results of a run.
+    def read(self) -> Any:
+        """Its results.
 
         Raises:
             ToolkitError: a file is missing or damaged.
         """
         raise NotImplementedError
 
-    def table(self, results: Sequence[Any], config: Any) -> str:
-        """Results for a terminal."""
-        raise NotImplementedError
 
-    def records(self, results: Sequence[Any], config: Any) -> Sequence[Any]:
-        """The figures of the table, for JSON."""
-        raise NotImplementedError
+R = TypeVar("R", bound=TaskRun[Any, Any])
 
 
-def run_task(task: Task[R, Any, Any], run: R, jobs: JobOptions | None = None) -> pd.DataFrame:
-    """Do what has not been done yet of a run.
+@dataclass(frozen=True)
+class Task:
+    """Something that is scored.
+
+    Attributes:
+        plan: the runs that a user means, in the order that they are to run in.
+        table: results for a terminal, given what the user asked.
+        records: the figures of the table, for JSON.
+    """
+
+    plan: Callable[[Any], Sequence[TaskRun[Any, Any]]]
+    table: Callable[[Sequence[Any], Any], str]
+    records: Callable[[Sequence[Any], Any], Sequence[Any]]
+
+
+def run_task(run: TaskRun[Any, Any], jobs: JobOptions | None = None) -> pd.DataFrame:
+    """Do what has not been done yet of a run, while nobody else writes to it.
 
     Work is numbered by its place in the data: whatever is interrupted, killed or spread over
     machines, the table is the same in the end.
@@ -329,58 +276,63 @@ def run_task(task: Task[R, Any, Any], run: R, jobs: JobOptions | None = None) ->
 
     Raises:
         UnusableMethod: the methods cannot be made.
-        ToolkitError: data cannot be used, work failed, or another run was begun in this folder.
+        ToolkitError: data cannot be used, work failed, another run was begun in this folder, or
+            somebody writes to it; what was finished is kept.
     """
     jobs = jobs or JobOptions()
-    data = task.open(run)
-    task.check(run, data)
+    data = run.open()
+    run.check(data)
     # Once and at once, and not first in every worker: a wrong option is told in one line.
     with as_unusable_method(run.devices):
-        methods = task.make(run, run.devices[0])
-    manifest = task.manifest(run, data, methods)
-    has_network = any(hasattr(part, "network") for part in task.parts(methods))
-    shared = run.devices[0] == "cpu" and task.network_shares_cpu
+        methods = run.make(run.devices[0])
+    manifest = run.manifest(data, methods)
+    has_network = any(hasattr(part, "network") for part in run.parts(methods))
+    shared = run.devices[0] == "cpu" and run.network_shares_cpu
     if jobs.workers is None and has_network and not shared:
         # A network uses all of a device; a second process would only double its memory.
         jobs = replace(jobs, workers=len(run.devices))
     del methods
-    return complete(
-        run.folder,
-        manifest,
-        lambda done: task.items(run, data, done, jobs.worker_count),
-        Worker(task, run),
-        title=run.title,
-        key=task.item_title,
-        jobs=jobs,
-        unit=task.unit,
-        table=task.table_name,
-        manifest_name=task.manifest_name,
-        beside=task.beside,
-    )
+    folder, table = run.folder, run.table_name
+    folder.mkdir(parents=True, exist_ok=True)
+    with hold_lock(folder, "lock", doing="writing to"):
+        begin(folder, manifest, run.manifest_name, run.beside)
+        sweep_temporaries(folder)
+        # Joined before anything is added: the parts of this run may have the names of earlier ones.
+        work = run.items(data, good_frames(join_parts(folder, table)), jobs.worker_count)
+        report = run_jobs(Worker(run), work, name=run.title, key=run.item_title, options=jobs)
+        whole = join_parts(folder, table)
+    if report.failed:
+        # The log has a line for each; here the first one, since they tend to be of one kind.
+        where, why = next(iter(report.failed.items()))
+        raise ToolkitError(
+            f"{len(report.failed)} of {len(work)} {run.unit} failed; {where}: {why}",
+            path=folder,
+            hint="what was finished is kept; the same command goes on",
+        )
+    return whole
 
 
-class Worker(Generic[R]):
+class Worker:
     """Does work in a worker process, which keeps data and methods from item to item."""
 
-    def __init__(self, task: Task[R, Any, Any], run: R) -> None:
-        self.task = task
+    def __init__(self, run: TaskRun[Any, Any]) -> None:
         self.run = run
 
     def __call__(self, item: Any) -> int:
-        return self.task.work(self.run, *_equipment(self.task, self.run), item)
+        return self.run.work(*_equipment(self.run), item)
 
 
 _kept: dict[str, tuple[Any, Any]] = {}
 
 
-def _equipment(task: Task[R, D, M], run: R) -> tuple[D, M]:
+def _equipment(run: TaskRun[D, M]) -> tuple[D, M]:
     """Data and methods of this process; those of an earlier run make room."""
-    key = f"{type(task)} {run!r}"
+    key = repr(run)
     if key not in _kept:
         _kept.clear()
         device = claim_device(run.devices, run.folder / ".devices")
-        _kept[key] = (task.open(run), task.make(run, device))
-        task.begin_worker()
+        _kept[key] = (run.open(), run.make(device))
+        run.begin_worker()
     return _kept[key]
 
 
@@ -399,23 +351,22 @@ class Campaign(Generic[R]):
     failed_frames: int = 0
 
 
-def run_all(
-    task: Task[R, Any, Any], runs: Sequence[R], jobs: JobOptions | None = None
-) -> Campaign[R]:
+def run_all(runs: Sequence[R], jobs: JobOptions | None = None) -> Campaign[R]:
     """Do all runs, see `run_task`; one that cannot run does not keep others from it.
 
     Raises:
         ToolkitError: data are not there; nothing has run then.
     """
-    task.check_data(runs)  # before anything runs: told once
+    for run in {run.data_key: run for run in runs}.values():
+        run.check_data()
     report: Campaign[R] = Campaign()
     for run in runs:
         if run.method_title in report.failed:
             continue
         try:
-            table = run_task(task, run, jobs)
+            table = run_task(run, jobs)
             report.failed_frames += report_failures(table, run.title, run.folder)
-            task.after(run)
+            run.after()
         except UnusableMethod as error:
             report.failed[run.method_title] = str(error)
         except ToolkitError as error:

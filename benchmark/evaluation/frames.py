@@ -10,10 +10,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from benchmark.data.splits import DepthSource, FrameKey, names_digest
+from benchmark.data.splits import DepthSource, names_digest, open_split
 from benchmark.evaluation.config import checked_label, data_of
-from benchmark.evaluation.engine import Task, weights_digest
-from benchmark.evaluation.results import write_part
+from benchmark.evaluation.engine import TaskRun, weights_digest
+from benchmark.evaluation.results import FRAME, INDEX, SCENE, write_part
 from benchmark.methods.protocol import Restored, Restorer, View
 from benchmark.methods.registry import MethodOptions
 from std_toolkit.errors import ToolkitError
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 A = TypeVar("A")
 T = TypeVar("T")
 V = TypeVar("V")
+D = TypeVar("D", bound=Any)
+M = TypeVar("M")
 
 # Frames that go through a method together, by their number in the split.
 Batch = tuple[int, ...]
@@ -196,8 +198,58 @@ def _check_restored(view: View, answer: Restored) -> None:
         )
 
 
+Base = dict[str, Any]  # of a row: index, scene, frame
+
+
+class FramesRun(TaskRun[D, M]):
+    """A run of a task over frames.
+
+    Attributes:
+        batch_size: frames that go through the method together.
+    """
+
+    batch_size: int
+
+    def chosen(self, data: D) -> Sequence[int]:
+        """The frames that it takes."""
+        return range(len(data))
+
+    def load(self, data: D, index: int) -> Any:
+        """What is read of a frame.
+
+        Raises:
+            ToolkitError: it cannot be read.
+        """
+        raise NotImplementedError
+
+    def rows(self, data: D, methods: M, frames: Sequence[tuple[Base, Any]]) -> list[dict[str, Any]]:
+        """The rows of a batch for the table.
+
+        Args:
+            data, methods: of the run.
+            frames: the beginning of each frame's rows, and what was read of it, or why there is
+                nothing.
+        """
+        raise NotImplementedError
+
+    def items(self, data: D, done: set[int], workers: int) -> list[tuple[Batch, ...]]:
+        return pieces_left(self.chosen(data), self.batch_size, workers, done)
+
+    def item_title(self, item: Sequence[Batch]) -> str:
+        return describe_frames(item)
+
+    def work(self, data: D, methods: M, item: Sequence[Batch]) -> int:
+        keys = data.keys()
+
+        def rows_of(batch: Batch, loaded: list[Any]) -> list[dict[str, Any]]:
+            bases = [{INDEX: i, SCENE: keys[i].scene, FRAME: keys[i].name} for i in batch]
+            return self.rows(data, methods, list(zip(bases, loaded, strict=True)))
+
+        return write_rows(self.folder, item, partial(load_each, partial(self.load, data)), rows_of)
+
+
 @dataclass(frozen=True, kw_only=True)
-class FrameRun:
+class FrameRun(FramesRun[DepthSource, M]):
     """A method on a split.
 
     Attributes:
@@ -205,8 +257,6 @@ class FrameRun:
         method, options: the method; `options.device` is ignored in favour of `devices`.
         label: what the method is called in tables.
         out: folder of results.
-        devices: torch devices, of which each worker takes one.
-        batch_size: frames that go through the method together.
         limit: of frames, evenly spread over the split; None for all.
         gallery: keep pictures of a few frames.
     """
@@ -222,9 +272,35 @@ class FrameRun:
     limit: int | None = None
     gallery: bool = True
 
-    def chosen(self, source: DepthSource) -> list[int]:
-        """The frames of the split that it takes."""
-        return chosen_frames(len(source), self.limit)
+    @property
+    def data_key(self) -> object:
+        return self.split, self.root
+
+    def open(self) -> DepthSource:
+        return open_split(self.split, self.root)
+
+    def chosen(self, data: DepthSource) -> list[int]:
+        return chosen_frames(len(data), self.limit)
+
+    def setup(self, data: DepthSource, method: object) -> dict[str, Any]:
+        """What decides the table, as far as all methods on frames have it."""
+        keys, chosen = data.keys(), self.chosen(data)
+        return {
+            "split": self.split,
+            "frames": len(chosen),
+            "frames_sha256": names_digest(keys[i] for i in chosen),
+            "method": self.method,
+            "preset": self.options.preset,
+            "settings": dict(self.options.settings),
+            "weights_sha256": weights_digest(self.method, method, self.options),
+            "precision": self.options.precision,
+            "compile": self.options.compile,
+            "device": self.devices[0].partition(":")[0],
+            "batch_size": self.batch_size,
+        }
+
+
+_OF_CONFIG = ("out", "devices", "batch_size", "limit", "gallery")
 
 
 def frame_options(
@@ -242,76 +318,4 @@ def frame_options(
         "options": options[method],
         "label": checked_label(config.label or method.replace(":", ".")),
         **{name: getattr(config, name) for name in _OF_CONFIG},
-    }
-
-
-_OF_CONFIG = ("out", "devices", "batch_size", "limit", "gallery")
-
-FR = TypeVar("FR", bound=Any)
-D = TypeVar("D", bound=Any)
-M = TypeVar("M")
-
-
-class FrameTask(Task[FR, D, M]):
-    """A task whose runs take batches of frames."""
-
-    def load(self, data: D, index: int) -> Any:
-        """What is read of a frame.
-
-        Raises:
-            ToolkitError: it cannot be read.
-        """
-        raise NotImplementedError
-
-    def rows(
-        self,
-        run: FR,
-        data: D,
-        methods: M,
-        batch: Batch,
-        keys: Sequence[FrameKey],
-        loaded: Sequence[Any],
-    ) -> list[dict[str, Any]]:
-        """The rows of a batch for the table.
-
-        Args:
-            run, data, methods: as in `Task.work`.
-            batch: the frames' numbers in the split.
-            keys: their scenes and names.
-            loaded: what was read of them, or why there is none.
-        """
-        raise NotImplementedError
-
-    def items(self, run: FR, data: D, done: set[int], workers: int) -> list[tuple[Batch, ...]]:
-        return pieces_left(run.chosen(data), run.batch_size, workers, done)
-
-    def item_title(self, item: Sequence[Batch]) -> str:
-        return describe_frames(item)
-
-    def work(self, run: FR, data: D, methods: M, item: Sequence[Batch]) -> int:
-        keys = data.keys()
-
-        def rows_of(batch: Batch, loaded: list[Any]) -> list[dict[str, Any]]:
-            return self.rows(run, data, methods, batch, [keys[i] for i in batch], loaded)
-
-        read = partial(load_each, partial(self.load, data))
-        return write_rows(run.folder, item, read, rows_of)
-
-
-def frame_setup(run: FrameRun, source: DepthSource, method: object) -> dict[str, Any]:
-    """What decides the table of a run, as far as all methods on frames have it: `FrameSetup`."""
-    keys = source.keys()
-    chosen = run.chosen(source)
-    return {
-        "split": run.split,
-        "frames": len(chosen),
-        "frames_sha256": names_digest(keys[i] for i in chosen),
-        "method": run.method,
-        "preset": run.options.preset,
-        "settings": dict(run.options.settings),
-        "weights_sha256": weights_digest(run.method, method, run.options),
-        "precision": run.options.precision,
-        "compile": run.options.compile,
-        "device": run.devices[0].partition(":")[0],
-        "batch_size": run.batch_size,
     }

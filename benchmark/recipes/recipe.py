@@ -174,7 +174,7 @@ class RecipeConfig:
     """variants to run (all)"""
     seed: int = 0
     """of weights, order and held-out scenes"""
-    steps: Annotated[int | None, msgspec.Meta(ge=1)] = None
+    steps: Annotated[int, msgspec.Meta(ge=1)] | None = None
     """of every training (the scale's)"""
     data: tuple[str, ...] = ()
     """[TEST=]ROOT of STD, DREDS, ClearGrasp to test on: folders above them, or of one test"""

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from benchmark.evaluation.engine import run_all
-from benchmark.evaluation.tasks.depth import TASK
 from benchmark.evaluation.tasks.depth_results import RunResult, read_run
 from benchmark.recipes.frame_sets import FrameSet, simulate
 from benchmark.recipes.recipe_plan import Entry, Pack, RecipePlan
@@ -193,7 +192,7 @@ def _score(plan: RecipePlan, entry: Entry, jobs: JobOptions, outcome: Outcome) -
     for target in dict.fromkeys(target.name for target, _ in runs):
         mine = [run for of, run in runs if of.name == target]
         try:
-            report = run_all(TASK, mine, jobs)
+            report = run_all(mine, jobs)
         except ToolkitError as error:
             outcome.problems[f"{entry.title} on {target}"] = str(error)
             continue

@@ -37,7 +37,7 @@ _COLOR_BYTES = 2.0
 def simulation_s(options: SimulationOptions, scenes: int) -> float:
     """Processor seconds that scenes take where no shape is known from before: by pixels and light
     paths from what was measured at draft quality."""
-    from sensors.simulation.options import quality_of
+    from sensors.render.sim_renderer import quality_of
 
     quality = quality_of(options.quality)
     pixels = options.width * options.height / _MEASURED_PIXELS

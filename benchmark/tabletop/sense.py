@@ -26,6 +26,7 @@ from std_toolkit.rendering.raycast import RaycastRenderer
 from std_toolkit.rendering.renderer import PlacedMesh, image_window
 
 if TYPE_CHECKING:
+    from sensors.simulation.options import QualityName
     from sensors.simulation.world_builder import World
 
 CameraKind = Literal["quick", "simulated"]
@@ -37,7 +38,7 @@ WIDTH, HEIGHT = 640, 360
 # Above the near edge of the working area, looking down at 52 degrees.
 EYE, TARGET = (0.0, -0.33, 0.45), (0.0, 0.0, 0.03)
 
-_QUALITY = "rough"
+_QUALITY: QualityName = "rough"
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,7 +284,7 @@ class Scenery:
     ) -> NDArray[np.uint8]:
         """(h, w, 3) path-traced colour, few paths, denoised."""
         from sensors.render import SIM_RENDERERS, denoise, develop
-        from sensors.simulation.options import quality_of
+        from sensors.render.sim_renderer import quality_of
 
         if self._renderer is None:
             self._renderer = SIM_RENDERERS.get("mitsuba")(threads=1)

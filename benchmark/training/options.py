@@ -128,7 +128,7 @@ class TrainCommand(TrainOptions):
 class PackOptions:
     """How frames are packed."""
 
-    size: Annotated[tuple[int, int], msgspec.Meta(ge=1)] = (224, 224)
+    size: tuple[Count, Count] = (224, 224)
     """width and height of all maps; the aspect need not be kept"""
     depth: DepthKind = "float32"
     """float16 halves the largest part of the files and rounds depths of 0.5 to 1 m by up to
@@ -196,7 +196,7 @@ class GraspPackOptions:
     """of the first scene; the others follow"""
     frames: Count = 4
     """views of a scene"""
-    size: tuple[int, int] = (640, 360)
+    size: tuple[Count, Count] = (640, 360)
     """width and height of the depth images"""
     depth: Literal["exact", "sensor"] = "exact"
     """exact, or with the errors of an active stereo camera (sensor)"""

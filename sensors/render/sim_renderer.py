@@ -71,6 +71,39 @@ FINE_INFRARED = RenderOptions(samples=64, chunk=16)
 DRAFT_COLOR = RenderOptions(samples=16, chunk=0)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Quality:
+    """Of the two kinds of images."""
+
+    infrared: RenderOptions
+    color: RenderOptions
+
+
+QUALITIES = {
+    "rough": Quality(
+        infrared=RenderOptions(samples=8, chunk=2), color=RenderOptions(samples=12, chunk=0)
+    ),
+    "draft": Quality(infrared=DRAFT_INFRARED, color=DRAFT_COLOR),
+    "better": Quality(
+        infrared=RenderOptions(samples=32, chunk=8), color=RenderOptions(samples=64, chunk=0)
+    ),
+    "fine": Quality(infrared=FINE_INFRARED, color=RenderOptions(samples=256, chunk=0)),
+}
+
+
+def quality_of(name: str) -> Quality:
+    """The quality called `name`.
+
+    Raises:
+        ToolkitError: there is none.
+    """
+    if name not in QUALITIES:
+        raise ToolkitError(
+            "unknown quality", field="quality", value=name, hint=f"one of {', '.join(QUALITIES)}"
+        )
+    return QUALITIES[name]
+
+
 @dataclass(frozen=True, eq=False)
 class ColorLight:
     """Colour as rendered, with what a denoiser wants beside it.

@@ -1,27 +1,19 @@
-"""Options of a simulated set, the named presets, and the qualities (light paths per image).
-
-Named sets of options.
-
-How many light paths an image gets.
-"""
+"""Options of a simulated set and the named presets; they import nothing heavy."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import msgspec
 
-from sensors.materials import MATERIAL_CLASSES, MaterialClass
-from sensors.render.sim_renderer import (
-    DRAFT_COLOR,
-    DRAFT_INFRARED,
-    FINE_INFRARED,
-    RenderOptions,
-)
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, check_options
+from std_toolkit.jobs.options import JobOptions
 
 Count = Annotated[int, msgspec.Meta(ge=1)]
+
+Layout = Literal["dreds", "scene"]
 
 ViewOrder = Literal["random", "arc", "spiral"]
 
@@ -31,65 +23,66 @@ MaterialSwitch = Literal["mixed", "fixed", "opaque"]
 
 SceneOrigin = Literal["drop", "graspnet"]
 
+QualityName = Literal["rough", "draft", "better", "fine"]
+
+PresetName = Literal["draft", "tiny", "dreds"]
+
+_OFF: dict[str, Any] = {"option": None}
+
 
 class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One data set. Together with a scene's seed these numbers decide every pixel of it.
-
-    Attributes:
-        sensor: built-in specification ("d415", ...) or path of one.
-        views: frames of a scene.
-        order: viewpoints drawn independently, or along a smooth way ("arc", "spiral"), as the
-            curation pipeline needs them.
-        sweep_deg: angle of a smooth way around the table, negative for clockwise.
-        width, height: of the infrared images, the depth and the labels.
-        color_factor: the colour image is so many times as large.
-        min_objects, max_objects: objects of a scene, distractors among them.
-        assets, assets_root: asset source and the folder of its files.
-        scenes_from: "drop": objects of the asset source fall on the floor; "graspnet": objects and
-            where they lie are those of the scenes of GraspNet-1Billion.
-        graspnet_root: its folder.
-        pattern, pattern_fov_deg: image that the projector throws instead of one made in the
-            sensor's style, and the angle between its left and right edges; None: the projector's.
-        environments: folder of environment maps; None for the procedural ones.
-        floors: folder of floor images; None for procedural textures.
-        split: which assets, maps and floors: "train" and "test" share none.
-        quality: samples per pixel, one of `sensors.simulation.options`.
-        matcher: stereo matcher, see `sensors.stereo`.
-        materials: "mixed" as in DREDS; "fixed": objects keep their own look, class raw; "opaque":
-            no transparent ones.
-        infrared_noise: shot and read noise in the infrared images.
-        depth: "sensor", or "cut": exact depth from which transparent and specular objects are
-            cut out, the input that needs no sensor simulation.
-    """
+    """One data set. Together with a scene's seed these numbers decide every pixel of it."""
 
     sensor: str = "d415"
+    """d415, d435, d455 or the path of a specification"""
     views: Count = 30
+    """frames of a scene"""
     order: ViewOrder = "random"
+    """viewpoints drawn independently, or along a smooth path as the curation pipeline needs them"""
     sweep_deg: float = 120.0
+    """angle of a smooth path around the table, negative for clockwise"""
     width: Count = 640
+    """of infrared, depth and labels, in pixels"""
     height: Count = 360
+    """of infrared, depth and labels, in pixels"""
     color_factor: Annotated[int, msgspec.Meta(ge=1, le=4)] = 1
-    min_objects: Count = 6
-    max_objects: Count = 10
+    """the colour image is this many times as large"""
+    min_objects: Annotated[Count, msgspec.Meta(extra=_OFF)] = 6
+    """fewest objects of a scene, distractors among them"""
+    max_objects: Annotated[Count, msgspec.Meta(extra=_OFF)] = 10
+    """most objects of a scene"""
     assets: str = "procedural"
+    """source of the objects: procedural, shapenet, folder or a plug-in"""
     assets_root: str | None = None
+    """folder of the asset source's files"""
     scenes_from: SceneOrigin = "drop"
+    """drop: objects fall on the floor; graspnet: objects and their poses are those of the scenes
+    of GraspNet-1Billion"""
     graspnet_root: str | None = None
+    """folder of GraspNet-1Billion: scenes/ and models/"""
     pattern: str | None = None
-    pattern_fov_deg: float | None = None
+    """image that the projector shows (dots in the sensor's style)"""
+    pattern_fov_deg: Annotated[float | None, msgspec.Meta(extra={"option": "pattern-fov"})] = None
+    """width of the pattern as an angle in degrees (the projector's)"""
     environments: str | None = None
+    """folder of .hdr and .exr environment maps (procedural ones)"""
     floors: str | None = None
-    split: Literal["train", "test", "all"] = "train"
-    quality: str = "draft"
+    """folder of floor images (procedural textures)"""
+    split: Annotated[Literal["train", "test", "all"], msgspec.Meta(extra=_OFF)] = "train"
+    """which assets, maps and floors: train and test share none"""
+    quality: QualityName = "draft"
+    """light paths per pixel"""
     matcher: str = "local"
+    """stereo matcher: local, sgbm, dreds or a plug-in"""
     materials: MaterialSwitch = "mixed"
+    """mixed as in DREDS; fixed: objects keep their original texture; opaque: none is transparent"""
     infrared_noise: bool = True
+    """shot and read noise in infrared"""
     depth: DepthInput = "sensor"
+    """sensor: stereo; cut: exact depth without transparent and specular objects"""
 
     def __post_init__(self) -> None:
-        for name in ("views", "width", "height", "color_factor", "min_objects"):
-            if getattr(self, name) < 1:
-                raise ToolkitError("must be at least 1", field=name, value=getattr(self, name))
+        check_options(self)
         if self.min_objects > self.max_objects:
             raise ToolkitError(
                 "must not exceed max_objects", field="min_objects", value=self.min_objects
@@ -112,15 +105,6 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
                 value=self.max_objects,
             )
 
-    @property
-    def material_classes(self) -> tuple[MaterialClass, ...]:
-        """The classes that `materials` leaves."""
-        if self.materials == "fixed":
-            return ("raw",)
-        if self.materials == "opaque":
-            return tuple(c for c in MATERIAL_CLASSES if c != "transparent")
-        return MATERIAL_CLASSES
-
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:
@@ -130,7 +114,7 @@ class Preset:
     options: SimulationOptions
 
 
-PRESETS = {
+PRESETS: dict[PresetName, Preset] = {
     # The public data set: 30 views a scene, labels of 640x360 beside colour of 1280x720.
     "dreds": Preset(scenes=100, options=SimulationOptions(color_factor=2, quality="better")),
     "draft": Preset(scenes=10, options=SimulationOptions()),
@@ -141,47 +125,58 @@ PRESETS = {
 }
 
 
-def preset(name: str) -> Preset:
-    """The preset called `name`.
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions:
+    """Scenes of a set; what is not given is as in the preset."""
 
-    Raises:
-        ToolkitError: there is none.
-    """
-    if name not in PRESETS:
-        raise ToolkitError(
-            "unknown preset", field="preset", value=name, hint=f"one of {', '.join(PRESETS)}"
-        )
-    return PRESETS[name]
+    preset: PresetName = "draft"
+    """defaults of the options of a scene"""
+    seed: int = 0
+    """of the first scene; the others follow it"""
+    options: SimulationOptions = field(default_factory=SimulationOptions)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Quality:
-    """Of the two kinds of images."""
+class RunCommand(SceneOptions):
+    """Simulate scenes.
 
-    infrared: RenderOptions
-    color: RenderOptions
-
-
-QUALITIES = {
-    "rough": Quality(
-        infrared=RenderOptions(samples=8, chunk=2), color=RenderOptions(samples=12, chunk=0)
-    ),
-    "draft": Quality(infrared=DRAFT_INFRARED, color=DRAFT_COLOR),
-    "better": Quality(
-        infrared=RenderOptions(samples=32, chunk=8), color=RenderOptions(samples=64, chunk=0)
-    ),
-    "fine": Quality(infrared=FINE_INFRARED, color=RenderOptions(samples=256, chunk=0)),
-}
-
-
-def quality_of(name: str) -> Quality:
-    """The quality called `name`.
-
-    Raises:
-        ToolkitError: there is none.
+    Scenes that are there already are kept: run the same command again to resume, or with more
+    scenes to add some.
     """
-    if name not in QUALITIES:
-        raise ToolkitError(
-            "unknown quality", field="quality", value=name, hint=f"one of {', '.join(QUALITIES)}"
-        )
-    return QUALITIES[name]
+
+    out: Path = field(metadata={"option": "out"})
+    """data set"""
+    scenes: Annotated[int, msgspec.Meta(ge=0)] | None = None
+    """number of scenes (that of the preset)"""
+    share: Annotated[float, msgspec.Meta(gt=0, le=1)] = 1.0
+    """make this share of the scenes only, spread evenly: an ablation of the amount of data"""
+    split: Literal["train", "val", "test"] = "train"
+    """part of the data set; validation scenes are made of the training shapes and light"""
+    layout: tuple[Layout, ...] = field(default=(), metadata={"repeat": True})
+    """dreds: DREDS-CatKnown (default); scene: toolkit scenes; give both for both"""
+    cache: Path | None = None
+    """folder that keeps convex parts (~/.cache/std-toolkit)"""
+    jobs: JobOptions = field(default_factory=JobOptions)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreviewCommand(SceneOptions):
+    """Simulate views of one scene into a picture.
+
+    It shows colour, infrared, raw depth, exact depth and error.
+    """
+
+    out: Path = field(metadata={"option": "out"})
+    """picture"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatsCommand:
+    """Read a data set in the DREDS layout and print what it holds."""
+
+    root: Path
+    """data set"""
+    csv: Path | None = None
+    """write the depth table to this file"""
+    json: bool = False
+    """print JSON"""

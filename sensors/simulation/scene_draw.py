@@ -15,8 +15,14 @@ import numpy as np
 from sensors.assets import Asset, AssetSource, draw_diagonal
 from sensors.lighting import EnvironmentSource, FloorDraw, LightingDraw, draw_floor, draw_lighting
 from sensors.lighting.environment import EnvironmentMap
-from sensors.materials import DrawnMaterial, draw_material, draw_material_class
-from sensors.simulation.options import SimulationOptions
+from sensors.materials import (
+    MATERIAL_CLASSES,
+    DrawnMaterial,
+    MaterialClass,
+    draw_material,
+    draw_material_class,
+)
+from sensors.simulation.options import MaterialSwitch, SimulationOptions
 from std_toolkit.errors import ToolkitError
 
 Aspect = Literal["objects", "sizes", "materials", "light", "floor", "drop", "views", "noise"]
@@ -30,6 +36,12 @@ ASPECTS: tuple[Aspect, ...] = (
     "views",
     "noise",
 )
+# Materials that objects may have.
+_CLASSES: dict[MaterialSwitch, tuple[MaterialClass, ...]] = {
+    "mixed": MATERIAL_CLASSES,
+    "fixed": ("raw",),
+    "opaque": tuple(c for c in MATERIAL_CLASSES if c != "transparent"),
+}
 # In every scene of DREDS, and the only ones that may be transparent.
 ALWAYS = ("bottle", "bowl", "mug")
 SOMETIMES = ("camera", "can", "car", "aeroplane")
@@ -127,7 +139,7 @@ def dress_scene(
         # A seed for each object: one more random number in a material changes no other object.
         rng = np.random.default_rng(int(looks.integers(2**63)))
         material_class = draw_material_class(
-            rng, dressed_as or asset.category, allowed=options.material_classes
+            rng, dressed_as or asset.category, allowed=_CLASSES[options.materials]
         )
         objects.append(
             ObjectDraw(

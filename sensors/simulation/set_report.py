@@ -61,6 +61,15 @@ class SetStatistics:
     categories: pd.DataFrame
     depth: pd.DataFrame
 
+    def document(self) -> dict[str, object]:
+        """The statistics as plain values."""
+        return {
+            "scenes": self.scenes,
+            "frames": self.frames,
+            "objects": self.categories["objects"].to_dict(),
+            "depth": self.depth.to_dict("index"),
+        }
+
     def __str__(self) -> str:
         return (
             f"{self.scenes} scenes, {self.frames} frames\n\n"

@@ -16,8 +16,9 @@ from sensors.output import dreds_scene
 from sensors.output.dreds import SPLITS, Split, scene_folder
 from sensors.output.toolkit_scene import toolkit_scene
 from sensors.render import SIM_RENDERERS
+from sensors.render.sim_renderer import quality_of
 from sensors.simulation.equipment import Equipment
-from sensors.simulation.options import SimulationOptions, quality_of
+from sensors.simulation.options import Layout, SimulationOptions
 from sensors.simulation.simulator import Simulator
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
@@ -26,7 +27,6 @@ from std_toolkit.jobs import JobOptions, JobReport, run_jobs
 from std_toolkit.log import logger
 from std_toolkit.scene.document import Document
 
-Layout = Literal["dreds", "scene"]
 LAYOUTS: tuple[Layout, ...] = ("dreds", "scene")
 SET_FILE = "simulation.json"
 # Measured on 640x360 frames; textures that compress worse than those take more.

@@ -27,8 +27,9 @@ from sensors.render import (
     develop,
     expose_pair,
 )
+from sensors.render.sim_renderer import quality_of
 from sensors.simulation.equipment import DRESSED_AS, Equipment
-from sensors.simulation.options import SimulationOptions, quality_of
+from sensors.simulation.options import SimulationOptions
 from sensors.simulation.scene_draw import draw_scene, dress_scene, generator
 from sensors.simulation.world_builder import World, build_world
 from sensors.stereo import disparity_to_depth

@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 
 from sensors.output.recording_writer import Truth, read_truth
+from sensors.simulation.options import QualityName
 from sensors.synthetic.recording import DEPTH_SCALE
 from sensors.synthetic.shapes import printed_texture
 from std_toolkit import __version__
@@ -62,7 +63,7 @@ class SimulatedOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     sweep_deg: float = 100.0
     width: int = 640
     height: int = 360
-    quality: str = "rough"
+    quality: QualityName = "rough"
     seed: int = 0
 
     def __post_init__(self) -> None:

@@ -27,7 +27,7 @@ def registration_figure(report: CheckReport, *, limit_px: float) -> str | None:
             "name": "registered",
             "x": [f.frame for f in there],
             "y": [f.reprojection_px or 0 for f in there],
-            "marker": {"color": plots.CAMERA},
+            "marker_color": plots.CAMERA,
             "customdata": [[f.name, f.points] for f in there],
             "hovertemplate": "frame %{x} (%{customdata[0]})<br>%{y:.2f} px, "
             "%{customdata[1]} points<extra></extra>",
@@ -48,16 +48,15 @@ def registration_figure(report: CheckReport, *, limit_px: float) -> str | None:
             }
         )
     top = max([limit_px * 1.1, *(f.reprojection_px or 0 for f in there)])
-    return plots.figure_json(
+    return plots.figure(
         traces,
-        plots.base_layout(
-            height=260,
-            bargap=0.15,
-            xaxis={"title": {"text": "frame"}},
-            yaxis={"title": {"text": "reprojection error (px)"}, "range": [0, top * 1.05]},
-            showlegend=bool(lost),
-            shapes=[_limit_line(limit_px)],
-        ),
+        height=260,
+        x="frame",
+        y="reprojection error (px)",
+        yaxis={"range": [0, top * 1.05]},
+        bargap=0.15,
+        showlegend=bool(lost),
+        shapes=[_limit_line(limit_px)],
     )
 
 
@@ -86,12 +85,10 @@ def frames_figure(
                 "name": item.name,
                 "x": [p[0] for p in points],
                 "y": [p[1] for p in points],
-                "line": {
-                    "color": plots.object_color(ids, item.object),
-                    "dash": plots.object_dash(ids, item.object),
-                    "width": 1.5,
-                },
-                "marker": {"size": 4},
+                "line_color": plots.object_color(ids, item.object),
+                "line_dash": plots.object_dash(ids, item.object),
+                "line_width": 1.5,
+                "marker_size": 4,
                 "hovertemplate": f"{item.name}<br>frame %{{x}}: %{{y:.2f}} {unit}<extra></extra>",
             }
         )
@@ -103,18 +100,14 @@ def frames_figure(
     reach = 3 * float(np.percentile(np.abs(values), 90))
     high, low = min(high, max([reach, *limits])), max(low, min([-reach, *limits]))
     pad = 0.08 * max(high - min(low, 0), 1e-3)
-    return plots.figure_json(
+    return plots.figure(
         traces,
-        plots.base_layout(
-            height=320,
-            xaxis={"title": {"text": "frame"}},
-            yaxis={
-                "title": {"text": f"{title} ({unit})"},
-                "range": [0 if from_zero else low - pad, high + pad],
-            },
-            shapes=[_limit_line(x) for x in limits],
-            showlegend=True,
-        ),
+        height=320,
+        x="frame",
+        y=f"{title} ({unit})",
+        yaxis={"range": [0 if from_zero else low - pad, high + pad]},
+        shapes=[_limit_line(x) for x in limits],
+        showlegend=True,
     )
 
 
@@ -136,23 +129,20 @@ def visibility_figure(objects: Sequence[ObjectCheck]) -> str | None:
         "zmin": 0,
         "zmax": 1,
         "colorscale": [[0, "#f1f3f5"], [0.5, "#8fb8d8"], [1, "#0b4a7a"]],
-        "colorbar": {
-            "title": {"text": "visible", "side": "right"},
-            "tickformat": ".0%",
-            "thickness": 12,
-            "outlinewidth": 0,
-        },
+        "colorbar_title": {"text": "visible", "side": "right"},
+        "colorbar_tickformat": ".0%",
+        "colorbar_thickness": 12,
+        "colorbar_outlinewidth": 0,
         "xgap": 0,
         "ygap": 2,
         "hovertemplate": "%{y}<br>frame %{x}: %{z:.0%} visible<extra></extra>",
     }
-    return plots.figure_json(
+    return plots.figure(
         [trace],
-        plots.base_layout(
-            height=110 + 30 * len(rows),
-            xaxis={"title": {"text": "frame"}, "showgrid": False},
-            yaxis={"autorange": "reversed", "showgrid": False, "ticks": ""},
-        ),
+        height=110 + 30 * len(rows),
+        x="frame",
+        xaxis={"showgrid": False},
+        yaxis={"autorange": "reversed", "showgrid": False, "ticks": ""},
     )
 
 
@@ -178,6 +168,8 @@ def sky_figure(
         height=height, showlegend=False, margin={"l": 10, "r": 10, "t": 10, "b": 10}
     )
     del layout["xaxis"], layout["yaxis"]
+    small = {"size": 10, "color": plots.FAINT}
+    axis = {"gridcolor": plots.GRID, "linecolor": plots.GRID, "tickfont": small, "ticks": ""}
     notes = []
     for place, item in enumerate(shown):
         azimuth, elevation, frames = views[item.object]
@@ -190,28 +182,22 @@ def sky_figure(
         layout[name] = {
             "domain": {"x": [x0, x1], "y": [max(y0, 0), y1]},
             "bgcolor": "rgba(0,0,0,0)",
-            "radialaxis": {
+            "radialaxis": axis
+            | {
                 "range": [0, deepest],
                 "tickvals": [0, 30, 60, 90],
                 "ticktext": ["", "60°", "30°", "0°"],
                 "angle": 157.5,
                 "tickangle": 157.5,
-                "gridcolor": plots.GRID,
-                "linecolor": plots.GRID,
-                "tickfont": {"size": 10, "color": plots.FAINT},
-                "ticks": "",
             },
-            "angularaxis": {
+            "angularaxis": axis
+            | {
                 "tickvals": list(range(0, 360, 45)),
                 "direction": "counterclockwise",
                 "rotation": -90,
-                "gridcolor": plots.GRID,
                 "linecolor": "#cbd2d9",
-                "tickfont": {"size": 10, "color": plots.FAINT},
-                "ticks": "",
             },
         }
-        color = plots.object_color(ids, item.object)
         annotated = [f.frame == item.annotated_frame for f in frames]
         traces.append(
             {
@@ -220,13 +206,11 @@ def sky_figure(
                 "mode": "markers",
                 "theta": [round(float(a), 1) for a in azimuth],
                 "r": [round(90 - float(e), 1) for e in elevation],
-                "marker": {
-                    "color": color,
-                    "size": [13 if a else 7 for a in annotated],
-                    "symbol": ["star" if a else "circle" for a in annotated],
-                    "opacity": [round(0.25 + 0.75 * f.visible_fraction, 2) for f in frames],
-                    "line": {"width": 0.5, "color": "white"},
-                },
+                "marker_color": plots.object_color(ids, item.object),
+                "marker_size": [13 if a else 7 for a in annotated],
+                "marker_symbol": ["star" if a else "circle" for a in annotated],
+                "marker_opacity": [round(0.25 + 0.75 * f.visible_fraction, 2) for f in frames],
+                "marker_line": {"width": 0.5, "color": "white"},
                 "customdata": [
                     [f.frame, round(float(e), 1), f.visible_fraction]
                     for f, e in zip(frames, elevation, strict=True)
@@ -273,46 +257,20 @@ def error_figure(materials: Sequence[MaterialDepth]) -> str | None:
         for m in rows
     ]
     limit = max(abs(x) for x in rows[0].histogram_mm)
-    return plots.figure_json(
+    ticks = [0.01, 0.1, 1, 10, 100]
+    zero = {"type": "line", "x0": 0, "x1": 0, "yref": "paper", "y0": 0, "y1": 1}
+    return plots.figure(
         traces,
-        plots.base_layout(
-            height=340,
-            showlegend=True,
-            xaxis={
-                "title": {
-                    "text": "raw minus ground-truth depth (mm); outermost bins hold the rest"
-                },
-                "range": [-limit - 2, limit + 2],
-            },
-            yaxis={
-                "title": {"text": "readings per 2 mm (%)"},
-                "type": "log",
-                "range": [-2, 2],
-                "tickvals": [0.01, 0.1, 1, 10, 100],
-                "ticktext": ["0.01", "0.1", "1", "10", "100"],
-            },
-            shapes=[
-                {
-                    "type": "line",
-                    "x0": 0,
-                    "x1": 0,
-                    "yref": "paper",
-                    "y0": 0,
-                    "y1": 1,
-                    "line": {"color": plots.FAINT, "width": 1, "dash": "dot"},
-                }
-            ],
-        ),
+        height=340,
+        x="raw minus ground-truth depth (mm); outermost bins hold the rest",
+        y="readings per 2 mm (%)",
+        xaxis={"range": [-limit - 2, limit + 2]},
+        yaxis={"type": "log", "range": [-2, 2], "tickvals": ticks, "ticktext": [*map(str, ticks)]},
+        shapes=[zero | {"line": {"color": plots.FAINT, "width": 1, "dash": "dot"}}],
+        showlegend=True,
     )
 
 
 def _limit_line(y: float) -> dict[str, Any]:
-    return {
-        "type": "line",
-        "xref": "paper",
-        "x0": 0,
-        "x1": 1,
-        "y0": y,
-        "y1": y,
-        "line": {"color": plots.BAD, "width": 1, "dash": "dash"},
-    }
+    line = {"color": plots.BAD, "width": 1, "dash": "dash"}
+    return {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": y, "y1": y, "line": line}

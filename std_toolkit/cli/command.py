@@ -6,7 +6,8 @@ command line from the dataclass: the help of an option is the docstring below it
 is a `msgspec.Meta` in its annotation, its choices are an enum or a `Literal`. A field without a
 default is a positional argument, a mapping takes `NAME=VALUE ...`. The field's metadata may say
 otherwise: `{"option": "set"}` makes it the option `--set`, `{"option": None}` keeps it off the
-command line, `{"option": ""}` makes it positional. The help of a flag `--no-NAME`, which is on by
+command line, `{"option": ""}` makes it positional. A nested `msgspec.Struct` serves as well; its
+metadata are the `extra` of a `msgspec.Meta`. The help of a flag `--no-NAME`, which is on by
 default, is a noun: "pictures" becomes "without pictures".
 
 Exit status of every program: 0 done, 1 failed or a gate failed, 2 wrong usage, 130 interrupted.
@@ -349,7 +350,7 @@ def _options(kind: type[Any], given: Any = dataclasses.MISSING) -> Iterator[_Opt
         for text in parse_from_object(c).params
     }
     for field, hint, default in _fields(kind, given):
-        if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+        if _is_record(hint):
             yield from _options(hint, default)
             continue
         plain = "" if default is dataclasses.MISSING else field.name.replace("_", "-")
@@ -367,8 +368,8 @@ def _fields(kind: type[Any], given: Any) -> Iterator[tuple[dataclasses.Field[Any
     for place, owner in enumerate(kind.__mro__):
         owners |= {name: place for name in inspect.get_annotations(owner) if name not in owners}
     for field in sorted(
-        dataclasses.fields(kind),
-        key=lambda field: (dataclasses.is_dataclass(hints[field.name]), owners[field.name]),
+        dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else _struct_fields(kind, hints),
+        key=lambda field: (_is_record(hints[field.name]), owners[field.name]),
     ):
         if not field.init or field.metadata.get("option", "") is None:
             continue
@@ -385,7 +386,7 @@ def _build(kind: type[Any], values: Mapping[str, Any], given: Any = dataclasses.
     found = {}
     for field, hint, default in _fields(kind, given):
         value: Any = values.get(field.name)
-        if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+        if _is_record(hint):
             value = _build(hint, values, default)
         elif get_origin(hint) in _MAPPINGS:
             value = _pairs(field.name, value, get_args(hint)[1])
@@ -396,7 +397,32 @@ def _build(kind: type[Any], values: Mapping[str, Any], given: Any = dataclasses.
         elif value == () and default is None:
             value = None
         found[field.name] = value
-    return kind(**found) if given is dataclasses.MISSING else dataclasses.replace(given, **found)
+    if given is dataclasses.MISSING:
+        return kind(**found)
+    if dataclasses.is_dataclass(kind):
+        return dataclasses.replace(given, **found)
+    from msgspec import structs
+
+    return structs.replace(given, **found)
+
+
+def _is_record(hint: Any) -> bool:
+    """Whether a type is a dataclass or a `msgspec.Struct` of options."""
+    return dataclasses.is_dataclass(hint) or hasattr(hint, "__struct_fields__")
+
+
+def _struct_fields(kind: type[Any], hints: Mapping[str, Any]) -> Iterator[dataclasses.Field[Any]]:
+    """Fields of a Struct as those of a dataclass; their metadata are the `extra` of a `Meta`."""
+    from msgspec import NODEFAULT, structs
+
+    for info in structs.fields(kind):
+        extras = (
+            getattr(meta, "extra", None) for meta in getattr(hints[info.name], "__metadata__", ())
+        )
+        default = dataclasses.MISSING if info.default is NODEFAULT else info.default
+        field: Any = dataclasses.field(default=default, metadata=next(filter(None, extras), {}))
+        field.name = info.name
+        yield field
 
 
 def _pairs(name: str, words: Sequence[str], kind: type[Any]) -> dict[str, Any]:
@@ -471,6 +497,8 @@ def _refuse(program: str, event: Any) -> None:
         problem = f"{', '.join(missing)}: needed"
         if event.unrecognized_tokens:
             problem += f"; {' '.join(event.unrecognized_tokens)}: not an option"
+    elif kind == "BadValue":
+        problem = f"expected {event.argument.lowered.metavar}"
     else:
         problem = " ".join(str(getattr(event, "message", kind)).split())
         got = re.search(r"Got errors: - <class '.*?'>: (.*)", problem)

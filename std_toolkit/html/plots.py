@@ -9,6 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 OBJECT_COLORS = (
     "#0072B2",
     "#E69F00",
@@ -82,6 +85,38 @@ def base_layout(*, height: int, **more: Any) -> dict[str, Any]:
     for key, value in more.items():
         layout[key] = layout.get(key, {}) | value if isinstance(value, dict) else value
     return layout
+
+
+def error_bars(values: ArrayLike, low: ArrayLike, high: ArrayLike, *, color: str) -> dict[str, Any]:
+    """Intervals around values, all of one length; NaN where one is not known."""
+    middle = np.asarray(values, float)
+    ends = (np.asarray(high, float) - middle, middle - np.asarray(low, float))
+    up, down = (np.maximum(np.nan_to_num(end), 0).tolist() for end in ends)
+    return {
+        "type": "data",
+        "symmetric": False,
+        "array": up,
+        "arrayminus": down,
+        "color": color,
+        "thickness": 1,
+        "width": 3,
+        "visible": bool(np.isfinite(ends).any()),
+    }
+
+
+def figure(traces: Sequence[Any], *, height: int, x: str = "", y: str = "", **layout: Any) -> str:
+    """JSON of a figure in the shared style.
+
+    Args:
+        traces: of Plotly; `line_color` is short for `{"line": {"color": ...}}`.
+        height: in pixels.
+        x, y: titles of the axes.
+        layout: more of it; mappings add to those of the shared style.
+    """
+    for axis, title in (("xaxis", x), ("yaxis", y)):
+        if title:
+            layout[axis] = {"title": {"text": title}} | layout.get(axis, {})
+    return figure_json(traces, base_layout(height=height, **layout))
 
 
 def figure_json(traces: Sequence[Any], layout: dict[str, Any]) -> str:

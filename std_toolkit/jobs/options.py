@@ -32,7 +32,7 @@ class JobOptions:
 
     engine: Engine = "local"
     """local processes, serial in this process, or ray (extra `cluster`)"""
-    workers: Annotated[int | None, msgspec.Meta(ge=1)] = None
+    workers: Annotated[int, msgspec.Meta(ge=1)] | None = None
     """processes or Ray tasks at a time (the usable cores)"""
     ray_address: str | None = None
     """of a running Ray cluster (one is started on this machine)"""

@@ -111,6 +111,7 @@ def test_nested_options_are_flat_and_enums_go_by_value() -> None:
         (["draw", "s", "--policy", "nothing"], "expected one of auto, models"),
         (["draw", "s", "--share", "x"], "--share"),
         (["draw", "s", "--wrong", "1"], "--wrong"),
+        (["draw", "s", "--share"], "--share: expected FLOAT"),
         (["draw", "s", "--share", "1.5"], "--share: must be at most 1 (got 1.5)"),
         (["draw", "s", "--workers", "0"], "--workers: must be at least 1 (got 0)"),
         (["drew", "s"], "drew: no command of std-draw; expected one of draw, refuse, gate"),

@@ -14,7 +14,8 @@ import pandas as pd
 
 from benchmark.data.splits import FrameKey
 from benchmark.evaluation.config import BopConfig
-from benchmark.evaluation.frames import Batch, FrameTask
+from benchmark.evaluation.engine import Task
+from benchmark.evaluation.frames import Base, FramesRun
 from benchmark.evaluation.manifest import (
     BOP_FILE,
     BOP_MANIFEST,
@@ -22,7 +23,7 @@ from benchmark.evaluation.manifest import (
     BopSetup,
     circumstances,
 )
-from benchmark.evaluation.results import ERROR, FRAME, INDEX, SCENE, read_table
+from benchmark.evaluation.results import ERROR, INDEX, SCENE, read_table
 from benchmark.metrics.bop import (
     BopDataset,
     BopScorer,
@@ -83,52 +84,15 @@ class BopFigures(BopResult, frozen=True, kw_only=True):
     intervals_over: str = ""
 
 
-@dataclass(frozen=True, kw_only=True)
-class BopRun:
-    """A result file on a data set.
-
-    Attributes:
-        data, split: folder of the data set, and of its scenes.
-        results: CSV file in BOP's format.
-        out: folder of results.
-    """
-
-    data: Path
-    split: str
-    results: Path
-    out: Path
-    devices: tuple[str, ...] = ("cpu",)
-    batch_size: int = 1
-
-    @property
-    def folder(self) -> Path:
-        """Where this run's files lie."""
-        return self.out / FOLDER / self.data.resolve().name / self.split / self.results.stem
-
-    @property
-    def title(self) -> str:
-        """For people."""
-        return f"{self.results.stem} on {self.data.name}, {self.split}"
-
-    @property
-    def method_title(self) -> str:
-        """As its title: no method is made."""
-        return self.title
-
-    def chosen(self, data: BopData) -> range:
-        """All images."""
-        return range(len(data))
-
-
 class BopData:
     """Images with something to find, and what a result file says of them."""
 
-    def __init__(self, run: BopRun) -> None:
-        self.dataset: BopDataset = open_bop(run.data, run.split)
-        estimates = read_bop_results(run.results)
+    def __init__(self, root: Path, split: str, results: Path) -> None:
+        self.dataset: BopDataset = open_bop(root, split)
+        estimates = read_bop_results(results)
         self.scorer = BopScorer(self.dataset, estimates, renderer=RENDERER)
         if not self.scorer.targets:
-            raise ToolkitError("there is no true pose to be found", path=run.data)
+            raise ToolkitError("there is no true pose to be found", path=root)
         self.images: dict[tuple[int, int], list[BopTarget]] = {}
         for target in self.scorer.targets:
             self.images.setdefault((target.scene_id, target.im_id), []).append(target)
@@ -141,76 +105,77 @@ class BopData:
         return [FrameKey(f"{scene:06d}", f"{image:06d}") for scene, image in self.images]
 
 
-class BopTask(FrameTask[BopRun, BopData, None]):
-    """Result files over images."""
+@dataclass(frozen=True, kw_only=True)
+class BopRun(FramesRun[BopData, None]):
+    """A result file on a data set.
+
+    Attributes:
+        data, split: folder of the data set, and of its scenes.
+        results: CSV file in BOP's format.
+        out: folder of results.
+    """
 
     manifest_name, table_name, unit = BOP_MANIFEST, ERRORS, "images"
     beside = (BOP_FILE,)
+    data: Path
+    split: str
+    results: Path
+    out: Path
+    devices: tuple[str, ...] = ("cpu",)
+    batch_size: int = 1
 
-    def plan(self, config: BopConfig) -> list[BopRun]:
-        assert config.out is not None
-        return [
-            BopRun(data=config.data, split=config.bop_split, results=path, out=config.out)
-            for path in config.results
-        ]
+    @property
+    def folder(self) -> Path:
+        return self.out / FOLDER / self.data.resolve().name / self.split / self.results.stem
 
-    def check_data(self, runs: Sequence[BopRun]) -> None:
-        for run in runs:
-            self.open(run)
+    @property
+    def title(self) -> str:
+        return f"{self.results.stem} on {self.data.name}, {self.split}"
 
-    def open(self, run: BopRun) -> BopData:
-        return BopData(run)
+    def open(self) -> BopData:
+        return BopData(self.data, self.split, self.results)
 
-    def make(self, run: BopRun, device: str) -> None:
+    def make(self, device: str) -> None:
         """Nothing: the poses are there."""
 
-    def manifest(self, run: BopRun, data: BopData, methods: None) -> BopManifest:  # noqa: ARG002
+    def manifest(self, data: BopData, methods: None) -> BopManifest:  # noqa: ARG002
         lines = [f"{t.scene_id} {t.im_id} {t.obj_id} {t.inst_count}" for t in data.scorer.targets]
         setup = BopSetup(
-            data=run.data.resolve().name,
-            split=run.split,
-            results=run.results.stem,
-            results_sha256=hashlib.sha256(run.results.read_bytes()).hexdigest(),
+            data=self.data.resolve().name,
+            split=self.split,
+            results=self.results.stem,
+            results_sha256=hashlib.sha256(self.results.read_bytes()).hexdigest(),
             targets=len(lines),
             targets_sha256=hashlib.sha256("\n".join(lines).encode()).hexdigest(),
             renderer=RENDERER,
         )
-        return BopManifest(setup=setup, root=str(run.data), **circumstances())
+        return BopManifest(setup=setup, root=str(self.data), **circumstances())
 
     def load(self, data: BopData, index: int) -> BopImage:
         return data.dataset.image(*list(data.images)[index])
 
     def rows(
         self,
-        run: BopRun,  # noqa: ARG002
         data: BopData,
         methods: None,  # noqa: ARG002
-        batch: Batch,
-        keys: Sequence[FrameKey],
-        loaded: Sequence[BopImage | str],
+        frames: Sequence[tuple[Base, BopImage | str]],
     ) -> list[dict[str, Any]]:
         """A row for each target; an image that cannot be read has them without figures."""
-        images = list(data.images.values())
-        rows = []
-        for index, key, image in zip(batch, keys, loaded, strict=True):
-            for target in images[index]:
-                found, n_estimates, error = np.full(3, np.nan), 0, image
+        images, rows = list(data.images.values()), []
+        for base, image in frames:
+            for target in images[base[INDEX]]:
+                found, estimates, error = np.full(3, np.nan), 0, image
                 if not isinstance(image, str):
                     errors = data.scorer.errors(target, image)
-                    found, n_estimates, error = found_of(errors), len(errors.mssd), ""
-                rows.append(
-                    {
-                        INDEX: index, SCENE: key.scene, FRAME: key.name, ERROR: error,
-                        "obj_id": target.obj_id, "n_estimates": n_estimates,
-                        "n_valid": target.inst_count,
-                        **dict(zip(FOUND, found.tolist(), strict=True)),
-                    }
-                )  # fmt: skip
+                    found, estimates, error = found_of(errors), len(errors.mssd), ""
+                told = {ERROR: error, "obj_id": target.obj_id, "n_estimates": estimates}
+                figures = dict(zip(FOUND, found.tolist(), strict=True))
+                rows.append(base | told | {"n_valid": target.inst_count} | figures)
         return rows
 
-    def after(self, run: BopRun) -> None:
+    def after(self) -> None:
         """The figures, which are none with an image left out."""
-        table = read_table(run.folder / ERRORS)
+        table = read_table(self.folder / ERRORS)
         failed = table[table[ERROR] != ""]
         if len(failed):
             raise ToolkitError(
@@ -218,12 +183,12 @@ class BopTask(FrameTask[BopRun, BopData, None]):
                 f"{failed[ERROR].iloc[0]}",
                 hint="no figure leaves targets out: repair them, and run the same command again",
             )
-        estimates = read_bop_results(run.results)
+        estimates = read_bop_results(self.results)
         scores = mean_recalls(table[list(FOUND)].to_numpy(), table["n_valid"].tolist())
         result = BopResult(
-            results=run.results.stem,
-            data=str(run.data),
-            split=run.split,
+            results=self.results.stem,
+            data=str(self.data),
+            split=self.split,
             targets=scores.targets,
             estimates=len(estimates),
             ar=scores.ar,
@@ -232,19 +197,26 @@ class BopTask(FrameTask[BopRun, BopData, None]):
             ar_mspd=scores.mspd,
             seconds_per_image=seconds_per_image(estimates),
         )
-        write_document(run.folder / BOP_FILE, result)
+        write_document(self.folder / BOP_FILE, result)
 
-    def read(self, folder: Path, run: BopRun | None = None) -> BopFigures:  # noqa: ARG002
-        return read_bop_run(folder)
-
-    def table(self, results: Sequence[BopResult], config: BopConfig) -> str:  # noqa: ARG002
-        return bop_table(results)
-
-    def records(self, results: Sequence[BopFigures], config: BopConfig) -> Sequence[BopFigures]:  # noqa: ARG002
-        return results
+    def read(self) -> BopFigures:
+        return read_bop_run(self.folder)
 
 
-TASK = BopTask()
+def plan_runs(config: BopConfig) -> list[BopRun]:
+    """The runs, one for each result file."""
+    assert config.out is not None
+    return [
+        BopRun(data=config.data, split=config.bop_split, results=path, out=config.out)
+        for path in config.results
+    ]
+
+
+TASK = Task(
+    plan=plan_runs,
+    table=lambda results, _: bop_table(results),
+    records=lambda results, _: results,
+)
 
 
 def read_bop_run(folder: Path) -> BopFigures:

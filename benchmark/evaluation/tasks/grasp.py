@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 from benchmark.evaluation.config import GraspConfig, checked_label, options_by_method
-from benchmark.evaluation.engine import Task, weights_digest
+from benchmark.evaluation.engine import Task, TaskRun, weights_digest
 from benchmark.evaluation.frames import restore_views
 from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest, GraspSetup, circumstances
 from benchmark.evaluation.results import write_part
@@ -42,63 +40,6 @@ RAW, TRUE = "raw", "gt"
 
 # Knows where the objects are: what can be reached at all.
 ORACLE = "oracle"
-
-
-@dataclass(frozen=True, kw_only=True)
-class GraspRun:
-    """What clears the table, and how.
-
-    Attributes:
-        depth, depth_options: `raw`, `gt`, or a restorer and its options.
-        planner, planner_options: a registered planner, or `oracle`.
-        rounds, seed: how many, and of which seed.
-        out: folder of results.
-        camera: `quick` or `simulated`.
-        attempts: at most so many a round.
-        devices: torch devices, of which each worker takes one.
-        strips: keep pictures of every attempt.
-    """
-
-    depth: str
-    planner: str
-    rounds: int
-    seed: int
-    out: Path
-    depth_options: MethodOptions = field(default_factory=MethodOptions)
-    planner_options: MethodOptions = field(default_factory=MethodOptions)
-    camera: CameraKind = "quick"
-    attempts: int = MOST_ATTEMPTS
-    devices: tuple[str, ...] = ("cpu",)
-    strips: bool = True
-
-    @property
-    def depth_label(self) -> str:
-        return self.depth.replace(":", ".")
-
-    @property
-    def planner_label(self) -> str:
-        return self.planner.replace(":", ".")
-
-    @property
-    def folder(self) -> Path:
-        """Where this run's files lie."""
-        seeded = f"{self.camera}-seed{self.seed}"
-        return self.out / GRASP_FOLDER / seeded / self.planner_label / self.depth_label
-
-    @property
-    def title(self) -> str:
-        """For people."""
-        return f"{self.planner_label} on {self.depth_label} depth"
-
-    @property
-    def method_title(self) -> str:
-        """As its title: every planner works on every depth."""
-        return self.title
-
-    @property
-    def is_restored(self) -> bool:
-        """Whether a restorer makes the depth."""
-        return self.depth not in (RAW, TRUE)
 
 
 class Methods:
@@ -139,59 +80,68 @@ class Methods:
         return plan_from_surfaces(surfaces).transformed(camera_pose().inverse())
 
 
-class GraspTask(Task[GraspRun, None, Methods]):
-    """Planners over rounds.
+@dataclass(frozen=True, kw_only=True)
+class GraspRun(TaskRun[None, Methods]):
+    """What clears the table, and how.
 
     Rounds and their noise follow from the run's seed and their number alone: however they are
     interrupted, resumed or spread over workers, the table is the same.
+
+    Attributes:
+        depth, depth_options: `raw`, `gt`, or a restorer and its options.
+        planner, planner_options: a registered planner, or `oracle`.
+        rounds, seed: how many, and of which seed.
+        out: folder of results.
+        camera: `quick` or `simulated`.
+        attempts: at most so many a round.
+        devices: torch devices, of which each worker takes one.
+        strips: keep pictures of every attempt.
     """
 
     manifest_name, table_name, unit = GRASP_MANIFEST, ATTEMPTS, "rounds"
     network_shares_cpu = True
+    depth: str
+    planner: str
+    rounds: int
+    seed: int
+    out: Path
+    depth_options: MethodOptions = field(default_factory=MethodOptions)
+    planner_options: MethodOptions = field(default_factory=MethodOptions)
+    camera: CameraKind = "quick"
+    attempts: int = MOST_ATTEMPTS
+    devices: tuple[str, ...] = ("cpu",)
+    strips: bool = True
 
-    def plan(self, config: GraspConfig) -> list[GraspRun]:
-        """Planner by planner."""
-        for name in config.planners:
-            if name != ORACLE and ":" not in name and name not in grasp_planners.names():
-                raise ToolkitError(
-                    "no such planner",
-                    field="--planner",
-                    value=name,
-                    hint=f"known: {', '.join([*grasp_planners.names(), ORACLE])}",
-                )
-        names = [
-            *(d for d in config.depths if d not in (RAW, TRUE)),
-            *(p for p in config.planners if p != ORACLE),
-        ]
-        options = options_by_method(config, names)
-        for name in (*config.depths, *config.planners):
-            checked_label(name.replace(":", "."))
-        return [
-            GraspRun(
-                depth=depth,
-                planner=planner,
-                rounds=config.rounds,
-                seed=config.seed,
-                out=config.out,
-                depth_options=options.get(depth, MethodOptions()),
-                planner_options=options.get(planner, MethodOptions()),
-                camera=config.camera,
-                attempts=config.attempts,
-                devices=config.devices,
-                strips=config.gallery,
-            )
-            for planner, depth in product(config.planners, config.depths)
-        ]
+    @property
+    def depth_label(self) -> str:
+        return self.depth.replace(":", ".")
 
-    def check_data(self, runs: Sequence[GraspRun]) -> None:
-        for run in runs:
-            logger.info("%s: %d rounds", run.title, run.rounds)
+    @property
+    def planner_label(self) -> str:
+        return self.planner.replace(":", ".")
 
-    def open(self, run: GraspRun) -> None:
+    @property
+    def folder(self) -> Path:
+        seeded = f"{self.camera}-seed{self.seed}"
+        return self.out / GRASP_FOLDER / seeded / self.planner_label / self.depth_label
+
+    @property
+    def title(self) -> str:
+        return f"{self.planner_label} on {self.depth_label} depth"
+
+    @property
+    def is_restored(self) -> bool:
+        """Whether a restorer makes the depth."""
+        return self.depth not in (RAW, TRUE)
+
+    def check_data(self) -> None:
+        logger.info("%s: %d rounds", self.title, self.rounds)
+
+    def open(self) -> None:
         """Nothing: tables are made."""
 
-    def make(self, run: GraspRun, device: str) -> Methods:
-        return Methods(run, device)
+    def make(self, device: str) -> Methods:
+        return Methods(self, device)
 
     def parts(self, methods: Methods) -> tuple[object, ...]:
         return methods.restorer, methods.planner
@@ -201,74 +151,110 @@ class GraspTask(Task[GraspRun, None, Methods]):
         if (torch := sys.modules.get("torch")) is not None:
             torch.set_num_threads(1)
 
-    def manifest(self, run: GraspRun, data: None, methods: Methods) -> GraspManifest:  # noqa: ARG002
+    def manifest(self, data: None, methods: Methods) -> GraspManifest:  # noqa: ARG002
+        planner, depth = self.planner_options, self.depth_options
+        # Precision and the like are the same for both.
+        network = depth if self.is_restored else planner
+        setup = GraspSetup(
+            seed=self.seed,
+            attempts=self.attempts,
+            camera=self.camera,
+            depth_model_sha256=digest_file(MODEL_FILE) if self.camera == "quick" else "",
+            gripper=PANDA.name,
+            planner=self.planner,
+            planner_preset=planner.preset,
+            planner_settings=dict(planner.settings),
+            planner_weights_sha256=weights_digest(self.planner, methods.planner, planner),
+            depth=self.depth,
+            depth_preset=depth.preset if self.is_restored else "",
+            depth_settings=dict(depth.settings),
+            depth_weights_sha256=weights_digest(self.depth, methods.restorer, depth),
+            precision=network.precision,
+            compile=network.compile,
+            device=self.devices[0].partition(":")[0],
+        )
         return GraspManifest(
-            depth_label=run.depth_label,
-            planner_label=run.planner_label,
-            setup=_setup(run, methods),
-            planner_weights=str(run.planner_options.weights or ""),
-            depth_weights=str(run.depth_options.weights or ""),
+            depth_label=self.depth_label,
+            planner_label=self.planner_label,
+            setup=setup,
+            planner_weights=str(planner.weights or ""),
+            depth_weights=str(depth.weights or ""),
             **circumstances(),
         )
 
-    def items(self, run: GraspRun, data: None, done: set[int], workers: int) -> list[int]:  # noqa: ARG002
-        return [i for i in range(run.rounds) if i not in done]
+    def items(self, data: None, done: set[int], workers: int) -> list[int]:  # noqa: ARG002
+        return [i for i in range(self.rounds) if i not in done]
 
     def item_title(self, item: int) -> str:
         return scene_name(item)
 
-    def work(self, run: GraspRun, data: None, methods: Methods, item: int) -> int:  # noqa: ARG002
+    def work(self, data: None, methods: Methods, item: int) -> int:  # noqa: ARG002
         """Clear the table of one round and write its rows and pictures."""
         from sensors.simulation.simulated_set import parts_cache
 
-        arrangement = arrange(round_seed(run.seed, item), parts_cache=parts_cache())
-        camera = make_camera(run.camera, arrangement, parts_cache=parts_cache())
+        arrangement = arrange(round_seed(self.seed, item), parts_cache=parts_cache())
+        camera = make_camera(self.camera, arrangement, parts_cache=parts_cache())
         plan: Plan = methods.plan
         attempts = list(
             clear_table(
                 arrangement, camera, methods.given, plan,
-                color=methods.looks_at_color, attempts=run.attempts,
+                color=methods.looks_at_color, attempts=self.attempts,
             )
         )  # fmt: skip
-        if run.strips:
+        if self.strips:
             for attempt in attempts:
                 name = f"{scene_name(item)}-attempt-{attempt.number:02d}.png"
-                write_color(run.folder / STRIPS / name, attempt_strip(attempt))
+                write_color(self.folder / STRIPS / name, attempt_strip(attempt))
         rows = rows_of_round(item, arrangement, attempts, camera.T_world_cam)
-        write_part(run.folder, item, item, rows)
+        write_part(self.folder, item, item, rows)
         return len(attempts)
 
-    def read(self, folder: Path, run: GraspRun | None = None) -> GraspResult:
-        return read_grasp_run(folder, rounds=None if run is None else run.rounds)
-
-    def table(self, results: Sequence[GraspResult], config: GraspConfig) -> str:  # noqa: ARG002
-        return grasp_table(results)
-
-    def records(self, results: Sequence[GraspResult], config: GraspConfig) -> list[dict[str, Any]]:  # noqa: ARG002
-        return grasp_records(results)
+    def read(self) -> GraspResult:
+        return read_grasp_run(self.folder, rounds=self.rounds)
 
 
-TASK = GraspTask()
+def plan_runs(config: GraspConfig) -> list[GraspRun]:
+    """The runs, planner by planner.
+
+    Raises:
+        ToolkitError: weights or settings for what is not asked for, no such planner, or a label
+            that cannot be a folder's name.
+    """
+    for name in config.planners:
+        if name != ORACLE and ":" not in name and name not in grasp_planners.names():
+            raise ToolkitError(
+                "no such planner",
+                field="--planner",
+                value=name,
+                hint=f"known: {', '.join([*grasp_planners.names(), ORACLE])}",
+            )
+    names = [
+        *(d for d in config.depths if d not in (RAW, TRUE)),
+        *(p for p in config.planners if p != ORACLE),
+    ]
+    options = options_by_method(config, names)
+    for name in (*config.depths, *config.planners):
+        checked_label(name.replace(":", "."))
+    return [
+        GraspRun(
+            depth=depth,
+            planner=planner,
+            rounds=config.rounds,
+            seed=config.seed,
+            out=config.out,
+            depth_options=options.get(depth, MethodOptions()),
+            planner_options=options.get(planner, MethodOptions()),
+            camera=config.camera,
+            attempts=config.attempts,
+            devices=config.devices,
+            strips=config.gallery,
+        )
+        for planner, depth in product(config.planners, config.depths)
+    ]
 
 
-def _setup(run: GraspRun, methods: Methods) -> GraspSetup:
-    planner, depth = run.planner_options, run.depth_options
-    network = depth if run.is_restored else planner  # both are made with the same of these options
-    return GraspSetup(
-        seed=run.seed,
-        attempts=run.attempts,
-        camera=run.camera,
-        depth_model_sha256=digest_file(MODEL_FILE) if run.camera == "quick" else "",
-        gripper=PANDA.name,
-        planner=run.planner,
-        planner_preset=planner.preset,
-        planner_settings=dict(planner.settings),
-        planner_weights_sha256=weights_digest(run.planner, methods.planner, planner),
-        depth=run.depth,
-        depth_preset=depth.preset if run.is_restored else "",
-        depth_settings=dict(depth.settings),
-        depth_weights_sha256=weights_digest(run.depth, methods.restorer, depth),
-        precision=network.precision,
-        compile=network.compile,
-        device=run.devices[0].partition(":")[0],
-    )
+TASK = Task(
+    plan=plan_runs,
+    table=lambda results, _: grasp_table(results),
+    records=lambda results, _: grasp_records(results),
+)

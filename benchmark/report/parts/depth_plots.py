@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from benchmark.report.leaderboard import MEASURED, METRICS, PUBLISHED, Board, one_of_each
-from std_toolkit.html.plots import FAINT, INK, OBJECT_COLORS, base_layout, figure_json
+from std_toolkit.html.plots import FAINT, GRID, INK, OBJECT_COLORS, error_bars, figure
 from std_toolkit.html.table import Column
 
 RMSE = METRICS[0]
@@ -38,18 +38,9 @@ def bars(rows: pd.DataFrame, colors: dict[str, str], column: Column = RMSE) -> s
     rows = rows.assign(place=range(len(rows)))
     traces = []
     for part, hollow in ((rows[~printed], False), (rows[printed], True)):
-        value = part[column.name] * column.factor
-        low, high = (part[f"{column.name}_{end}"] * column.factor for end in ("low", "high"))
-        error = {
-            "type": "data",
-            "symmetric": False,
-            "array": (high - value).fillna(0).tolist(),
-            "arrayminus": (value - low).fillna(0).tolist(),
-            "color": INK,
-            "thickness": 1,
-            "width": 3,
-            "visible": bool(low.notna().any()),
-        }
+        value, low, high = (
+            part[f"{column.name}{end}"] * column.factor for end in ("", "_low", "_high")
+        )
         fill = [colors.get(m, FAINT) for m in part["method"]]
         traces.append(
             {
@@ -62,15 +53,16 @@ def bars(rows: pd.DataFrame, colors: dict[str, str], column: Column = RMSE) -> s
                     "color": "rgba(0,0,0,0)" if hollow else fill,
                     "line": {"color": FAINT, "width": int(hollow)},
                 },
-                "error_x": error,
+                "error_x": error_bars(value, low, high, color=INK),
                 "hovertemplate": f"%{{customdata}}: %{{x:.{column.digits}f}} {column.unit}"
                 "<extra></extra>",
             }
         )
-    height = max(_LEAST_PX, 90 + _BAR_PX * len(rows))
-    layout = base_layout(
-        height=height,
-        xaxis={"title": {"text": column.title}, "rangemode": "tozero"},
+    return figure(
+        traces,
+        height=max(_LEAST_PX, 90 + _BAR_PX * len(rows)),
+        x=column.title,
+        xaxis={"rangemode": "tozero"},
         yaxis={
             "tickvals": list(range(len(rows))),
             "ticktext": [
@@ -82,7 +74,6 @@ def bars(rows: pd.DataFrame, colors: dict[str, str], column: Column = RMSE) -> s
         showlegend=False,
         barmode="overlay",
     )
-    return figure_json(traces, layout)
 
 
 def radar(rows: pd.DataFrame, colors: dict[str, str]) -> str | None:
@@ -107,14 +98,17 @@ def radar(rows: pd.DataFrame, colors: dict[str, str]) -> str | None:
             rows["method"], scores, _dashes(rows["method"].tolist(), colors), strict=True
         )
     ]
-    layout = base_layout(height=460, margin={"l": 40, "r": 40, "t": 30, "b": 30})
-    layout["polar"] = {
-        "radialaxis": {"range": [0, 1], "tickvals": [0.25, 0.5, 0.75, 1], "gridcolor": "#e4e7eb"},
-        "angularaxis": {"gridcolor": "#e4e7eb"},
-        "bgcolor": "rgba(0,0,0,0)",
-    }
-    layout["legend"] = {"orientation": "h", "x": 0, "y": -0.1}
-    return figure_json(traces, layout)
+    return figure(
+        traces,
+        height=460,
+        margin={"l": 40, "r": 40, "t": 30, "b": 30},
+        polar={
+            "radialaxis": {"range": [0, 1], "tickvals": [0.25, 0.5, 0.75, 1], "gridcolor": GRID},
+            "angularaxis": {"gridcolor": GRID},
+            "bgcolor": "rgba(0,0,0,0)",
+        },
+        legend={"y": -0.1, "yanchor": "auto"},
+    )
 
 
 def depth_curves(rows: pd.DataFrame, colors: dict[str, str], column: Column = RMSE) -> str | None:
@@ -140,12 +134,13 @@ def depth_curves(rows: pd.DataFrame, colors: dict[str, str], column: Column = RM
                 "<extra></extra>",
             }
         )
-    layout = base_layout(
+    return figure(
+        traces,
         height=380,
-        xaxis={"title": {"text": "true depth [m]"}},
-        yaxis={"title": {"text": column.title}, "rangemode": "tozero"},
+        x="true depth [m]",
+        y=column.title,
+        yaxis={"rangemode": "tozero"},
     )
-    return figure_json(traces, layout)
 
 
 def speed_against_error(rows: pd.DataFrame, colors: dict[str, str]) -> str | None:
@@ -176,14 +171,9 @@ def speed_against_error(rows: pd.DataFrame, colors: dict[str, str]) -> str | Non
                 "showlegend": False,
             }
         )
-    layout = base_layout(
-        height=420,
-        xaxis={"title": {"text": "frames/s, warm, one at a time"}, "type": "log"},
-        yaxis={"title": {"text": RMSE.title}, "type": "log"},
-    )
-    for axis in ("xaxis", "yaxis"):
-        layout[axis] |= {"dtick": "D2", "minor": {"showgrid": False}}
-    return figure_json(traces, layout)
+    axis = {"type": "log", "dtick": "D2", "minor": {"showgrid": False}}
+    title = "frames/s, warm, one at a time"
+    return figure(traces, height=420, x=title, y=RMSE.title, xaxis=axis, yaxis=axis)
 
 
 def short(name: str) -> str:

@@ -32,7 +32,7 @@ from std_toolkit.html.page import (
     Picture,
     Plot,
 )
-from std_toolkit.html.plots import FAINT, OBJECT_COLORS, base_layout, figure_json
+from std_toolkit.html.plots import CAMERA, FAINT, OBJECT_COLORS, error_bars, figure
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table
 from std_toolkit.io.documents import read_document
 
@@ -220,31 +220,24 @@ def columns_by_depth(rows: pd.DataFrame, method: str, fit: str) -> str | None:
     headings = [column.heading for column in FIGURES]
     traces = []
     for _, row in chosen.iterrows():
-        values = [100 * row[c.name] for c in FIGURES]
+        values, low, high = (
+            [100 * row[f"{c.name}{end}"] for c in FIGURES] for end in ("", "_low", "_high")
+        )
         trace = {
             "type": "bar",
+            "error_y": error_bars(values, low, high, color=CAMERA),
             "name": f"{row['depth']} depth",
             "x": headings,
             "y": values,
             "marker": {"color": colors[row["depth"]]},
             "hovertemplate": "%{x}: %{y:.1f} %<extra>" + row["depth"] + "</extra>",
         }
-        if chosen[f"{FIGURES[0].name}_low"].notna().all():
-            up = [100 * row[f"{c.name}_high"] - v for c, v in zip(FIGURES, values, strict=True)]
-            down = [v - 100 * row[f"{c.name}_low"] for c, v in zip(FIGURES, values, strict=True)]
-            trace["error_y"] = {
-                "type": "data",
-                "array": [max(0.0, x) for x in up],
-                "arrayminus": [max(0.0, x) for x in down],
-                "thickness": 1,
-                "width": 3,
-                "color": "#52606d",
-            }
         traces.append(trace)
-    layout = base_layout(
+    return figure(
+        traces,
         height=320,
-        yaxis={"title": {"text": "right [%]"}, "range": [0, 103]},
+        y="right [%]",
+        yaxis={"range": [0, 103]},
         barmode="group",
         bargap=0.25,
     )
-    return figure_json(traces, layout)

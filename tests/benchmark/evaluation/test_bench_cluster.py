@@ -8,7 +8,6 @@ import pytest
 
 from benchmark.evaluation.engine import run_task
 from benchmark.evaluation.results import TABLE
-from benchmark.evaluation.tasks.depth import TASK
 from std_toolkit.jobs import JobOptions
 from tests.benchmark.evaluation.bench_set import a_run, write_split
 
@@ -22,6 +21,6 @@ def test_a_cluster_makes_the_same_table(tmp_path: Path, monkeypatch: pytest.Monk
     tables = []
     for engine in ("serial", "ray"):
         run = a_run(root, tmp_path / engine, "telea")
-        run_task(TASK, run, JobOptions(engine=engine, workers=2, progress=False))  # type: ignore[arg-type]
+        run_task(run, JobOptions(engine=engine, workers=2, progress=False))  # type: ignore[arg-type]
         tables.append((run.folder / TABLE).read_bytes())
     assert tables[0] == tables[1]

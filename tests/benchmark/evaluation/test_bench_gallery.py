@@ -15,7 +15,6 @@ from benchmark.evaluation.depth_panels import (
     error_picture,
 )
 from benchmark.evaluation.engine import run_task
-from benchmark.evaluation.tasks.depth import TASK
 from benchmark.evaluation.tasks.depth_pictures import FOLDER, gallery_frames, make_gallery
 from std_toolkit.io.images import read_color
 from std_toolkit.jobs import JobOptions
@@ -56,7 +55,7 @@ def test_nothing_to_show_where_nothing_was_scored() -> None:
 def test_the_pictures_of_a_run(tmp_path: Path) -> None:
     root = write_split(tmp_path / "data", scenes=1, frames=3)
     run = a_run(root, tmp_path / "out")
-    run_task(TASK, run, JobOptions(engine="serial", progress=False))
+    run_task(run, JobOptions(engine="serial", progress=False))
     gallery = make_gallery(run)
     assert [p.rank for p in gallery.pictures][:3] == ["best", "median", "worst"]
     values = [p.rmse for p in gallery.pictures[:3]]
@@ -68,7 +67,7 @@ def test_the_pictures_of_a_run(tmp_path: Path) -> None:
 def test_trust_in_the_sensor_is_shown_of_methods_that_tell_it(tmp_path: Path) -> None:
     root = write_split(tmp_path / "data", scenes=1, frames=3)
     run = a_run(root, tmp_path / "out", "tests.benchmark.evaluation.bench_set:Trusting")
-    run_task(TASK, run, JobOptions(engine="serial", progress=False))
+    run_task(run, JobOptions(engine="serial", progress=False))
     for shown in make_gallery(run).pictures:
         assert shown.trust == (shown.rank != "common")
         picture = read_color(run.folder / FOLDER / shown.picture)

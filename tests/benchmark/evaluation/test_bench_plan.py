@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from benchmark.evaluation.config import DepthConfig
-from benchmark.evaluation.tasks.depth import TASK
+from benchmark.evaluation.tasks.depth import plan_runs
 from std_toolkit.errors import ToolkitError
 
 
@@ -22,7 +22,7 @@ def config(**changes: object) -> DepthConfig:
 
 
 def test_every_method_meets_every_split_by_every_protocol() -> None:
-    runs = TASK.plan(config(protocols=("strict", "paper")))
+    runs = plan_runs(config(protocols=("strict", "paper")))
     assert len(runs) == 8
     assert len({run.folder for run in runs}) == 8
     assert runs[0].folder == Path("results/std-catknown/swindrnet/strict")
@@ -31,23 +31,23 @@ def test_every_method_meets_every_split_by_every_protocol() -> None:
 
 
 def test_a_split_may_have_a_folder_of_its_own() -> None:
-    runs = TASK.plan(config(data=("data", "dreds-catnovel=elsewhere")))
+    runs = plan_runs(config(data=("data", "dreds-catnovel=elsewhere")))
     assert {(run.split, str(run.root)) for run in runs} == {
         ("std-catknown", "data"),
         ("dreds-catnovel", "elsewhere"),
     }
     with pytest.raises(ToolkitError, match=r"no data for this split.*std-catknown"):
-        TASK.plan(config(data=("dreds-catnovel=elsewhere",)))
+        plan_runs(config(data=("dreds-catnovel=elsewhere",)))
 
 
 def test_an_equals_sign_in_the_name_of_a_folder(tmp_path: Path) -> None:
     folder = tmp_path / "a=b"
     folder.mkdir()
-    assert TASK.plan(config(data=(str(folder),)))[0].root == folder
+    assert plan_runs(config(data=(str(folder),)))[0].root == folder
 
 
 def test_weights_and_settings_find_their_method() -> None:
-    runs = TASK.plan(
+    runs = plan_runs(
         config(
             weights=("swindrnet=model.pth",),
             settings=("swindrnet.fusion=released", "swindrnet.a=b=c"),
@@ -56,7 +56,7 @@ def test_weights_and_settings_find_their_method() -> None:
     assert runs[0].options.weights == Path("model.pth")
     assert runs[0].options.settings == {"fusion": "released", "a": "b=c"}
     assert runs[-1].options.weights is None
-    one = TASK.plan(config(methods=("nlspn",), weights=("w.pth",), settings=("steps=3",)))[0]
+    one = plan_runs(config(methods=("nlspn",), weights=("w.pth",), settings=("steps=3",)))[0]
     assert (one.options.weights, one.options.settings) == (Path("w.pth"), {"steps": "3"})
 
 
@@ -75,8 +75,8 @@ def test_weights_and_settings_find_their_method() -> None:
 )
 def test_what_cannot_be_meant_is_refused(changes: dict[str, object], told: str) -> None:
     with pytest.raises(ToolkitError, match=told):
-        TASK.plan(config(**changes))
+        plan_runs(config(**changes))
 
 
 def test_a_plug_in_has_a_label_that_can_be_a_folder() -> None:
-    assert TASK.plan(config(methods=("my.module:Class",)))[0].label == "my.module.Class"
+    assert plan_runs(config(methods=("my.module:Class",)))[0].label == "my.module.Class"

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 import pandas as pd
 import pytest
 
-from benchmark.evaluation.engine import complete
-from benchmark.evaluation.manifest import begin
+from benchmark.evaluation.engine import TaskRun, run_task
+from benchmark.evaluation.manifest import MANIFEST, begin
 from benchmark.evaluation.results import (
     ERROR,
     FAILURES,
     FRAME,
     INDEX,
     SCENE,
+    TABLE,
     join_parts,
     write_part,
 )
@@ -42,17 +44,42 @@ def rows(frames: Sequence[int], error: str = "", figure: float = 0.0) -> list[di
     ]
 
 
-def go_on(folder: Path, error: str, figure: float) -> pd.DataFrame:
-    """Score frames 0 and 1 (once more), with this outcome."""
+@dataclass(frozen=True)
+class ARun(TaskRun[None, None]):
+    """Scores frames 0 and 1 (once more), with this outcome."""
 
-    def worker(_: int) -> int:
-        write_part(folder, 0, 1, rows([0, 1], error, figure))
+    manifest_name, table_name = MANIFEST, TABLE
+    out: Path
+    error: str
+    figure: float
+    title = "toy"
+    devices = ("cpu",)
+
+    @property
+    def folder(self) -> Path:
+        return self.out
+
+    def open(self) -> None: ...
+
+    def make(self, device: str) -> None: ...
+
+    def manifest(self, data: None, methods: None) -> AManifest:  # noqa: ARG002
+        return AManifest()
+
+    def items(self, data: None, done: set[int], workers: int) -> list[int]:  # noqa: ARG002
+        return [0]
+
+    def item_title(self, item: int) -> str:
+        return str(item)
+
+    def work(self, data: None, methods: None, item: int) -> int:  # noqa: ARG002
+        write_part(self.folder, 0, 1, rows([0, 1], self.error, self.figure))
         return 2
 
-    return complete(
-        folder, AManifest(), lambda _: [0], worker,
-        title="toy", key=str, jobs=SERIAL, unit="pieces",
-    )  # fmt: skip
+
+def go_on(folder: Path, error: str, figure: float) -> pd.DataFrame:
+    """Score frames 0 and 1 (once more), with this outcome."""
+    return run_task(ARun(folder, error, figure), SERIAL)
 
 
 @pytest.mark.parametrize("joined", [True, False], ids=["table", "part of the same name"])

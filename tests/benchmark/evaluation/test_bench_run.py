@@ -17,7 +17,6 @@ from benchmark.data.splits import open_split
 from benchmark.evaluation.engine import run_task
 from benchmark.evaluation.frames import chosen_frames
 from benchmark.evaluation.results import FAILURES, TABLE, write_part
-from benchmark.evaluation.tasks.depth import TASK
 from benchmark.methods.depth.full_size import view_of
 from benchmark.methods.registry import MethodOptions
 from benchmark.metrics.protocols.protocol import get_protocol
@@ -40,7 +39,7 @@ def own(name: str, **settings: str) -> dict[str, object]:
 
 
 def test_every_frame_has_every_row_of_the_protocol(root: Path, tmp_path: Path) -> None:
-    table = run_task(TASK, a_run(root, tmp_path, "raw"), SERIAL)
+    table = run_task(a_run(root, tmp_path, "raw"), SERIAL)
     protocol = get_protocol("strict")
     source = open_split(SPLIT, root)
     fixed = table[~table["subset"].str.startswith("depth:")]
@@ -59,7 +58,7 @@ def test_every_frame_has_every_row_of_the_protocol(root: Path, tmp_path: Path) -
 
 def test_the_paper_protocol_makes_the_views(root: Path, tmp_path: Path) -> None:
     """The method sees 224x224, whatever the size of the data."""
-    table = run_task(TASK, a_run(root, tmp_path, protocol="paper", **own("Filling")), SERIAL)
+    table = run_task(a_run(root, tmp_path, protocol="paper", **own("Filling")), SERIAL)
     frame = open_split(SPLIT, root).load(0)
     answer = np.full((224, 224), 0.7, np.float32)
     rows = score_frame(answer, frame, get_protocol("paper"))
@@ -69,7 +68,7 @@ def test_the_paper_protocol_makes_the_views(root: Path, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_table_is_the_same_however_work_is_spread(root: Path, tmp_path: Path) -> None:
     tables = [
-        run_task(TASK, a_run(root, tmp_path / str(i)), jobs)
+        run_task(a_run(root, tmp_path / str(i)), jobs)
         for i, jobs in enumerate((SERIAL, JobOptions(workers=2, progress=False)))
     ]
     pd.testing.assert_frame_equal(*tables)
@@ -80,9 +79,9 @@ def test_the_table_is_the_same_however_work_is_spread(root: Path, tmp_path: Path
 def test_what_is_scored_is_not_scored_again(root: Path, tmp_path: Path) -> None:
     log = tmp_path / "log"
     run = a_run(root, tmp_path / "out", **own("Counting", log=str(log)))
-    first = run_task(TASK, run, SERIAL)
+    first = run_task(run, SERIAL)
     assert len(log.read_text().splitlines()) == 12
-    again = run_task(TASK, run, SERIAL)
+    again = run_task(run, SERIAL)
     assert len(log.read_text().splitlines()) == 12
     pd.testing.assert_frame_equal(first, again)
 
@@ -91,9 +90,9 @@ def test_what_is_scored_is_not_scored_again(root: Path, tmp_path: Path) -> None:
 def test_a_worker_that_dies_costs_nothing(root: Path, tmp_path: Path) -> None:
     mark = str(tmp_path / "mark")
     run = a_run(root, tmp_path / "out", **own("DiesOnce", mark=mark))
-    table = run_task(TASK, run, JobOptions(workers=2, progress=False))
+    table = run_task(run, JobOptions(workers=2, progress=False))
     assert Path(mark).exists()
-    whole = run_task(TASK, a_run(root, tmp_path / "whole", **own("Filling")), SERIAL)
+    whole = run_task(a_run(root, tmp_path / "whole", **own("Filling")), SERIAL)
     pd.testing.assert_frame_equal(table, whole)
 
 
@@ -104,7 +103,6 @@ def test_a_killed_run_goes_on_where_it_was(root: Path, tmp_path: Path) -> None:
         "import sys, time; from pathlib import Path\n"
         f"import {HERE} as s\n"
         "from benchmark.evaluation import engine, frames\n"
-        "from benchmark.evaluation.tasks.depth import TASK\n"
         "from benchmark.methods.registry import MethodOptions\n"
         "from std_toolkit.jobs import JobOptions\n"
         "frames._FLUSH_S = 0.0\n"
@@ -113,7 +111,7 @@ def test_a_killed_run_goes_on_where_it_was(root: Path, tmp_path: Path) -> None:
         f"run = s.a_run(Path({str(root)!r}), Path({str(tmp_path / 'out')!r}),\n"
         f"    method={HERE + ':Counting'!r}, label='Counting',\n"
         f"    options=MethodOptions(settings={{'log': {str(log)!r}}}))\n"
-        "engine.run_task(TASK, run, JobOptions(engine='serial', progress=False))\n"
+        "engine.run_task(run, JobOptions(engine='serial', progress=False))\n"
     )
     process = subprocess.Popen([sys.executable, "-c", program])
     parts = tmp_path / "out" / SPLIT / "Counting/strict/parts"
@@ -125,9 +123,9 @@ def test_a_killed_run_goes_on_where_it_was(root: Path, tmp_path: Path) -> None:
     kept = 2 * len(list(parts.glob("0*.parquet")))
     log.unlink()
     run = a_run(root, tmp_path / "out", **own("Counting", log=str(log)))
-    table = run_task(TASK, run, SERIAL)
+    table = run_task(run, SERIAL)
     assert len(log.read_text().splitlines()) == 12 - kept
-    whole = run_task(TASK, a_run(root, tmp_path / "whole", **own("Filling")), SERIAL)
+    whole = run_task(a_run(root, tmp_path / "whole", **own("Filling")), SERIAL)
     pd.testing.assert_frame_equal(table, whole)
     assert not list((tmp_path / "out").rglob("*.tmp*"))
 
@@ -138,15 +136,15 @@ def test_a_damaged_frame_is_listed_and_tried_again(tmp_path: Path) -> None:
     content = damaged.read_bytes()
     damaged.write_bytes(content[: len(content) // 2])
     run = a_run(root, tmp_path / "out")
-    table = run_task(TASK, run, SERIAL)
+    table = run_task(run, SERIAL)
     assert table.loc[table["error"] != "", "frame"].tolist() == ["0002"]
     failures = pd.read_csv(run.folder / FAILURES, dtype=str)
     assert "0002_gt_depth.exr" in failures["error"][0]
     damaged.write_bytes(content)
-    mended = run_task(TASK, run, SERIAL)
+    mended = run_task(run, SERIAL)
     assert (mended["error"] == "").all()
     assert pd.read_csv(run.folder / FAILURES).empty
-    whole = run_task(TASK, a_run(root, tmp_path / "whole"), SERIAL)
+    whole = run_task(a_run(root, tmp_path / "whole"), SERIAL)
     pd.testing.assert_frame_equal(mended, whole)
 
 
@@ -154,7 +152,7 @@ def test_a_frame_at_which_the_method_fails_counts_as_missed(root: Path, tmp_path
     source = open_split(SPLIT, root)
     depth = float(view_of(source.load(5), None).depth.max())
     run = a_run(root, tmp_path, **own("FailsAtBright", depth=repr(depth)))
-    table = run_task(TASK, run, SERIAL)
+    table = run_task(run, SERIAL)
     failed = table[table["error"] != ""]
     assert 5 in set(failed["index"])
     assert failed["error"].str.contains("cannot stand this frame").all()
@@ -162,7 +160,7 @@ def test_a_frame_at_which_the_method_fails_counts_as_missed(root: Path, tmp_path
     assert (there["coverage"] == 0).all() and (there["d125"] == 0).all()
     # Its neighbour in the batch is scored as if nothing had been.
     good = table[(table["error"] == "")]
-    whole = run_task(TASK, a_run(root, tmp_path / "whole", **own("Filling")), SERIAL)
+    whole = run_task(a_run(root, tmp_path / "whole", **own("Filling")), SERIAL)
     rest = whole[whole["index"].isin(good["index"])]
     pd.testing.assert_frame_equal(
         good.drop(columns="error").reset_index(drop=True),
@@ -177,37 +175,37 @@ def test_parts_of_equal_name_do_not_lose_frames(
     # Both failed batches come in one piece of work, hence in one part.
     monkeypatch.setattr("benchmark.evaluation.frames._PIECES_PER_WORKER", 1)
     run = a_run(root, tmp_path)
-    whole = run_task(TASK, run, SERIAL)
+    whole = run_task(run, SERIAL)
     (run.folder / TABLE).unlink()
     ends = whole["index"].isin([0, 1, 10, 11])
     left = whole.assign(error=np.where(ends, "a disk that was away", ""))
     write_part(run.folder, 0, 11, left.to_dict("records"))
-    again = run_task(TASK, run, JobOptions(engine="serial", workers=1, progress=False))
+    again = run_task(run, JobOptions(engine="serial", workers=1, progress=False))
     pd.testing.assert_frame_equal(again, whole)
 
 
 def test_nan_is_counted_as_missed_and_told(root: Path, tmp_path: Path) -> None:
-    table = run_task(TASK, a_run(root, tmp_path, **own("HalfNaN")), SERIAL)
+    table = run_task(a_run(root, tmp_path, **own("HalfNaN")), SERIAL)
     assert (table["not_finite"] > 0).all()
     assert table["coverage"].min() < 1
 
 
 def test_an_answer_of_another_size_is_the_methods_fault(root: Path, tmp_path: Path) -> None:
-    table = run_task(TASK, a_run(root, tmp_path, **own("WrongSize")), SERIAL)
+    table = run_task(a_run(root, tmp_path, **own("WrongSize")), SERIAL)
     assert table["error"].str.contains("Restored.depth").all()
 
 
 def test_other_options_do_not_mix_with_what_is_there(root: Path, tmp_path: Path) -> None:
-    run_task(TASK, a_run(root, tmp_path), SERIAL)
+    run_task(a_run(root, tmp_path), SERIAL)
     with pytest.raises(ToolkitError, match=r"setup.batch_size.*begun with 2|begun with 2"):
-        run_task(TASK, a_run(root, tmp_path, batch_size=3), SERIAL)
+        run_task(a_run(root, tmp_path, batch_size=3), SERIAL)
 
 
 def test_saved_depth_scores_as_the_method_did(root: Path, tmp_path: Path) -> None:
     run = a_run(root, tmp_path, save_depth=True)
-    table = run_task(TASK, run, SERIAL)
+    table = run_task(run, SERIAL)
     saved = run_task(
-        TASK, a_run(root, tmp_path, "raw", label="saved", depth_from=run.folder / "depth"), SERIAL
+        a_run(root, tmp_path, "raw", label="saved", depth_from=run.folder / "depth"), SERIAL
     )
     pd.testing.assert_frame_equal(table, saved)
 

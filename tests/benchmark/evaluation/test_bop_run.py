@@ -18,7 +18,7 @@ from benchmark.cli.bench import main
 from benchmark.evaluation.engine import run_all
 from benchmark.evaluation.manifest import BOP_FILE, BOP_MANIFEST
 from benchmark.evaluation.results import FAILURES, PARTS
-from benchmark.evaluation.tasks.bop import ERRORS, TASK, BopRun, bop_intervals
+from benchmark.evaluation.tasks.bop import ERRORS, BopRun, bop_intervals, read_bop_run
 from benchmark.metrics.bop import (
     BopEstimate,
     open_bop,
@@ -64,7 +64,7 @@ def bytes_of(run: BopRun) -> tuple[bytes, bytes]:
 
 def test_figures_are_those_of_the_metric(root: Path, results: Path, tmp_path: Path) -> None:
     run = run_of(root, results, tmp_path)
-    assert not run_all(TASK, [run], SERIAL).failed
+    assert not run_all([run], SERIAL).failed
     scores = score_bop(open_bop(root), read_bop_results(results))
     kept = json.loads((run.folder / BOP_FILE).read_text())
     assert 0 < scores.ar < 1
@@ -86,18 +86,18 @@ def test_serial_parallel_and_killed_runs_give_the_same_bytes(
     root: Path, results: Path, tmp_path: Path
 ) -> None:
     runs = [run_of(root, results, tmp_path / name) for name in ("serial", "parallel", "killed")]
-    assert not run_all(TASK, runs[:1], SERIAL).failed
-    assert not run_all(TASK, runs[1:2], JobOptions(workers=2, progress=False)).failed
+    assert not run_all(runs[:1], SERIAL).failed
+    assert not run_all(runs[1:2], JobOptions(workers=2, progress=False)).failed
     program = (
         "import time; from pathlib import Path\n"
         "from benchmark.evaluation import engine\n"
-        "from benchmark.evaluation.tasks.bop import TASK, BopRun, BopTask\n"
+        "from benchmark.evaluation.tasks.bop import BopRun\n"
         "from std_toolkit.jobs import JobOptions\n"
-        "rows = BopTask.rows\n"
-        "BopTask.rows = lambda *a: (a[4][0] and time.sleep(60), rows(*a))[1]\n"
+        "rows = BopRun.rows\n"
+        "BopRun.rows = lambda *a: (a[3][0][0]['index'] and time.sleep(60), rows(*a))[1]\n"
         f"run = BopRun(data=Path({str(root)!r}), split='test', results=Path({str(results)!r}),\n"
         f"    out=Path({str(tmp_path / 'killed')!r}))\n"
-        "engine.run_all(TASK, [run], JobOptions(engine='serial', progress=False))\n"
+        "engine.run_all([run], JobOptions(engine='serial', progress=False))\n"
     )
     process = subprocess.Popen([sys.executable, "-c", program])
     parts = runs[2].folder / "parts"
@@ -108,7 +108,7 @@ def test_serial_parallel_and_killed_runs_give_the_same_bytes(
     process.wait()
     assert [p.name for p in parts.glob("0*.parquet")] == ["0000000-0000000.parquet"]
     assert not (runs[2].folder / BOP_FILE).exists()
-    assert not run_all(TASK, runs[2:], SERIAL).failed
+    assert not run_all(runs[2:], SERIAL).failed
     assert bytes_of(runs[0]) == bytes_of(runs[1]) == bytes_of(runs[2])
 
 
@@ -118,37 +118,37 @@ def test_no_figures_with_an_image_left_out(results: Path, tmp_path: Path) -> Non
     content = depth.read_bytes()
     depth.unlink()
     run = run_of(root, results, tmp_path / "out")
-    report = run_all(TASK, [run], SERIAL)
+    report = run_all([run], SERIAL)
     assert report.failed_frames == 1 and not report.finished
     assert "depth/000004.png" in report.failed[run.title]
     assert not (run.folder / BOP_FILE).exists()
     assert pd.read_csv(run.folder / FAILURES, dtype=str)["frame"].tolist() == ["000004"]
     depth.write_bytes(content)
-    assert not run_all(TASK, [run], SERIAL).failed
+    assert not run_all([run], SERIAL).failed
     whole = run_of(root, results, tmp_path / "whole")
-    run_all(TASK, [whole], SERIAL)
+    run_all([whole], SERIAL)
     assert bytes_of(run) == bytes_of(whole)
 
 
 def test_a_folder_of_an_older_version_goes_on(root: Path, results: Path, tmp_path: Path) -> None:
     run = run_of(root, results, tmp_path)
-    assert not run_all(TASK, [run], SERIAL).failed
+    assert not run_all([run], SERIAL).failed
     figures = (run.folder / BOP_FILE).read_bytes()
     for name in (BOP_MANIFEST, ERRORS, FAILURES):
         (run.folder / name).unlink()
     (run.folder / PARTS).rmdir()
-    old = TASK.read(run.folder)
+    old = read_bop_run(run.folder)
     assert old.ar > 0 and old.intervals == {}
-    assert not run_all(TASK, [run], SERIAL).failed
+    assert not run_all([run], SERIAL).failed
     assert (run.folder / BOP_FILE).read_bytes() == figures
 
 
 def test_another_file_of_this_name_does_not_mix(root: Path, results: Path, tmp_path: Path) -> None:
     run = run_of(root, results, tmp_path / "out")
-    assert not run_all(TASK, [run], SERIAL).failed
+    assert not run_all([run], SERIAL).failed
     other = tmp_path / results.name
     write_bop_results(other, read_bop_results(results)[:1])
-    failed = run_all(TASK, [run_of(root, other, tmp_path / "out")], SERIAL).failed
+    failed = run_all([run_of(root, other, tmp_path / "out")], SERIAL).failed
     assert "results_sha256" in failed[run.title]
 
 

@@ -14,7 +14,7 @@ from benchmark.cli.bench import main
 from benchmark.cli.report import PAGE
 from benchmark.cli.report import main as report
 from benchmark.evaluation.config import PoseConfig
-from benchmark.evaluation.tasks.pose import TASK
+from benchmark.evaluation.tasks.pose import plan_runs
 from benchmark.evaluation.tasks.pose_results import read_pose_results, score_run, wanted_protocols
 from benchmark.metrics.bop import BopEstimate, open_bop, write_bop_results
 from benchmark.published.load import published_poses
@@ -205,7 +205,7 @@ def test_raw_depth_is_raw_depth_also_as_input(tmp_path: Path) -> None:
         weights=("nocs=/n", "swindrnet=/s"),
         settings=("swindrnet.fusion=released", "nocs.most=5"),
     )
-    runs = TASK.plan(config)
+    runs = plan_runs(config)
     assert [r.folder.relative_to(tmp_path / "pose" / SPLIT).as_posix() for r in runs] == [
         f"nocs/{depth}/{fit}"
         for depth in ("raw", "swindrnet-as-input", "mine-as-input")

@@ -14,7 +14,6 @@ from benchmark.evaluation.engine import UnusableMethod, run_task
 from benchmark.evaluation.manifest import POSE_MANIFEST
 from benchmark.evaluation.results import ERROR, INDEX
 from benchmark.evaluation.tasks.depth import save_depth
-from benchmark.evaluation.tasks.pose import TASK
 from benchmark.evaluation.tasks.pose_inputs import DepthChoice
 from benchmark.evaluation.tasks.pose_results import (
     HARD,
@@ -44,7 +43,7 @@ def test_true_coordinates_and_true_depth_are_right_in_every_column(
     root: Path, tmp_path: Path, protocol: str, box: str
 ) -> None:
     run = a_pose_run(root, tmp_path, "gt", options=MethodOptions(settings={"box": box}))
-    run_task(TASK, run, SERIAL)
+    run_task(run, SERIAL)
     scores = score_run(read_pose_run(run.folder), get_pose_protocol(protocol)).scores
     assert scores.true_objects.tolist() == [4, 0, 4, 0, 0, 4, 0]
     for name in ("bottle", "camera", "mug"):
@@ -53,7 +52,7 @@ def test_true_coordinates_and_true_depth_are_right_in_every_column(
 
 def test_raw_depth_of_glass_is_worse(root: Path, tmp_path: Path) -> None:
     run = a_pose_run(root, tmp_path, "raw")
-    run_task(TASK, run, SERIAL)
+    run_task(run, SERIAL)
     result = read_pose_run(run.folder)
     everything = score_run(result, STRICT).scores
     assert everything.of_class("bottle")["10deg10cm"] < 0.5, "glass"
@@ -100,11 +99,11 @@ def test_restored_and_saved_depth(root: Path, tmp_path: Path) -> None:
         save_depth(tmp_path / "saved", SPLIT, key, Restored(frame.depth_true))
     saved = DepthChoice(name="mine", folder=tmp_path / "saved" / "depth")
     run = a_pose_run(root, tmp_path / "out", depth=saved)
-    run_task(TASK, run, SERIAL)
+    run_task(run, SERIAL)
     means = score_run(read_pose_run(run.folder), STRICT).scores.mean
     assert set(means.values()) == {1.0}
     restored = a_pose_run(root, tmp_path / "out", "nearest")
-    table = run_task(TASK, restored, SERIAL)
+    table = run_task(restored, SERIAL)
     assert (table[ERROR] == "").all()
     assert (table[KIND] == FOUND).sum() == 12
     names = {r.name for r in read_pose_results([tmp_path / "out"])}
@@ -128,7 +127,7 @@ def test_networks_look_at_raw_depth_unless_told(root: Path, tmp_path: Path, as_i
     run = a_pose_run(
         root, tmp_path / "out", "gt", method=f"{HERE}:Looking", options=options, as_input=as_input
     )
-    run_task(TASK, replace(run, limit=1), SERIAL)
+    run_task(replace(run, limit=1), SERIAL)
     sensor, depth = map(float, log.read_text().split())
     assert (sensor == depth) is as_input
     assert run.folder.parent.name == ("gt-as-input" if as_input else "gt")
@@ -138,7 +137,7 @@ def test_fits_differ(root: Path, tmp_path: Path) -> None:
     tables = {}
     for fit in ("ransac", "paper"):
         run = a_pose_run(root, tmp_path, "raw", fit=fit)
-        tables[fit] = run_task(TASK, run, SERIAL)
+        tables[fit] = run_task(run, SERIAL)
         assert read_pose_run(run.folder).name == ("gt-nocs", "raw", fit)
     found = [t[t[KIND] == FOUND]["rt23"].to_numpy() for t in tables.values()]
     assert len(found[1]) == 12
@@ -147,13 +146,13 @@ def test_fits_differ(root: Path, tmp_path: Path) -> None:
 
 def test_frames_that_fail_are_missed_and_tried_again(root: Path, tmp_path: Path) -> None:
     run = a_pose_run(root, tmp_path, "gt", method=f"{HERE}:FailsAtSome", label="fails")
-    table = run_task(TASK, run, SERIAL)
+    table = run_task(run, SERIAL)
     failed = sorted(set(table.loc[table[ERROR] != "", INDEX]))
     assert 0 < len(failed) < 4
     assert "cannot stand this frame" in table.loc[table[INDEX] == failed[0], ERROR].iloc[0]
     means = score_run(read_pose_run(run.folder), STRICT).scores.mean
     assert means["iou25"] == pytest.approx(1 - len(failed) / 4)
-    again = run_task(TASK, run, SERIAL)
+    again = run_task(run, SERIAL)
     pd.testing.assert_frame_equal(table, again)
 
 
@@ -161,7 +160,7 @@ def test_a_frame_that_cannot_be_read_is_told_and_not_scored(tmp_path: Path) -> N
     root = write_pose_split(tmp_path / "data", scenes=1, frames=3)
     (root / "DREDS-CatKnown" / "test" / "1" / "0001_mask.exr").write_bytes(b"nothing")
     run = a_pose_run(root, tmp_path / "out", "gt")
-    table = run_task(TASK, run, SERIAL)
+    table = run_task(run, SERIAL)
     assert set(table.loc[table[ERROR] != "", INDEX]) == {1}
     scored = score_run(read_pose_run(run.folder), STRICT)
     assert len(scored.scenes) == 2
@@ -176,12 +175,12 @@ def test_a_killed_run_goes_on_with_the_same_table(root: Path, tmp_path: Path) ->
     )
     jobs = JobOptions(workers=1, progress=False)
     try:
-        run_task(TASK, replace(run, batch_size=1), jobs)
+        run_task(replace(run, batch_size=1), jobs)
     except ToolkitError:
-        run_task(TASK, replace(run, batch_size=1), jobs)
+        run_task(replace(run, batch_size=1), jobs)
     assert (tmp_path / "mark").exists()
     calm = replace(run, out=tmp_path / "calm", batch_size=1)
-    run_task(TASK, calm, SERIAL)
+    run_task(calm, SERIAL)
     assert (run.folder / POSES).read_bytes() == (calm.folder / POSES).read_bytes()
 
 
@@ -199,14 +198,14 @@ def test_what_cannot_be_made_is_told_at_once(
     root: Path, tmp_path: Path, changes: dict, told: str
 ) -> None:
     with pytest.raises(UnusableMethod, match=told):
-        run_task(TASK, a_pose_run(root, tmp_path, **changes), SERIAL)
+        run_task(a_pose_run(root, tmp_path, **changes), SERIAL)
 
 
 def test_another_run_in_the_same_folder(root: Path, tmp_path: Path) -> None:
     run = a_pose_run(root, tmp_path, "gt", limit=1)
-    run_task(TASK, run, SERIAL)
+    run_task(run, SERIAL)
     with pytest.raises(ToolkitError, match=rf"{POSE_MANIFEST}.*setup\.frames"):
-        run_task(TASK, replace(run, limit=2), SERIAL)
+        run_task(replace(run, limit=2), SERIAL)
 
 
 def test_splits_without_poses_are_told(tmp_path: Path) -> None:
@@ -214,4 +213,4 @@ def test_splits_without_poses_are_told(tmp_path: Path) -> None:
 
     write_dreds_scene(tmp_path / "DREDS-CatKnown" / "test" / "1", short_meta=True)
     with pytest.raises(ToolkitError, match="no normalised coordinates"):
-        run_task(TASK, a_pose_run(tmp_path, tmp_path / "out"), SERIAL)
+        run_task(a_pose_run(tmp_path, tmp_path / "out"), SERIAL)

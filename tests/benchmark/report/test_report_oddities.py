@@ -12,7 +12,6 @@ import pytest
 from benchmark.cli.report import main
 from benchmark.evaluation.engine import run_all
 from benchmark.evaluation.results import TABLE
-from benchmark.evaluation.tasks.depth import TASK
 from benchmark.evaluation.tasks.depth_results import read_results
 from benchmark.report.leaderboard import MEASURED, PUBLISHED, make_board, one_of_each
 from benchmark.report.parts.depth_plots import bars, method_colors, radar
@@ -28,7 +27,7 @@ JOBS = JobOptions(engine="serial", progress=False)
 def results(tmp_path: Path) -> Path:
     root = write_split(tmp_path / "data", scenes=2, frames=2)
     runs = [a_run(root, tmp_path / "r", m, gallery=False) for m in ("raw", "nearest")]
-    run_all(TASK, runs, JOBS)
+    run_all(runs, JOBS)
     return tmp_path / "r"
 
 

@@ -9,7 +9,6 @@ import pytest
 
 from benchmark.cli.report import PAGE, main
 from benchmark.evaluation.engine import run_all
-from benchmark.evaluation.tasks.depth import TASK
 from std_toolkit.jobs import JobOptions
 from tests.benchmark.evaluation.bench_set import a_run, write_split
 
@@ -24,7 +23,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     top = tmp_path_factory.mktemp("page")
     root = write_split(top / "data", scenes=2, frames=2)
     jobs = JobOptions(engine="serial", progress=False)
-    run_all(TASK, [a_run(root, top / "r", m) for m in ("raw", "nearest", "telea")], jobs)
+    run_all([a_run(root, top / "r", m) for m in ("raw", "nearest", "telea")], jobs)
     assert main([str(top / "r")]) == 0
     return top / "r" / PAGE
 

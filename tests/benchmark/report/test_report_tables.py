@@ -14,7 +14,6 @@ import pytest
 
 from benchmark.cli.report import PAGE, main
 from benchmark.evaluation.engine import run_all
-from benchmark.evaluation.tasks.depth import TASK
 from benchmark.evaluation.tasks.depth_results import read_results, summarise
 from benchmark.report.leaderboard import (
     MEASURED,
@@ -42,7 +41,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = top / "results"
     jobs = JobOptions(engine="serial", progress=False)
     runs = [a_run(root, out, method) for method in ("raw", "nearest", "telea")]
-    assert not run_all(TASK, runs, jobs).failed
+    assert not run_all(runs, jobs).failed
     return out
 
 

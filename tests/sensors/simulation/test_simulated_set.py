@@ -149,7 +149,8 @@ def test_bad_input_is_one_line(
 ) -> None:
     # Other options than those that a set was begun with need a set.
     out = made if "--views" in more else tmp_path / "new"
-    assert main(arguments(out, shapes, "--engine", "serial", *more)) == 1
+    status = 2 if "--share" in more else 1
+    assert main(arguments(out, shapes, "--engine", "serial", *more)) == status
     lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("error:")]
     assert len(lines) == 1 and said in lines[0]
     assert not (tmp_path / "new" / "DREDS-CatKnown").exists()
