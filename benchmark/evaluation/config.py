@@ -312,6 +312,15 @@ def _by_method(
     return found
 
 
+def plain_label(name: str) -> str:
+    """Label of a method or planner that is named by its place, such as `my/file.py:Class`.
+
+    >>> plain_label("my/file.py:Class")
+    'file.py.Class'
+    """
+    return name.rpartition("/")[2].replace(":", ".")
+
+
 def checked_label(text: str) -> str:
     """A name of a method in tables and folders.
 
