@@ -1,4 +1,4 @@
-"""Label an object from points clicked on its mesh and in an image, and carry the label to all frames.
+"""Label an object from points clicked on its mesh and in an image, then propagate the label.
 
 python examples/03_label_from_clicks.py
 """
