@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from pathlib import Path
 from typing import get_args
 
 import msgspec
 
+from annotator.options import AnnotateOptions
 from annotator.session.edits import (
     AddObject,
     AnyEdit,
@@ -101,12 +101,13 @@ def run_script(session: Session, steps: list[Step], path: Path | str) -> Iterato
             ) from error
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: AnnotateOptions) -> int:
     """`std-annotate SCENE --script FILE`: prints a line for every step; exit status 0.
 
     Raises:
         ToolkitError: a step that cannot be carried out, or earlier edits to decide about.
     """
+    assert args.script is not None and args.scene is not None  # the options see to it
     steps = read_script(args.script)
     with Session.open(
         args.scene, annotator=args.annotator, recover=args.recover, by_hand=False
