@@ -14,7 +14,7 @@ import numpy as np
 from playwright.sync_api import sync_playwright
 
 OUT = Path(__file__).with_name("report.jpg")
-WIDTH, HEIGHT = 1240, 1180
+WIDTH, HEIGHT = 1240, 1580
 
 
 def main(page_file: Path) -> None:

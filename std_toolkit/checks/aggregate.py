@@ -85,7 +85,7 @@ def check_frames(
     Args:
         scene: the scene.
         observed: the frames looked at.
-        problems: error line by frame id, of frames that could not be looked at.
+        problems: error line by frame id, of frames that could not be checked.
     """
     looks = {o.frame: o for o in observed}
     poses = {p.frame: p for p in scene.poses.frames} if scene.poses else {}

@@ -23,7 +23,7 @@ ENOUGH_SHIFTS = 0.5
 
 
 def scale_share(summary: SceneSummary) -> float:
-    """Part of a depth that the scale leaves open: what sources of metres, or the sensor, may err.
+    """Part of a depth that the scale leaves open: errors of its sources and of the sensor.
 
     The largest of: the standard error of the scale, the disagreement of its sources, and the bias
     that all diffuse objects share (if a sensor can have it).
@@ -88,7 +88,7 @@ def evaluate_gates(
         *_label_gates(summary, objects, options),
         _gate(
             "frames",
-            "frames that could not be looked at",
+            "frames that could not be checked",
             float(sum(bool(f.problem) for f in frames)) if summary.looked_at or frames else None,
             0.0,
             detail=_names([f.name for f in frames if f.problem]),
@@ -147,7 +147,7 @@ def _pose_gates(
         ),
         _gate(
             "scale",
-            "disagreement of the sources of metres",
+            "disagreement of the scale sources",
             100 * scale.disagreement if scale is not None and several else None,
             100 * options.max_scale_disagreement,
             unit="%",
@@ -163,8 +163,7 @@ def _pose_gates(
                 "poses without a metric scale",
                 1.0,
                 0.0,
-                advice="give a source of metres: sensor depth, a CAD model in two keyframes or a "
-                "board",
+                advice="give a scale source: sensor depth, a CAD model in two keyframes or a board",
             )
         )
     failed = [g for g in poses.gates if not g.passed] if poses else []
@@ -237,8 +236,8 @@ def _label_gates(
                 if share and _worst(depth) is not None
                 else ""
             ),
-            advice="the label stands off along the view: refine it with depth, or annotate it in a "
-            "second frame from the side; check the mesh's size",
+            advice="the label is displaced along the view: refine it with depth, or annotate it "
+            "in a second frame from the side; check the mesh's size",
         ),
         _gate(
             "drift",
@@ -322,7 +321,7 @@ def _names(names: Sequence[str]) -> str:
 
 def _scale_detail(scale: ScaleReport | None) -> str:
     if scale is None:
-        return "no source of metres is reported"
+        return "no scale source is reported"
     if len(scale.estimates) < 2:
         return f"one source only ({scale.chosen}): nothing to compare with"
     return f"used: {scale.chosen}; known: {', '.join(e.source for e in scale.estimates)}"

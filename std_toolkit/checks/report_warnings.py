@@ -57,7 +57,7 @@ def _frame_warnings(frames: Sequence[result.FrameCheck]) -> list[result.CheckWar
         result.CheckWarning(
             severity="high",
             about=f"frame {f.name}",
-            problem=f"could not be looked at: {f.problem}",
+            problem=f"could not be checked: {f.problem}",
             advice="restore the file or import the recording again",
         )
         for f in frames
@@ -155,8 +155,8 @@ def _scale_warnings(summary: result.SceneSummary) -> list[result.CheckWarning]:
         result.CheckWarning(
             severity="medium",
             about="scale",
-            problem="the metres come from sensor depth alone, which errs by 1 to 2 %: labels may "
-            "be off by 10 mm at 0.7 m although they fit the images and the depth",
+            problem="the metric scale comes from sensor depth alone, which is 1 to 2 % off: labels "
+            "may be off by 10 mm at 0.7 m although they fit the images and the depth",
             advice="run `std-curate propagate --refine --refine-scale` (the known sizes of the "
             "objects), or add a board or an object annotated in several frames",
         )

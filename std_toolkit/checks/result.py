@@ -175,7 +175,7 @@ class FrameCheck(Document, frozen=True, kw_only=True):
         edge_px: median over the objects.
         depth_valid: share of pixels with a sensor reading.
         truth: "current", "stale" or "none".
-        problem: why the frame could not be looked at, or "".
+        problem: why the frame could not be checked, or "".
     """
 
     frame: Count

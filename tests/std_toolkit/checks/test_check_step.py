@@ -372,4 +372,6 @@ def test_warnings_of_weight_are_printed(
     report = ScaleReport(unit="metre", chosen="depth", estimates=[depth])
     scene.save_poses(msgspec.structs.replace(scene.poses, scale=report))
     assert cli.main(["check", str(scene.root), "--engine", "serial", "--max-frames", "1"]) == 0
-    assert "warning: scale: the metres come from sensor depth alone" in capsys.readouterr().out
+    assert (
+        "warning: scale: the metric scale comes from sensor depth alone" in capsys.readouterr().out
+    )
