@@ -35,7 +35,9 @@ def open_scene(options: AnnotateOptions) -> int:
             hint="make one with `std-curate import`",
         )
     if options.script is not None:
-        return int(importlib.import_module("annotator.session.script").run(options))
+        script = importlib.import_module("annotator.session.script")
+        who, recover = options.annotator, options.recover
+        return int(script.run(options.scene, options.script, annotator=who, recover=recover))
     if options.web is not None:
         token = options.token or os.environ.get(TOKEN_VARIABLE)
         needs = ("aiohttp", "pyvista", "trame", "trame_vuetify")
