@@ -37,6 +37,16 @@ MOST_LINES = 8
 OTHER_RESIDUALS = "Residuals of the others"
 
 
+def tell_opening(controller: Controller) -> None:
+    """What a person must know of a scene that was just opened."""
+    session = controller.session
+    for warning in (*session.warnings, session.pose_problem):
+        if warning is not None:
+            controller.tell(warning, "warning")
+    if not session.writable:
+        controller.tell("This scene is open for looking only: nothing can be changed.")
+
+
 def refine(controller: Controller, *, all_objects: bool = False) -> None:
     """Fit the selected object, or all placed ones together, to the images and the depth."""
     from annotator.session.requests import Refine

@@ -24,6 +24,7 @@ from annotator.app.action_table import ACTIONS, MENUS, OPACITY_TIP, SHORT_TITLES
 from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.qt.number_field import NumberField
+from annotator.qt.panel import Panel, tool_button
 from annotator.qt.theme import icon
 
 TEXT_FIELDS = (QLineEdit, QAbstractSpinBox, QPlainTextEdit, QTextEdit)
@@ -160,12 +161,13 @@ def _is_command(event: QKeyEvent) -> bool:
     return bool(event.modifiers() & strong)
 
 
-class OpacitySlider(QWidget):
+class OpacitySlider(Panel):
     """How much of the image shines through the meshes."""
 
+    KINDS = ("view",)
+
     def __init__(self, controller: Controller) -> None:
-        super().__init__()
-        self._controller = controller
+        super().__init__(controller)
         self.slider = QSlider(Qt.Orientation.Horizontal)
         self.slider.setRange(10, 100)
         self.slider.setFixedWidth(72)
@@ -176,22 +178,14 @@ class OpacitySlider(QWidget):
         row = QHBoxLayout(self)
         row.setContentsMargins(4, 0, 4, 0)
         row.addWidget(self.slider)
-        self._unsubscribe = controller.subscribe(self._on_event)
-        self._show()
-
-    def close_panel(self) -> None:
-        self._unsubscribe()
+        self.follow()
 
     def _set(self, percent: int) -> None:
         if percent != round(100 * self._controller.options.opacity):
             self._controller.set_options(opacity=percent / 100)
 
-    def _show(self) -> None:
+    def refresh(self) -> None:
         self.slider.setValue(round(100 * self._controller.options.opacity))
-
-    def _on_event(self, event: Event) -> None:
-        if event.kind == "view":
-            self._show()
 
 
 class ActionBar(QToolBar):
@@ -218,16 +212,12 @@ class ActionBar(QToolBar):
         self.opacity.close_panel()
 
     def _button(self, commands: Commands, id: str) -> QToolButton:
-        button = QToolButton()
-        button.setIconSize(QSize(20, 20))
-        button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         action = commands.actions[id]
+        button = tool_button(action, labelled=id in SHORT_TITLES)
+        button.setIconSize(QSize(20, 20))
         if id in SHORT_TITLES:
-            button.setObjectName("labelled")
-            button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
             action.setIconText(SHORT_TITLES[id])
             self._labelled.append(button)
-        button.setDefaultAction(action)
         return button
 
     def resizeEvent(self, event: QResizeEvent) -> None:

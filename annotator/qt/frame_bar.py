@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt, QTimer, Signal
 from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPolygonF, QWheelEvent
-from PySide6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QSpinBox, QToolButton, QWidget
+from PySide6.QtWidgets import QHBoxLayout, QSizePolicy, QSpinBox, QWidget
 
 from annotator.app.controller import Controller
-from annotator.app.events import Event
 from annotator.app.panels import FrameMarks, frame_marks
 from annotator.qt import theme
 from annotator.qt.commands import Commands
+from annotator.qt.panel import Panel, label, tool_button
 
 
 class FrameStrip(QWidget):
@@ -97,18 +97,18 @@ class FrameStrip(QWidget):
         return ", ".join(parts)
 
 
-class FrameBar(QWidget):
+class FrameBar(Panel):
     """Strip, buttons and name of the frame in the main view.
 
     Signals:
         left: a number was entered, and keys should reach the views again.
     """
 
+    KINDS = ("edited", "frames")
     left = Signal()
 
     def __init__(self, controller: Controller, commands: Commands) -> None:
-        super().__init__()
-        self._controller = controller
+        super().__init__(controller)
         self._ids = [f.id for f in controller.session.scene.frames]
         self._place = {id: i for i, id in enumerate(self._ids)}
         self.strip = FrameStrip()
@@ -122,16 +122,13 @@ class FrameBar(QWidget):
         self.number.setToolTip("Number of the frame in the main view: type one to go there.")
         self.number.editingFinished.connect(self._go_to_number)
         self.number.lineEdit().returnPressed.connect(self.left)
-        self.label = QLabel()
-        self.label.setObjectName("muted")
+        self.label = label("muted")
         row = QHBoxLayout(self)
         row.setContentsMargins(6, 1, 6, 1)
         row.setSpacing(4)
         for id in ("previous_frame", "next_frame"):
-            button = QToolButton()
-            button.setDefaultAction(commands.actions[id])
+            button = tool_button(commands.actions[id])
             button.setAutoRepeat(True)
-            button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
             row.addWidget(button)
         row.addWidget(self.number)
         row.addWidget(self.strip, 1)
@@ -140,11 +137,10 @@ class FrameBar(QWidget):
         self._wanted: int | None = None
         self._soon = QTimer(self, singleShot=True, interval=0)
         self._soon.timeout.connect(self._show_wanted)
-        self._unsubscribe = controller.subscribe(self._on_event)
-        self.refresh()
+        self.follow()
 
     def close_panel(self) -> None:
-        self._unsubscribe()
+        super().close_panel()
         self._soon.stop()
 
     def refresh(self) -> None:
@@ -178,7 +174,3 @@ class FrameBar(QWidget):
         nearest = min(self._ids, key=lambda id: abs(id - self.number.value()))
         self._controller.attempt(lambda: self._controller.show_frame(nearest))
         self.number.setValue(nearest)
-
-    def _on_event(self, event: Event) -> None:
-        if event.kind in ("edited", "frames"):
-            self.refresh()

@@ -10,21 +10,17 @@ from PySide6.QtCore import QMimeData, QSize, Qt, Signal
 from PySide6.QtGui import QDragEnterEvent, QDragMoveEvent, QDropEvent, QIcon, QImage, QPixmap
 from PySide6.QtWidgets import (
     QHBoxLayout,
-    QLabel,
     QListWidget,
     QListWidgetItem,
-    QSizePolicy,
     QStackedLayout,
-    QToolButton,
     QVBoxLayout,
-    QWidget,
 )
 
 from annotator.app.controller import Controller
-from annotator.app.events import Event
 from annotator.app.placing import add_object
 from annotator.app.questions import symmetry_summary
 from annotator.qt.commands import Commands
+from annotator.qt.panel import Panel, label, tool_button
 from annotator.qt.theme import pixmap
 from annotator.views.thumbnails import Thumbnails
 from std_toolkit.geometry.mesh import MESH_SUFFIXES
@@ -35,55 +31,42 @@ THUMBNAIL = 60
 _EMPTY = "No meshes yet: drop mesh files here."
 
 
-class LibraryPanel(QWidget):
+class LibraryPanel(Panel):
     """Meshes of the scene.
 
     Signals:
         files_dropped: mesh files (list of Path) that were dropped onto the library.
     """
 
+    KINDS = ("edited",)
     files_dropped = Signal(list)
 
     def __init__(self, controller: Controller, commands: Commands) -> None:
-        super().__init__()
-        self._controller = controller
+        super().__init__(controller)
         self._icons: dict[str, QIcon] = {}
         self._thumbnails: Thumbnails | None = None
         self.list = _Meshes()
         self.list.itemDoubleClicked.connect(
             lambda item: add_object(controller, item.data(Qt.ItemDataRole.UserRole))
         )
-        heading = QLabel("Mesh library")
-        heading.setObjectName("heading")
-        add = QToolButton()
-        add.setObjectName("labelled")
-        add.setDefaultAction(commands.actions["add_mesh"])
-        add.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
-        add.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         top = QHBoxLayout()
-        top.addWidget(heading)
+        top.addWidget(label("heading", "Mesh library"))
         top.addStretch(1)
-        top.addWidget(add)
+        top.addWidget(tool_button(commands.actions["add_mesh"], labelled=True))
 
-        empty = QLabel(_EMPTY)
-        empty.setObjectName("empty")
-        empty.setWordWrap(True)
-        empty.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        empty.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)
         self.stack = QStackedLayout()
         self.stack.addWidget(self.list)
-        self.stack.addWidget(empty)
+        self.stack.addWidget(label("empty", _EMPTY))
         layout = QVBoxLayout(self)
         layout.setContentsMargins(6, 4, 6, 4)
         layout.setSpacing(4)
         layout.addLayout(top)
         layout.addLayout(self.stack, 1)
         self.setAcceptDrops(True)
-        self._unsubscribe = controller.subscribe(self._on_event)
-        self.refresh()
+        self.follow()
 
     def close_panel(self) -> None:
-        self._unsubscribe()
+        super().close_panel()
         if self._thumbnails is not None:
             self._thumbnails.close()
 
@@ -113,10 +96,6 @@ class LibraryPanel(QWidget):
     def _show_pictures(self, pictures: dict[str, NDArray[np.uint8] | None]) -> None:
         self._icons = {id: _as_icon(picture) for id, picture in pictures.items()}
         self.refresh()
-
-    def _on_event(self, event: Event) -> None:
-        if event.kind == "edited":
-            self.refresh()
 
     # --- mesh files from the desktop -------------------------------------------------------------
 

@@ -151,12 +151,7 @@ class Shell(QMainWindow):
         self.setWindowTitle(f"{session.scene.info.name}{who}{how} · std-annotate[*]")
         self.controller.subscribe(self._on_event)
         self.workspace.start()
-        for warning in session.warnings:
-            self.controller.tell(warning, "warning")
-        if session.pose_problem is not None:
-            self.controller.tell(session.pose_problem, "warning")
-        if not session.writable:
-            self.controller.tell("This scene is open for looking only: nothing can be changed.")
+        operations.tell_opening(self.controller)
 
     def _show_first_image(self, session: Session, images: ImageCache, frame: int) -> None:
         try:

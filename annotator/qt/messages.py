@@ -9,7 +9,6 @@ from PySide6.QtWidgets import (
     QLabel,
     QProgressBar,
     QSizePolicy,
-    QToolButton,
     QVBoxLayout,
     QWidget,
 )
@@ -18,6 +17,7 @@ from annotator.app.controller import Controller
 from annotator.app.events import Event, Level, Notice, Notices
 from annotator.app.object_summary import next_hint
 from annotator.qt import theme
+from annotator.qt.panel import Panel, tool_button
 from annotator.qt.theme import icon, pixmap
 
 # Long enough to read; errors stay until they are closed or newer messages replace them.
@@ -29,15 +29,12 @@ WIDEST = 680
 
 MARGIN = 10
 
-_INK: dict[Level, str] = {"info": theme.ACCENT, "warning": theme.WARNING, "error": theme.BAD}
 
-
-class StatusLine(QWidget):
+class StatusLine(Panel):
     """Hint, progress and saved state."""
 
     def __init__(self, controller: Controller) -> None:
-        super().__init__()
-        self._controller = controller
+        super().__init__(controller)
         self._moving = False
         self.hint = QLabel()
         self.hint.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
@@ -45,11 +42,10 @@ class StatusLine(QWidget):
         self.progress = QProgressBar()
         self.progress.setFixedWidth(120)
         self.progress.setTextVisible(False)
-        self.cancel = QToolButton()
+        self.cancel = tool_button()
         self.cancel.setIcon(icon("close"))
         self.cancel.setIconSize(QSize(12, 12))
         self.cancel.setToolTip("<b>Cancel</b> Esc<br>Stop; nothing is changed.")
-        self.cancel.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.cancel.clicked.connect(controller.cancel)
         self.saved = QLabel()
         row = QHBoxLayout(self)
@@ -67,11 +63,10 @@ class StatusLine(QWidget):
         self._soon.timeout.connect(self.refresh)
         self._watch = QTimer(self, interval=150)
         self._watch.timeout.connect(self._show_progress)
-        self._unsubscribe = controller.subscribe(self._on_event)
-        self.refresh()
+        self.follow()
 
     def close_panel(self) -> None:
-        self._unsubscribe()
+        super().close_panel()
         self._soon.stop()
         self._watch.stop()
 
@@ -194,18 +189,17 @@ class Message(QFrame):
         self.setObjectName("message")
         self.setStyleSheet(
             f"QFrame#message {{ background: {theme.RAISED}; border: 1px solid {theme.BORDER};"
-            f" border-left: 3px solid {_INK[level]}; }}"
+            f" border-left: 3px solid {theme.LEVEL_INK[level]}; }}"
         )
         sign = QLabel()
-        sign.setPixmap(pixmap(level, 16, _INK[level], self.devicePixelRatioF()))
+        sign.setPixmap(pixmap(level, 16, theme.LEVEL_INK[level], self.devicePixelRatioF()))
         label = QLabel(self.text)
         label.setTextFormat(Qt.TextFormat.PlainText)
         label.setWordWrap(True)
         label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.close_button = QToolButton()
+        self.close_button = tool_button()
         self.close_button.setIcon(icon("close", theme.MUTED))
         self.close_button.setToolTip("Close this message")
-        self.close_button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         row = QHBoxLayout(self)
         row.setContentsMargins(8, 4, 4, 4)
         row.addWidget(sign, 0, Qt.AlignmentFlag.AlignTop)

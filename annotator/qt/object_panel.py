@@ -23,24 +23,21 @@ from PySide6.QtGui import QColor, QFont, QFontMetrics, QPainter
 from PySide6.QtWidgets import (
     QComboBox,
     QHBoxLayout,
-    QLabel,
     QListView,
     QMenu,
-    QSizePolicy,
     QStackedLayout,
     QStyle,
     QStyledItemDelegate,
     QStyleOptionViewItem,
-    QToolButton,
     QVBoxLayout,
     QWidget,
 )
 
 from annotator.app.controller import Controller
-from annotator.app.events import Event
 from annotator.app.object_summary import ObjectSummary, progress, summarize
 from annotator.qt import theme
 from annotator.qt.commands import Commands
+from annotator.qt.panel import Panel, label, tool_button
 from annotator.qt.theme import icon, pixmap
 from annotator.session import ChangeObject
 from std_toolkit.html.plots import object_color
@@ -61,12 +58,6 @@ Index = QModelIndex | QPersistentModelIndex
 
 OBJECT_MIME = "application/x-std-annotate-object"
 
-_GRADE_INK = {
-    "good": theme.GOOD,
-    "fair": theme.WARNING,
-    "poor": theme.BAD,
-    "unknown": theme.MUTED,
-}
 
 _STATE_INK = {
     "not placed": theme.FAINT,
@@ -78,12 +69,13 @@ _STATE_INK = {
 _ROLE = Qt.ItemDataRole
 
 
-class ObjectPanel(QWidget):
+class ObjectPanel(Panel):
     """List, material and the most used commands."""
 
+    KINDS = ("edited", "selected", "residuals", "penetration", "saved")
+
     def __init__(self, controller: Controller, commands: Commands) -> None:
-        super().__init__()
-        self._controller = controller
+        super().__init__(controller)
         self._commands = commands
         self.model = ObjectListModel()
         self.list = ObjectList(self.model)
@@ -91,24 +83,16 @@ class ObjectPanel(QWidget):
         self.list.customContextMenuRequested.connect(self._show_menu)
         self.list.doubleClicked.connect(lambda: commands.run("zoom_object"))
 
-        heading = QLabel("Objects")
-        heading.setObjectName("heading")
-        self.count = QLabel()
-        self.count.setObjectName("muted")
+        self.count = label("muted")
         top = QHBoxLayout()
-        top.addWidget(heading)
+        top.addWidget(label("heading", "Objects"))
         top.addStretch(1)
         top.addWidget(self.count)
 
-        empty = QLabel(_EMPTY)
-        empty.setObjectName("empty")
-        empty.setWordWrap(True)
-        empty.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        empty.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)
         self.list.setMinimumHeight(round(8.7 * self.fontMetrics().height()))
         self.stack = QStackedLayout()
         self.stack.addWidget(self.list)
-        self.stack.addWidget(empty)
+        self.stack.addWidget(label("empty", _EMPTY))
 
         self.material = QComboBox()
         self.material.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
@@ -124,11 +108,7 @@ class ObjectPanel(QWidget):
         below = QHBoxLayout()
         below.addWidget(self.material, 1)
         for id in ("done", "note", "unplace", "remove_object"):
-            button = QToolButton()
-            button.setDefaultAction(commands.actions[id])
-            button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonIconOnly)
-            button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-            below.addWidget(button)
+            below.addWidget(tool_button(commands.actions[id]))
 
         layout = QVBoxLayout(self)
         layout.setContentsMargins(6, 4, 6, 4)
@@ -136,11 +116,7 @@ class ObjectPanel(QWidget):
         layout.addLayout(top)
         layout.addLayout(self.stack, 1)
         layout.addLayout(below)
-        self._unsubscribe = controller.subscribe(self._on_event)
-        self.refresh()
-
-    def close_panel(self) -> None:
-        self._unsubscribe()
+        self.follow()
 
     def refresh(self) -> None:
         c = self._controller
@@ -184,10 +160,6 @@ class ObjectPanel(QWidget):
         materials = menu.addMenu("Material")
         materials.addActions([self._commands.actions[f"material_{m}"] for m in MATERIALS])
         menu.popup(self.list.viewport().mapToGlobal(place))
-
-    def _on_event(self, event: Event) -> None:
-        if event.kind in ("edited", "selected", "residuals", "penetration", "saved"):
-            self.refresh()
 
 
 class ObjectListModel(QAbstractListModel):
@@ -271,7 +243,7 @@ class ObjectDelegate(QStyledItemDelegate):
         painter.setFont(small)
         used = 0
         if row.badge:
-            painter.setPen(QColor(theme.TEXT if selected else _GRADE_INK[row.grade]))
+            painter.setPen(QColor(theme.TEXT if selected else theme.GRADE_INK[row.grade]))
             painter.drawText(bottom, right | middle, row.badge)
             used = QFontMetrics(small).horizontalAdvance(row.badge) + 8
         painter.setPen(QColor(theme.TEXT if selected else _STATE_INK[row.state]))

@@ -8,21 +8,18 @@ from PySide6.QtWidgets import (
     QAbstractItemView,
     QHBoxLayout,
     QHeaderView,
-    QLabel,
     QPushButton,
     QStackedLayout,
-    QTableWidget,
     QTableWidgetItem,
-    QToolButton,
     QVBoxLayout,
     QWidget,
 )
 
 from annotator.app.controller import Controller
-from annotator.app.events import Event
 from annotator.app.panels import ClickRow, click_rows
 from annotator.qt import theme
 from annotator.qt.commands import Commands
+from annotator.qt.panel import Panel, label, number_table, tool_button
 from annotator.qt.theme import icon
 from annotator.qt.view_area import ViewWidget
 from annotator.session import ChangeClick, Click
@@ -39,23 +36,18 @@ _EMPTY = (
 )
 
 
-class PointsPanel(QWidget):
+class PointsPanel(Panel):
     """Clicked points of the selected object, with what each is off after PnP."""
 
+    KINDS = ("edited", "selected", "frames", "tool")
+
     def __init__(self, controller: Controller, commands: Commands) -> None:
-        super().__init__()
-        self._controller = controller
+        super().__init__(controller)
         self.rows: list[ClickRow] = []
         self._filling = False
-        self.table = QTableWidget(0, 5)
-        self.table.setHorizontalHeaderLabels(["#", "frame", "u", "v", "residual"])
-        self.table.verticalHeader().setVisible(False)
-        self.table.setShowGrid(False)
+        self.table = number_table(["#", "frame", "u", "v", "residual"])
         header = self.table.horizontalHeader()
-        header.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
         header.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
-        header.setHighlightSections(False)
-        self.table.verticalHeader().setDefaultSectionSize(22)
         self.table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         self.table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
         self.table.setEditTriggers(QAbstractItemView.EditTrigger.DoubleClicked)
@@ -67,14 +59,10 @@ class PointsPanel(QWidget):
             "in the image to correct it, or double-click a number here."
         )
 
-        empty = QLabel(_EMPTY)
-        empty.setObjectName("empty")
-        empty.setWordWrap(True)
-        empty.setAlignment(Qt.AlignmentFlag.AlignCenter)
         below = QWidget()
         self.stack = QStackedLayout(below)
         self.stack.addWidget(self.table)
-        self.stack.addWidget(empty)
+        self.stack.addWidget(label("empty", _EMPTY))
 
         self.remove_button = QPushButton(icon("remove"), "Delete point")
         self.remove_button.setToolTip("Take the chosen point of the list away.")
@@ -82,12 +70,7 @@ class PointsPanel(QWidget):
         self.remove_button.clicked.connect(self.remove)
         buttons = QHBoxLayout()
         for id in ("clicking", "solve_points"):
-            button = QToolButton()
-            button.setObjectName("labelled")
-            button.setDefaultAction(commands.actions[id])
-            button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
-            button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-            buttons.addWidget(button)
+            buttons.addWidget(tool_button(commands.actions[id], labelled=True))
         buttons.addStretch(1)
         edit = QHBoxLayout()
         edit.addWidget(self.remove_button)
@@ -101,11 +84,10 @@ class PointsPanel(QWidget):
         layout.addWidget(self.picker, 3)
         layout.addWidget(below, 2)
         layout.addLayout(edit)
-        self._unsubscribe = controller.subscribe(self._on_event)
-        self.refresh()
+        self.follow()
 
     def close_panel(self) -> None:
-        self._unsubscribe()
+        super().close_panel()
         self.picker.close_panel()
 
     def selected_row(self) -> ClickRow | None:
@@ -167,10 +149,6 @@ class PointsPanel(QWidget):
         c = self._controller
         usable = self.selected_row() is not None and c.session.writable
         self.remove_button.setEnabled(usable)
-
-    def _on_event(self, event: Event) -> None:
-        if event.kind in ("edited", "selected", "frames", "tool"):
-            self.refresh()
 
 
 def _ink(residual_px: float) -> str:

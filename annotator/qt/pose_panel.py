@@ -10,12 +10,9 @@ from PySide6.QtWidgets import (
     QComboBox,
     QGridLayout,
     QHBoxLayout,
-    QLabel,
     QLineEdit,
     QPushButton,
-    QToolButton,
     QVBoxLayout,
-    QWidget,
 )
 
 from annotator.app.controller import STEPS, Controller
@@ -29,21 +26,22 @@ from annotator.app.pose_text import (
 )
 from annotator.qt.commands import Commands
 from annotator.qt.number_field import NumberField
+from annotator.qt.panel import Panel, label, tool_button
 from annotator.qt.theme import icon
 
 
-class PosePanel(QWidget):
+class PosePanel(Panel):
     """Numbers in the camera of the view in hand, or in the world.
 
     Signals:
         left: typing is over, and keys should reach the views again.
     """
 
+    KINDS = ("edited", "selected", "frames", "tool")
     left = Signal()
 
     def __init__(self, controller: Controller, commands: Commands) -> None:
-        super().__init__()
-        self._controller = controller
+        super().__init__(controller)
         self.fields = PoseFields(controller)
         self._frame_box = QComboBox()
         self._frame_box.addItem("camera", False)
@@ -65,10 +63,7 @@ class PosePanel(QWidget):
         self.position = [NumberField("mm", 2) for _ in "xyz"]
         self.rotation = [NumberField("°", 3) for _ in "xyz"]
         for column, axis in enumerate("xyz"):
-            label = QLabel(axis)
-            label.setObjectName("muted")
-            label.setAlignment(Qt.AlignmentFlag.AlignCenter)
-            grid.addWidget(label, 0, column)
+            grid.addWidget(label("muted", axis), 0, column, Qt.AlignmentFlag.AlignCenter)
             grid.addWidget(self.position[column], 1, column)
             grid.addWidget(self.rotation[column], 2, column)
             self.position[column].setToolTip(
@@ -95,8 +90,7 @@ class PosePanel(QWidget):
         matrix.addWidget(self.copy_button)
         matrix.addWidget(self.paste_button)
 
-        self.provenance = QLabel()
-        self.provenance.setObjectName("muted")
+        self.provenance = label("muted")
         self.provenance.setWordWrap(True)
         self.provenance.setTextFormat(Qt.TextFormat.PlainText)
         self.provenance.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
@@ -117,36 +111,25 @@ class PosePanel(QWidget):
         # Numbers that change faster cannot be read, and would slow a drag down.
         self._soon = QTimer(self, singleShot=True, interval=100)
         self._soon.timeout.connect(self.refresh)
-        self._unsubscribe = controller.subscribe(self._on_event)
-        self.refresh()
+        self.follow()
 
     def close_panel(self) -> None:
-        self._unsubscribe()
+        super().close_panel()
         self._soon.stop()
 
     def _steps_row(self, commands: Commands) -> QHBoxLayout:
         row = QHBoxLayout()
         row.setSpacing(2)
-        label = QLabel("Key steps")
-        label.setObjectName("muted")
-        row.addWidget(label)
+        row.addWidget(label("muted", "Key steps"))
         row.addStretch(1)
         for size, name in zip(STEPS, ("coarse", "middle", "fine"), strict=True):
-            button = QToolButton()
-            button.setDefaultAction(commands.actions[f"step_{name}"])
-            button.setText(f"{size:g}")
-            button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextOnly)
-            button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
             # The action's long title would replace it with every update.
             commands.actions[f"step_{name}"].setIconText(f"{size:g}")
+            button = tool_button(commands.actions[f"step_{name}"])
+            button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextOnly)
             row.addWidget(button)
-        unit = QLabel("mm, °")
-        unit.setObjectName("muted")
-        row.addWidget(unit)
-        axes = QToolButton()
-        axes.setDefaultAction(commands.actions["axes"])
-        axes.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        row.addWidget(axes)
+        row.addWidget(label("muted", "mm, °"))
+        row.addWidget(tool_button(commands.actions["axes"]))
         return row
 
     # --- typing -----------------------------------------------------------------------------------
@@ -212,7 +195,7 @@ class PosePanel(QWidget):
     def _on_event(self, event: Event) -> None:
         if event.kind == "preview" and not self._soon.isActive():
             self._soon.start()
-        elif event.kind in ("edited", "selected", "frames", "tool"):
+        elif event.kind in self.KINDS:
             self._soon.stop()
             self.refresh()
 

@@ -101,10 +101,9 @@ class QuestionDialog(QDialog):
         top = QHBoxLayout()
         top.setSpacing(14)
         if not question.groups:
-            ink = {"info": theme.ACCENT, "warning": theme.WARNING, "error": theme.BAD}
             sign = QLabel()
             ratio = self.devicePixelRatioF()
-            sign.setPixmap(pixmap(question.level, 32, ink[question.level], ratio))
+            sign.setPixmap(pixmap(question.level, 32, theme.LEVEL_INK[question.level], ratio))
             top.addWidget(sign, 0, Qt.AlignmentFlag.AlignTop)
         top.addLayout(self._words(), 1)
         row = QHBoxLayout()

@@ -6,29 +6,19 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import (
     QAbstractItemView,
-    QHeaderView,
     QLabel,
     QScrollArea,
-    QTableWidget,
     QTableWidgetItem,
-    QToolButton,
     QVBoxLayout,
-    QWidget,
 )
 
 from annotator.app.controller import Controller
-from annotator.app.events import Event
 from annotator.app.object_summary import CHANCE_SHARE, DEPTH_MM, EDGE_PX
 from annotator.app.panels import ResidualRow, residual_rows, verdict, weak_direction
 from annotator.qt import theme
 from annotator.qt.commands import Commands
+from annotator.qt.panel import Panel, label, number_table, tool_button
 
-_INK = {
-    "good": theme.GOOD,
-    "fair": theme.WARNING,
-    "poor": theme.BAD,
-    "unknown": theme.MUTED,
-}
 _LEGEND = (
     "<b>Edges</b>: median distance of the drawn contour to the nearest image edge. Up to "
     f"{EDGE_PX[0]:g} px is good, above {EDGE_PX[1]:g} px something is off.<br>"
@@ -40,23 +30,16 @@ _LEGEND = (
 )
 
 
-class ResidualPanel(QWidget):
+class ResidualPanel(Panel):
     """One row to each shown frame."""
 
+    KINDS = ("edited", "selected", "residuals")
+
     def __init__(self, controller: Controller, commands: Commands) -> None:
-        super().__init__()
-        self._controller = controller
-        self.table = QTableWidget(0, 4)
-        self.table.setHorizontalHeaderLabels(["frame", "edges", "chance", "depth"])
-        self.table.verticalHeader().setVisible(False)
-        self.table.verticalHeader().setDefaultSectionSize(22)
+        super().__init__(controller)
+        self.table = number_table(["frame", "edges", "chance", "depth"])
         # The main view and three beside it.
         self.table.setMinimumHeight(4 * 22 + self.table.horizontalHeader().sizeHint().height() + 4)
-        self.table.setShowGrid(False)
-        header = self.table.horizontalHeader()
-        header.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
-        header.setHighlightSections(False)
-        self.table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
         self.table.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
         self.table.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.table.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
@@ -65,8 +48,7 @@ class ResidualPanel(QWidget):
         self.weak = QLabel()
         self.weak.setWordWrap(True)
         self.weak.setStyleSheet(f"color: {theme.WARNING}")
-        legend = QLabel(_LEGEND)
-        legend.setObjectName("muted")
+        legend = label("muted", _LEGEND)
         legend.setWordWrap(True)
         legend.setAlignment(Qt.AlignmentFlag.AlignTop)
         scroll = QScrollArea()
@@ -74,24 +56,15 @@ class ResidualPanel(QWidget):
         scroll.setWidgetResizable(True)
         scroll.setFrameShape(QScrollArea.Shape.NoFrame)
         scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        measure = QToolButton()
-        measure.setObjectName("labelled")
-        measure.setDefaultAction(commands.actions["residuals"])
-        measure.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
-        measure.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(6, 6, 6, 4)
         layout.setSpacing(4)
-        layout.addWidget(measure)
+        layout.addWidget(tool_button(commands.actions["residuals"], labelled=True))
         layout.addWidget(self.summary)
         layout.addWidget(self.table, 3)
         layout.addWidget(self.weak)
         layout.addWidget(scroll, 2)
-        self._unsubscribe = controller.subscribe(self._on_event)
-        self.refresh()
-
-    def close_panel(self) -> None:
-        self._unsubscribe()
+        self.follow()
 
     def refresh(self) -> None:
         c = self._controller
@@ -109,7 +82,12 @@ class ResidualPanel(QWidget):
         if row.problem:
             cells[1:] = [row.problem, "", ""]
         # Each number by what it tells itself: edges at the level of chance are grey.
-        inks = (theme.TEXT, _INK[row.edge_grade], theme.MUTED, _INK[row.depth_grade])
+        inks = (
+            theme.TEXT,
+            theme.GRADE_INK[row.edge_grade],
+            theme.MUTED,
+            theme.GRADE_INK[row.depth_grade],
+        )
         for column, text in enumerate(cells):
             item = QTableWidgetItem(text)
             item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
@@ -117,7 +95,3 @@ class ResidualPanel(QWidget):
             if row.problem:
                 item.setToolTip(row.problem)
             self.table.setItem(i, column, item)
-
-    def _on_event(self, event: Event) -> None:
-        if event.kind in ("edited", "selected", "residuals"):
-            self.refresh()

@@ -9,7 +9,9 @@ from PySide6.QtGui import QColor, QIcon, QPainter, QPalette, QPixmap
 from PySide6.QtSvg import QSvgRenderer
 from PySide6.QtWidgets import QApplication, QStyleFactory
 
+from annotator.app.events import Level
 from annotator.app.icons import ALIASES, STROKES, svg
+from annotator.app.object_summary import Grade
 
 BASE = "#1f1f1f"
 
@@ -33,6 +35,10 @@ ACCENT = "#6ea8dc"
 ACCENT_DEEP = "#3d6d99"
 
 GOOD, WARNING, BAD = "#6fbf84", "#e0b050", "#e8776a"
+
+GRADE_INK: dict[Grade, str] = {"good": GOOD, "fair": WARNING, "poor": BAD, "unknown": MUTED}
+
+LEVEL_INK: dict[Level, str] = {"info": ACCENT, "warning": WARNING, "error": BAD}
 
 _STYLE = f"""
 QToolTip {{ color: {TEXT}; background: {RAISED}; border: 1px solid {BORDER}; padding: 4px 6px; }}

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from PySide6.QtCore import QEvent, QObject, QSize, Qt, QTimer, Signal
 from PySide6.QtGui import (
+    QAction,
     QDragEnterEvent,
     QDragMoveEvent,
     QDropEvent,
@@ -30,10 +31,10 @@ from annotator.qt.commands import Commands
 from annotator.qt.graphics import multi_samples
 from annotator.qt.library_panel import MODEL_MIME, mesh_files
 from annotator.qt.object_panel import OBJECT_MIME
+from annotator.qt.panel import tool_button
 from annotator.qt.theme import icon
 from annotator.views import ViewSet
 from annotator.views.meshes import ShapeStore
-from annotator.views.scene_view import recorded_pixel_under
 from std_toolkit.errors import ToolkitError
 
 SIDE_WIDTH = 260
@@ -100,10 +101,7 @@ class ViewArea(QWidget):
 
     def _drop(self, drop: Callable[..., bool], what: str, slot: int, x: float, y: float) -> None:
         if self.views is not None:
-            view = self.views.views[slot]
-            self._controller.activate_view(slot)
-            uv = recorded_pixel_under(view, np.array([x, y]))
-            drop(self._controller, what, view.frame, uv)
+            self.views.drop(slot, np.array([x, y]), drop, what)
 
     def _on_event(self, event: Event) -> None:
         if event.kind in ("frames", "tool", "view", "edited"):
@@ -135,9 +133,7 @@ class ViewTile(QFrame):
         row.setSpacing(1)
         if slot == 0:
             for id in ("fit_view", "zoom_object"):
-                button = _corner_button()
-                button.setDefaultAction(commands.actions[id])
-                row.addWidget(button)
+                row.addWidget(_corner_button(commands.actions[id]))
         else:
             # Which frame this view looks at is chosen for it, but not once and for all.
             for by, name, tip in ((-1, "previous", "Earlier frame"), (1, "next", "Later frame")):
@@ -147,9 +143,7 @@ class ViewTile(QFrame):
                 button.setAutoRepeat(True)
                 button.clicked.connect(lambda _=False, by=by: self._step(by))
                 row.addWidget(button)
-            button = _corner_button()
-            button.setDefaultAction(commands.actions[f"swap_{slot}"])
-            row.addWidget(button)
+            row.addWidget(_corner_button(commands.actions[f"swap_{slot}"]))
         self.view.installEventFilter(self)
         self.refresh()
 
@@ -181,10 +175,9 @@ class ViewTile(QFrame):
             c.tell(str(error), "error")
 
 
-def _corner_button() -> QToolButton:
-    button = QToolButton()
+def _corner_button(action: QAction | None = None) -> QToolButton:
+    button = tool_button(action)
     button.setIconSize(QSize(16, 16))
-    button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
     return button
 
 

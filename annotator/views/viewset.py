@@ -10,13 +10,16 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.app.view_options import Mode
 from annotator.views.clouds import CloudReader
 from annotator.views.meshes import ShapeStore
 from annotator.views.pointer import Pointer
-from annotator.views.scene_view import SceneView
+from annotator.views.scene_view import SceneView, recorded_pixel_under
 
 Later = Callable[[float, Callable[[], None]], None]
 
@@ -109,6 +112,18 @@ class ViewSet:
         """What a wheel has moved in any view stays where it is."""
         for pointer in self.pointers:
             pointer.end_wheel()
+
+    def drop(
+        self,
+        slot: int,
+        at: NDArray[np.float64],
+        drop: Callable[[Controller, str, int, tuple[float, float]], object],
+        what: str,
+    ) -> None:
+        """Something was dropped onto a view, at a screen position (2,)."""
+        view = self.views[slot]
+        self.controller.activate_view(slot)
+        drop(self.controller, what, view.frame, recorded_pixel_under(view, at))
 
     def close(self) -> None:
         if self._closed:

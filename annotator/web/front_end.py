@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from annotator.app import operations
 from annotator.app.action_table import BY_ID, available_actions
 from annotator.app.background_updates import BackgroundUpdates
 from annotator.app.controller import Controller
@@ -27,7 +28,6 @@ from annotator.app.view_options import choose_view_frames
 from annotator.session import ChangeClick, Session
 from annotator.views import ViewSet
 from annotator.views.mesh_picker import MeshPicker
-from annotator.views.scene_view import recorded_pixel_under
 from annotator.views.thumbnails import Thumbnails
 from annotator.web.channel import Drop, Key, Pointer, ViewChannel
 from annotator.web.page import build_page, page_constants, page_pose, page_state
@@ -90,7 +90,7 @@ class FrontEnd:
         c.subscribe(self._on_event)
         self._upkeep = BackgroundUpdates(c)
         self._thumbnails = Thumbnails(c, self._show_thumbnails)
-        self._tell_first()
+        operations.tell_opening(c)
 
     def _build_page(self, server: Any, views: int) -> None:
         session = self.controller.session
@@ -189,15 +189,6 @@ class FrontEnd:
         if task is not None:
             self._later(BUSY_S, self._tell_share)
 
-    def _tell_first(self) -> None:
-        session = self.controller.session
-        for warning in session.warnings:
-            self._notices.tell(warning, "warning")
-        if session.pose_problem is not None:
-            self._notices.tell(session.pose_problem, "warning")
-        if not session.writable:
-            self._notices.tell("This scene is open for looking only: nothing can be changed.")
-
     def _connected(self, *_: Any, **__: Any) -> None:
         self.dialogs.recovery()
 
@@ -239,12 +230,10 @@ class FrontEnd:
         c = self.controller
         if event.view >= len(self._views.views) or not c.session.writable:
             return
-        view = self._views.views[event.view]
-        place = self._streams[event.view].place(event.x, event.y)
-        uv = recorded_pixel_under(view, place)
-        c.activate_view(event.view)
         drop = drop_model if event.what == "model" else drop_object
-        drop(c, event.name, view.frame, uv)
+        self._views.drop(
+            event.view, self._streams[event.view].place(event.x, event.y), drop, event.name
+        )
 
     # --- in: the panels --------------------------------------------------------------------------
 

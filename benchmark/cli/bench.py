@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -75,12 +76,11 @@ def rewrite_aliases(words: list[str]) -> list[str]:
 def score(config: NetworkConfig | BopConfig) -> int:
     """Score methods or result files; returns the exit status."""
     from benchmark.evaluation.engine import run_all
-    from benchmark.evaluation.tasks import get_task
 
     with ExitStack() as stack:
         if config.out is None:  # the table is only printed
             config = replace(config, out=Path(stack.enter_context(TemporaryDirectory())))
-        task = get_task(config.task)
+        task = importlib.import_module(f"benchmark.evaluation.tasks.{config.task}").TASK
         report = run_all(task.plan(config), config.jobs)
         results = [run.read() for run in report.finished]
         if config.json:

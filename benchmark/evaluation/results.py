@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -62,6 +63,16 @@ def read_table(path: Path) -> pd.DataFrame:
             path=path,
             hint="delete it and run the same command again",
         ) from error
+
+
+def check_columns(table: pd.DataFrame, needed: Iterable[str], path: Path) -> None:
+    """See that a table read from a file has some columns.
+
+    Raises:
+        ToolkitError: it has not.
+    """
+    if absent := [name for name in needed if name not in table]:
+        raise ToolkitError("the table lacks columns", path=path, field=", ".join(absent))
 
 
 def good_frames(table: pd.DataFrame) -> set[int]:
@@ -121,31 +132,40 @@ def report_failures(table: pd.DataFrame, title: str, folder: Path) -> int:
     return count
 
 
-class AnyResult(Protocol):
-    """What every task's result says of itself."""
+M = TypeVar("M", bound=Any)
 
-    @property
-    def folder(self) -> Path:
-        """Where it lies."""
-        ...
+
+@dataclass(frozen=True, eq=False)
+class Result(Generic[M]):
+    """One run, read back.
+
+    Attributes:
+        folder: where it lies.
+        manifest: what it was.
+        table: its rows.
+    """
+
+    folder: Path
+    manifest: M
+    table: pd.DataFrame
 
     @property
     def title(self) -> str:
         """What it is among others; two results of one title are one run, or a mistake."""
-        ...
+        raise NotImplementedError
 
     @property
     def frames(self) -> int:
         """Frames that the run has."""
-        ...
+        return int(self.manifest.setup.frames)
 
     @property
     def missing(self) -> int:
         """Frames that the run has not come to: it was interrupted, or a worker failed."""
-        ...
+        return self.frames - int(self.table[INDEX].nunique())
 
 
-Found = TypeVar("Found", bound=AnyResult)
+Found = TypeVar("Found", bound=Result[Any])
 
 
 def find_runs(

@@ -12,8 +12,8 @@ so that nothing need be learned to repeat it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -21,7 +21,8 @@ from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, interpolate, pad
 
 from benchmark.methods.protocol import Restored, View
-from benchmark.methods.registry import MethodOptions
+from benchmark.methods.registry import MethodOptions, configured, preset_of
+from benchmark.methods.weights import load_weights, weights_for
 from std_toolkit.errors import ToolkitError
 
 _PRECISIONS = {"fp32": None, "bf16": torch.bfloat16, "fp16": torch.float16}
@@ -174,6 +175,37 @@ def precisely(module: nn.Module, features: Tensor) -> Tensor:
         return module(features)
     with torch.autocast(features.device.type, enabled=False):
         return module(features.float())
+
+
+Config = TypeVar("Config")
+Network = TypeVar("Network", bound=nn.Module)
+
+
+def network_of(
+    method: str,
+    presets: Mapping[str, Config],
+    make: Callable[[Config], Network],
+    options: MethodOptions,
+    *,
+    ignored: Sequence[str] = (),
+) -> tuple[Config, Network]:
+    """The configuration and the network of a method, with its weights.
+
+    Args:
+        method: its name, for shipped weights.
+        presets: its configurations.
+        make: the network of a configuration.
+        options: preset, settings, weights and device.
+        ignored: keys that the weights may have and the network does not need.
+
+    Raises:
+        ToolkitError: an unknown setting, no weights or those of another network, no such device.
+    """
+    config = configured(preset_of(presets, options.preset), options.settings)
+    torch_device(options.device)  # refused before weights are read
+    network = make(config)
+    load_weights(network, weights_for(method, options), ignored=ignored)
+    return config, network
 
 
 def torch_device(name: str) -> torch.device:

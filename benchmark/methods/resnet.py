@@ -1,4 +1,4 @@
-"""The residual blocks of ResNet-18 and ResNet-34 (He et al., CVPR 2016).
+"""The residual blocks of ResNet-18, ResNet-34 and ResNet-50 (He et al., CVPR 2016).
 
 Keys and shapes are those of the ImageNet weights that torchvision publishes.
 """
@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from torch import Tensor, nn
 from torch.nn.functional import relu
+
+WIDENED = 4  # channels that leave a bottleneck, per channel inside
 
 
 class BasicBlock(nn.Module):
@@ -26,16 +28,48 @@ class BasicBlock(nn.Module):
         self.bn1 = nn.BatchNorm2d(outputs)
         self.conv2 = nn.Conv2d(outputs, outputs, 3, padding=dilation, dilation=dilation, bias=False)
         self.bn2 = nn.BatchNorm2d(outputs)
-        self.downsample: nn.Module | None = None
-        if stride != 1 or inputs != outputs:
-            self.downsample = nn.Sequential(
-                nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs)
-            )
+        self.downsample = _shortcut(inputs, outputs, stride)
 
     def forward(self, features: Tensor) -> Tensor:
         shortcut = features if self.downsample is None else self.downsample(features)
         inner = relu(self.bn1(self.conv1(features)))
         return relu(self.bn2(self.conv2(inner)) + shortcut)
+
+
+class Bottleneck(nn.Module):
+    """1x1, 3x3 and 1x1 convolutions beside a shortcut.
+
+    Args:
+        inputs: channels.
+        inner: channels inside; `WIDENED` times as many come out.
+        stride, dilation: of the 3x3 convolution.
+    """
+
+    def __init__(self, inputs: int, inner: int, stride: int = 1, dilation: int = 1) -> None:
+        super().__init__()
+        outputs = WIDENED * inner
+        self.conv1 = nn.Conv2d(inputs, inner, 1, bias=False)
+        self.bn1 = nn.BatchNorm2d(inner)
+        self.conv2 = nn.Conv2d(
+            inner, inner, 3, stride, padding=dilation, dilation=dilation, bias=False
+        )
+        self.bn2 = nn.BatchNorm2d(inner)
+        self.conv3 = nn.Conv2d(inner, outputs, 1, bias=False)
+        self.bn3 = nn.BatchNorm2d(outputs)
+        self.downsample = _shortcut(inputs, outputs, stride)
+
+    def forward(self, features: Tensor) -> Tensor:
+        shortcut = features if self.downsample is None else self.downsample(features)
+        inner = relu(self.bn1(self.conv1(features)))
+        inner = relu(self.bn2(self.conv2(inner)))
+        return relu(self.bn3(self.conv3(inner)) + shortcut)
+
+
+def _shortcut(inputs: int, outputs: int, stride: int) -> nn.Module | None:
+    """None where the features pass unchanged."""
+    if stride == 1 and inputs == outputs:
+        return None
+    return nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs))
 
 
 def residual_layer(

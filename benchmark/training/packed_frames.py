@@ -13,13 +13,7 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from benchmark.data.frame import BACKGROUND, DepthFrame, Instance, Material
-from benchmark.training.shards import (
-    PackSetup,
-    ShardIndex,
-    index_path,
-    open_shard,
-    read_setup,
-)
+from benchmark.training import shards
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.io.documents import read_document
@@ -64,7 +58,7 @@ class PackedFrames(Dataset[dict[str, Tensor]]):
 
     def __init__(self, folders: Sequence[Path]) -> None:
         self.folders = tuple(folders)
-        self.setups = tuple(read_setup(folder) for folder in self.folders)
+        self.setups = tuple(shards.read_setup(folder) for folder in self.folders)
         self.frames: list[PackedFrame] = []
         self._counts: dict[tuple[int, int], int] = {}
         for pack, (folder, setup) in enumerate(zip(self.folders, self.setups, strict=True)):
@@ -105,7 +99,7 @@ class PackedFrames(Dataset[dict[str, Tensor]]):
         key = (place.pack, place.shard)
         if key not in self._open:
             folder, setup = self.folders[place.pack], self.setups[place.pack]
-            self._open[key] = open_shard(folder, place.shard, setup, self._counts[key])
+            self._open[key] = shards.open_shard(folder, place.shard, setup, self._counts[key])
         return self._open[key][place.row]
 
     def key(self, index: int) -> str:
@@ -146,17 +140,17 @@ class PackedFrames(Dataset[dict[str, Tensor]]):
         # A pickled map would be the whole file; every process maps for itself.
         return self.__dict__ | {"_open": {}}
 
-    def _list(self, pack: int, folder: Path, setup: PackSetup) -> None:
+    def _list(self, pack: int, folder: Path, setup: shards.PackSetup) -> None:
         failed = 0
         for shard in range(setup.shards):
-            path = index_path(folder, shard)
+            path = shards.index_path(folder, shard)
             if not path.exists():
                 raise ToolkitError(
                     f"packing is not finished: {path.name} is missing",
                     path=folder,
                     hint="run the same `std-train pack` again",
                 )
-            index = read_document(path, ShardIndex)
+            index = read_document(path, shards.ShardIndex)
             failed += len(index.failed)
             self._counts[pack, shard] = len(index.names)
             rows = zip(index.scenes, index.names, index.digests, strict=True)

@@ -26,14 +26,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sensors.output import simulated_frame
 from sensors.output.scene_record import ReceivedFrames, SceneRecord, scene_record
-from sensors.output.simulated_frame import (
-    Image8,
-    Map,
-    SimulatedFrame,
-    SimulatedObject,
-    SimulatedScene,
-)
 from sensors.output.staging import staged_folder
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters.mesh_export import obj_files, write_files
@@ -85,7 +79,7 @@ class DredsWriter:
         self._folder = folder
         self._received = received
 
-    def add(self, frame: SimulatedFrame) -> None:
+    def add(self, frame: simulated_frame.SimulatedFrame) -> None:
         """Write the nine files of a frame. Frames may come in any order.
 
         Raises:
@@ -113,7 +107,9 @@ class DredsWriter:
 
 
 @contextmanager
-def dreds_scene(out: Path, scene: SimulatedScene, *, split: Split) -> Iterator[DredsWriter]:
+def dreds_scene(
+    out: Path, scene: simulated_frame.SimulatedScene, *, split: Split
+) -> Iterator[DredsWriter]:
     """A writer of a scene, which appears in the data set when the block ends without an error.
 
     Until then nothing of it is where a loader looks; its meshes and its record come first.
@@ -173,13 +169,13 @@ def read_record(out: Path, split: Split, name: str) -> SceneRecord:
     return read_document(record_path(out, split, name), SceneRecord)
 
 
-def mask_values(mask: Image8) -> Map:
+def mask_values(mask: simulated_frame.Image8) -> simulated_frame.Map:
     """(H, W) float32 id/255, background 255/255."""
     ids = np.where(mask == 0, BACKGROUND, mask)
     return ids.astype(np.float32) / np.float32(255)
 
 
-def nocs_picture(nocs: Map, mask: Image8) -> Image8:
+def nocs_picture(nocs: simulated_frame.Map, mask: simulated_frame.Image8) -> simulated_frame.Image8:
     """(H, W, 3) uint8: R = x, G = y, B = 1 - z, black background."""
     values = nocs.copy()
     values[..., 2] = 1 - values[..., 2]
@@ -188,7 +184,7 @@ def nocs_picture(nocs: Map, mask: Image8) -> Image8:
     return picture
 
 
-def meta_text(scene: SimulatedScene, frame: SimulatedFrame) -> str:
+def meta_text(scene: simulated_frame.SimulatedScene, frame: simulated_frame.SimulatedFrame) -> str:
     """A line of 13 fields, each followed by a space, for every object that is in the view.
 
     mask id, class, synset, instance, diagonal in metres, material, quaternion w x y z of the
@@ -209,11 +205,11 @@ def meta_text(scene: SimulatedScene, frame: SimulatedFrame) -> str:
     return "".join(lines)
 
 
-def _cad_name(item: SimulatedObject) -> str:
+def _cad_name(item: simulated_frame.SimulatedObject) -> str:
     return f"{SYNSETS[item.class_id]}/{item.asset_id}"
 
 
-def _write_model(out: Path, relative: str, item: SimulatedObject) -> None:
+def _write_model(out: Path, relative: str, item: simulated_frame.SimulatedObject) -> None:
     """`model.obj` and `bbox.txt` (row 0 maxima, row 1 minima), unless the same are there."""
     files = obj_files(item.mesh, "model.obj")
     low, high = mesh_bounds(item.mesh)
@@ -236,11 +232,11 @@ def _write_model(out: Path, relative: str, item: SimulatedObject) -> None:
         )
 
 
-def _write_equal(path: Path, values: Map) -> None:
+def _write_equal(path: Path, values: simulated_frame.Map) -> None:
     _write_channels(path, np.repeat(values[..., None], 3, axis=2))
 
 
-def _write_channels(path: Path, values: Map) -> None:
+def _write_channels(path: Path, values: simulated_frame.Map) -> None:
     pixels: dict[str, NDArray[np.generic]] = {
         name: np.ascontiguousarray(values[..., i], np.float32) for i, name in enumerate("RGB")
     }

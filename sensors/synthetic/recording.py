@@ -23,12 +23,7 @@ from std_toolkit.io.atomic import atomic_path
 from std_toolkit.io.documents import write_document
 from std_toolkit.io.images import write_color, write_depth_png16
 from std_toolkit.jobs import JobOptions, run_jobs
-from std_toolkit.scene.model import (
-    CATEGORY_CLASS_IDS,
-    MATERIAL_IDS,
-    CameraModel,
-    SymmetryModel,
-)
+from std_toolkit.scene import model
 from std_toolkit.scene.model import ContinuousSymmetry as AxisSymmetry
 
 DEPTH_SCALE = 0.001
@@ -106,7 +101,7 @@ def _truth(options: RecordingOptions, shapes: list[Shape]) -> Truth:
         options.frames, degrees=options.arc_degrees, radius_m=options.radius_m, seed=options.seed
     )
     return Truth(
-        camera=CameraModel.of(options.camera()),
+        camera=model.CameraModel.of(options.camera()),
         depth_scale=DEPTH_SCALE,
         depth_bias=options.depth_bias,
         frames=[f"{i:06d}" for i in range(options.frames)],
@@ -115,10 +110,10 @@ def _truth(options: RecordingOptions, shapes: list[Shape]) -> Truth:
             TrueObject(
                 name=s.name,
                 category=s.category,
-                class_id=CATEGORY_CLASS_IDS.get(s.category, 0),
+                class_id=model.CATEGORY_CLASS_IDS.get(s.category, 0),
                 material=s.material,
                 mesh=f"models/{s.name}.ply",
-                symmetry=SymmetryModel(
+                symmetry=model.SymmetryModel(
                     continuous=[
                         AxisSymmetry(axis=list(a), offset=list(o)) for a, o in s.symmetry.continuous
                     ]
@@ -167,7 +162,7 @@ def _write_frame(out: Path, options: RecordingOptions, index: int) -> None:
     )[index]
     rng = np.random.default_rng([options.seed, index])
     maps = render_frame(world, camera, pose, rng=rng, samples=options.samples)
-    materials = np.array([0, *(max(1, MATERIAL_IDS[s.material]) for s in world.shapes)])
+    materials = np.array([0, *(max(1, model.MATERIAL_IDS[s.material]) for s in world.shapes)])
     depth = sensor_depth(
         maps.depth,
         maps.behind,

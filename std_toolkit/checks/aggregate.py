@@ -9,23 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.checks import result, sensor_depth
 from std_toolkit.checks.contours import mesh_problem
 from std_toolkit.checks.coverage import SEEN_FRACTION, directions, measure_coverage
 from std_toolkit.checks.edges import Consistency, fit_consistency
 from std_toolkit.checks.residuals import FrameObservation, ObjectObservation
-from std_toolkit.checks.result import (
-    FrameCheck,
-    MaterialDepth,
-    Number,
-    ObjectCheck,
-    ObjectFrameCheck,
-)
-from std_toolkit.checks.sensor_depth import (
-    HISTOGRAM_BIN_M,
-    HISTOGRAM_LIMIT_M,
-    DepthResidual,
-    ErrorTally,
-)
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.scene import Object, Scene
 
@@ -36,7 +24,7 @@ _SHOWN_LIMIT_M = 0.1
 MATERIAL_ORDER = ("raw", "diffuse", "specular", "transparent")
 
 
-def rounded(value: float | None, digits: int = 3) -> Number:
+def rounded(value: float | None, digits: int = 3) -> result.Number:
     """The number as the report shows it; null for a missing or infinite one."""
     return None if value is None or not np.isfinite(value) else round(float(value), digits)
 
@@ -69,7 +57,7 @@ def check_objects(
     *,
     up: NDArray[np.float64],
     depth_bias: float | None,
-) -> list[ObjectCheck]:
+) -> list[result.ObjectCheck]:
     """One row per object, in the order of their ids."""
     return [
         _check_object(scene, item, observed, up, depth_bias)
@@ -79,7 +67,7 @@ def check_objects(
 
 def check_frames(
     scene: Scene, observed: Sequence[FrameObservation], problems: dict[int, str]
-) -> list[FrameCheck]:
+) -> list[result.FrameCheck]:
     """One row per frame of the recording.
 
     Args:
@@ -93,7 +81,7 @@ def check_frames(
     for frame in scene.frames:
         pose, look = poses.get(frame.id), looks.get(frame.id)
         rows.append(
-            FrameCheck(
+            result.FrameCheck(
                 frame=frame.id,
                 name=frame.name,
                 status=pose.status if pose else "no pose",
@@ -117,7 +105,9 @@ def check_frames(
     return rows
 
 
-def check_materials(scene: Scene, observed: Sequence[FrameObservation]) -> list[MaterialDepth]:
+def check_materials(
+    scene: Scene, observed: Sequence[FrameObservation]
+) -> list[result.MaterialDepth]:
     """Raw depth against ground truth, per material that has any."""
     rows = []
     for material in MATERIAL_ORDER:
@@ -127,7 +117,7 @@ def check_materials(scene: Scene, observed: Sequence[FrameObservation]) -> list[
             continue
         centres, shares = _shown_histogram(tally)
         rows.append(
-            MaterialDepth(
+            result.MaterialDepth(
                 material=material,
                 objects=len(ids),
                 pixels=tally.truth_pixels,
@@ -151,7 +141,7 @@ def _check_object(
     observed: Sequence[FrameObservation],
     up: NDArray[np.float64],
     depth_bias: float | None,
-) -> ObjectCheck:
+) -> result.ObjectCheck:
     label = scene.labels.of(item.id)
     state = "none"
     if label is not None:
@@ -209,7 +199,7 @@ def _check_object(
             "drift_mm": _mm(drift.drift_m),
             "drift_frames": drift.frames,
         }
-    return ObjectCheck(
+    return result.ObjectCheck(
         **(fields | _coverage_fields(scene, item.id, [f for f, _ in observation], up))
     )
 
@@ -278,7 +268,7 @@ def _consistency(judged: Sequence[ObjectObservation]) -> Consistency | None:
     )
 
 
-def _unscaled(residual: DepthResidual, bias: float | None) -> float | None:
+def _unscaled(residual: sensor_depth.DepthResidual, bias: float | None) -> float | None:
     """The residual without the common bias, metres."""
     if bias is None:
         return None
@@ -288,9 +278,9 @@ def _unscaled(residual: DepthResidual, bias: float | None) -> float | None:
 
 def _object_frame(
     frame: int, observation: ObjectObservation, depth_bias: float | None
-) -> ObjectFrameCheck:
+) -> result.ObjectFrameCheck:
     shift = observation.shift
-    return ObjectFrameCheck(
+    return result.ObjectFrameCheck(
         frame=frame,
         visible_fraction=round(observation.visible_fraction, 4),
         edge_px=rounded(_edge(observation)),
@@ -308,18 +298,21 @@ def _edge(observation: ObjectObservation) -> float | None:
     return observation.edges.median_px if judged and observation.edges is not None else None
 
 
-def _merged(tallies: Sequence[ErrorTally]) -> ErrorTally:
-    total = ErrorTally()
+def _merged(tallies: Sequence[sensor_depth.ErrorTally]) -> sensor_depth.ErrorTally:
+    total = sensor_depth.ErrorTally()
     for tally in tallies:
         total.merge(tally)
     return total
 
 
-def _shown_histogram(tally: ErrorTally) -> tuple[list[float], list[float]]:
+def _shown_histogram(tally: sensor_depth.ErrorTally) -> tuple[list[float], list[float]]:
     """2 mm bins over +-100 mm from the fine histogram; what lies beyond is in the outermost."""
     if tally.histogram is None or not tally.measured_pixels:
         return [], []
-    fine = -HISTOGRAM_LIMIT_M + (np.arange(len(tally.histogram)) + 0.5) * HISTOGRAM_BIN_M
+    fine = (
+        -sensor_depth.HISTOGRAM_LIMIT_M
+        + (np.arange(len(tally.histogram)) + 0.5) * sensor_depth.HISTOGRAM_BIN_M
+    )
     count = round(2 * _SHOWN_LIMIT_M / _SHOWN_BIN_M)
     index = np.clip(((fine + _SHOWN_LIMIT_M) / _SHOWN_BIN_M).astype(int), 0, count - 1)
     index[fine < -_SHOWN_LIMIT_M] = 0
@@ -328,7 +321,7 @@ def _shown_histogram(tally: ErrorTally) -> tuple[list[float], list[float]]:
     return [round(float(x), 1) for x in centres], [round(float(x), 6) for x in coarse]
 
 
-def _weakest(covariance: list[float] | None, first: int, unit: float) -> Number:
+def _weakest(covariance: list[float] | None, first: int, unit: float) -> result.Number:
     """Standard deviation along the weakest of three directions of a 6x6 covariance."""
     if covariance is None:
         return None
@@ -337,5 +330,5 @@ def _weakest(covariance: list[float] | None, first: int, unit: float) -> Number:
     return rounded(unit * np.sqrt(max(largest, 0.0)), 3)
 
 
-def _mm(metres: float | None) -> Number:
+def _mm(metres: float | None) -> result.Number:
     return None if metres is None else rounded(1000 * metres, 2)

@@ -7,13 +7,8 @@ from pathlib import Path
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.importers import bop_objects
 from std_toolkit.importers.bop_documents import BopScene, CameraRow, read_bop_scene
-from std_toolkit.importers.bop_objects import (
-    Instances,
-    find_instances,
-    instances_from_sidecar,
-    read_models,
-)
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
 from std_toolkit.io.images import image_size
 from std_toolkit.options import ImportRequest
@@ -50,7 +45,7 @@ class BopImporter:
             for im_id in sorted(scene.cameras)
         )
         top = request.models.parent if request.models is not None else folder.parent.parent
-        models, centres = read_models(
+        models, centres = bop_objects.read_models(
             top,
             request.models or top / "models",
             sorted({row.obj_id for rows in scene.gt.values() for row in rows}),
@@ -61,11 +56,11 @@ class BopImporter:
             for im_id, row in scene.cameras.items()
             if (pose := row.T_cam_world) is not None
         }
-        instances: Instances
+        instances: bop_objects.Instances
         if sidecar is not None:
-            instances = instances_from_sidecar(scene, sidecar, T_world_cam, centres)
+            instances = bop_objects.instances_from_sidecar(scene, sidecar, T_world_cam, centres)
         else:
-            instances = find_instances(
+            instances = bop_objects.find_instances(
                 scene,
                 T_world_cam,
                 {number: m.model.id for number, m in models.items()},

@@ -17,13 +17,7 @@ import cv2
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.importers import importer
-from std_toolkit.importers.foreign_files import (
-    check_unit,
-    read_foreign_depth,
-    read_mask_source,
-    write_mesh,
-)
+from std_toolkit.importers import foreign_files, importer
 from std_toolkit.io.atomic import check_vacant, new_folder
 from std_toolkit.io.exr import write_exr
 from std_toolkit.io.images import image_size, read_color, read_png, write_color, write_png
@@ -184,7 +178,7 @@ def _write_depth(
     scene_scale: float | None,
     link: LinkMode,
 ) -> tuple[str, float | None]:
-    depth = read_foreign_depth(file.source, size=size)
+    depth = foreign_files.read_foreign_depth(file.source, size=size)
     values: Any = depth.values
     unit = 1.0
     if values.dtype == np.uint16:
@@ -217,13 +211,13 @@ def _write_reference(
         _write_color(file, root, size, link)
     elif file.kind == "depth":
         own = size if file.same_size else image_size(file.source)
-        depth = read_foreign_depth(file.source, size=own)
+        depth = foreign_files.read_foreign_depth(file.source, size=own)
         metres = depth.values
         if metres.dtype == np.uint16:
             metres = metres.astype(np.float32) * np.float32(file.depth_scale or 0.001)
         write_exr(target.with_suffix(".exr"), {"Y": metres})
     elif file.kind == "mask":
-        mask = read_mask_source(file.source, size=size if file.same_size else None)
+        mask = foreign_files.read_mask_source(file.source, size=size if file.same_size else None)
         if file.binary:
             mask = (mask > 0).astype(np.uint8)
         if file.background is not None:
@@ -260,7 +254,7 @@ def _check_depth_unit(recording: importer.Recording, written: list[WrittenFrame]
         return
     if not medians:
         raise ToolkitError("no depth image holds a single measurement", path=sources[0].parent)
-    check_unit(
+    foreign_files.check_unit(
         float(np.median(medians)),
         path=sources[0].parent,
         depth_scale=recording.depth_scale,
@@ -280,7 +274,7 @@ def _check_depth_unit(recording: importer.Recording, written: list[WrittenFrame]
 
 def _write_models(recording: importer.Recording, root: Path) -> None:
     for model in recording.models:
-        write_mesh(root / model.model.mesh, model.mesh)
+        foreign_files.write_mesh(root / model.model.mesh, model.mesh)
 
 
 def import_recording(

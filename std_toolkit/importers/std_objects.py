@@ -15,12 +15,7 @@ from std_toolkit.geometry.alignment import ransac_similarity
 from std_toolkit.geometry.camera import Camera, unproject_depth
 from std_toolkit.geometry.mesh import load_mesh, nocs_frame
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.importers.foreign_files import (
-    mesh_suffix,
-    model_of_mesh,
-    read_foreign_depth,
-    read_mask_source,
-)
+from std_toolkit.importers import foreign_files
 from std_toolkit.importers.importer import SourceModel
 from std_toolkit.io.images import image_size, read_png
 from std_toolkit.options import ImportRequest
@@ -195,11 +190,11 @@ def _model(cad: Path, line: MetaLine) -> SourceModel:
     mesh = load_mesh(_mesh_path(cad, line))
     centre, diagonal = nocs_frame(mesh)
     mesh.vertices = (np.asarray(mesh.vertices) - centre) * (line.scale / diagonal)
-    model = model_of_mesh(
+    model = foreign_files.model_of_mesh(
         mesh,
         model_id=safe_name(f"{line.class_folder}_{line.instance_folder}"),
         category=_CATEGORIES[line.class_id],
-        suffix=mesh_suffix(mesh),
+        suffix=foreign_files.mesh_suffix(mesh),
     )
     return SourceModel(model=model, mesh=mesh)
 
@@ -243,8 +238,8 @@ def fit_pose(maps: dict[str, Path], mask_id: int, camera: Camera) -> SE3 | None:
     if not {"depth", "mask", "nocs"} <= set(maps):
         return None
     size = image_size(maps["depth"])
-    depth = read_foreign_depth(maps["depth"], size=size).values
-    mask = read_mask_source(maps["mask"], size=size)
+    depth = foreign_files.read_foreign_depth(maps["depth"], size=size).values
+    mask = foreign_files.read_mask_source(maps["mask"], size=size)
     picture = read_png(maps["nocs"], size=size)
     chosen = (mask == mask_id) & (depth > 0)  # type: ignore[operator]
     if picture.ndim != 3 or picture.dtype != np.uint8 or chosen.sum() < _FEWEST_PIXELS:

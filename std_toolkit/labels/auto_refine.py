@@ -18,13 +18,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels import refine_inputs
 from std_toolkit.labels.refine.caster import LayerStore
-from std_toolkit.labels.refine.depth.icp import (
-    DepthFit,
-    DepthFitOptions,
-    depth_agreement,
-    moved_too_far,
-    refine_on_depth,
-)
+from std_toolkit.labels.refine.depth import icp
 from std_toolkit.labels.refine.edges.approach import search_turns
 from std_toolkit.labels.refine.edges.solver import refine_poses
 from std_toolkit.labels.refine.problem import (
@@ -160,7 +154,7 @@ class _Run:
         self._progress, self._cancelled = progress, cancelled
         self._told = 0.0
         self._layers = LayerStore()
-        self._fits: dict[int, DepthFit] = {}
+        self._fits: dict[int, icp.DepthFit] = {}
         self._notes: dict[int, list[str]] = {}
         self.found: dict[int, RefinedPose] = {}
         self.failures: dict[int, ToolkitError] = {}
@@ -204,9 +198,9 @@ class _Run:
         """Place an object by depth; False where its edges must do alone."""
         objects = self._placed()
         others = [o for k, o in objects.items() if k != i]
-        options = DepthFitOptions(use_edges=finish)
+        options = icp.DepthFitOptions(use_edges=finish)
         try:
-            fit = refine_on_depth(
+            fit = icp.refine_on_depth(
                 self._problem.views,
                 objects[i],
                 options,
@@ -262,7 +256,7 @@ class _Run:
             if refined.views == 0:
                 hidden = f"{refined.name} cannot be seen well enough in the frames looked at"
                 self._fall_back(k, ToolkitError(hidden, hint="move it onto its image first"))
-            elif k in self._fits and moved_too_far(obj, refined.T_world_obj):
+            elif k in self._fits and icp.moved_too_far(obj, refined.T_world_obj):
                 self._fall_back(k, ToolkitError("the edges contradict the sensor depth"))
             else:
                 self.found[k] = self._of_edges(k, prepared, refined, result.depth_factor)
@@ -278,7 +272,7 @@ class _Run:
     def _placed(self) -> dict[int, RefineObject]:
         return self._problem.placed({i: f.T_world_obj for i, f in self._fits.items()})
 
-    def _of_depth(self, i: int, fit: DepthFit) -> RefinedPose:
+    def _of_depth(self, i: int, fit: icp.DepthFit) -> RefinedPose:
         obj = self._problem.objects[i]
         return self._refined(
             i,
@@ -300,7 +294,7 @@ class _Run:
         if i in self._fits:
             at_end = replace(obj, T_world_obj=found.T_world_obj)
             others = [o for o in prepared if o.name != obj.name]
-            agreement = depth_agreement(
+            agreement = icp.depth_agreement(
                 self._problem.views,
                 at_end,
                 others,

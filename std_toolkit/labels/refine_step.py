@@ -15,13 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.refine import problem
 from std_toolkit.labels.refine.edges.solver import refine_poses
-from std_toolkit.labels.refine.problem import (
-    RefineObject,
-    RefineOptions,
-    RefineResult,
-    RefineView,
-)
 from std_toolkit.log import logger
 from std_toolkit.scene.model import Frame, Label, annotated_views, pose_from_list
 from std_toolkit.scene.scene import Scene
@@ -93,7 +88,7 @@ def refine_labels(
     result = refine_poses(
         views,
         objects,
-        RefineOptions(use_depth=use_depth, refine_scale=refine_scale),
+        problem.RefineOptions(use_depth=use_depth, refine_scale=refine_scale),
     )
     _report(result)
     refined = dict(labels)
@@ -115,7 +110,9 @@ def refine_labels(
     return RefinedLabels(refined, result.scale, result.scale_std)
 
 
-def load_views(scene: Scene, frames: list[Frame], *, use_depth: bool = True) -> list[RefineView]:
+def load_views(
+    scene: Scene, frames: list[Frame], *, use_depth: bool = True
+) -> list[problem.RefineView]:
     """The frames as a refinement wants them; all must be registered."""
     views = []
     for frame in frames:
@@ -123,7 +120,7 @@ def load_views(scene: Scene, frames: list[Frame], *, use_depth: bool = True) -> 
         assert T_world_cam is not None
         depth = scene.read_depth(frame) if use_depth else None
         views.append(
-            RefineView.of(
+            problem.RefineView.of(
                 scene.camera(frame), T_world_cam, scene.read_color(frame), depth, frame=frame.id
             )
         )
@@ -137,7 +134,7 @@ def scene_object(
     *,
     fixed: bool = False,
     mesh: trimesh.Trimesh | None = None,
-) -> RefineObject:
+) -> problem.RefineObject:
     """An object of the scene at a pose, as a refinement wants it.
 
     Args:
@@ -147,7 +144,7 @@ def scene_object(
     model = scene.objects.model(obj.model)
     if mesh is None:
         mesh = scene.mesh(model.id)
-    return RefineObject(
+    return problem.RefineObject(
         obj.name,
         np.asarray(mesh.vertices, dtype=np.float64),
         np.asarray(mesh.faces, dtype=np.int64),
@@ -158,7 +155,7 @@ def scene_object(
     )
 
 
-def _report(result: RefineResult) -> None:
+def _report(result: problem.RefineResult) -> None:
     for found in result.objects:
         depth = f", depth {1000 * found.depth_rms_m:.1f} mm" if found.depth_rms_m else ""
         logger.info(

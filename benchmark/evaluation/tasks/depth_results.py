@@ -11,7 +11,16 @@ import numpy as np
 import pandas as pd
 
 from benchmark.evaluation.manifest import MANIFEST, Manifest
-from benchmark.evaluation.results import ERROR, INDEX, SCENE, TABLE, find_runs, read_table
+from benchmark.evaluation.results import (
+    ERROR,
+    INDEX,
+    SCENE,
+    TABLE,
+    Result,
+    check_columns,
+    find_runs,
+    read_table,
+)
 from benchmark.evaluation.tasks.depth_speed import SPEED, Speed
 from benchmark.metrics.depth.tally import NAMES
 from benchmark.metrics.protocols.protocol import get_protocol
@@ -117,38 +126,23 @@ def _add_intervals(
         out[f"{name}_low"], out[f"{name}_high"] = ends[0, :, j], ends[1, :, j]
 
 
-@dataclass(frozen=True)
-class RunResult:
-    """One run: a method on a split by a protocol.
+@dataclass(frozen=True, eq=False)
+class RunResult(Result[Manifest]):
+    """A method on a split by a protocol.
+
+    Its table has the columns `split`, `protocol` and `method` (the label) before those of
+    `images.parquet`.
 
     Attributes:
-        folder: where it lies.
-        manifest: what it was.
-        table: its rows, with the columns `split`, `protocol` and `method` (the label) before
-            those of `images.parquet`.
         speed: None where it was not measured.
     """
 
-    folder: Path
-    manifest: Manifest
-    table: pd.DataFrame
     speed: Speed | None
 
     @property
     def title(self) -> str:
-        """What it is among others."""
         setup = self.manifest.setup
         return f"{self.manifest.label} on {setup.split} by {setup.protocol}"
-
-    @property
-    def frames(self) -> int:
-        """Frames that the run has."""
-        return self.manifest.setup.frames
-
-    @property
-    def missing(self) -> int:
-        """Frames that the run has not come to: it was interrupted, or a worker failed."""
-        return self.frames - int(self.table[INDEX].nunique())
 
 
 def read_run(folder: Path) -> RunResult:
@@ -162,8 +156,7 @@ def read_run(folder: Path) -> RunResult:
     needed = [INDEX, SCENE, ERROR, "grid", "subset", "n_pixels", "n_answered"]
     if "grid" in table and (table["grid"] != "").any():
         needed += [*OVER_ALL, *OVER_ANSWERED]
-    if absent := [name for name in needed if name not in table]:
-        raise ToolkitError("the table lacks columns", path=folder / TABLE, field=", ".join(absent))
+    check_columns(table, needed, folder / TABLE)
     names = (manifest.setup.split, manifest.setup.protocol, manifest.label)
     for place, (column, value) in enumerate(
         zip(("split", "protocol", "method"), names, strict=True)

@@ -30,7 +30,7 @@ import numpy as np
 import pandas as pd
 
 from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest
-from benchmark.evaluation.results import INDEX, find_runs, read_table
+from benchmark.evaluation.results import INDEX, Result, check_columns, find_runs, read_table
 from benchmark.evaluation.tasks.grasp_table import (
     ATTEMPT,
     ATTEMPTS,
@@ -164,19 +164,13 @@ def _rate(values: pd.Series, rounds: Sequence[int] | pd.Series) -> Rate:
 
 
 @dataclass(frozen=True, eq=False)
-class GraspResult:
-    """One run.
+class GraspResult(Result[GraspManifest]):
+    """A planner on a depth; see `benchmark.evaluation.tasks.grasp_table`.
 
     Attributes:
-        folder: where it lies.
-        manifest: what it was.
-        table: see `benchmark.evaluation.tasks.grasp_table`.
         rates: what it came to.
     """
 
-    folder: Path
-    manifest: GraspManifest
-    table: pd.DataFrame
     rates: Rates
 
     @property
@@ -186,19 +180,13 @@ class GraspResult:
 
     @property
     def title(self) -> str:
-        """What it is among others."""
         camera, seed, planner, depth = self.name
         return f"{planner} on {depth} depth, {camera} camera, seed {seed}"
 
     @property
     def frames(self) -> int:
-        """Rounds that the run has."""
+        """Rounds that there are: more may always be added."""
         return self.rates.rounds
-
-    @property
-    def missing(self) -> int:
-        """None: rounds may always be added."""
-        return 0
 
 
 def read_grasp_run(folder: Path, *, rounds: int | None = None) -> GraspResult:
@@ -215,8 +203,7 @@ def read_grasp_run(folder: Path, *, rounds: int | None = None) -> GraspResult:
     path = folder / ATTEMPTS
     table = read_table(path)
     needed = (INDEX, KIND, "fate", "outcome", "held", "found", *PRECISION)
-    if absent := [c for c in needed if c not in table]:
-        raise ToolkitError("the table lacks columns", path=path, field=", ".join(absent))
+    check_columns(table, needed, path)
     if rounds is not None:
         table = table[table[INDEX] < rounds]
     if table.empty:

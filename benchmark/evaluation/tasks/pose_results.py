@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from benchmark.data.frame import Material
 from benchmark.evaluation.manifest import POSE_MANIFEST, PoseManifest
-from benchmark.evaluation.results import ERROR, INDEX, find_runs, read_table
+from benchmark.evaluation.results import ERROR, INDEX, Result, check_columns, find_runs, read_table
 from benchmark.evaluation.tasks.pose_table import COLUMNS, POSES, frames_of
 from benchmark.metrics.pose import (
     BoxIoU,
@@ -26,7 +25,6 @@ from benchmark.metrics.pose import (
     score_matches,
 )
 from benchmark.metrics.pose.resampling import resampled_scores, scene_weights
-from std_toolkit.errors import ToolkitError
 from std_toolkit.html.table import text_table
 from std_toolkit.io.documents import read_document
 
@@ -93,19 +91,9 @@ def wanted_protocols(
     return found
 
 
-@dataclass(frozen=True)
-class PoseResult:
-    """One run: a method on a split with one depth and fit.
-
-    Attributes:
-        folder: where it lies.
-        manifest: what it was.
-        table: see `benchmark.evaluation.tasks.pose_table`.
-    """
-
-    folder: Path
-    manifest: PoseManifest
-    table: pd.DataFrame
+@dataclass(frozen=True, eq=False)
+class PoseResult(Result[PoseManifest]):
+    """A method on a split with one depth and fit; see `benchmark.evaluation.tasks.pose_table`."""
 
     @property
     def split(self) -> str:
@@ -118,23 +106,12 @@ class PoseResult:
 
     @property
     def title(self) -> str:
-        """What it is among others."""
         return f"{', '.join(self.name)} on {self.split}"
 
     @property
     def failed(self) -> int:
         """Frames that could not be read, or at which the method failed."""
         return int(self.table.loc[self.table[ERROR] != "", INDEX].nunique())
-
-    @property
-    def frames(self) -> int:
-        """Frames that the run has."""
-        return self.manifest.setup.frames
-
-    @property
-    def missing(self) -> int:
-        """Frames that the run has not come to."""
-        return self.frames - int(self.table[INDEX].nunique())
 
 
 def read_pose_run(folder: Path) -> PoseResult:
@@ -145,8 +122,7 @@ def read_pose_run(folder: Path) -> PoseResult:
     """
     manifest = read_document(folder / POSE_MANIFEST, PoseManifest)
     table = read_table(folder / POSES)
-    if absent := [name for name in COLUMNS if name not in table]:
-        raise ToolkitError("the table lacks columns", path=folder / POSES, field=", ".join(absent))
+    check_columns(table, COLUMNS, folder / POSES)
     return PoseResult(folder, manifest, table)
 
 

@@ -22,14 +22,13 @@ from benchmark.methods.network import (
     Prediction,
     coarse_depth,
     in_metres,
+    network_of,
     padded_to,
     precisely,
     told_color,
     told_depth,
-    torch_device,
 )
-from benchmark.methods.registry import MethodOptions, configured, preset_of
-from benchmark.methods.weights import load_weights, weights_for
+from benchmark.methods.registry import MethodOptions
 
 _LEVELS = 4
 
@@ -191,8 +190,5 @@ class DFNet(NetworkRestorer):
     """
 
     def __init__(self, options: MethodOptions) -> None:
-        self.config = configured(preset_of(PRESETS, options.preset), options.settings)
-        torch_device(options.device)
-        network = DFNetwork(self.config)
-        load_weights(network, weights_for("dfnet", options))
+        self.config, network = network_of("dfnet", PRESETS, DFNetwork, options)
         super().__init__(network, options, self.config.input_size)

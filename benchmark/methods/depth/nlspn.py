@@ -26,15 +26,15 @@ from benchmark.methods.network import (
     Prediction,
     coarse_depth,
     in_metres,
+    network_of,
     padded_to,
     precisely,
     told_color,
     told_depth,
-    torch_device,
 )
-from benchmark.methods.registry import MethodOptions, configured, preset_of
+from benchmark.methods.registry import MethodOptions
 from benchmark.methods.resnet import residual_layer
-from benchmark.methods.weights import check_keys, load_weights, read_weights, weights_for
+from benchmark.methods.weights import check_keys, read_weights
 
 _COARSEST = 16  # pixels of the image per pixel of the last level
 
@@ -295,8 +295,7 @@ class NLSPN(NetworkRestorer):
     """
 
     def __init__(self, options: MethodOptions) -> None:
-        self.config = configured(preset_of(PRESETS, options.preset), options.settings)
-        torch_device(options.device)
-        network = NLSPNetwork(self.config)
-        load_weights(network, weights_for("nlspn", options), ignored=_CONSTANTS)
+        self.config, network = network_of(
+            "nlspn", PRESETS, NLSPNetwork, options, ignored=_CONSTANTS
+        )
         super().__init__(network, options, self.config.input_size)

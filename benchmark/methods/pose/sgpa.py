@@ -21,13 +21,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from benchmark.methods.network import torch_device
+from benchmark.methods.network import network_of
 from benchmark.methods.pointnet import FeaturePropagation, Scale, SetAbstraction, SharedMLP
 from benchmark.methods.pose.deformation import Deformed
 from benchmark.methods.pose.spd import DeformingEstimator
 from benchmark.methods.pose.spd_network import PriorNetwork, PriorNetworkConfig
-from benchmark.methods.registry import MethodOptions, configured, preset_of
-from benchmark.methods.weights import load_weights, weights_for
+from benchmark.methods.registry import MethodOptions
 from std_toolkit.errors import ToolkitError
 
 # Widths at the smaller and the larger radius of each level, and of the way back, as PointNet++ has
@@ -272,8 +271,5 @@ class SGPA(DeformingEstimator):
     """
 
     def __init__(self, options: MethodOptions) -> None:
-        config = configured(preset_of(PRESETS, options.preset), options.settings)
-        torch_device(options.device)
-        network = SGPANetwork(config)
-        load_weights(network, weights_for("sgpa", options))
+        _, network = network_of("sgpa", PRESETS, SGPANetwork, options)
         super().__init__(network, options)

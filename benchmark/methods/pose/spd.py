@@ -13,13 +13,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benchmark.methods.network import narrow_type, parameter_count, torch_device
+from benchmark.methods.network import narrow_type, network_of, parameter_count, torch_device
 from benchmark.methods.pose.fitting import FitMethod, FitOptions, fit_pose
 from benchmark.methods.pose.segmented import Crop, Segmented, crop_object, stacked, true_segments
 from benchmark.methods.pose.spd_network import PRESETS, PriorNetwork, SPDNetwork
 from benchmark.methods.protocol import Estimated, PoseView
-from benchmark.methods.registry import MethodOptions, configured, preset_of
-from benchmark.methods.weights import load_weights, weights_for
+from benchmark.methods.registry import MethodOptions
 from benchmark.metrics.pose.pose_frames import PosePrediction
 from std_toolkit.errors import ToolkitError
 
@@ -208,8 +207,5 @@ class SPD(DeformingEstimator):
     """
 
     def __init__(self, options: MethodOptions) -> None:
-        config = configured(preset_of(PRESETS, options.preset), options.settings)
-        torch_device(options.device)
-        network = SPDNetwork(config)
-        load_weights(network, weights_for("spd", options))
+        _, network = network_of("spd", PRESETS, SPDNetwork, options)
         super().__init__(network, options)

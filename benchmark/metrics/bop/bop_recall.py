@@ -196,7 +196,17 @@ def score_bop(
 
 
 def seconds_per_image(estimates: Iterable[BopEstimate]) -> float | None:
-    """Mean over images; None where a time is missing."""
+    """Mean time of an image.
+
+    Args:
+        estimates: of a result file; the time of an image is in each of its rows, -1 if unknown.
+
+    Returns:
+        Seconds, or None where a time is missing.
+
+    >>> seconds_per_image([]) is None
+    True
+    """
     times = {(e.scene_id, e.im_id): e.seconds for e in estimates}
     return float(np.mean(list(times.values()))) if times and min(times.values()) >= 0 else None
 

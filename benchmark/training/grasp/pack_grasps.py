@@ -20,14 +20,8 @@ from benchmark.methods.grasp.graspnet.cloud import (
 )
 from benchmark.methods.protocol import GraspView
 from benchmark.metrics.grasp.gripper import get_gripper
-from benchmark.training.grasp import pack_files
+from benchmark.training.grasp import pack_files, tabletop
 from benchmark.training.grasp.grasp_labels import ObjectLabels, kept_labels, scene_labels
-from benchmark.training.grasp.tabletop import (
-    TableObject,
-    draw_cameras,
-    draw_table,
-    look_at_table,
-)
 from benchmark.training.options import GraspPackOptions
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
@@ -142,15 +136,15 @@ def _make_scene(
     folder: Path, options: GraspPackOptions, network: GraspNetConfig | None, number: int
 ) -> int:
     seed = options.seed + number
-    objects = draw_table(seed, options.table, parts_cache=folder / "parts")
-    cameras = draw_cameras(seed, options.frames)
+    objects = tabletop.draw_table(seed, options.table, parts_cache=folder / "parts")
+    cameras = tabletop.draw_cameras(seed, options.frames)
     return write_scene(folder, number, objects, cameras, options, network)
 
 
 def write_scene(
     folder: Path,
     number: int,
-    objects: Sequence[TableObject],
+    objects: Sequence[tabletop.TableObject],
     cameras: Sequence[SE3],
     options: GraspPackOptions,
     network: GraspNetConfig | None = None,
@@ -228,7 +222,7 @@ def write_scene(
 
 
 def _cloud(
-    objects: Sequence[TableObject],
+    objects: Sequence[tabletop.TableObject],
     T_world_cam: SE3,
     setup: pack_files.GraspPackSetup,
     network: GraspNetConfig,
@@ -236,7 +230,7 @@ def _cloud(
 ) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
     """(n, 3) points of a view that the network is shown, and (n,) whose they are, -1 table's."""
     camera = setup.camera
-    look = look_at_table(objects, camera, T_world_cam, setup.depth, seed)
+    look = tabletop.look_at_table(objects, camera, T_world_cam, setup.depth, seed)
     view = GraspView(
         np.zeros((*look.depth.shape, 3), np.uint8),
         look.depth,
@@ -256,7 +250,7 @@ def _cloud(
 def _labelled_points(
     cloud: NDArray[np.float32],
     owner: NDArray[np.int16],
-    objects: Sequence[TableObject],
+    objects: Sequence[tabletop.TableObject],
     labels: Sequence[ObjectLabels],
     T_world_cam: SE3,
     spacing: float,
@@ -275,7 +269,7 @@ def _labelled_points(
     return found
 
 
-def _write_meshes(path: Path, objects: Sequence[TableObject]) -> None:
+def _write_meshes(path: Path, objects: Sequence[tabletop.TableObject]) -> None:
     arrays: dict[str, Any] = {}
     for number, thing in enumerate(objects):
         arrays[f"vertices{number}"] = np.asarray(thing.vertices, np.float32)

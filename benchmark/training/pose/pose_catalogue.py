@@ -19,16 +19,10 @@ from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs_network import SwinNOC
 from benchmark.training.catalogue import Trainable
 from benchmark.training.config import Optimization
 from benchmark.training.packed_frames import fitting_frames_with_nocs
+from benchmark.training.pose import nocs_training
 from benchmark.training.pose.deformation_loss import DeformationLoss
 from benchmark.training.pose.deformation_training import DeformationValidator, deformation_step
 from benchmark.training.pose.nocs_losses import NOCSLoss, SwinNOCSLoss
-from benchmark.training.pose.nocs_training import (
-    PoseValidator,
-    nocs_step,
-    pixels_of_nocs,
-    pixels_of_swin,
-    swin_nocs_step,
-)
 
 SPD_TRAINING = Trainable(
     presets=SPD,
@@ -83,8 +77,8 @@ SWINDRNET_NOCS_TRAINING = Trainable(
     network=SwinNOCSNetwork,
     frames=fitting_frames_with_nocs,
     loss=SwinNOCSLoss(),
-    step=swin_nocs_step,
-    validator=partial(PoseValidator, pixels_of=pixels_of_swin),
+    step=nocs_training.swin_nocs_step,
+    validator=partial(nocs_training.PoseValidator, pixels_of=nocs_training.pixels_of_swin),
     # As SwinDRNet: what the paper says of both.
     optimization=Optimization(warmup_steps=500),
     colors=True,
@@ -98,8 +92,8 @@ NOCS_TRAINING = Trainable(
     network=NOCSNetwork,
     frames=fitting_frames_with_nocs,
     loss=NOCSLoss(),
-    step=nocs_step,
-    validator=partial(PoseValidator, pixels_of=pixels_of_nocs),
+    step=nocs_training.nocs_step,
+    validator=partial(nocs_training.PoseValidator, pixels_of=nocs_training.pixels_of_nocs),
     # Own: what is published is for another detector, with parts of the network frozen by turns.
     optimization=Optimization(
         learning_rate=2e-4,

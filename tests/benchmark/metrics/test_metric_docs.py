@@ -33,6 +33,7 @@ NEVER_RAISE = {
     "needed_friction",
     "precision_at",
     "score_sensor",
+    "seconds_per_image",
     "suppress_similar",
     "voxel_means",
 }

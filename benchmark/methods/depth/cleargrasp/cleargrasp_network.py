@@ -18,13 +18,12 @@ from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import interpolate, normalize, relu
+from torch.nn.functional import interpolate, normalize
 
-from benchmark.methods.resnet import BasicBlock
+from benchmark.methods.resnet import WIDENED, BasicBlock, Bottleneck
 
 _CLASSES = (0.5, 0.1)  # dropout of the two that classify
 
-_WIDENED = 4  # channels that leave a bottleneck, per channel inside
 
 _WIDTHS = (1, 2, 4, 8, 16, 32, 32, 32)  # of the levels, in those of the first
 
@@ -66,39 +65,6 @@ class ClearGraspNetwork(nn.Module):
         )
 
 
-class Bottleneck(nn.Module):
-    """Three convolutions, the middle one 3x3, beside a shortcut.
-
-    Args:
-        inputs: channels.
-        inner: channels inside; four times as many come out.
-        stride, dilation: of the middle convolution.
-    """
-
-    def __init__(self, inputs: int, inner: int, stride: int, dilation: int) -> None:
-        super().__init__()
-        outputs = _WIDENED * inner
-        self.conv1 = nn.Conv2d(inputs, inner, 1, bias=False)
-        self.bn1 = nn.BatchNorm2d(inner)
-        self.conv2 = nn.Conv2d(
-            inner, inner, 3, stride, padding=dilation, dilation=dilation, bias=False
-        )
-        self.bn2 = nn.BatchNorm2d(inner)
-        self.conv3 = nn.Conv2d(inner, outputs, 1, bias=False)
-        self.bn3 = nn.BatchNorm2d(outputs)
-        self.downsample: nn.Module | None = None
-        if stride != 1 or inputs != outputs:
-            self.downsample = nn.Sequential(
-                nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs)
-            )
-
-    def forward(self, features: Tensor) -> Tensor:
-        shortcut = features if self.downsample is None else self.downsample(features)
-        inside = relu(self.bn1(self.conv1(features)))
-        inside = relu(self.bn2(self.conv2(inside)))
-        return relu(self.bn3(self.conv3(inside)) + shortcut)
-
-
 class DRN(nn.Module):
     """Colour to features at an eighth of its size, and finer ones at a quarter.
 
@@ -110,7 +76,7 @@ class DRN(nn.Module):
         super().__init__()
         widths = [config.width * factor for factor in _WIDTHS]
         blocks = config.blocks
-        out = _WIDENED if config.bottleneck else 1
+        out = WIDENED if config.bottleneck else 1
         self.layer0 = _convolutions(3, widths[0], 1, kernel=7)
         self.layer1 = _convolutions(widths[0], widths[0], blocks[0])
         self.layer2 = _convolutions(widths[0], widths[1], blocks[1], stride=2)
@@ -159,7 +125,7 @@ def _residual(
     dilation: int = 1,
 ) -> nn.Sequential:
     block = Bottleneck if config.bottleneck else BasicBlock
-    outputs = _WIDENED * width if config.bottleneck else width
+    outputs = WIDENED * width if config.bottleneck else width
     return nn.Sequential(
         block(inputs, width, stride, dilation),
         *(block(outputs, width, 1, dilation) for _ in range(count - 1)),

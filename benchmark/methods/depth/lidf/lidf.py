@@ -43,10 +43,9 @@ from benchmark.methods.depth.lidf.voxels import (
     points_on,
     true_pairs,
 )
-from benchmark.methods.network import NetworkRestorer, color_and_depth, torch_device
+from benchmark.methods.network import NetworkRestorer, color_and_depth, network_of
 from benchmark.methods.protocol import View
-from benchmark.methods.registry import MethodOptions, configured, preset_of
-from benchmark.methods.weights import load_weights, weights_for
+from benchmark.methods.registry import MethodOptions
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import pixel_rays
 
@@ -286,10 +285,7 @@ class LIDF(NetworkRestorer):
     """
 
     def __init__(self, options: MethodOptions) -> None:
-        self.config = configured(preset_of(PRESETS, options.preset), options.settings)
-        torch_device(options.device)
-        network = LIDFNetwork(self.config)
-        load_weights(network, weights_for("lidf", options))
+        self.config, network = network_of("lidf", PRESETS, LIDFNetwork, options)
         super().__init__(network, options, self.config.input_size)
         self.needs_mask = self.config.mask == "objects"
 

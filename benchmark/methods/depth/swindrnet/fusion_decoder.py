@@ -20,13 +20,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate, scaled_dot_product_attention
 
-from benchmark.methods.depth.swindrnet.swin import (
-    Perceptron,
-    from_windows,
-    padded,
-    relative_index,
-    to_windows,
-)
+from benchmark.methods.depth.swindrnet import swin
 from benchmark.methods.network import precisely
 
 _WIDTHS = (12, 24, 48)  # channels at the image's resolution, at half and at a quarter of it
@@ -72,7 +66,7 @@ class PaperFusion(nn.Module):
         if self.window is None:
             tokens = qkv.flatten(1, 2)
         else:
-            tokens = to_windows(padded(qkv, self.window), self.window)
+            tokens = swin.to_windows(swin.padded(qkv, self.window), self.window)
         count, n, c = tokens.shape
         parts = tokens.reshape(count, n, 3, self.heads, c // 3 // self.heads)
         return parts.permute(2, 0, 3, 1, 4).unbind(0)
@@ -83,7 +77,7 @@ class PaperFusion(nn.Module):
             return tokens.reshape(like.shape)
         h, w = like.shape[1:3]
         high, wide = h + -h % self.window, w + -w % self.window
-        return from_windows(tokens, self.window, high, wide)[:, :h, :w]
+        return swin.from_windows(tokens, self.window, high, wide)[:, :h, :w]
 
 
 class ReleasedFusion(nn.Module):
@@ -125,8 +119,8 @@ class _CrossBlock(nn.Module):
         self.attn = _IdleAttention(channels, window)
         self.norm2_branch_1 = nn.LayerNorm(channels)
         self.norm2_branch_2 = nn.LayerNorm(channels)
-        self.mlp_branch_1 = Perceptron(channels)
-        self.mlp_branch_2 = Perceptron(channels)
+        self.mlp_branch_1 = swin.Perceptron(channels)
+        self.mlp_branch_2 = swin.Perceptron(channels)
 
     def forward(self, color: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
         color = color + self.norm1_branch_1(color)
@@ -144,7 +138,7 @@ class _IdleAttention(nn.Module):
         rows = (2 * window - 1) ** 2
         self.relative_position_bias_table_1 = nn.Parameter(torch.zeros(rows, 1))
         self.relative_position_bias_table_2 = nn.Parameter(torch.zeros(rows, 1))
-        self.register_buffer("relative_position_index", relative_index(window))
+        self.register_buffer("relative_position_index", swin.relative_index(window))
         self.qkv_branch_1 = nn.Linear(channels, 3 * channels)
         self.qkv_branch_2 = nn.Linear(channels, 3 * channels)
         self.proj_branch_1 = nn.Linear(channels, channels)

@@ -24,9 +24,9 @@ from torch.nn.functional import conv2d, interpolate, linear, relu
 from benchmark.methods.depth.swindrnet.fusion_decoder import ConvUnit, UPerHead, enlarged
 from benchmark.methods.depth.swindrnet.swin import Swin
 from benchmark.methods.depth.swindrnet.swindrnet_network import PRESETS, SwinDRNetwork
-from benchmark.methods.network import NetworkRestorer, Prediction, torch_device
-from benchmark.methods.registry import MethodOptions, configured, preset_of
-from benchmark.methods.weights import check_keys, load_weights, read_weights, weights_for
+from benchmark.methods.network import NetworkRestorer, Prediction, network_of, torch_device
+from benchmark.methods.registry import MethodOptions
+from benchmark.methods.weights import check_keys, read_weights
 
 _TAPS = 3  # side of the convolutions
 
@@ -63,10 +63,8 @@ class SwinDRNet(NetworkRestorer):
     """
 
     def __init__(self, options: MethodOptions) -> None:
-        self.config = configured(preset_of(PRESETS, options.preset), options.settings)
+        self.config, network = network_of("swindrnet", PRESETS, SwinDRNetwork, options)
         device = torch_device(options.device)
-        network = SwinDRNetwork(self.config)
-        load_weights(network, weights_for("swindrnet", options))
         plain = not options.compile and options.precision == "fp32"
         super().__init__(
             FastSwinDRNetwork(network) if plain and device.type == "cpu" else network,

@@ -22,10 +22,9 @@ from benchmark.methods.grasp.graspnet.cloud import (
     workspace,
 )
 from benchmark.methods.grasp.graspnet.graspnet_network import GraspNetwork, Operations, Seeds
-from benchmark.methods.network import torch_device
+from benchmark.methods.network import network_of, torch_device
 from benchmark.methods.protocol import GraspView
-from benchmark.methods.registry import MethodOptions, configured, preset_of
-from benchmark.methods.weights import load_weights, weights_for
+from benchmark.methods.registry import MethodOptions
 from benchmark.metrics.grasp.collision import filled_share, hits_plane
 from benchmark.metrics.grasp.grasp import Grasps, suppress_similar
 from benchmark.metrics.grasp.gripper import get_gripper
@@ -43,11 +42,9 @@ class GraspNet:
     """
 
     def __init__(self, options: MethodOptions) -> None:
-        self.config = configured(preset_of(PRESETS, options.preset), options.settings)
+        self.config, network = network_of("graspnet", PRESETS, GraspNetwork, options)
         self.gripper = get_gripper(self.config.gripper)
         self.device = torch_device(options.device)
-        network = GraspNetwork(self.config)
-        load_weights(network, weights_for("graspnet", options))
         self.network = network.to(self.device).eval().requires_grad_(False)
         turned = gripper_rotations(self.config.views, self.config.angles)
         self._rotations = torch.from_numpy(turned).to(self.device, torch.float32)

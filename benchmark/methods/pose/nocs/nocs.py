@@ -13,13 +13,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from benchmark.methods.network import padded_to
+from benchmark.methods.network import network_of, padded_to
 from benchmark.methods.pose.nocs import detector
 from benchmark.methods.pose.nocs.nocs_backbone import CLASSES, PRESETS, STRIDES, NOCSConfig, Pyramid
 from benchmark.methods.pose.pose_network import Found, NetworkEstimator
 from benchmark.methods.pose.segmented import Segmented
-from benchmark.methods.registry import MethodOptions, configured, preset_of
-from benchmark.methods.weights import load_weights, weights_for
+from benchmark.methods.registry import MethodOptions
 
 SIDE = 28  # of the masks and coordinates of a region
 
@@ -113,9 +112,7 @@ class NOCS(NetworkEstimator):
     """
 
     def __init__(self, options: MethodOptions) -> None:
-        self.config = configured(preset_of(PRESETS, options.preset), options.settings)
-        network = NOCSNetwork(self.config)
-        load_weights(network, weights_for("nocs", options))
+        self.config, network = network_of("nocs", PRESETS, NOCSNetwork, options)
         super().__init__(network, options, self.config)
 
     def inputs(self, color: Tensor, depth: Tensor, K: Tensor) -> tuple[Tensor, ...]:  # noqa: ARG002

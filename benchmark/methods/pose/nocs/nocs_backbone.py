@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate, max_pool2d, relu
 
 from benchmark.methods.pose.fitting import FitSettings
-from benchmark.methods.resnet import residual_layer
+from benchmark.methods.resnet import Bottleneck, residual_layer
 from benchmark.methods.weights import check_keys, read_weights
 
 CLASSES = 7  # 1 bottle to 7 aeroplane; what is of no class is not looked for
@@ -23,8 +23,6 @@ CLASSES = 7  # 1 bottle to 7 aeroplane; what is of no class is not looked for
 STRIDES = (4, 8, 16, 32)  # of the pyramid's levels
 
 _MEAN, _DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet's colours
-
-_WIDER = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,37 +139,6 @@ class ResNet(nn.Module):
             features = self.get_submodule(f"layer{level}")(features)
             levels.append(features)
         return levels
-
-
-class Bottleneck(nn.Module):
-    """1x1, 3x3 and 1x1 convolutions beside a shortcut; the block of ResNet-50.
-
-    Args:
-        inputs: channels.
-        inner: of the 3x3 convolution, a fourth of the outputs.
-        stride: of the 3x3 convolution.
-    """
-
-    def __init__(self, inputs: int, inner: int, stride: int = 1) -> None:
-        super().__init__()
-        outputs = _WIDER * inner
-        self.conv1 = nn.Conv2d(inputs, inner, 1, bias=False)
-        self.bn1 = nn.BatchNorm2d(inner)
-        self.conv2 = nn.Conv2d(inner, inner, 3, stride, padding=1, bias=False)
-        self.bn2 = nn.BatchNorm2d(inner)
-        self.conv3 = nn.Conv2d(inner, outputs, 1, bias=False)
-        self.bn3 = nn.BatchNorm2d(outputs)
-        self.downsample: nn.Module | None = None
-        if stride != 1 or inputs != outputs:
-            self.downsample = nn.Sequential(
-                nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs)
-            )
-
-    def forward(self, features: Tensor) -> Tensor:
-        shortcut = features if self.downsample is None else self.downsample(features)
-        inner = relu(self.bn1(self.conv1(features)))
-        inner = relu(self.bn2(self.conv2(inner)))
-        return relu(self.bn3(self.conv3(inner)) + shortcut)
 
 
 def load_imagenet(backbone: ResNet, path: Path) -> None:

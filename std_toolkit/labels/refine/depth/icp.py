@@ -18,12 +18,7 @@ from std_toolkit.geometry.se3 import SE3
 from std_toolkit.geometry.symmetry import rotation_error
 from std_toolkit.labels.refine import problem
 from std_toolkit.labels.refine.caster import LayerStore
-from std_toolkit.labels.refine.depth.depth_steps import (
-    DepthAgreement,
-    depth_residuals,
-    measure_depth,
-    pose_covariance,
-)
+from std_toolkit.labels.refine.depth import depth_steps
 from std_toolkit.labels.refine.depth.observed import ObservedRays, ObservedView, observe
 from std_toolkit.labels.refine.depth.pose_search import THOROUGH, SearchRange, search_pose
 from std_toolkit.labels.refine.edges.solver import refine_poses
@@ -92,7 +87,7 @@ class DepthFit:
     T_world_obj: SE3
     covariance: Array
     weak_direction: str
-    depth: DepthAgreement
+    depth: depth_steps.DepthAgreement
     edge_rms_px: float | None
     views: int
     depth_factor: float
@@ -132,14 +127,14 @@ def refine_on_depth(
     pose = search_pose(
         obj, surface, observed, search, progress=problem.sub_progress(progress, 0.1, searched)
     )
-    agreement = measure_depth(surface, observed, pose)
+    agreement = depth_steps.measure_depth(surface, observed, pose)
     if (
         agreement.readings >= _FEWEST_READINGS
         and agreement.explained < _DOUBTFUL
         and surface.thickness < _THIN * reach_m
     ):
         pose = search_pose(obj, surface, observed, search, effort=THOROUGH, known=[pose])
-        agreement = measure_depth(surface, observed, pose)
+        agreement = depth_steps.measure_depth(surface, observed, pose)
     if agreement.readings < _FEWEST_READINGS:
         raise ToolkitError(
             f"the sensor has no depth on {obj.name}",
@@ -160,8 +155,8 @@ def refine_on_depth(
         if finished is not None:
             return finished
     rays = ObservedRays.of([o.thinned(3000) for o in observed])
-    rows = depth_residuals(surface, rays, pose, gate_m=0.008, reverse_weight=0.0)
-    covariance = pose_covariance(obj, rows)
+    rows = depth_steps.depth_residuals(surface, rays, pose, gate_m=0.008, reverse_weight=0.0)
+    covariance = depth_steps.pose_covariance(obj, rows)
     return DepthFit(
         obj.name,
         pose,
@@ -182,7 +177,7 @@ def depth_agreement(
     *,
     depth_factor: float = 1.0,
     layers: LayerStore | None = None,
-) -> DepthAgreement:
+) -> depth_steps.DepthAgreement:
     """How well the sensor depth of the views agrees with an object at its pose.
 
     Args:
@@ -192,7 +187,7 @@ def depth_agreement(
     """
     surface = obj.surface
     observed = observe(views, obj, others, surface, reach_m=0.0, background=False, layers=layers)
-    return measure_depth(surface, observed, obj.T_world_obj, depth_factor=depth_factor)
+    return depth_steps.measure_depth(surface, observed, obj.T_world_obj, depth_factor=depth_factor)
 
 
 def _check(
@@ -223,7 +218,7 @@ def _finish(
     found: problem.RefineObject,
     surface: ObjectSurface,
     observed: Sequence[ObservedView],
-    before: DepthAgreement,
+    before: depth_steps.DepthAgreement,
     others: Sequence[problem.RefineObject],
     *,
     progress: problem.Progress,
@@ -245,7 +240,9 @@ def _finish(
     except ToolkitError:  # nothing of it can be seen well enough
         return None
     edges = result.objects[0]
-    after = measure_depth(surface, observed, edges.T_world_obj, depth_factor=result.depth_factor)
+    after = depth_steps.measure_depth(
+        surface, observed, edges.T_world_obj, depth_factor=result.depth_factor
+    )
     if (
         edges.views == 0
         or moved_too_far(found, edges.T_world_obj)

@@ -19,20 +19,14 @@ from std_toolkit.geometry.se3 import SE3, so3_exp
 from std_toolkit.geometry.symmetry import rotation_error
 from std_toolkit.labels.refine import problem
 from std_toolkit.labels.refine.caster import LayerStore
+from std_toolkit.labels.refine.edges import edge_search
 from std_toolkit.labels.refine.edges.descent import descend
-from std_toolkit.labels.refine.edges.edge_search import (
-    EdgeScore,
-    ScoreLevel,
-    SearchRange,
-    search_edges,
-    spread_views,
-)
 from std_toolkit.labels.refine.edges.measure import PoseState, coarse_to_fine
 
 # The search ends within this share of an object's size in the image.
 _LEFT = 0.08
 
-_JUDGED = ScoreLevel(pixels=100, tolerance=1.0)
+_JUDGED = edge_search.ScoreLevel(pixels=100, tolerance=1.0)
 
 _CANDIDATES = 3
 
@@ -80,7 +74,7 @@ def approach(
         layers: of the objects in these views, where they were cast before.
         progress: told the fraction done.
     """
-    around = SearchRange(reach_m=options.rough_m, turn=options.rough_turn)
+    around = edge_search.SearchRange(reach_m=options.rough_m, turn=options.rough_turn)
     found = list(objects)
     layers = LayerStore() if layers is None else layers
     rough = [i for i, o in enumerate(objects) if o.rough and not o.fixed]
@@ -89,15 +83,15 @@ def approach(
         share = problem.sub_progress(progress, done / len(rough), (done + 1) / len(rough))
         share(0)
         others = [replace(o, fixed=True) for k, o in enumerate(found) if k != i]
-        few = spread_views(views, obj)
-        scorer = EdgeScore(few, obj, others, _JUDGED, reach_m=1.3 * around.reach_m)
+        few = edge_search.spread_views(views, obj)
+        scorer = edge_search.EdgeScore(few, obj, others, _JUDGED, reach_m=1.3 * around.reach_m)
         if not scorer.views:
             continue
         tried = [_converged(few, obj, others, options, scorer, layers)]
         for thorough in (False, True):
             # Few objects need the thorough search; the others are done after the quick one.
             searched = problem.sub_progress(share, *((0.7, 0.9) if thorough else (0.1, 0.6)))
-            candidates = search_edges(
+            candidates = edge_search.search_edges(
                 few,
                 obj,
                 others,
@@ -142,8 +136,8 @@ def search_turns(
     if near_symmetry(obj) is None:
         return obj.T_world_obj
     layers = LayerStore() if layers is None else layers
-    few = spread_views(views, obj)
-    scorer = EdgeScore(few, obj, others, _JUDGED, reach_m=options.rough_m)
+    few = edge_search.spread_views(views, obj)
+    scorer = edge_search.EdgeScore(few, obj, others, _JUDGED, reach_m=options.rough_m)
     if not scorer.views:
         return obj.T_world_obj
     # What sensor depth has placed may be a few pixels off.
@@ -157,7 +151,7 @@ def _search_turns(
     obj: problem.RefineObject,
     others: Sequence[problem.RefineObject],
     options: problem.RefineOptions,
-    scorer: EdgeScore,
+    scorer: edge_search.EdgeScore,
     layers: LayerStore,
 ) -> SE3:
     axis = near_symmetry(obj)
@@ -199,7 +193,7 @@ def _converged(
     obj: problem.RefineObject,
     others: Sequence[problem.RefineObject],
     options: problem.RefineOptions,
-    scorer: EdgeScore,
+    scorer: edge_search.EdgeScore,
     layers: LayerStore,
 ) -> _Converged:
     T = _follow(views, obj, others, options, layers)

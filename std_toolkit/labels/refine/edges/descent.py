@@ -10,16 +10,10 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.refine import problem
 from std_toolkit.labels.refine.caster import LayerStore
 from std_toolkit.labels.refine.edges.measure import Level, Measurements, PoseState, measure
 from std_toolkit.labels.refine.edges.system import NormalEquations, Step
-from std_toolkit.labels.refine.problem import (
-    Progress,
-    RefineObject,
-    RefineOptions,
-    RefineView,
-    no_progress,
-)
 
 Array = NDArray[np.float64]
 
@@ -51,14 +45,14 @@ class Descent:
 
 
 def descend(
-    views: Sequence[RefineView],
-    objects: Sequence[RefineObject],
+    views: Sequence[problem.RefineView],
+    objects: Sequence[problem.RefineObject],
     state: PoseState,
     levels: Sequence[Level],
-    options: RefineOptions,
+    options: problem.RefineOptions,
     *,
     layers: LayerStore | None = None,
-    progress: Progress = no_progress,
+    progress: problem.Progress = problem.no_progress,
 ) -> Descent:
     """Move `state` level by level until the steps are small.
 
@@ -110,18 +104,18 @@ def descend(
     return Descent(made, scale, largest)
 
 
-def _size_mm(obj: RefineObject, step: Step) -> float:
+def _size_mm(obj: problem.RefineObject, step: Step) -> float:
     """How far a step moves the surface at most."""
     shift, turn = np.linalg.norm(step.xi[:3]), np.linalg.norm(step.xi[3:])
     return 1000 * float(shift + turn * obj.radius)
 
 
 def _advance(
-    objects: Sequence[RefineObject],
+    objects: Sequence[problem.RefineObject],
     state: PoseState,
     measured: Measurements,
     scale: float,
-    options: RefineOptions,
+    options: problem.RefineOptions,
 ) -> list[Step]:
     """One Gauss-Newton step with robust weights; returns what it did to each object."""
     delta = np.zeros(6 * len(objects) + 2)
@@ -144,11 +138,11 @@ def _advance(
 
 
 def assemble(
-    objects: Sequence[RefineObject],
+    objects: Sequence[problem.RefineObject],
     state: PoseState,
     measured: Measurements,
     scale: float,
-    options: RefineOptions,
+    options: problem.RefineOptions,
     delta: Array,
 ) -> tuple[NormalEquations, dict[int, float], dict[int, float]]:
     """Normal equations, and the robust standard deviations of edges (px) and depth (m)."""
@@ -181,9 +175,9 @@ def assemble(
 
 def _add_priors(
     system: NormalEquations,
-    objects: Sequence[RefineObject],
+    objects: Sequence[problem.RefineObject],
     state: PoseState,
-    options: RefineOptions,
+    options: problem.RefineOptions,
 ) -> None:
     weak = np.array([options.translation_std] * 3 + [options.rotation_std] * 3)
     for i, obj in enumerate(objects):
