@@ -36,7 +36,7 @@ ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
         ("cli",),
     ),
     "annotator": (
-        ("", "startup"),
+        ("", "options", "startup"),
         ("session",),
         ("app", "compare"),
         ("views",),

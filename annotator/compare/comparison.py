@@ -25,6 +25,7 @@ from annotator.compare.pose_difference import (
     what_differs,
 )
 from annotator.compare.shared_recording import shared_recording
+from annotator.options import CompareOptions
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Symmetry
 from std_toolkit.geometry.symmetry import common_symmetry
@@ -40,28 +41,6 @@ _ROUNDING_M = 1e-9
 
 
 _DIGITS = 4
-
-
-@dataclass(frozen=True, kw_only=True)
-class CompareOptions:
-    """How labels are compared.
-
-    Attributes:
-        threshold_mm: two labels agree if their MSSD is at most this, in the annotated frame and
-            in the median over all common frames.
-        as_annotated: compare the poses as set by hand, before any refinement over several frames.
-    """
-
-    threshold_mm: float = 5.0
-    as_annotated: bool = False
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.threshold_mm) and self.threshold_mm > 0):
-            raise ToolkitError(
-                "must be a positive number of millimetres",
-                field="threshold",
-                value=self.threshold_mm,
-            )
 
 
 @dataclass(frozen=True, eq=False)

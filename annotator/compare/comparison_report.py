@@ -143,11 +143,11 @@ def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
     paths = [folder / name for name in ("agreement.csv", "frames.csv", "agreement.json")]
     write_csv(comparison, paths[0])
     write_bytes_atomic(paths[1], comparison.frame_table.to_csv(index=False).encode())
-    write_document(paths[2], _document(comparison))
+    write_document(paths[2], comparison_document(comparison))
     return paths
 
 
-def _document(c: Comparison) -> dict[str, Any]:
+def comparison_document(c: Comparison) -> dict[str, Any]:
     return {
         "version": __version__,
         "a": str(c.a.scene.root),

@@ -5,8 +5,8 @@ Whose labels of an object count when several annotators are merged.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import reduce
 from itertools import combinations
@@ -21,9 +21,10 @@ from annotator.compare.annotated_scene import (
     same_shape,
     work_notes,
 )
-from annotator.compare.comparison import CompareOptions, ObjectAgreement, agreement_of
+from annotator.compare.comparison import ObjectAgreement, agreement_of
 from annotator.compare.joint_label import joint_label
 from annotator.compare.shared_recording import shared_recording
+from annotator.options import CompareOptions, MergeOptions
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import Symmetry
 from std_toolkit.geometry.symmetry import common_symmetry
@@ -113,7 +114,7 @@ def merge_labels(
             there.
     """
     options = options or MergeOptions()
-    compare = options.compare()
+    compare = options
     time = time or datetime.now(UTC).isoformat(timespec="seconds")
     if not 2 <= len(scenes) <= len(ascii_uppercase):
         raise ToolkitError("a merge needs two to 26 scenes", value=len(scenes))
@@ -233,30 +234,6 @@ def _notes_of(labelled: Sequence[LabelledObject]) -> list[str]:
         if note:
             notes.append(f"{x.owner.name}: {note}")
     return notes
-
-
-@dataclass(frozen=True, kw_only=True)
-class MergeOptions:
-    """What becomes of objects on which annotators do not agree.
-
-    Attributes:
-        threshold_mm: labels agree if their MSSD is at most this.
-        as_annotated: merge the poses as set by hand, before any refinement over several frames.
-        prefer: annotator ("A", "B", ...) whose label is taken where there is no agreement.
-        take: annotator by object name, whose label is taken whatever the others say.
-        single: take labels that only one annotator made.
-        majority: of three or more, more than half that agree pairwise outvote the others.
-    """
-
-    threshold_mm: float = 5.0
-    as_annotated: bool = False
-    prefer: str | None = None
-    take: Mapping[str, str] = field(default_factory=dict)
-    single: bool = False
-    majority: bool = False
-
-    def compare(self) -> CompareOptions:
-        return CompareOptions(threshold_mm=self.threshold_mm, as_annotated=self.as_annotated)
 
 
 def chosen_labels(

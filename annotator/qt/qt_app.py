@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
 import sys
@@ -16,6 +15,7 @@ os.environ.setdefault("QT_API", "pyside6")
 from PySide6.QtCore import QTimer
 from PySide6.QtWidgets import QApplication
 
+from annotator.options import AnnotateOptions
 from annotator.qt.graphics import set_surface_format
 from annotator.qt.theme import apply_theme
 from annotator.startup import quick_imports
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from annotator.qt.main_window import Shell
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: AnnotateOptions) -> int:
     """Open the window and work until it is closed.
 
     Args:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from pathlib import Path
-from typing import get_args
+from typing import Literal, get_args
 
 import msgspec
 
@@ -101,27 +100,27 @@ def run_script(session: Session, steps: list[Step], path: Path | str) -> Iterato
             ) from error
 
 
-def run(args: argparse.Namespace) -> int:
+def run(
+    scene: Path, script: Path, *, annotator: str | None, recover: Literal["ask", "yes", "no"]
+) -> int:
     """`std-annotate SCENE --script FILE`: prints a line for every step; exit status 0.
 
     Raises:
         ToolkitError: a step that cannot be carried out, or earlier edits to decide about.
     """
-    steps = read_script(args.script)
-    with Session.open(
-        args.scene, annotator=args.annotator, recover=args.recover, by_hand=False
-    ) as session:
+    steps = read_script(script)
+    with Session.open(scene, annotator=annotator, recover=recover, by_hand=False) as session:
         if session.recovery is not None:
             raise ToolkitError(
                 str(session.recovery),
-                path=args.scene,
+                path=scene,
                 hint="give --recover yes to bring them back, or --recover no to keep them aside",
             )
         for warning in session.warnings:
             logger.warning("%s", warning)
         recovered = session.unsaved
         try:
-            for line in run_script(session, steps, args.script):
+            for line in run_script(session, steps, script):
                 print(line)
         except ToolkitError:
             # The script can be run again: its edits need no recovery. Those that a person made
@@ -132,7 +131,7 @@ def run(args: argparse.Namespace) -> int:
             logger.warning(
                 '%s: the last edits are not saved; end it with {"edit": "save"}, or open the '
                 "scene to recover them",
-                args.script,
+                script,
             )
     return 0
 

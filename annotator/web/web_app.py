@@ -25,6 +25,7 @@ from urllib.parse import urlsplit
 from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
 
+from annotator.options import AnnotateOptions
 from annotator.session import Session
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
@@ -56,13 +57,14 @@ _HEADERS = {
 _HOST = re.compile(r"[\w.\-]+(:\d+)?|\[[0-9a-fA-F:.]+\](:\d+)?")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: AnnotateOptions) -> int:
     """Serve a scene until interrupted; edits that were not saved then stay recoverable.
 
     Raises:
         ToolkitError: an address that others can reach without a token, a port in use, or a scene
             that cannot be opened.
     """
+    assert args.scene is not None and args.web is not None  # the options see to it
     check_address(args.host, args.token)
     prepare_drawing()
     with Session.open(

@@ -432,6 +432,8 @@ def _pairs(name: str, words: Sequence[str], kind: type[Any]) -> dict[str, Any]:
         key, equals, value = word.partition("=")
         if not (key and equals):
             raise ToolkitError("expected NAME=VALUE", field=name, value=word)
+        if key in found:
+            raise ToolkitError("given twice", field=name, value=key)
         try:
             found[key] = kind(value)
         except ValueError:
@@ -451,6 +453,8 @@ def _with_verbosity(kind: type[Any]) -> type[Any]:
         if get_origin(hint) in _MAPPINGS:
             hint, metavar = tuple[str, ...], "NAME=VALUE ..."
             default = tuple(f"{name}={value}" for name, value in default.items())
+            if option.metadata.get("repeat"):
+                hint = conf.UseAppendAction[tuple[str, ...]]
         elif "off" in option.metadata:
             default = not default
         elif "factor" in option.metadata:

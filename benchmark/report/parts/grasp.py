@@ -43,6 +43,12 @@ CSV, MARKDOWN, LATEX = "grasping.csv", "grasping.md", "grasping.tex"
 # Pictures of a run that the page shows: one of every way in which attempts ended.
 _MOST_STRIPS = 6
 
+_RUN = ("camera", "seed", "planner", "depth")
+_COUNTS = ("rounds", "objects", "attempts", "grasped")
+_SHARES = (
+    "success_attempts", "success_tables", "completion_objects", "completion_tables", "cleared",
+)  # fmt: skip
+
 _DEFINITIONS = (
     "Success: attempts that ended with an object held, of all attempts; per table: the mean over "
     "rounds, a round without an attempt counts 0. Completion: objects removed (held after lifting, "
@@ -94,22 +100,9 @@ def printed_rows() -> list[list[str]]:
     found = []
     for method, part in rows.groupby("method", sort=False):
         figure = dict(zip(part["metric"], part["value"], strict=True))
-        found.append(
-            [
-                str(method),
-                "published",
-                "6",
-                f"{figure['objects_grasped']} / {figure['attempts']}",
-                figure["success_rate_pct"],
-                "-",
-                "-",
-                "-",
-                figure["completion_rate_pct"],
-                "-",
-                "-",
-                "-",
-            ]
-        )
+        grasped = f"{figure['objects_grasped']} / {figure['attempts']}"
+        success, completion = figure["success_rate_pct"], figure["completion_rate_pct"]
+        found.append([str(method), "published", "6", grasped, success, *"---", completion, *"---"])
     return found
 
 
@@ -117,28 +110,12 @@ def board_of(results: Sequence[GraspResult]) -> pd.DataFrame:
     """One row per run, rates as shares."""
     rows = []
     for result in results:
-        camera, seed, planner, depth = result.name
         rates = result.rates
-        row: dict[str, object] = {
-            "camera": camera,
-            "seed": seed,
-            "planner": planner,
-            "depth": depth,
-            "rounds": rates.rounds,
-            "objects": rates.objects,
-            "attempts": rates.attempts,
-            "grasped": rates.grasped,
-            "off_table": rates.lost,
-        }
-        shares = {
-            "success_attempts": rates.success_attempts,
-            "success_tables": rates.success_tables,
-            "completion_objects": rates.completion_objects,
-            "completion_tables": rates.completion_tables,
-            "cleared": rates.cleared,
-            **{f"completion_{m}": r for m, r in sorted(rates.completion_of.items())},
-            **rates.precision,
-        }
+        row: dict[str, object] = dict(zip(_RUN, result.name, strict=True))
+        row |= {name: getattr(rates, name) for name in _COUNTS} | {"off_table": rates.lost}
+        shares = {name: getattr(rates, name) for name in _SHARES}
+        shares |= {f"completion_{m}": r for m, r in sorted(rates.completion_of.items())}
+        shares |= rates.precision
         for name, rate in shares.items():
             row |= {name: rate.value, f"{name}_low": rate.low, f"{name}_high": rate.high}
         rows.append(row)

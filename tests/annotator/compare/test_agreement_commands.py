@@ -40,9 +40,9 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
 def refuse(capsys: pytest.CaptureFixture[str]) -> Refuse:
     """The one line with which a command is refused."""
 
-    def refused(*arguments: object) -> str:
+    def refused(*arguments: object, status: int = 1) -> str:
         capsys.readouterr()
-        assert main([str(a) for a in arguments]) == 1
+        assert main([str(a) for a in arguments]) == status
         out, err = capsys.readouterr()
         lines = err.splitlines()
         assert len(lines) == 1 and lines[0].startswith("error: "), err
@@ -179,17 +179,18 @@ def test_merge_into_a_scene(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--take", "mug"], "must be OBJECT=ANNOTATOR"),
-        (["--take", "=A"], "must be OBJECT=ANNOTATOR"),
+        (["--take", "mug"], "--take: expected NAME=VALUE"),
+        (["--take", "=A"], "--take: expected NAME=VALUE"),
         (["--take", "can=A", "--take", "can=B"], "given twice"),
         (["--overwrite"], "--overwrite goes with --into"),
-        (["--threshold-mm", "0"], "must be a positive number"),
+        (["--threshold-mm", "0"], "--threshold-mm: must be above 0"),
     ],
 )
 def test_arguments_that_make_no_sense_are_refused(
     refuse: Refuse, pair: tuple[Path, Path], tmp_path: Path, arguments: list[str], message: str
 ) -> None:
-    assert message in refuse("merge", *pair, "--out", tmp_path / "merged", *arguments)
+    told = refuse("merge", *pair, "--out", tmp_path / "merged", *arguments, status=2)
+    assert message in told
     assert not (tmp_path / "merged").exists()
 
 
