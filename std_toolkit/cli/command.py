@@ -394,6 +394,8 @@ def _build(kind: type[Any], values: Mapping[str, Any], given: Any = dataclasses.
             value = not value
         elif "factor" in field.metadata:
             value = value / field.metadata["factor"]
+        elif "size" in field.metadata and isinstance(value, str):
+            value = _size(field.name, value)
         elif value == () and default is None:
             value = None
         found[field.name] = value
@@ -442,6 +444,13 @@ def _pairs(name: str, words: Sequence[str], kind: type[Any]) -> dict[str, Any]:
     return found
 
 
+def _size(name: str, word: str) -> tuple[int, int]:
+    width, _, height = word.lower().partition("x")
+    if not (width.isdigit() and height.isdigit() and int(width) and int(height)):
+        raise ToolkitError("expected a size such as 1280x720", field=name, value=word)
+    return int(width), int(height)
+
+
 def _with_verbosity(kind: type[Any]) -> type[Any]:
     """A flat dataclass of all options for the parser."""
     from tyro import conf
@@ -457,6 +466,9 @@ def _with_verbosity(kind: type[Any]) -> type[Any]:
                 hint = conf.UseAppendAction[tuple[str, ...]]
         elif "off" in option.metadata:
             default = not default
+        elif "size" in option.metadata:
+            hint, metavar = (str | None if default is None else str), "WxH"
+            default = default and f"{default[0]}x{default[1]}"
         elif "factor" in option.metadata:
             default = default * option.metadata["factor"]
         elif option.metadata.get("repeat"):
