@@ -214,3 +214,25 @@ def test_pasting_words_is_a_message_and_no_edit(bench: Bench) -> None:
     bench.space.pose.paste()
     assert "hello" in bench.message()
     assert bench.pose().flat() == before
+
+
+def test_a_quaternion_is_typed_as_a_whole_and_keys_reach_the_views_again(bench: Bench) -> None:
+    panel = bench.space.pose
+    forms = panel._form_box
+    forms.setCurrentIndex(forms.findText("quaternion w x y z"))
+    assert not panel.rotation[0].isVisible()
+    numbers = np.array(panel.quaternion.text().split(), float)
+    np.testing.assert_allclose(numbers, bench.pose().quat(), atol=1e-5)
+    panel.quaternion.setFocus()
+    panel.quaternion.selectAll()
+    QTest.keyClicks(panel.quaternion, "0.5 0.5 0.5 0.5")
+    QTest.keyClick(panel.quaternion, Key.Key_Return)
+    np.testing.assert_allclose(bench.pose().R, [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-12)
+    assert not panel.quaternion.hasFocus()
+    before = bench.pose()
+    panel.quaternion.setFocus()
+    panel.quaternion.selectAll()
+    QTest.keyClicks(panel.quaternion, "1 2 3")
+    QTest.keyClick(panel.quaternion, Key.Key_Return)
+    assert "4 numbers" in bench.message()
+    assert bench.pose().flat() == before.flat()
