@@ -4,11 +4,17 @@ A program is a table of commands. A command names a dataclass of options and a f
 an instance of it, both by `module:name`, so that `PROGRAM --help` imports neither. `tyro` makes the
 command line from the dataclass: the help of an option is the docstring below its field, its range
 is a `msgspec.Meta` in its annotation, its choices are an enum or a `Literal`. A field without a
-default is a positional argument, a mapping takes `NAME=VALUE ...`. The field's metadata may say
-otherwise: `{"option": "set"}` makes it the option `--set`, `{"option": None}` keeps it off the
-command line, `{"option": ""}` makes it positional. A nested `msgspec.Struct` serves as well; its
-metadata are the `extra` of a `msgspec.Meta`. The help of a flag `--no-NAME`, which is on by
-default, is a noun: "pictures" becomes "without pictures".
+default is a positional argument, a mapping takes `NAME=VALUE ...`. The help of a flag `--no-NAME`,
+which is on by default, is a noun: "pictures" becomes "without pictures". A nested `msgspec.Struct`
+serves as well as a dataclass. The field's metadata (of a Struct the `extra` of a `msgspec.Meta`)
+may say more:
+
+- `{"option": "set"}` makes it the option `--set`, `{"option": ""}` makes it positional, and
+  `{"option": None}` keeps it off the command line;
+- `{"off": "flat-normals"}` makes a flag of this name that turns it off;
+- `{"repeat": True}` lets a tuple or mapping collect one value each time that the option is given;
+- `{"factor": 1000}` reads metres as millimetres;
+- `{"size": True}` reads two whole numbers as `1280x720`.
 
 Exit status of every program: 0 done, 1 failed or a gate failed, 2 wrong usage, 130 interrupted.
 """
