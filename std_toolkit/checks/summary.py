@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from std_toolkit.rendering.placements import truth_is_current
@@ -144,12 +144,6 @@ def summarise(scene: Scene) -> SceneSummary:
         reference=sorted(p.name for p in reference.iterdir()) if reference.is_dir() else [],
         next_command=None,
     )
-    return _with_next(found)
-
-
-def _with_next(found: SceneSummary) -> SceneSummary:
-    from dataclasses import replace
-
     return replace(found, next_command=_next_command(found))
 
 
@@ -204,6 +198,8 @@ def _scale_line(scene: Scene) -> str | None:
 
 def _ground_truth_counts(scene: Scene) -> tuple[int, int]:
     """Frames with current and with outdated ground truth."""
+    if not (scene.root / "gt").is_dir():
+        return 0, 0
     from std_toolkit.rendering.ground_truth import read_frame_truth, rendered_frames
 
     current = stale = 0
@@ -216,7 +212,6 @@ def _ground_truth_counts(scene: Scene) -> tuple[int, int]:
 
 
 def _report_is_current(scene: Scene) -> bool:
-    # Imported here: the checks build on this package.
     from std_toolkit.checks.check_step import report_is_current
 
     return report_is_current(scene)

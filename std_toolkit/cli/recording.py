@@ -191,7 +191,7 @@ class SchemaCommand:
 
 def print_schema(command: SchemaCommand) -> int:
     """Print or write JSON Schemas."""
-    from std_toolkit.cli.document_schema import document_types, schema_bytes, write_schemas
+    from std_toolkit.checks.document_schema import document_types, schema_bytes, write_schemas
 
     if command.out is not None:
         print("\n".join(str(path) for path in write_schemas(command.out)))

@@ -7,20 +7,18 @@ from typing import Any
 
 import msgspec
 
+from std_toolkit.checks.result import CheckReport
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import DIALECT
+from std_toolkit.rendering.ground_truth import FrameTruth
 from std_toolkit.scene.document import Record
 from std_toolkit.scene.model import Annotation, CameraPoses, Frames, Labels, ObjectTable, SceneInfo
+from std_toolkit.scene.sidecar import Sidecar
 
 
 def document_types() -> dict[str, type]:
     """Name of every kind of document, to its structure."""
-    # Imported here: these packages build on this one.
-    from std_toolkit.checks.result import CheckReport
-    from std_toolkit.rendering.ground_truth import FrameTruth
-    from std_toolkit.scene.sidecar import Sidecar
-
     return {
         "scene": SceneInfo,
         "frames": Frames,
