@@ -24,9 +24,8 @@ import pandas as pd
 import scipy.io
 from numpy.typing import NDArray
 
-from sensors.materials import load_library
-from sensors.materials.material_library import MaterialClass
-from sensors.render import DRAFT_INFRARED
+from sensors.materials.material_library import MaterialClass, load_library
+from sensors.render.sim_renderer import DRAFT_INFRARED
 from sensors.simulation.options import SimulationOptions
 from sensors.simulation.set_report import ErrorTally
 from sensors.simulation.simulated_set import parts_cache

@@ -20,10 +20,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sensors.record.frame_files import FileOptions, aligned_units, write_sensor_png
+from sensors.record.frame_files import aligned_units, write_sensor_png
 from sensors.record.hints import HintMaker
+from sensors.record.options import FileOptions, WriterOptions
 from sensors.record.recording_document import CapturedFrame, Device, RecordingDocument, Session
-from sensors.record.scene_writer import SceneWriter, WriterOptions
+from sensors.record.scene_writer import SceneWriter
 from sensors.specs import load_sensor
 from std_toolkit import __version__
 from std_toolkit.io.images import write_color
@@ -127,7 +128,7 @@ def rates(folder: Path, pool: list[CapturedFrame], plain: float) -> None:
     for title, files in (
         ("JPEG", FileOptions()),
         ("JPEG, infrared, raw depth", FileOptions(infrared=True, raw_depth=True)),
-        ("PNG", FileOptions(color="png")),
+        ("PNG", FileOptions(color_format="png")),
     ):
         for threads in counts:
             out = folder / f"{title}{threads}".replace(", ", "_").replace(" ", "_")
@@ -150,7 +151,7 @@ def paced(folder: Path, pool: list[CapturedFrame]) -> None:
     """Ten seconds as a camera sends them, hints included."""
     cores = os.cpu_count() or 1
     print(f"\n{SECONDS} s at {FPS} frames/s, {cores} cores")
-    for title, files in (("JPEG", FileOptions()), ("PNG", FileOptions(color="png"))):
+    for title, files in (("JPEG", FileOptions()), ("PNG", FileOptions(color_format="png"))):
         hints = HintMaker(FPS)
         with writer(folder / f"paced_{title}", files, min(8, cores), drop=True) as made:
             began = time.perf_counter()

@@ -23,7 +23,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from sensors.output import dreds_scene
+from sensors.output.dreds import dreds_scene
 from sensors.render.variant import choose_variant
 from sensors.simulation.options import SimulationOptions
 from sensors.simulation.simulator import Simulator, Stopwatch

@@ -21,25 +21,17 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from sensors.lighting import StudioSource, draw_floor, draw_lighting
-from sensors.materials import draw_material
+from sensors.lighting.environment_sources import StudioSource
+from sensors.lighting.light_draw import draw_floor, draw_lighting
+from sensors.materials.material_draw import draw_material
 from sensors.materials.material_library import MaterialClass
 from sensors.pattern import DotPattern, make_pattern
-from sensors.render import (
-    DRAFT_COLOR,
-    DRAFT_INFRARED,
-    Projector,
-    RenderOptions,
-    SceneObject,
-    SimScene,
-    SurfaceMesh,
-    TruthCaster,
-    denoise,
-    develop,
-    expose_pair,
-)
+from sensors.render.color_image import denoise, develop
+from sensors.render.infrared_image import expose_pair
+from sensors.render.sim_renderer import DRAFT_COLOR, DRAFT_INFRARED, RenderOptions
+from sensors.render.sim_scene import Projector, SceneObject, SimScene, SurfaceMesh, TruthCaster
 from sensors.specs import load_sensor
-from sensors.viewpoints import ViewpointOptions, random_viewpoints
+from sensors.viewpoints.views import ViewpointOptions, random_viewpoints
 from std_toolkit.geometry import SE3
 from std_toolkit.io.images import write_color, write_png
 

@@ -323,8 +323,8 @@ class CheckOptions:
 class ExportOptions:
     """How a labelled scene is written in another layout."""
 
-    label_size: tuple[int, int] | None = field(default=None, metadata={"option": None})
-    """(width, height) of labels in the STD layout (half of 1280x720, else that of colour)"""
+    label_size: tuple[int, int] | None = field(default=None, metadata={"size": True})
+    """STD: size of the labels (half of 1280x720, else that of colour)"""
     scene_number: Annotated[int, msgspec.Meta(ge=0, le=999999)] = 1
     """BOP, NOCS: number of the scene"""
     split: Literal["train", "val", "test"] = "test"

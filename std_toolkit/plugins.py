@@ -14,7 +14,8 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
-from importlib.util import find_spec
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
+from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -24,6 +25,26 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 T = TypeVar("T")
+
+
+def _module_of_file(path: str) -> ModuleType:
+    """The module of a file, executed once."""
+    file = Path(path).resolve()
+    name = f"plug-in {file}"
+    if name not in sys.modules:
+        if not file.is_file():
+            raise FileNotFoundError(f"there is no file {path}")
+        spec = spec_from_file_location(name, file)
+        assert spec is not None and spec.loader is not None
+        module = module_from_spec(spec)
+        sys.modules[name] = module
+        try:
+            spec.loader.exec_module(module)
+        except BaseException:
+            del sys.modules[name]
+            raise
+    return sys.modules[name]
+
 
 # Names that the guides of version 0.1 gave to users' own code.
 RENAMED: dict[str, str] = {
@@ -83,7 +104,7 @@ class Registry(Generic[T]):
 
     A name is looked up among the built-in plug-ins first (`module:attribute` strings, imported
     when first asked for), then among the installed entry points of `group`; a name with a colon
-    is imported as `package.module:attribute`.
+    is imported as `package.module:attribute` or `path/to/file.py:attribute`.
 
     Args:
         group: entry-point group, such as `std_toolkit.renderers`.
@@ -122,12 +143,13 @@ class Registry(Generic[T]):
         raise ToolkitError(
             f"no plug-in of this name in {self.group}",
             value=name,
-            hint=f"known: {', '.join(self.names())}; or give package.module:attribute",
+            hint=f"known: {', '.join(self.names())}; or give package.module:NAME or file.py:NAME",
         )
 
     def _import(self, target: str) -> T:
-        module, _, attribute = target.partition(":")
-        return self._loaded(lambda: getattr(importlib.import_module(module), attribute), target)
+        module, _, attribute = target.rpartition(":")
+        load = _module_of_file if module.endswith(".py") else importlib.import_module
+        return self._loaded(lambda: getattr(load(module), attribute), target)
 
     def _loaded(self, load: Callable[[], Any], target: str) -> T:
         try:

@@ -88,7 +88,7 @@ class FrameConfig(NetworkConfig):
     """What a task over the frames of data sets is asked; every method runs on every split."""
 
     methods: tuple[str, ...] = field(metadata=_option("method"))
-    """names of `std-bench list methods`, or package.module:Class"""
+    """names of `std-bench list methods`, package.module:Class, or file.py:Class"""
     splits: tuple[str, ...] = field(metadata=_option("split"))
     """names of `std-bench list splits`"""
     data: tuple[str, ...] = field(metadata=_option("data"))
@@ -161,7 +161,8 @@ class GraspConfig(NetworkConfig):
     depths: tuple[str, ...] = field(default=("raw",), metadata=_option("depth"))
     """depth that grasps are planned on: raw, gt, or restorers"""
     planners: tuple[str, ...] = field(default=("antipodal",), metadata=_option("planner"))
-    """antipodal, graspnet, oracle (knows where the objects are), or package.module:Class"""
+    """antipodal, graspnet, oracle (knows where the objects are), package.module:Class, or
+    file.py:Class"""
     rounds: Count = 6
     """tables to clear"""
     seed: Annotated[int, msgspec.Meta(ge=0)] = 0
@@ -310,6 +311,15 @@ def _by_method(
                 hint=f"METHOD{separator}..., with one of {', '.join(methods)}",
             )
     return found
+
+
+def plain_label(name: str) -> str:
+    """Label of a method or planner that is named by its place, such as `my/file.py:Class`.
+
+    >>> plain_label("my/file.py:Class")
+    'file.py.Class'
+    """
+    return name.rpartition("/")[2].replace(":", ".")
 
 
 def checked_label(text: str) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from benchmark.data.splits import DepthSource, names_digest, open_split
-from benchmark.evaluation.config import checked_label, data_of
+from benchmark.evaluation.config import checked_label, data_of, plain_label
 from benchmark.evaluation.engine import TaskRun, weights_digest
 from benchmark.evaluation.results import FRAME, INDEX, SCENE, write_part
 from benchmark.methods.protocol import Restored, Restorer, View
@@ -316,6 +316,6 @@ def frame_options(
         "root": data_of(split, config.roots),
         "method": method,
         "options": options[method],
-        "label": checked_label(config.label or method.replace(":", ".")),
+        "label": checked_label(config.label or plain_label(method)),
         **{name: getattr(config, name) for name in _OF_CONFIG},
     }

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from sensors.assets import Asset, AssetSource, SourceOptions, draw_diagonal, open_source
-from sensors.materials import DrawnMaterial, draw_material, draw_material_class
+from sensors.materials.material_draw import DrawnMaterial, draw_material, draw_material_class
 from sensors.physics import PhysicalObject, SettleOptions, convex_parts, settle
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3

@@ -237,7 +237,8 @@ class Scenery:
     """Floor and light of a round, and its objects as the simulator takes them."""
 
     def __init__(self, arrangement: Arrangement) -> None:
-        from sensors.lighting import draw_floor, draw_lighting, environment_source
+        from sensors.lighting.environment_sources import environment_source
+        from sensors.lighting.light_draw import draw_floor, draw_lighting
         from sensors.simulation.options import SimulationOptions
         from sensors.specs import load_sensor
 
@@ -283,8 +284,8 @@ class Scenery:
         self, objects: Sequence[TableObject], poses: Sequence[SE3], attempt: int
     ) -> NDArray[np.uint8]:
         """(h, w, 3) path-traced colour, few paths, denoised."""
-        from sensors.render import SIM_RENDERERS, denoise, develop
-        from sensors.render.sim_renderer import quality_of
+        from sensors.render.color_image import denoise, develop
+        from sensors.render.sim_renderer import SIM_RENDERERS, quality_of
 
         if self._renderer is None:
             self._renderer = SIM_RENDERERS.get("mitsuba")(threads=1)

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.materials.material_library import MaterialClass
-from sensors.render import DRAFT_INFRARED
 from sensors.render.mitsuba_renderer import MitsubaRenderer
+from sensors.render.sim_renderer import DRAFT_INFRARED
 from sensors.simulation.trial import TrialView, render_view, tiles, vessels
 from sensors.specs import load_sensor
 from std_toolkit.io.images import write_color

@@ -11,7 +11,8 @@ import msgspec
 import numpy as np
 
 from sensors.lighting.environment import Split, files_of_split
-from sensors.materials import DrawnMaterial, MaterialLibrary, draw_material, load_library
+from sensors.materials.material_draw import DrawnMaterial, draw_material
+from sensors.materials.material_library import MaterialLibrary, load_library
 
 COLOR_STRENGTH = 0.5
 

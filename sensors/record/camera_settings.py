@@ -2,36 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
+from sensors.record.options import CameraSettings
 from sensors.record.realsense import Stream, librealsense
 from std_toolkit.errors import ToolkitError
 
 # Options count exposure in microseconds where they reach this far, else in tenths of milliseconds.
 _MICROSECONDS_FROM = 50_000
-
-
-@dataclass(frozen=True)
-class CameraSettings:
-    """What is set before recording; None leaves the camera as it is.
-
-    Attributes:
-        exposure: of colour: "auto", "lock" (automatic until recording starts, then fixed) or
-            milliseconds.
-        white_balance: "auto", "lock" or kelvins.
-        gain: of colour.
-        infrared_exposure: of the depth cameras: "auto" or milliseconds.
-        laser: "off", "on" (the preset's power), "max" or milliwatts.
-        preset: of the depth camera, as its name tells it: "high accuracy", "high density", "hand".
-    """
-
-    exposure: str | float | None = None
-    white_balance: str | float | None = None
-    gain: float | None = None
-    infrared_exposure: str | float | None = None
-    laser: str | float | None = None
-    preset: str | None = None
 
 
 def apply_settings(streams: dict[str, Stream], settings: CameraSettings) -> dict[str, str]:

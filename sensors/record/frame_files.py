@@ -10,45 +10,21 @@ of 18 (`perf/record.py`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from sensors.align import align_depth
+from sensors.record.options import FileOptions
 from sensors.record.recording_document import Calibration, CapturedFrame, Units
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.images import write_color
 from std_toolkit.scene.model import Frame
 
-ColorFormat = Literal["jpg", "png"]
-
 _LARGEST_UNITS = 65535
-
-
-@dataclass(frozen=True)
-class FileOptions:
-    """How frames become files.
-
-    Attributes:
-        color: "jpg" at `quality`, or "png", which takes ten times as long.
-        infrared, raw_depth: keep the infrared images, and depth as the camera gave it.
-    """
-
-    color: ColorFormat = "jpg"
-    quality: int = 95
-    infrared: bool = False
-    raw_depth: bool = False
-
-    @property
-    def kept(self) -> list[str]:
-        """Kinds of maps in `reference/`."""
-        infrared = ["infrared_left", "infrared_right"] if self.infrared else []
-        return infrared + (["depth_raw"] if self.raw_depth else [])
 
 
 def frame_name(frame_id: int) -> str:
@@ -64,8 +40,8 @@ def write_frame(
         ToolkitError: the disk is full, or another reason why nothing can be written.
     """
     name = frame_name(frame_id)
-    color, depth = f"color/{name}.{options.color}", f"depth/{name}.png"
-    if options.color == "png":
+    color, depth = f"color/{name}.{options.color_format}", f"depth/{name}.png"
+    if options.color_format == "png":
         write_sensor_png(root / color, frame.color)
     else:
         write_color(root / color, frame.color, quality=options.quality)

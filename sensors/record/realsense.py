@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from sensors.record.options import StreamRequest
 from sensors.record.recording_document import DeviceInfo
 from std_toolkit.errors import ToolkitError
 
@@ -90,16 +91,6 @@ def choose(devices: Sequence[Any], serial: str | None) -> Any:
         value=serial,
         hint=f"connected: {described}",
     )
-
-
-@dataclass(frozen=True)
-class StreamRequest:
-    """Image sizes (width, height), frames per second, and whether infrared is wanted."""
-
-    color: tuple[int, int] = (1280, 720)
-    depth: tuple[int, int] = (1280, 720)
-    fps: int = 30
-    infrared: bool = False
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -12,6 +12,7 @@ import msgspec
 from sensors.record.calibration import compare
 from sensors.record.device_source import DeviceSource
 from sensors.record.hints import HintMaker, Hints
+from sensors.record.options import SessionOptions
 from sensors.record.recording_document import (
     CapturedFrame,
     RecordingDocument,
@@ -19,7 +20,7 @@ from sensors.record.recording_document import (
     device_document,
     read_recording,
 )
-from sensors.record.scene_writer import SceneWriter, WriterOptions
+from sensors.record.scene_writer import SceneWriter
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
@@ -28,28 +29,6 @@ from std_toolkit.scene.model import SceneInfo
 # Frames are looked at for hints this often, by their own clock; recording itself comes first.
 _LOOK_S = 0.12
 _BUSY = 0.5
-
-
-@dataclass(frozen=True)
-class SessionOptions:
-    """What is recorded of what comes.
-
-    Attributes:
-        name: of the scene.
-        frames, seconds: end after so many; None for no end.
-        every: take each n-th set of images.
-        warm_up: sets of images left out at the start, while exposure settles.
-        sensor: specification that the camera should fit; None for its own model's.
-        writer: how frames are written.
-    """
-
-    name: str
-    frames: int | None = None
-    seconds: float | None = None
-    every: int = 1
-    warm_up: int = 0
-    sensor: str | None = None
-    writer: WriterOptions = field(default_factory=WriterOptions)
 
 
 @dataclass
@@ -132,7 +111,7 @@ def record(
                 progress.dropped = writer.dropped + source.given_up
                 progress.lost = max(count.lost for count in source.counts.values())
                 if not progress.recording:
-                    if number < options.warm_up or not started():
+                    if number < (options.warm_up or 0) or not started():
                         look(frame, progress, busy=False)
                         continue
                     progress.recording = True

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import os
 import queue
 import shutil
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from sensors.record.frame_files import FileOptions, aligned_units, write_frame
+from sensors.record.frame_files import aligned_units, write_frame
 from sensors.record.frame_table import FrameTable, recovered
+from sensors.record.options import WriterOptions
 from sensors.record.recording_document import (
     Calibration,
     CapturedFrame,
@@ -27,25 +26,6 @@ from std_toolkit.scene.model import Frames, SceneInfo
 from std_toolkit.scene.scene import Scene
 
 _CHECK_DISK_EVERY = 15
-
-
-@dataclass(frozen=True)
-class WriterOptions:
-    """How frames are taken in.
-
-    Attributes:
-        files: how frames become files.
-        threads: that align and encode.
-        queue: frames that may wait for them; 6.4 MB each at 1280x720.
-        keep_free_bytes: recording ends before the disk has less.
-        resume: go on with the scene that is there.
-    """
-
-    files: FileOptions = field(default_factory=FileOptions)
-    threads: int = min(8, os.cpu_count() or 2)
-    queue: int = 48
-    keep_free_bytes: int = 1 << 30
-    resume: bool = False
 
 
 class SceneWriter:

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from sensors.assets import Asset, AssetSource, SourceOptions, open_source
-from sensors.lighting import EnvironmentSource, environment_source
 from sensors.lighting.environment import files_of_split
+from sensors.lighting.environment_sources import EnvironmentSource, environment_source
 from sensors.lighting.light_draw import IMAGE_SUFFIXES
 from sensors.pattern import DotPattern, load_pattern, make_pattern
 from sensors.physics import GraspNetScenes

@@ -13,15 +13,11 @@ import msgspec
 import numpy as np
 
 from sensors.assets import Asset, AssetSource, draw_diagonal
-from sensors.lighting import EnvironmentSource, FloorDraw, LightingDraw, draw_floor, draw_lighting
 from sensors.lighting.environment import EnvironmentMap
-from sensors.materials import (
-    MATERIAL_CLASSES,
-    DrawnMaterial,
-    MaterialClass,
-    draw_material,
-    draw_material_class,
-)
+from sensors.lighting.environment_sources import EnvironmentSource
+from sensors.lighting.light_draw import FloorDraw, LightingDraw, draw_floor, draw_lighting
+from sensors.materials.material_draw import DrawnMaterial, draw_material, draw_material_class
+from sensors.materials.material_library import MATERIAL_CLASSES, MaterialClass
 from sensors.simulation.options import MaterialSwitch, SimulationOptions
 from std_toolkit.errors import ToolkitError
 

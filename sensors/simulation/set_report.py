@@ -15,8 +15,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from sensors.output import SimulatedFrame
 from sensors.output.dreds import BACKGROUND, DATA_SET, SPLITS
+from sensors.output.simulated_frame import SimulatedFrame
 from std_toolkit.errors import ToolkitError
 from std_toolkit.importers.foreign_files import read_mask_source
 from std_toolkit.importers.std_objects import read_meta

@@ -12,11 +12,9 @@ from typing import Any, Literal
 
 import msgspec
 
-from sensors.output import dreds_scene
-from sensors.output.dreds import SPLITS, Split, scene_folder
+from sensors.output.dreds import SPLITS, Split, dreds_scene, scene_folder
 from sensors.output.toolkit_scene import toolkit_scene
-from sensors.render import SIM_RENDERERS
-from sensors.render.sim_renderer import quality_of
+from sensors.render.sim_renderer import SIM_RENDERERS, quality_of
 from sensors.simulation.equipment import Equipment
 from sensors.simulation.options import Layout, SimulationOptions
 from sensors.simulation.simulator import Simulator

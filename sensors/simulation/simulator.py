@@ -15,19 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.align import align_depth
-from sensors.output import SimulatedFrame
-from sensors.render import (
-    SIM_RENDERERS,
-    ColorLight,
-    InfraredResponse,
-    LoadedScene,
-    Projector,
-    TruthCaster,
-    denoise,
-    develop,
-    expose_pair,
-)
-from sensors.render.sim_renderer import quality_of
+from sensors.output.simulated_frame import SimulatedFrame
+from sensors.render.color_image import denoise, develop
+from sensors.render.infrared_image import InfraredResponse, expose_pair
+from sensors.render.sim_renderer import SIM_RENDERERS, ColorLight, LoadedScene, quality_of
+from sensors.render.sim_scene import Projector, TruthCaster
 from sensors.simulation.equipment import DRESSED_AS, Equipment
 from sensors.simulation.options import SimulationOptions
 from sensors.simulation.scene_draw import draw_scene, dress_scene, generator

@@ -16,14 +16,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors import render
 from sensors.assets import draw_diagonal, open_source
-from sensors.lighting import StudioSource, draw_floor, draw_lighting
-from sensors.materials import load_library
+from sensors.lighting.environment_sources import StudioSource
+from sensors.lighting.light_draw import draw_floor, draw_lighting
 from sensors.materials.material_draw import DrawnMaterial, draw_material
-from sensors.materials.material_library import MaterialClass
+from sensors.materials.material_library import MaterialClass, load_library
 from sensors.pattern import make_pattern
-from sensors.render.infrared_image import BLUR_SHARE, InfraredResponse
+from sensors.render.infrared_image import BLUR_SHARE, InfraredResponse, expose_pair
+from sensors.render.sim_renderer import RenderOptions, SimRenderer
+from sensors.render.sim_scene import Projector, SceneObject, SimScene, SurfaceMesh, TruthCaster
 from sensors.simulation.simulator import PROJECTOR_POWER
 from sensors.specs import SensorSpec
 from sensors.stereo import disparity_to_depth, make_matcher
@@ -51,7 +52,7 @@ class TrialScene:
         materials: of the instances 1, 2, ...
     """
 
-    scene: render.SimScene
+    scene: SimScene
     T_world_ir: SE3
     materials: tuple[DrawnMaterial, ...]
 
@@ -87,7 +88,7 @@ def tiles(camera: Camera, seed: int, *, material_class: MaterialClass = "diffuse
     # A quarter more than the view shows, so that no corner of a tilted board is seen.
     size = 1.25 * DISTANCE_M * np.array([camera.width / camera.fx, camera.height / camera.fy])
     w, h = size / (columns, rows)
-    square = render.SurfaceMesh(
+    square = SurfaceMesh(
         np.array([[-w, -h, 0], [w, -h, 0], [w, h, 0], [-w, h, 0]]) / 2,
         np.array([[0, 1, 2], [0, 2, 3]]),
     )
@@ -100,14 +101,12 @@ def tiles(camera: Camera, seed: int, *, material_class: MaterialClass = "diffuse
         at = (np.array([place % columns, place // columns]) + 0.5) * (w, h) - size / 2
         pose = SE3(np.eye(3), np.array([*at, 0.0]))
         objects.append(
-            render.SceneObject(place + 1, square, pose, materials[index], color=_own_color(rng))
+            SceneObject(place + 1, square, pose, materials[index], color=_own_color(rng))
         )
     tilt = np.deg2rad(rng.uniform(-TILT_DEG, TILT_DEG, 2))
     T_board_cam = SE3.exp([0, 0, 0, *tilt, 0]) @ _above(DISTANCE_M)
     placed = tuple(item.material for item in objects)
-    return TrialScene(
-        render.SimScene(tuple(objects), StudioSource().draw(rng)), T_board_cam, placed
-    )
+    return TrialScene(SimScene(tuple(objects), StudioSource().draw(rng)), T_board_cam, placed)
 
 
 def vessels(materials: Sequence[tuple[MaterialClass, str, str]], seed: int) -> TrialScene:
@@ -120,10 +119,10 @@ def vessels(materials: Sequence[tuple[MaterialClass, str, str]], seed: int) -> T
     rng = np.random.default_rng([seed, 1])
     source = open_source("procedural")
     h = 3.0
-    ground = render.SurfaceMesh(
+    ground = SurfaceMesh(
         np.array([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]]), np.array([[0, 1, 2], [0, 2, 3]])
     )
-    objects = [render.SceneObject(0, ground, SE3.identity(), draw_floor(rng).material)]
+    objects = [SceneObject(0, ground, SE3.identity(), draw_floor(rng).material)]
     # Assets stand along y, the world's z is up.
     upright = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     rows = int(np.ceil(len(materials) / _COLUMNS))
@@ -133,9 +132,9 @@ def vessels(materials: Sequence[tuple[MaterialClass, str, str]], seed: int) -> T
         place = np.array([i % _COLUMNS, i // _COLUMNS]) - (np.array([_COLUMNS, rows]) - 1) / 2
         at = np.array([*(place * _SPACING_M), -float(vertices[:, 1].min())])
         objects.append(
-            render.SceneObject(
+            SceneObject(
                 i + 1,
-                render.SurfaceMesh(vertices, asset.faces),
+                SurfaceMesh(vertices, asset.faces),
                 SE3(upright, at),
                 draw_material(rng, material_class, name=name),
                 color=_own_color(rng),
@@ -143,9 +142,7 @@ def vessels(materials: Sequence[tuple[MaterialClass, str, str]], seed: int) -> T
         )
     away = SE3.exp([0, 0, 0, np.deg2rad(90 - _ELEVATION_DEG), 0, 0]) @ _above(DISTANCE_M)
     T_world_ir = SE3(np.eye(3), np.array([0, 0, 0.05])) @ away
-    scene = render.SimScene(
-        tuple(objects), StudioSource().draw(rng), float(rng.uniform(0, 2 * np.pi))
-    )
+    scene = SimScene(tuple(objects), StudioSource().draw(rng), float(rng.uniform(0, 2 * np.pi)))
     return TrialScene(scene, T_world_ir, tuple(item.material for item in objects[1:]))
 
 
@@ -153,9 +150,9 @@ def render_view(
     trial: TrialScene,
     spec: SensorSpec,
     camera: Camera,
-    renderer: render.SimRenderer,
+    renderer: SimRenderer,
     *,
-    options: render.RenderOptions,
+    options: RenderOptions,
     seed: int,
 ) -> TrialView:
     """Render the pair, match it, and cast the exact depth.
@@ -173,7 +170,7 @@ def render_view(
     rng = np.random.default_rng([seed, 2])
     light = draw_lighting(rng, trial.scene.environment.name)
     T = trial.T_world_ir
-    projector = render.Projector(
+    projector = Projector(
         pattern.image,
         pattern.fov_x_deg,
         T @ spec.projector.T_ir_projector,
@@ -194,7 +191,7 @@ def render_view(
     ]
     whole = spec.infrared_camera(640, 360)
     response = InfraredResponse(blur_px=BLUR_SHARE * whole.width * camera.fx / whole.fx)
-    left, right, _ = render.expose_pair(*pair, rng=rng, response=response)
+    left, right, _ = expose_pair(*pair, rng=rng, response=response)
     low, high = spec.disparity_range(whole.width, whole.height)
     matcher = make_matcher("local", min_disparity=low, max_disparity=high)
     depth = disparity_to_depth(
@@ -203,7 +200,7 @@ def render_view(
         baseline_m=spec.baseline_m,
         range_m=(spec.depth.range_m[0], spec.depth.range_m[1]),
     )
-    maps = render.TruthCaster(trial.scene).maps(camera, T)
+    maps = TruthCaster(trial.scene).maps(camera, T)
     return TrialView(left, right, depth, maps.depth, maps.mask)
 
 

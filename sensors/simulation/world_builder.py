@@ -18,17 +18,13 @@ from sensors.assets import Asset
 from sensors.lighting.environment import EnvironmentMap
 from sensors.lighting.light_draw import FloorDraw
 from sensors.materials.textures import to_linear
-from sensors.output import SimulatedObject, SimulatedScene
+from sensors.output.simulated_frame import SimulatedObject, SimulatedScene
 from sensors.physics import PhysicalObject, convex_parts, settle
-from sensors.render import SceneObject, SimScene, SurfaceMesh
+from sensors.render.sim_scene import SceneObject, SimScene, SurfaceMesh
 from sensors.simulation.options import SimulationOptions
 from sensors.simulation.scene_draw import ObjectDraw, SceneDraw, generator
-from sensors.viewpoints import (
-    TrajectoryOptions,
-    ViewpointOptions,
-    random_viewpoints,
-    smooth_trajectory,
-)
+from sensors.viewpoints.camera_path import TrajectoryOptions, smooth_trajectory
+from sensors.viewpoints.views import ViewpointOptions, random_viewpoints
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.images import read_color
 

@@ -118,8 +118,9 @@ class _Recorder:
 
     def __init__(self, out: Path, options: SimulatedOptions, cache: Path | None) -> None:
         from sensors.assets import SourceOptions, open_source
-        from sensors.lighting import FloorDraw, draw_lighting, environment_source
-        from sensors.materials import draw_material
+        from sensors.lighting.environment_sources import environment_source
+        from sensors.lighting.light_draw import FloorDraw, draw_lighting
+        from sensors.materials.material_draw import draw_material
         from sensors.physics import PhysicalObject, convex_parts, settle
         from sensors.physics.settle import SettleOptions
         from sensors.simulation.options import SimulationOptions
@@ -127,7 +128,7 @@ class _Recorder:
         from sensors.simulation.simulated_set import parts_cache
         from sensors.simulation.simulator import Simulator
         from sensors.simulation.world_builder import build_world
-        from sensors.viewpoints import TrajectoryOptions, smooth_trajectory
+        from sensors.viewpoints.camera_path import TrajectoryOptions, smooth_trajectory
 
         self.out = out
         cache = cache or parts_cache()

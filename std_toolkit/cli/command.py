@@ -4,11 +4,17 @@ A program is a table of commands. A command names a dataclass of options and a f
 an instance of it, both by `module:name`, so that `PROGRAM --help` imports neither. `tyro` makes the
 command line from the dataclass: the help of an option is the docstring below its field, its range
 is a `msgspec.Meta` in its annotation, its choices are an enum or a `Literal`. A field without a
-default is a positional argument, a mapping takes `NAME=VALUE ...`. The field's metadata may say
-otherwise: `{"option": "set"}` makes it the option `--set`, `{"option": None}` keeps it off the
-command line, `{"option": ""}` makes it positional. A nested `msgspec.Struct` serves as well; its
-metadata are the `extra` of a `msgspec.Meta`. The help of a flag `--no-NAME`, which is on by
-default, is a noun: "pictures" becomes "without pictures".
+default is a positional argument, a mapping takes `NAME=VALUE ...`. The help of a flag `--no-NAME`,
+which is on by default, is a noun: "pictures" becomes "without pictures". A nested `msgspec.Struct`
+serves as well as a dataclass. The field's metadata (of a Struct the `extra` of a `msgspec.Meta`)
+may say more:
+
+- `{"option": "set"}` makes it the option `--set`, `{"option": ""}` makes it positional, and
+  `{"option": None}` keeps it off the command line;
+- `{"off": "flat-normals"}` makes a flag of this name that turns it off;
+- `{"repeat": True}` lets a tuple or mapping collect one value each time that the option is given;
+- `{"factor": 1000}` reads metres as millimetres;
+- `{"size": True}` reads two whole numbers as `1280x720`.
 
 Exit status of every program: 0 done, 1 failed or a gate failed, 2 wrong usage, 130 interrupted.
 """
@@ -394,6 +400,8 @@ def _build(kind: type[Any], values: Mapping[str, Any], given: Any = dataclasses.
             value = not value
         elif "factor" in field.metadata:
             value = value / field.metadata["factor"]
+        elif "size" in field.metadata and isinstance(value, str):
+            value = _size(field.name, value)
         elif value == () and default is None:
             value = None
         found[field.name] = value
@@ -442,6 +450,13 @@ def _pairs(name: str, words: Sequence[str], kind: type[Any]) -> dict[str, Any]:
     return found
 
 
+def _size(name: str, word: str) -> tuple[int, int]:
+    width, _, height = word.lower().partition("x")
+    if not (width.isdigit() and height.isdigit() and int(width) and int(height)):
+        raise ToolkitError("expected a size such as 1280x720", field=name, value=word)
+    return int(width), int(height)
+
+
 def _with_verbosity(kind: type[Any]) -> type[Any]:
     """A flat dataclass of all options for the parser."""
     from tyro import conf
@@ -457,6 +472,9 @@ def _with_verbosity(kind: type[Any]) -> type[Any]:
                 hint = conf.UseAppendAction[tuple[str, ...]]
         elif "off" in option.metadata:
             default = not default
+        elif "size" in option.metadata:
+            hint, metavar = (str | None if default is None else str), "WxH"
+            default = default and f"{default[0]}x{default[1]}"
         elif "factor" in option.metadata:
             default = default * option.metadata["factor"]
         elif option.metadata.get("repeat"):

@@ -163,8 +163,6 @@ class ExportCommand:
     """std, bop, nocs or a plug-in"""
     out: Path = field(metadata={"option": "out"})
     """new folder"""
-    label_size: str | None = None
-    """STD: WxH of the labels (half of 1280x720, else that of colour)"""
     options: options.ExportOptions = field(default_factory=options.ExportOptions)
     jobs: JobOptions = field(default_factory=JobOptions)
 
@@ -178,7 +176,7 @@ def export(command: ExportCommand) -> int:
         Scene.open(command.scene),
         command.format,
         command.out,
-        options=replace(command.options, label_size=_size(command.label_size)),
+        options=command.options,
         jobs=asked(command.jobs),
     )
     print(
@@ -188,15 +186,6 @@ def export(command: ExportCommand) -> int:
     if sidecar.left_out:
         print(f"left out {len(sidecar.left_out)} frames without ground truth")
     return 0
-
-
-def _size(text: str | None) -> tuple[int, int] | None:
-    if text is None:
-        return None
-    width, _, height = text.lower().partition("x")
-    if not (width.isdigit() and height.isdigit()):
-        raise ToolkitError("a size is WIDTHxHEIGHT", field="--label-size", value=text)
-    return int(width), int(height)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -210,3 +210,48 @@ def test_overview_imports_neither_parser_nor_commands() -> None:
         "sys.exit('tyro' in sys.modules)\n"
     )
     assert subprocess.run([sys.executable, "-c", code], stdout=subprocess.DEVNULL).returncode == 0
+
+
+class Scene(msgspec.Struct, frozen=True, kw_only=True):
+    """Options that are written to a file, too."""
+
+    views: int = 3
+    """frames"""
+    hidden: Annotated[int, msgspec.Meta(extra={"option": None})] = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Collected:
+    size: tuple[int, int] = field(default=(4, 3), metadata={"size": True})
+    """of images"""
+    names: tuple[str, ...] = field(default=(), metadata={"option": "name", "repeat": True})
+    """may be repeated"""
+    take: Mapping[str, str] = field(default_factory=dict, metadata={"repeat": True})
+    """may be repeated"""
+    scene: Scene = field(default_factory=lambda: Scene(hidden=5))
+
+
+def test_sizes_repeated_options_and_structs() -> None:
+    words = ["--name", "a", "--size", "8x6", "--name", "b", "--take", "m=A", "--take", "n=B"]
+    options, _ = parse_options(Collected, [*words, "--views", "2"], "std-draw")
+    expected = Collected(
+        size=(8, 6), names=("a", "b"), take={"m": "A", "n": "B"}, scene=Scene(views=2, hidden=5)
+    )
+    assert options == expected
+    assert parse_options(Collected, [], "std-draw")[0] == Collected()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--size", "large"], "--size: expected a size such as 1280x720"),
+        (["--take", "m=A", "--take", "m=B"], "--take: given twice"),
+        (["--hidden", "1"], "--hidden"),
+    ],
+)
+def test_wrong_sizes_and_pairs_are_wrong_usage(
+    words: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = Command(name="n", about="", options=f"{__name__}:Collected", run=f"{__name__}:gate")
+    assert Program(name="std-n", about="", commands=(command,)).main(words) == 2
+    assert told in capsys.readouterr().err

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -52,3 +53,19 @@ def test_a_plug_in_that_fails_while_imported_is_one_error(
     with pytest.raises(ToolkitError, match="needs a GPU"):
         registry.get("failing_plugin:thing")
     sys.modules.pop("failing_plugin", None)
+
+
+def test_a_file_is_a_plug_in(tmp_path: Path) -> None:
+    """By its path, without a place on the module path; it is executed once."""
+    file = tmp_path / "my-parts 2.py"
+    file.write_text("COUNT = []\nCOUNT.append(1)\n\n\nclass Part:\n    pass\n")
+    registry: Registry[Any] = Registry("none", {})
+    assert registry.get(f"{file}:Part") is registry.get(f"{file}:Part")
+    assert registry.get(f"{file}:COUNT") == [1]
+    with pytest.raises(ToolkitError, match="there is no file"):
+        registry.get(f"{tmp_path}/absent.py:Part")
+    file = tmp_path / "broken.py"
+    file.write_text("1 / 0\n")
+    for _ in range(2):
+        with pytest.raises(ToolkitError, match="division by zero"):
+            registry.get(f"{file}:Part")

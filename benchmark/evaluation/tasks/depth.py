@@ -151,12 +151,12 @@ class Run(FrameRun[Restorer]):
         if self.speed:
             from benchmark.evaluation.tasks.depth_speed import write_speed
 
-            write_speed(self)
+            write_speed(self, self.protocol)
         if self.gallery:
             from benchmark.evaluation.tasks.depth_pictures import FOLDER, INDEX_FILE, make_gallery
 
             if not (self.folder / FOLDER / INDEX_FILE).exists():
-                make_gallery(self)
+                make_gallery(self, self.protocol)
 
     def read(self) -> RunResult:
         return read_run(self.folder)

@@ -3,22 +3,18 @@ all methods show."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import msgspec
 import numpy as np
 import pandas as pd
 
 from benchmark.evaluation.depth_panels import LARGEST_ERROR_M, depth_scale, strip
-from benchmark.evaluation.frames import chosen_frames
+from benchmark.evaluation.frames import FrameRun, chosen_frames
 from benchmark.evaluation.results import ERROR, INDEX, TABLE, read_table
 from benchmark.methods.depth.full_size import restorer_view
+from benchmark.methods.protocol import Restorer
 from benchmark.metrics.protocols.protocol import get_protocol
 from std_toolkit.io.documents import write_document
 from std_toolkit.io.images import write_color
-
-if TYPE_CHECKING:
-    from benchmark.evaluation.tasks.depth import Run
 
 FOLDER = "gallery"
 INDEX_FILE = "gallery.json"
@@ -58,15 +54,15 @@ class Gallery(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     pictures: list[GalleryPicture]
 
 
-def make_gallery(run: Run) -> Gallery:
+def make_gallery(run: FrameRun[Restorer], protocol_name: str) -> Gallery:
     """Restore the frames of the gallery once more and keep their pictures in the run's folder.
 
     Raises:
         ToolkitError: a picture cannot be written.
     """
-    protocol = get_protocol(run.protocol)
+    protocol = get_protocol(protocol_name)
     table = read_table(run.folder / TABLE)
-    source, restorer = run.open(), run.make()
+    source, restorer = run.open(), run.make(run.devices[0])
     common = run.chosen(source)
     common = [common[i] for i in chosen_frames(len(common), COMMON)]
     frames = gallery_frames(table, protocol.main, common)

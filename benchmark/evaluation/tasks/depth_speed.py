@@ -10,18 +10,15 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 
-from benchmark.evaluation.frames import chosen_frames
+from benchmark.evaluation.frames import FrameRun, chosen_frames
 from benchmark.evaluation.manifest import hardware
 from benchmark.methods.protocol import Restorer, View
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import write_document
-
-if TYPE_CHECKING:
-    from benchmark.evaluation.tasks.depth import Run
 
 SPEED = "speed.json"
 
@@ -112,17 +109,17 @@ def _peak_memory(device: Any) -> float:
     return peak / 2**20 if sys.platform == "darwin" else peak / 2**10
 
 
-def write_speed(run: Run) -> None:
+def write_speed(run: FrameRun[Restorer], protocol: str) -> None:
     """Time the method of a run and keep its figures, unless they are there.
 
     Raises:
         ToolkitError: see `speed_of`.
     """
     if not (run.folder / SPEED).exists():
-        write_document(run.folder / SPEED, speed_of(run))
+        write_document(run.folder / SPEED, speed_of(run, protocol))
 
 
-def speed_of(run: Run) -> Speed:
+def speed_of(run: FrameRun[Restorer], protocol: str) -> Speed:
     """Time the method on a frame of the run, in a process of its own, whose memory is its own.
 
     Raises:
@@ -131,7 +128,7 @@ def speed_of(run: Run) -> Speed:
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=context) as pool:
         try:
-            return pool.submit(_speed_here, run).result()
+            return pool.submit(_speed_here, run, protocol).result()
         except BrokenProcessPool as error:
             raise ToolkitError(
                 "the process that times the method died (killed, or out of memory)",
@@ -140,13 +137,13 @@ def speed_of(run: Run) -> Speed:
             ) from error
 
 
-def _speed_here(run: Run) -> Speed:
+def _speed_here(run: FrameRun[Restorer], protocol: str) -> Speed:
     from benchmark.methods.depth.full_size import restorer_view
     from benchmark.metrics.protocols.protocol import get_protocol
 
-    source, restorer = run.open(), run.make()
+    source, restorer = run.open(), run.make(run.devices[0])
     frame = source.load(chosen_frames(len(source), 1)[0])
-    view = restorer_view(frame, restorer, get_protocol(run.protocol).view_size)
+    view = restorer_view(frame, restorer, get_protocol(protocol).view_size)
     where = hardware()
     on_gpu = run.devices[0].startswith("cuda")
     return measure_speed(restorer, [view], hardware=where["gpus" if on_gpu else "processor"])

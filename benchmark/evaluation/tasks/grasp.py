@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 
-from benchmark.evaluation.config import GraspConfig, checked_label, options_by_method
+from benchmark.evaluation.config import GraspConfig, checked_label, options_by_method, plain_label
 from benchmark.evaluation.engine import Task, TaskRun, weights_digest
 from benchmark.evaluation.frames import restore_views
 from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest, GraspSetup, circumstances
@@ -114,11 +114,11 @@ class GraspRun(TaskRun[None, Methods]):
 
     @property
     def depth_label(self) -> str:
-        return self.depth.replace(":", ".")
+        return plain_label(self.depth)
 
     @property
     def planner_label(self) -> str:
-        return self.planner.replace(":", ".")
+        return plain_label(self.planner)
 
     @property
     def folder(self) -> Path:
@@ -234,7 +234,7 @@ def plan_runs(config: GraspConfig) -> list[GraspRun]:
     ]
     options = options_by_method(config, names)
     for name in (*config.depths, *config.planners):
-        checked_label(name.replace(":", "."))
+        checked_label(plain_label(name))
     return [
         GraspRun(
             depth=depth,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from benchmark.data.frame import DepthFrame, resize_nearest
 from benchmark.data.splits import DepthSource, FrameKey, saved_depth_path
 from benchmark.data.true_poses import KnownBox, TruePose, known_boxes, true_poses
+from benchmark.evaluation.config import plain_label
 from benchmark.evaluation.frames import error_line, restore_views
 from benchmark.methods.depth.full_size import at_full_size, restorer_view, view_of
 from benchmark.methods.protocol import PoseAnswer, PoseEstimator, PoseView, Restorer
@@ -46,7 +47,7 @@ class DepthChoice:
     @property
     def label(self) -> str:
         """As folders and tables have it."""
-        return self.name.replace(":", ".")
+        return plain_label(self.name)
 
 
 def depth_choice(text: str) -> DepthChoice:

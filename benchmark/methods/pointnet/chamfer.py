@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from benchmark.methods.pointnet import at, nearest
+from benchmark.methods.pointnet.grouping import at, nearest
 
 
 def one_way(points: Tensor, others: Tensor) -> Tensor:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from benchmark.methods.pointnet import SharedMLP
+from benchmark.methods.pointnet.layers import SharedMLP
 
 
 class Deformed(NamedTuple):

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor, nn
 
 from benchmark.methods.network import network_of
-from benchmark.methods.pointnet import FeaturePropagation, Scale, SetAbstraction, SharedMLP
+from benchmark.methods.pointnet.layers import FeaturePropagation, Scale, SetAbstraction, SharedMLP
 from benchmark.methods.pose.deformation import Deformed
 from benchmark.methods.pose.spd import DeformingEstimator
 from benchmark.methods.pose.spd_network import PriorNetwork, PriorNetworkConfig

@@ -24,7 +24,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate, relu
 
-from benchmark.methods.pointnet import SharedMLP, at
+from benchmark.methods.pointnet.grouping import at
+from benchmark.methods.pointnet.layers import SharedMLP
 from benchmark.methods.pose.deformation import Deformed, Deformer
 from benchmark.methods.pose.priors.prior_file import load_priors
 from benchmark.methods.resnet import residual_layer

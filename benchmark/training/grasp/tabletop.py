@@ -87,7 +87,7 @@ def draw_table(
 
 def draw_cameras(seed: int, count: int) -> list[SE3]:
     """T_world_cam of the views of a scene, all around the table."""
-    from sensors.viewpoints import ViewpointOptions, random_viewpoints
+    from sensors.viewpoints.views import ViewpointOptions, random_viewpoints
 
     number = int(np.random.default_rng([seed, _VIEWS]).integers(2**31))
     return [v.T_world_cam for v in random_viewpoints(number, ViewpointOptions(count=count))]

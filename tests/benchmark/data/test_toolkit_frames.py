@@ -14,13 +14,9 @@ from scene_on_disk import CAMERA, write_scene
 
 from benchmark.data.frame import BACKGROUND, Instance, Material
 from benchmark.data.splits import iterate, open_split
-from sensors.output import (
-    SimulatedFrame,
-    SimulatedObject,
-    SimulatedScene,
-    dreds_scene,
-    toolkit_scene,
-)
+from sensors.output.dreds import dreds_scene
+from sensors.output.simulated_frame import SimulatedFrame, SimulatedObject, SimulatedScene
+from sensors.output.toolkit_scene import toolkit_scene
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters import export_scene
 from std_toolkit.geometry import SE3, Camera

@@ -56,7 +56,7 @@ def test_the_pictures_of_a_run(tmp_path: Path) -> None:
     root = write_split(tmp_path / "data", scenes=1, frames=3)
     run = a_run(root, tmp_path / "out")
     run_task(run, JobOptions(engine="serial", progress=False))
-    gallery = make_gallery(run)
+    gallery = make_gallery(run, run.protocol)
     assert [p.rank for p in gallery.pictures][:3] == ["best", "median", "worst"]
     values = [p.rmse for p in gallery.pictures[:3]]
     assert values == sorted(values)
@@ -68,7 +68,7 @@ def test_trust_in_the_sensor_is_shown_of_methods_that_tell_it(tmp_path: Path) ->
     root = write_split(tmp_path / "data", scenes=1, frames=3)
     run = a_run(root, tmp_path / "out", "tests.benchmark.evaluation.bench_set:Trusting")
     run_task(run, JobOptions(engine="serial", progress=False))
-    for shown in make_gallery(run).pictures:
+    for shown in make_gallery(run, run.protocol).pictures:
         assert shown.trust == (shown.rank != "common")
         picture = read_color(run.folder / FOLDER / shown.picture)
         panels = 6 if shown.trust else 5

@@ -11,7 +11,7 @@ from benchmark.metrics.grasp import Grasps
 from benchmark.tabletop.arrange import TableObject
 from benchmark.tabletop.sense import ExactCamera, Observation, _frame, camera_pose
 from sensors.assets import Asset
-from sensors.materials import draw_material
+from sensors.materials.material_draw import draw_material
 from sensors.physics import PhysicalObject
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3

@@ -7,19 +7,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from sensors.lighting import (
+from sensors.lighting.environment import (
     EnvironmentFolder,
-    FloorDraw,
-    LightingDraw,
-    StudioSource,
-    draw_floor,
-    draw_lighting,
-    environment_source,
+    mean_luminance,
     read_environment,
     split_of,
-    studio_map,
 )
-from sensors.lighting.environment import mean_luminance
+from sensors.lighting.environment_sources import StudioSource, environment_source, studio_map
+from sensors.lighting.light_draw import FloorDraw, LightingDraw, draw_floor, draw_lighting
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.exr import write_exr
 

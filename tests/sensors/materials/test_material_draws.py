@@ -9,18 +9,21 @@ import msgspec
 import numpy as np
 import pytest
 
-from sensors.materials import (
-    MATERIAL_CLASSES,
+from sensors.materials.material_draw import (
     DrawnTexture,
-    class_id,
     decode_material,
     draw_material,
     draw_material_class,
-    load_library,
-    make_texture,
 )
-from sensors.materials.material_library import BUILT_IN, PARAMETERS, TextureKind
-from sensors.materials.textures import tiling_noise, to_linear, to_srgb
+from sensors.materials.material_library import (
+    BUILT_IN,
+    MATERIAL_CLASSES,
+    PARAMETERS,
+    TextureKind,
+    class_id,
+    load_library,
+)
+from sensors.materials.textures import make_texture, tiling_noise, to_linear, to_srgb
 from std_toolkit.errors import ToolkitError
 
 

@@ -7,15 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 import trimesh
 
-from sensors.output import SimulatedFrame, SimulatedObject, SimulatedScene
+from sensors.output.simulated_frame import SimulatedFrame, SimulatedObject, SimulatedScene
 from sensors.synthetic.shapes import default_shapes
-from sensors.viewpoints import (
-    TrajectoryOptions,
-    ViewpointOptions,
-    hidden_objects,
-    random_viewpoints,
-    smooth_trajectory,
-)
+from sensors.viewpoints.camera_path import TrajectoryOptions, smooth_trajectory
+from sensors.viewpoints.views import ViewpointOptions, hidden_objects, random_viewpoints
 from std_toolkit.geometry import SE3, Camera, so3_exp
 from std_toolkit.geometry.mesh import nocs_frame
 from std_toolkit.rendering.maps import render_scene_maps

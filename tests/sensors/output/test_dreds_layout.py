@@ -14,8 +14,8 @@ import OpenEXR
 import pytest
 from simulated_views import LABELS, make_objects, make_scene, random_frames
 
-from sensors.output import SimulatedFrame, SimulatedScene, dreds_scene, read_record
-from sensors.output.dreds import SUFFIXES, mask_values, scene_folder
+from sensors.output.dreds import SUFFIXES, dreds_scene, mask_values, read_record, scene_folder
+from sensors.output.simulated_frame import SimulatedFrame, SimulatedScene
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, rotation_angle, umeyama
 from std_toolkit.importers import ImportRequest, import_recording
@@ -345,7 +345,7 @@ import os, signal, sys
 from pathlib import Path
 sys.path[:0] = [{here!r}]
 from simulated_views import make_scene, random_frames
-from sensors.output import dreds_scene
+from sensors.output.dreds import dreds_scene
 scene = make_scene(frames=3)
 with dreds_scene(Path(sys.argv[1]), scene, split="train") as writer:
     for frame in random_frames(scene):

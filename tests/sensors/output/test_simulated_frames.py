@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from simulated_views import COLOR, LABELS, make_objects, make_scene, random_frames
 
-from sensors.output import SimulatedFrame
 from sensors.output.scene_record import ReceivedFrames
+from sensors.output.simulated_frame import SimulatedFrame
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from simulated_views import COLOR, LABELS, make_frame, make_scene, random_frames
 
-from sensors.output import simulated_recording
+from sensors.output.recording_writer import simulated_recording
 from sensors.synthetic import label_errors, read_truth, scene_from_truth
 from sensors.synthetic.truth import write_annotations
-from sensors.viewpoints import TrajectoryOptions, smooth_trajectory
+from sensors.viewpoints.camera_path import TrajectoryOptions, smooth_trajectory
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.mesh import load_mesh

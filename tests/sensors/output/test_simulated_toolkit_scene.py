@@ -19,9 +19,13 @@ from simulated_views import (
     random_frames,
 )
 
-from sensors.output import read_simulation, toolkit_scene
-from sensors.output.toolkit_scene import metric_objects, metric_symmetry
-from sensors.viewpoints import TrajectoryOptions, smooth_trajectory
+from sensors.output.toolkit_scene import (
+    metric_objects,
+    metric_symmetry,
+    read_simulation,
+    toolkit_scene,
+)
+from sensors.viewpoints.camera_path import TrajectoryOptions, smooth_trajectory
 from std_toolkit.checks.check_step import run_check
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters import export_scene

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from sensors.record.camera_settings import CameraSettings, apply_settings, lock
+from sensors.record.camera_settings import apply_settings, lock
 from sensors.record.cli import main
-from sensors.record.realsense import Stream, StreamRequest, requested_streams
+from sensors.record.options import CameraSettings, StreamRequest
+from sensors.record.realsense import Stream, requested_streams
 from sensors.record.recording_document import read_recording
 from std_toolkit.errors import ToolkitError
 

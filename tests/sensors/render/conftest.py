@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sensors.lighting import EnvironmentMap
-from sensors.materials import DrawnMaterial
-from sensors.render import SurfaceMesh
+from sensors.lighting.environment import EnvironmentMap
+from sensors.materials.material_draw import DrawnMaterial
+from sensors.render.sim_scene import SurfaceMesh
 
 pytest.importorskip("mitsuba", reason="the simulator's extra is not installed")
 

@@ -6,11 +6,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from sensors.materials import DrawnMaterial
+from sensors.materials.material_draw import DrawnMaterial
 from sensors.materials.textures import to_linear
-from sensors.render import Projector, RenderOptions, SceneObject, SimScene
 from sensors.render.mitsuba_renderer import MitsubaRenderer
 from sensors.render.mitsuba_scene import appearance, infrared_appearance
+from sensors.render.sim_renderer import RenderOptions
+from sensors.render.sim_scene import Projector, SceneObject, SimScene
 from sensors.render.smoke import looking_down
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3

@@ -7,16 +7,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from sensors.materials import draw_material
-from sensors.render import (
-    Projector,
-    RenderOptions,
-    SceneObject,
-    SimScene,
-    SurfaceMesh,
-    TruthCaster,
-)
+from sensors.materials.material_draw import draw_material
 from sensors.render.mitsuba_renderer import MitsubaRenderer
+from sensors.render.sim_renderer import RenderOptions
+from sensors.render.sim_scene import Projector, SceneObject, SimScene, SurfaceMesh, TruthCaster
 from sensors.render.smoke import looking_down
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3

@@ -9,19 +9,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from sensors.materials import draw_material
+from sensors.materials.material_draw import draw_material
 from sensors.materials.textures import to_linear, to_srgb
-from sensors.render import (
-    ColorLight,
-    Projector,
-    SceneObject,
-    SimScene,
-    SurfaceMesh,
-    denoise,
-    develop,
-)
-from sensors.render.color_image import denoiser
+from sensors.render.color_image import denoise, denoiser, develop
 from sensors.render.mitsuba_scene import appearance, box_uv
+from sensors.render.sim_renderer import ColorLight
+from sensors.render.sim_scene import Projector, SceneObject, SimScene, SurfaceMesh
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 

@@ -9,20 +9,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from sensors.lighting import studio_map
-from sensors.materials import draw_material
-from sensors.render import (
-    LoadedScene,
-    Projector,
-    RenderOptions,
-    SceneObject,
-    SimRenderer,
-    SimScene,
-    SurfaceMesh,
-    TruthCaster,
-)
+from sensors.lighting.environment_sources import studio_map
+from sensors.materials.material_draw import draw_material
 from sensors.render import mitsuba_scene as shapes
 from sensors.render.mitsuba_renderer import MitsubaRenderer, clipped_mean
+from sensors.render.sim_renderer import LoadedScene, RenderOptions, SimRenderer
+from sensors.render.sim_scene import Projector, SceneObject, SimScene, SurfaceMesh, TruthCaster
 from sensors.render.smoke import looking_down
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
@@ -122,7 +114,7 @@ def test_the_same_seed_gives_the_same_image(loaded) -> None:
 
 
 def test_a_matt_floor_returns_the_sky_s_light_by_its_albedo(square, variant, white_sky) -> None:
-    from sensors.materials import DrawnMaterial
+    from sensors.materials.material_draw import DrawnMaterial
 
     dark = DrawnMaterial(
         name="x",

@@ -54,7 +54,7 @@ def renderer():
 @pytest.mark.slow
 def test_diffuse_surfaces_at_60_cm_are_measured(renderer) -> None:
     """All 36 materials: 95 % complete, median error 1.2 mm."""
-    from sensors.render import DRAFT_INFRARED
+    from sensors.render.sim_renderer import DRAFT_INFRARED
     from sensors.simulation.trial import render_view, tiles
 
     camera = part(280, 160)
@@ -77,7 +77,7 @@ def test_diffuse_surfaces_at_60_cm_are_measured(renderer) -> None:
 
 @pytest.mark.slow
 def test_glass_is_not_measured_and_metal_lies_between(renderer) -> None:
-    from sensors.render import DRAFT_INFRARED
+    from sensors.render.sim_renderer import DRAFT_INFRARED
     from sensors.simulation.trial import render_view, vessels
 
     camera = part(400, 240)

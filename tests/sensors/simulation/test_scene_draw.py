@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sensors.assets import open_source
-from sensors.lighting import environment_source
+from sensors.lighting.environment_sources import environment_source
 from sensors.render.sim_renderer import QUALITIES
 from sensors.simulation.options import PRESETS, PresetName, QualityName, SimulationOptions
 from sensors.simulation.scene_draw import (

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from sensors.output import read_record
+from sensors.output.dreds import read_record
 from sensors.simulation.cli import main
 from sensors.simulation.equipment import Arrangements, Equipment
 from sensors.simulation.options import SimulationOptions

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from sensors.output import read_simulation
+from sensors.output.toolkit_scene import read_simulation
 from sensors.simulation.cli import main
 from std_toolkit.cli.main import main as curate
 from std_toolkit.io.exr import read_exr_depth

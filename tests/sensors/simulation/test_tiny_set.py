@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sensors.output import read_record
-from sensors.output.dreds import SUFFIXES, scene_folder
+from sensors.output.dreds import SUFFIXES, read_record, scene_folder
 from sensors.simulation.set_report import set_statistics
 from std_toolkit.importers.foreign_files import read_mask_source
 from std_toolkit.importers.std_objects import read_meta

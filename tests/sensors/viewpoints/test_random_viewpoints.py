@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sensors.viewpoints import (
+from sensors.viewpoints.views import (
     ViewMargins,
     ViewpointOptions,
     hidden_objects,

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sensors.viewpoints import TrajectoryOptions, smooth_trajectory
+from sensors.viewpoints.camera_path import TrajectoryOptions, smooth_trajectory
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import rotation_angle
 

@@ -75,8 +75,8 @@ def test_export_and_import_again(tmp_path, capsys):
     assert "left out 1 frames without ground truth" in text
     assert main(["import", out, "--out", str(tmp_path / "again")]) == 0
     options = ["--label-size", "80by60"]
-    assert main(["export", str(scene.root), "--format", "std", "--out", out, *options]) == 1
-    assert "WIDTHxHEIGHT" in capsys.readouterr().err
+    assert main(["export", str(scene.root), "--format", "std", "--out", out, *options]) == 2
+    assert "a size such as 1280x720" in capsys.readouterr().err
 
 
 def test_schema_prints_and_writes(tmp_path, capsys):

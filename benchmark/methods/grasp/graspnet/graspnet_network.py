@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from benchmark.methods.grasp.graspnet.cloud import GraspNetConfig
-from benchmark.methods.pointnet import FeaturePropagation, Scale, SetAbstraction, SharedMLP
+from benchmark.methods.pointnet.layers import FeaturePropagation, Scale, SetAbstraction, SharedMLP
 
 # Numbers in memory at once, about; several tensors of this many are.
 _AT_ONCE = 4_000_000

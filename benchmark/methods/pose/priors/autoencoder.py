@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from benchmark.methods.network import torch_device
-from benchmark.methods.pointnet import SharedMLP
 from benchmark.methods.pointnet.chamfer import chamfer
+from benchmark.methods.pointnet.layers import SharedMLP
 from std_toolkit.errors import ToolkitError
 
 Floats = NDArray[np.float32]

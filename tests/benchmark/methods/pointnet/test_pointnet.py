@@ -4,19 +4,15 @@ import numpy as np
 import pytest
 import torch
 
-from benchmark.methods.pointnet import (
+from benchmark.methods.pointnet import grouping as grouping_module
+from benchmark.methods.pointnet.grouping import at, ball_query, farthest_points, group, nearest
+from benchmark.methods.pointnet.layers import (
     FeaturePropagation,
     Scale,
     SetAbstraction,
     SharedMLP,
-    at,
-    ball_query,
-    farthest_points,
-    group,
     interpolated,
-    nearest,
 )
-from benchmark.methods.pointnet import grouping as grouping_module
 from std_toolkit.errors import ToolkitError
 
 
