@@ -1,7 +1,4 @@
-"""One action of the user; mouse gestures for the shortcut sheet.
-
-What the mouse does in the views, for the shortcut sheet of every front end.
-"""
+"""One action of the user; mouse gestures for the shortcut sheet."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Actions on objects: select, move by hand, refine, snap, points.
-
-Letting the computer align: refine, table, points.
-"""
+"""Actions on objects: select, move by hand, refine, snap, points."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Long computations: where they run, and which of them are under way.
-
-The computations of a controller: what a person started, and what runs beside it.
-"""
+"""Long computations: where they run, and which of them are under way."""
 
 from __future__ import annotations
 

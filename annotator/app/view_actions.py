@@ -1,7 +1,4 @@
-"""Actions on the scene and the views: save, undo, frames, how the scene is drawn.
-
-Saving, undo, and which frame is shown.
-"""
+"""Actions on the scene and the views: save, undo, frames, how the scene is drawn."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""One label from those of several annotators: the mean of their poses.
-
-The mean of several poses of one object.
-"""
+"""One label from those of several annotators: the mean of their poses."""
 
 from __future__ import annotations
 

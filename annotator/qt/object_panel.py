@@ -1,7 +1,4 @@
-"""The objects of the scene, and what there is to set of the selected one.
-
-The list of objects: colour, name, what it is made of, how far the work is, how well it fits.
-"""
+"""The objects of the scene, and what there is to set of the selected one."""
 
 from __future__ import annotations
 

@@ -1,9 +1,7 @@
-"""Handles with which an object is moved and turned along axes: where they are, how they are drawn.
+"""Handles with which an object is moved and turned along axes: where they are, how they look.
 
 Numbers only: a pinhole (`ScreenCamera`), a centre and axes in eye coordinates, screen positions.
-Drawing them is the business of `gizmo_look.py`, the mouse that of `pointer.py`.
-
-How the handles are drawn.
+The mouse is followed by `pointer.py`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""What a view looks at and from where; where points of the scene are on its screen.
-
-From where a view looks: the frame's camera, or an eye that goes around in the cloud.
-"""
+"""What a view looks at and from where; where points of the scene are on its screen."""
 
 from __future__ import annotations
 

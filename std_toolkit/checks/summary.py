@@ -6,7 +6,6 @@ import shlex
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from std_toolkit.rendering.placements import truth_is_current
 from std_toolkit.scene.scene import Scene
 
 
@@ -201,6 +200,7 @@ def _ground_truth_counts(scene: Scene) -> tuple[int, int]:
     if not (scene.root / "gt").is_dir():
         return 0, 0
     from std_toolkit.rendering.ground_truth import read_frame_truth, rendered_frames
+    from std_toolkit.rendering.placements import truth_is_current
 
     current = stale = 0
     for frame_id in rendered_frames(scene):

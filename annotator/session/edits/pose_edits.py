@@ -1,7 +1,4 @@
-"""Edits of poses, and of the clicked 2D-3D correspondences.
-
-Edits of clicked 2D-3D correspondences.
-"""
+"""Edits of poses, and of the clicked 2D-3D correspondences."""
 
 from __future__ import annotations
 
