@@ -9,12 +9,15 @@ import sys
 from collections.abc import Collection
 from pathlib import Path
 
+from annotator.app import object_actions, questions, view_actions
 from annotator.app.action import MOUSE, Action
-from annotator.app.object_actions import ALIGN_ACTIONS, OBJECT_ACTIONS
-from annotator.app.questions import Group
-from annotator.app.view_actions import SCENE_ACTIONS, VIEW_ACTIONS
 
-ACTIONS = (*SCENE_ACTIONS, *VIEW_ACTIONS, *OBJECT_ACTIONS, *ALIGN_ACTIONS)
+ACTIONS = (
+    *view_actions.SCENE_ACTIONS,
+    *view_actions.VIEW_ACTIONS,
+    *object_actions.OBJECT_ACTIONS,
+    *object_actions.ALIGN_ACTIONS,
+)
 
 
 MENUS = ("File", "Edit", "View", "Frame", "Object", "Align", "Help")
@@ -56,14 +59,16 @@ def available_actions(dialogs: Collection[str]) -> tuple[Action, ...]:
     return tuple(a for a in ACTIONS if not a.asks or a.asks in dialogs)
 
 
-def key_rows(dialogs: Collection[str]) -> tuple[Group, ...]:
+def key_rows(dialogs: Collection[str]) -> tuple[questions.Group, ...]:
     """Keys (or gestures) and what they do, by menu, for the sheet of a front end."""
     actions = [a for a in available_actions(dialogs) if a.keys]
     groups = [
-        Group(menu, tuple((" or ".join(a.keys), a.title) for a in actions if a.menu == menu), True)
+        questions.Group(
+            menu, tuple((" or ".join(a.keys), a.title) for a in actions if a.menu == menu), True
+        )
         for menu in MENUS
     ]
-    mouse = Group("Mouse", tuple((m.gesture, m.effect) for m in MOUSE))
+    mouse = questions.Group("Mouse", tuple((m.gesture, m.effect) for m in MOUSE))
     return (*(g for g in groups if g.rows), mouse)
 
 

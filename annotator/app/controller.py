@@ -10,9 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from annotator.app.events import Event, Level
-from annotator.app.tasks import Runner, Task, Work
-from annotator.app.view_options import Gizmo, Mode, ViewOptions
+from annotator.app import events, tasks, view_options
 from annotator.session import (
     ChangeObject,
     Move,
@@ -62,18 +60,18 @@ class Controller:
     """
 
     def __init__(
-        self, session: Session, images: ImageCache, *, runner: Runner, view_frames: list[int]
+        self, session: Session, images: ImageCache, *, runner: tasks.Runner, view_frames: list[int]
     ) -> None:
         self.session = session
         self.images = images
         self.selected: str | None = None
         self.view_frames = list(view_frames)
         self.active_view = 0
-        self.mode = Mode.IMAGE
-        self.options = ViewOptions()
+        self.mode = view_options.Mode.IMAGE
+        self.options = view_options.ViewOptions()
         self.step = STEPS[1]
         self.axes: Axes = "camera"
-        self.gizmo = Gizmo.MOVE
+        self.gizmo = view_options.Gizmo.MOVE
         self.clicking = False
         self.pending_point: tuple[float, float, float] | None = None
         self.residuals: dict[str, list[FrameResidual]] = {}
@@ -85,29 +83,29 @@ class Controller:
         self.penetrations: tuple[Penetration, ...] = ()
         self.penetrations_frame: int | None = None
         self.unmeasured: set[str] = set()
-        self._work = Work(runner, self.emit)
-        self._listeners: list[Callable[[Event], None]] = []
+        self._work = tasks.Work(runner, self.emit)
+        self._listeners: list[Callable[[events.Event], None]] = []
         self._drag: tuple[str, int, SE3] | None = None
         session.subscribe(self._on_change)
 
     # --- listening ---------------------------------------------------------------------------
 
-    def subscribe(self, listener: Callable[[Event], None]) -> Callable[[], None]:
+    def subscribe(self, listener: Callable[[events.Event], None]) -> Callable[[], None]:
         """Have `listener` called with every event; returns what ends it."""
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener)
 
-    def emit(self, event: Event) -> None:
+    def emit(self, event: events.Event) -> None:
         for listener in list(self._listeners):
             listener(event)
 
-    def tell(self, text: str, level: Level = "info") -> None:
+    def tell(self, text: str, level: events.Level = "info") -> None:
         """A sentence for the person."""
-        self.emit(Event("message", text=text, level=level))
+        self.emit(events.Event("message", text=text, level=level))
 
     def ask(self, dialog: str) -> None:
         """Have the front end open a dialog, such as "add_mesh"."""
-        self.emit(Event("ask", text=dialog))
+        self.emit(events.Event("ask", text=dialog))
 
     def attempt(self, action: Callable[[], Any]) -> bool:
         """Run something a person asked for; an error becomes a message. True if it went well."""
@@ -120,12 +118,12 @@ class Controller:
 
     def _on_change(self, change: Change) -> None:
         if change.kind == "saved":
-            self.emit(Event("saved"))
+            self.emit(events.Event("saved"))
             return
         names = {o.name for o in self.session.state.objects}
         if self.selected not in names:
             self.selected = next((n for n in change.objects if n in names), None)
-            self.emit(Event("selected"))
+            self.emit(events.Event("selected"))
         if self._drag is not None and self._drag[0] not in names:
             self._drag = None
         # A mesh that is added moves no object; a scene that was read again may move all.
@@ -136,7 +134,7 @@ class Controller:
             self.residuals.pop(name, None)
             self.weak_directions.pop(name, None)
         self.unmeasured = (self.unmeasured | set(moved)) & names
-        self.emit(Event("edited", objects=change.objects, text=change.title))
+        self.emit(events.Event("edited", objects=change.objects, text=change.title))
 
     # --- looking ------------------------------------------------------------------------------
 
@@ -177,7 +175,7 @@ class Controller:
         if name != self.selected:
             self.selected = name
             self.pending_point = None
-            self.emit(Event("selected"))
+            self.emit(events.Event("selected"))
 
     def select_next(self, by: int = 1) -> None:
         names = [o.name for o in self.session.state.objects]
@@ -190,7 +188,7 @@ class Controller:
         self.session.scene.frame(frame)
         if self.view_frames[view] != frame:
             self.view_frames[view] = frame
-            self.emit(Event("frames"))
+            self.emit(events.Event("frames"))
 
     def step_frame(self, by: int) -> None:
         """Main view to the next or an earlier frame; stops at the ends."""
@@ -202,17 +200,17 @@ class Controller:
         """The frame of a side view becomes the main one and the other way round."""
         frames = self.view_frames
         frames[0], frames[view] = frames[view], frames[0]
-        self.emit(Event("frames"))
+        self.emit(events.Event("frames"))
 
-    def set_mode(self, mode: Mode) -> None:
+    def set_mode(self, mode: view_options.Mode) -> None:
         if mode != self.mode:
             self.mode = mode
-            self.emit(Event("view"))
+            self.emit(events.Event("view"))
 
     def set_options(self, **changes: Any) -> None:
         """Change fields of `options`."""
         self.options = replace(self.options, **changes)
-        self.emit(Event("view"))
+        self.emit(events.Event("view"))
 
     def set_tool(self, **changes: Any) -> None:
         """Change `step`, `axes`, `gizmo` or `clicking`."""
@@ -222,13 +220,13 @@ class Controller:
             setattr(self, field, value)
         if "clicking" in changes:
             self.pending_point = None
-        self.emit(Event("tool"))
+        self.emit(events.Event("tool"))
 
     def activate_view(self, view: int) -> None:
         """The view in hand: the one last clicked in."""
         if view != self.active_view:
             self.active_view = view
-            self.emit(Event("tool"))
+            self.emit(events.Event("tool"))
 
     # --- editing ------------------------------------------------------------------------------
 
@@ -305,7 +303,7 @@ class Controller:
     def drag_to(self, name: str, frame: int, T_cam_obj: SE3) -> None:
         """The object under the mouse is here now; nothing is decided until `end_drag`."""
         self._drag = (name, frame, T_cam_obj)
-        self.emit(Event("preview", objects=(name,)))
+        self.emit(events.Event("preview", objects=(name,)))
 
     def end_drag(self, method: str = "drag") -> bool:
         """What was dragged stays where it is: one edit. False if that cannot be made."""
@@ -315,7 +313,7 @@ class Controller:
         self._drag = None
         if self.apply(SetPoses.one(name, frame, T, method=method)):
             return True
-        self.emit(Event("preview", objects=(name,)))
+        self.emit(events.Event("preview", objects=(name,)))
         return False
 
     def cancel(self) -> None:
@@ -324,33 +322,33 @@ class Controller:
             self.cancel_drag()
         elif self.pending_point is not None:
             self.pending_point = None
-            self.emit(Event("tool"))
+            self.emit(events.Event("tool"))
         elif self.task is not None and not self.task.alone:
             self.task.cancel()
-            self.emit(Event("busy"))
+            self.emit(events.Event("busy"))
 
     def cancel_drag(self) -> None:
         """What was dragged goes back to where it was."""
         if self._drag is not None:
             name = self._drag[0]
             self._drag = None
-            self.emit(Event("preview", objects=(name,)))
+            self.emit(events.Event("preview", objects=(name,)))
 
     # --- work that takes a while -----------------------------------------------------------------
 
     @property
-    def task(self) -> Task | None:
+    def task(self) -> tasks.Task | None:
         """The computation that a person started and that is under way."""
         return self._work.task
 
     def start(
         self,
         title: str,
-        work: Callable[[Task], Any],
+        work: Callable[[tasks.Task], Any],
         finish: Callable[[Any], None],
         *,
         alone: bool = False,
-    ) -> Task | None:
+    ) -> tasks.Task | None:
         """Run `work(task)` aside, then `finish(result)` here; one computation at a time.
 
         Args:
@@ -361,7 +359,7 @@ class Controller:
     def start_aside(
         self,
         key: str,
-        work: Callable[[Task], Any],
+        work: Callable[[tasks.Task], Any],
         finish: Callable[[Any], None],
         *,
         delay: float = 0.0,

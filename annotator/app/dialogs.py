@@ -5,24 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from annotator.app import operations
+from annotator.app import operations, questions
 from annotator.app.action_table import key_rows
 from annotator.app.controller import Controller
 from annotator.app.operations import MeshSize, Unit, measure_mesh
-from annotator.app.questions import (
-    CANCEL,
-    Answers,
-    Button,
-    Field,
-    Question,
-    conflict_question,
-    propagate_options,
-    propagate_question,
-    recovery_question,
-    symmetry_question,
-    symmetry_words,
-    unit_question,
-)
 from annotator.session import ChangeObject, SetSymmetry
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
@@ -43,7 +29,7 @@ class Dialogs:
     def __init__(
         self,
         controller: Controller,
-        show: Callable[[Question | None], None],
+        show: Callable[[questions.Question | None], None],
         *,
         own: Mapping[str, Callable[[], object]] | None = None,
         drawn_by: Callable[[], str] = lambda: "",
@@ -51,7 +37,7 @@ class Dialogs:
         self._c = controller
         self._show = show
         self._drawn_by = drawn_by
-        self._open: Question | None = None
+        self._open: questions.Question | None = None
         self._dialogs: dict[str, Callable[[], object]] = {
             "add_mesh": self._add_mesh,
             "propagate": self._propagate,
@@ -70,7 +56,7 @@ class Dialogs:
         if name in self._dialogs and not (self._open is not None and self._open.must_answer):
             self._dialogs[name]()
 
-    def answer(self, number: int, pressed: str, answers: Answers) -> None:
+    def answer(self, number: int, pressed: str, answers: questions.Answers) -> None:
         """A button of a question was pressed; "" is cancel.
 
         Args:
@@ -85,26 +71,26 @@ class Dialogs:
         self._show(None)
         self._c.attempt(lambda: question.answer(pressed, answers))
 
-    def _ask(self, question: Question) -> None:
+    def _ask(self, question: questions.Question) -> None:
         self._open = question
         self._show(question)
 
     # --- meshes -----------------------------------------------------------------------------------
 
     def _add_mesh(self) -> None:
-        def react(_: str, answers: Answers) -> None:
+        def react(_: str, answers: questions.Answers) -> None:
             if answers["path"]:
                 self.add_meshes([Path(answers["path"]).expanduser()])
 
         kinds = ", ".join(s.lstrip(".").upper() for s in MESH_SUFFIXES)
         self._ask(
-            Question(
+            questions.Question(
                 "Add a mesh",
                 react,
                 text="The file is read on the machine that std-annotate runs on, and copied into "
                 "the scene with its textures.",
-                fields=(Field("path", f"File on the server ({kinds})"),),
-                buttons=(Button("add", "Add"), CANCEL),
+                fields=(questions.Field("path", f"File on the server ({kinds})"),),
+                buttons=(questions.Button("add", "Add"), questions.CANCEL),
             )
         )
 
@@ -146,33 +132,33 @@ class Dialogs:
         if size.units == ("m",):
             react("m")
         else:
-            self._ask(unit_question(path.name, size, react, lambda: react("")))
+            self._ask(questions.unit_question(path.name, size, react, lambda: react("")))
 
     # --- the labels -------------------------------------------------------------------------------
 
     def _propagate(self) -> None:
-        def react(_: str, answers: Answers) -> None:
-            operations.propagate(self._c, propagate_options(answers))
+        def react(_: str, answers: questions.Answers) -> None:
+            operations.propagate(self._c, questions.propagate_options(answers))
 
-        self._ask(propagate_question(self._c.session, react))
+        self._ask(questions.propagate_question(self._c.session, react))
 
     def _conflict(self) -> None:
-        def react(pressed: str, _: Answers) -> None:
+        def react(pressed: str, _: questions.Answers) -> None:
             operations.save(self._c, on_conflict="mine" if pressed == "mine" else "theirs")
 
-        self._ask(conflict_question(self._c.conflict, react))
+        self._ask(questions.conflict_question(self._c.conflict, react))
 
     def recovery(self) -> None:
         """Edits of an earlier session were found: ask what to do with them."""
         session = self._c.session
 
-        def react(pressed: str, _: Answers) -> None:
+        def react(pressed: str, _: questions.Answers) -> None:
             # In another page it may have been decided already.
             if session.recovery is not None:
                 session.recover() if pressed == "recover" else session.discard_recovery()
 
         if session.recovery is not None:
-            self._ask(recovery_question(session.recovery, react, can_leave=False))
+            self._ask(questions.recovery_question(session.recovery, react, can_leave=False))
 
     # --- the selected object ----------------------------------------------------------------------
 
@@ -181,17 +167,17 @@ class Dialogs:
         if old is None:
             return
 
-        def react(_: str, answers: Answers) -> None:
+        def react(_: str, answers: questions.Answers) -> None:
             name = answers["name"]
             if name not in ("", old) and self._c.apply(ChangeObject(object=old, name=name)):
                 self._c.select(name)
 
         self._ask(
-            Question(
+            questions.Question(
                 f"Rename {old}",
                 react,
-                fields=(Field("name", "New name", value=old),),
-                buttons=(Button("rename", "Rename"), CANCEL),
+                fields=(questions.Field("name", "New name", value=old),),
+                buttons=(questions.Button("rename", "Rename"), questions.CANCEL),
             )
         )
 
@@ -201,16 +187,16 @@ class Dialogs:
             return
         old = self._c.session.object(name).note
 
-        def react(_: str, answers: Answers) -> None:
+        def react(_: str, answers: questions.Answers) -> None:
             if answers["note"] != old:
                 self._c.apply(ChangeObject(object=name, note=answers["note"]))
 
         self._ask(
-            Question(
+            questions.Question(
                 f"Note on {name}",
                 react,
-                fields=(Field("note", "What to look at again", kind="lines", value=old),),
-                buttons=(Button("keep", "Keep"), CANCEL),
+                fields=(questions.Field("note", "What to look at again", kind="lines", value=old),),
+                buttons=(questions.Button("keep", "Keep"), questions.CANCEL),
             )
         )
 
@@ -219,15 +205,15 @@ class Dialogs:
             return
         model = self._c.session.state.model_of(self._c.selected)
 
-        def react(_: str, answers: Answers) -> None:
-            words = symmetry_words(answers)
+        def react(_: str, answers: questions.Answers) -> None:
+            words = questions.symmetry_words(answers)
             if words is not None:
                 centre = self._c.session.centre(model.id).tolist()
                 symmetry = parse_symmetry(words, centre=centre)
                 if symmetry != model.symmetry:
                     self._c.apply(SetSymmetry(model=model.id, symmetry=symmetry))
 
-        self._ask(symmetry_question(model, react))
+        self._ask(questions.symmetry_question(model, react))
 
     def ask_pose(self, frames: str, paste: Callable[[str], object]) -> None:
         """Ask for a pose as text, where the clipboard cannot be read.
@@ -237,11 +223,11 @@ class Dialogs:
             paste: called with the text.
         """
         self._ask(
-            Question(
+            questions.Question(
                 "Paste a pose",
                 lambda _, answers: paste(answers["matrix"]),
-                fields=(Field("matrix", f"4x4 matrix, {frames}, metres", kind="lines"),),
-                buttons=(Button("set", "Set"), CANCEL),
+                fields=(questions.Field("matrix", f"4x4 matrix, {frames}, metres", kind="lines"),),
+                buttons=(questions.Button("set", "Set"), questions.CANCEL),
             )
         )
 
@@ -249,7 +235,7 @@ class Dialogs:
 
     def _shortcuts(self) -> None:
         groups = key_rows(self._c.dialogs)
-        self._ask(Question("Keys and mouse", groups=groups, searchable=True))
+        self._ask(questions.Question("Keys and mouse", groups=groups, searchable=True))
 
     def _about(self) -> None:
         drawn_by = self._drawn_by()
@@ -259,4 +245,4 @@ class Dialogs:
         )
         if drawn_by:
             text += f"\n\nViews are drawn by {drawn_by}."
-        self._ask(Question("std-annotate", text=text))
+        self._ask(questions.Question("std-annotate", text=text))

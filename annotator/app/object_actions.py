@@ -4,15 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from annotator.app import operations
-from annotator.app.action import (
-    Action,
-    can_compute,
-    dialog_action,
-    has_placed,
-    has_selected,
-    is_idle,
-)
+from annotator.app import action, operations
 from annotator.app.view_options import Gizmo
 from annotator.session import ChangeObject, RemoveObject
 from std_toolkit.scene.model import Material
@@ -23,15 +15,15 @@ if TYPE_CHECKING:
 
 def _step(
     id: str, title: str, keys: tuple[str, ...], tip: str, **amount: tuple[float, float, float]
-) -> Action:
-    return Action(
+) -> action.Action:
+    return action.Action(
         id,
         "Object",
         title,
         keys,
         tip,
         lambda c: c.nudge(**amount),
-        enabled=has_placed,
+        enabled=action.has_placed,
         repeats=True,
         group="Step",
     )
@@ -42,8 +34,8 @@ def _next_gizmo(c: Controller) -> None:
     c.set_tool(gizmo=order[(order.index(c.gizmo) + 1) % len(order)])
 
 
-def _set_step(size: float, title: str, key: str) -> Action:
-    return Action(
+def _set_step(size: float, title: str, key: str) -> action.Action:
+    return action.Action(
         f"step_{title}",
         "Object",
         f"Steps of {size:g} mm and {size:g} deg",
@@ -55,8 +47,8 @@ def _set_step(size: float, title: str, key: str) -> Action:
     )
 
 
-def _set_gizmo(gizmo: Gizmo, title: str, key: str, tip: str) -> Action:
-    return Action(
+def _set_gizmo(gizmo: Gizmo, title: str, key: str, tip: str) -> action.Action:
+    return action.Action(
         f"gizmo_{gizmo}",
         "Object",
         title,
@@ -68,8 +60,8 @@ def _set_gizmo(gizmo: Gizmo, title: str, key: str, tip: str) -> Action:
     )
 
 
-def _set_material(material: Material, tip: str) -> Action:
-    return Action(
+def _set_material(material: Material, tip: str) -> action.Action:
+    return action.Action(
         f"material_{material}",
         "Object",
         material.capitalize(),
@@ -77,13 +69,13 @@ def _set_material(material: Material, tip: str) -> Action:
         tip,
         lambda c: c.apply(ChangeObject(object=str(c.selected), material=material)),
         lambda c: c.selected is not None and c.session.object(c.selected).material == material,
-        has_selected,
+        action.has_selected,
         group="Material",
     )
 
 
-OBJECT_ACTIONS: tuple[Action, ...] = (
-    Action(
+OBJECT_ACTIONS: tuple[action.Action, ...] = (
+    action.Action(
         "next_object",
         "Object",
         "Next object",
@@ -92,7 +84,7 @@ OBJECT_ACTIONS: tuple[Action, ...] = (
         lambda c: c.select_next(1),
         group="select",
     ),
-    Action(
+    action.Action(
         "previous_object",
         "Object",
         "Previous object",
@@ -118,7 +110,7 @@ OBJECT_ACTIONS: tuple[Action, ...] = (
     _set_step(10.0, "coarse", "7"),
     _set_step(1.0, "middle", "8"),
     _set_step(0.1, "fine", "9"),
-    Action(
+    action.Action(
         "axes",
         "Object",
         "Steps along the object's axes",
@@ -131,7 +123,7 @@ OBJECT_ACTIONS: tuple[Action, ...] = (
     _set_gizmo(Gizmo.MOVE, "Handles to move", "W", "Arrows and a disc on the object: pull them."),
     _set_gizmo(Gizmo.TURN, "Handles to turn", "E", "Rings around the object: pull them."),
     _set_gizmo(Gizmo.OFF, "No handles", "Q", "Leave the handles out; the object can be dragged."),
-    Action(
+    action.Action(
         "gizmo",
         "Object",
         "Next handles",
@@ -141,7 +133,7 @@ OBJECT_ACTIONS: tuple[Action, ...] = (
         group="Handles",
     ),
     *(
-        Action(
+        action.Action(
             f"flip_{axis}",
             "Object",
             f"Flip about {axis}",
@@ -149,13 +141,13 @@ OBJECT_ACTIONS: tuple[Action, ...] = (
             f"Turn the object by 180 degrees about its own {axis} axis, such as a mug whose handle "
             "is on the wrong side.",
             lambda c, i=i: c.flip(i),  # type: ignore[misc]
-            enabled=has_placed,
+            enabled=action.has_placed,
             group="Flip",
         )
         for i, axis in enumerate("xyz")
     ),
     *(
-        Action(
+        action.Action(
             f"quarter_{axis}",
             "Object",
             f"Quarter turn about {axis}",
@@ -163,12 +155,12 @@ OBJECT_ACTIONS: tuple[Action, ...] = (
             f"Turn the object by 90 degrees about its own {axis} axis, such as one that was "
             "dropped lying instead of standing.",
             lambda c, i=i: c.flip(i, 90.0),  # type: ignore[misc]
-            enabled=has_placed,
+            enabled=action.has_placed,
             group="Flip",
         )
         for i, axis in enumerate("xyz")
     ),
-    Action(
+    action.Action(
         "done",
         "Object",
         "Done",
@@ -176,61 +168,61 @@ OBJECT_ACTIONS: tuple[Action, ...] = (
         "Mark the selected object as done, or as open again.",
         operations.toggle_done,
         lambda c: c.selected is not None and c.session.object(c.selected).status == "done",
-        has_placed,
+        action.has_placed,
         group="state",
     ),
     _set_material("raw", "The object's own, diffuse surface: the depth sensor is trusted on it."),
     _set_material("diffuse", "Sprayed or painted matt: the depth sensor is trusted on it."),
     _set_material("specular", "Shiny: the depth sensor is not trusted on it."),
     _set_material("transparent", "Clear: the depth sensor is not trusted on it."),
-    dialog_action(
+    action.dialog_action(
         "rename",
         "rename",
         "Object",
         "Rename...",
         ("F2",),
         "Give the selected object another name.",
-        enabled=has_selected,
+        enabled=action.has_selected,
         group="state",
     ),
-    dialog_action(
+    action.dialog_action(
         "note",
         "note",
         "Object",
         "Note...",
         ("F3",),
         "Write down what is to be looked at again.",
-        enabled=has_selected,
+        enabled=action.has_selected,
         group="state",
     ),
-    dialog_action(
+    action.dialog_action(
         "symmetry",
         "symmetry",
         "Object",
         "Symmetry...",
         ("F4",),
         "Tell which turns of the mesh look the same: refining and comparing take it into account.",
-        enabled=has_selected,
+        enabled=action.has_selected,
         group="state",
     ),
-    Action(
+    action.Action(
         "unplace",
         "Object",
         "Remove the pose",
         ("Del",),
         "Take the object's pose away; the object stays in the list.",
         operations.unplace,
-        enabled=has_placed,
+        enabled=action.has_placed,
         group="remove",
     ),
-    Action(
+    action.Action(
         "remove_object",
         "Object",
         "Remove the object",
         ("Shift+Del",),
         "Take the object off the list, with its pose and points; the mesh stays in the library.",
         lambda c: c.apply(RemoveObject(object=str(c.selected))),
-        enabled=has_selected,
+        enabled=action.has_selected,
         group="remove",
     ),
 )
@@ -241,8 +233,8 @@ def _has_points(c: Controller) -> bool:
     return bool(c.session.object(str(c.selected)).clicks.get(c.active_frame))
 
 
-ALIGN_ACTIONS: tuple[Action, ...] = (
-    Action(
+ALIGN_ACTIONS: tuple[action.Action, ...] = (
+    action.Action(
         "refine",
         "Align",
         "Refine",
@@ -250,36 +242,38 @@ ALIGN_ACTIONS: tuple[Action, ...] = (
         "Fit the selected object: to the sensor depth and the image edges where it is opaque, to "
         "the edges in several frames where the sensor cannot see it.",
         operations.refine,
-        enabled=can_compute,
+        enabled=action.can_compute,
     ),
-    Action(
+    action.Action(
         "refine_all",
         "Align",
         "Refine all objects",
         ("Ctrl+R",),
         "Fit all placed objects together.",
         lambda c: operations.refine(c, all_objects=True),
-        enabled=lambda c: c.session.writable and is_idle(c) and bool(c.session.state.objects),
+        enabled=lambda c: (
+            c.session.writable and action.is_idle(c) and bool(c.session.state.objects)
+        ),
     ),
-    Action(
+    action.Action(
         "drop",
         "Align",
         "Drop onto the table",
         ("S",),
         "Move the object along the table's normal until it touches the table.",
         lambda c: operations.snap(c, "drop"),
-        enabled=can_compute,
+        enabled=action.can_compute,
     ),
-    Action(
+    action.Action(
         "rest",
         "Align",
         "Lay onto the table",
         ("Shift+S",),
         "Turn the object so that it rests on its nearest side, and drop it onto the table.",
         lambda c: operations.snap(c, "rest"),
-        enabled=can_compute,
+        enabled=action.can_compute,
     ),
-    Action(
+    action.Action(
         "clicking",
         "Align",
         "Click points",
@@ -287,24 +281,26 @@ ALIGN_ACTIONS: tuple[Action, ...] = (
         "Click a point on the mesh, then the same point in the image; four or more give a pose.",
         lambda c: c.set_tool(clicking=not c.clicking),
         lambda c: c.clicking,
-        has_selected,
+        action.has_selected,
     ),
-    Action(
+    action.Action(
         "solve_points",
         "Align",
         "Pose from the points",
         ("Return",),
         "Compute the pose from the clicked points (PnP) and show each point's residual.",
         operations.solve_points,
-        enabled=lambda c: has_selected(c) and is_idle(c) and (c.clicking or _has_points(c)),
+        enabled=lambda c: (
+            action.has_selected(c) and action.is_idle(c) and (c.clicking or _has_points(c))
+        ),
     ),
-    Action(
+    action.Action(
         "residuals",
         "Align",
         "Measure residuals",
         ("M",),
         "Compare the selected object with the image edges and the depth in the shown frames.",
         operations.measure_residuals,
-        enabled=can_compute,
+        enabled=action.can_compute,
     ),
 )

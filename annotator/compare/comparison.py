@@ -9,15 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import pandas as pd
 
-from annotator.compare.annotated_scene import (
-    AnnotatedScene,
-    LabelledObject,
-    Match,
-    distance_between,
-    match_objects,
-    same_mesh,
-    work_notes,
-)
+from annotator.compare import annotated_scene
 from annotator.compare.pose_difference import (
     PoseDifference,
     pose_difference,
@@ -58,8 +50,8 @@ class ObjectAgreement:
         mostly: what differs, in words.
     """
 
-    a: LabelledObject
-    b: LabelledObject
+    a: annotated_scene.LabelledObject
+    b: annotated_scene.LabelledObject
     by: str
     verdict: Verdict
     frame: int | None = None
@@ -101,8 +93,8 @@ class Comparison:
         notes: what a reader should know, one sentence each.
     """
 
-    a: AnnotatedScene
-    b: AnnotatedScene
+    a: annotated_scene.AnnotatedScene
+    b: annotated_scene.AnnotatedScene
     options: CompareOptions
     objects: tuple[ObjectAgreement, ...]
     only_a: tuple[str, ...]
@@ -153,8 +145,10 @@ def compare_labels(
     """
     options = options or CompareOptions()
     shared = shared_recording(scene_a, scene_b)
-    a = AnnotatedScene("A", scene_a, {f: f for f in shared.frames}, options.as_annotated)
-    b = AnnotatedScene("B", scene_b, shared.frames, options.as_annotated)
+    a = annotated_scene.AnnotatedScene(
+        "A", scene_a, {f: f for f in shared.frames}, options.as_annotated
+    )
+    b = annotated_scene.AnnotatedScene("B", scene_b, shared.frames, options.as_annotated)
     for one in (a, b):
         if not one.scene.labels.labels:
             raise ToolkitError(
@@ -162,11 +156,16 @@ def compare_labels(
                 path=one.scene.root,
                 hint="label it, or give another folder",
             )
-    matching = match_objects(a.objects, b.objects)
+    matching = annotated_scene.match_objects(a.objects, b.objects)
     rows = [agreement_of(m, options) for m in matching.matches]
     rows = [_with_swap(row, b.objects) for row in rows]
     rows.sort(key=lambda x: (x.verdict == "agree", -np.nan_to_num(x.worst_m, nan=np.inf), x.name))
-    notes = [*shared.notes, *work_notes(a), *work_notes(b), *_object_notes(rows)]
+    notes = [
+        *shared.notes,
+        *annotated_scene.work_notes(a),
+        *annotated_scene.work_notes(b),
+        *_object_notes(rows),
+    ]
     return Comparison(
         a,
         b,
@@ -178,7 +177,7 @@ def compare_labels(
     )
 
 
-def agreement_of(match: Match, options: CompareOptions) -> ObjectAgreement:
+def agreement_of(match: annotated_scene.Match, options: CompareOptions) -> ObjectAgreement:
     """Compare two labels of one object; what forbids it is told in the result."""
     a, b = match.a, match.b
 
@@ -186,7 +185,7 @@ def agreement_of(match: Match, options: CompareOptions) -> ObjectAgreement:
         return ObjectAgreement(a, b, match.by, "not comparable", mostly=text)
 
     try:
-        if not same_mesh(a, b):
+        if not annotated_scene.same_mesh(a, b):
             return problem("the meshes differ, so poses say nothing about each other")
         common = sorted(a.poses.keys() & b.poses.keys())
         outline = a.outline
@@ -224,7 +223,10 @@ def agreement_of(match: Match, options: CompareOptions) -> ObjectAgreement:
 
 
 def _distances(
-    a: LabelledObject, b: LabelledObject, frames: Sequence[int], symmetry: Symmetry
+    a: annotated_scene.LabelledObject,
+    b: annotated_scene.LabelledObject,
+    frames: Sequence[int],
+    symmetry: Symmetry,
 ) -> dict[int, float]:
     """MSSD in metres by frame; two labels in one world are apart the same in all frames."""
     known: dict[bytes, float] = {}
@@ -244,15 +246,17 @@ def _replaced(row: ObjectAgreement, verdict: Verdict, mostly: str) -> ObjectAgre
     )
 
 
-def _with_swap(row: ObjectAgreement, others: Sequence[LabelledObject]) -> ObjectAgreement:
+def _with_swap(
+    row: ObjectAgreement, others: Sequence[annotated_scene.LabelledObject]
+) -> ObjectAgreement:
     """Two of a kind are easily named the other way round."""
     near = row.a.model.diameter_m / 2
     if row.difference is None or row.by != "name" or row.difference.translation_m < near:
         return row
     for other in others:
-        if other.name == row.b.name or not same_mesh(row.a, other):
+        if other.name == row.b.name or not annotated_scene.same_mesh(row.a, other):
             continue
-        if distance_between(row.a, other) < near:
+        if annotated_scene.distance_between(row.a, other) < near:
             names = row.b.owner.name, other.name
             return _replaced(row, row.verdict, f"{names[0]} calls this one {names[1]}: swapped?")
     return row

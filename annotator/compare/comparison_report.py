@@ -21,9 +21,7 @@ from std_toolkit import __version__
 from std_toolkit.checks.contours import Contour, LabelCaster, trace_contour
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
-from std_toolkit.io.atomic import write_bytes_atomic
-from std_toolkit.io.documents import write_document
-from std_toolkit.io.images import write_color
+from std_toolkit.io import atomic, documents, images
 
 # What the terminal shows of `object_table`, and under which heading.
 _SHOWN = {
@@ -135,15 +133,15 @@ def merge_lines(merge: Merge, root: Path) -> list[str]:
 
 def write_csv(comparison: Comparison, path: Path) -> None:
     """The table of objects as CSV."""
-    write_bytes_atomic(path, comparison.table.to_csv(index=False).encode())
+    atomic.write_bytes_atomic(path, comparison.table.to_csv(index=False).encode())
 
 
 def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
     """Write agreement.csv, frames.csv and agreement.json to `folder`; returns their paths."""
     paths = [folder / name for name in ("agreement.csv", "frames.csv", "agreement.json")]
     write_csv(comparison, paths[0])
-    write_bytes_atomic(paths[1], comparison.frame_table.to_csv(index=False).encode())
-    write_document(paths[2], comparison_document(comparison))
+    atomic.write_bytes_atomic(paths[1], comparison.frame_table.to_csv(index=False).encode())
+    documents.write_document(paths[2], comparison_document(comparison))
     return paths
 
 
@@ -189,7 +187,7 @@ def write_pictures(comparison: Comparison, folder: Path) -> list[Path]:
             frames.append(side)
         panels = [_panel(comparison, row, frame) for frame in frames]
         path = folder / "pictures" / f"{row.name}.png"
-        write_color(path, _sheet(row, panels))
+        images.write_color(path, _sheet(row, panels))
         written.append(path)
     return written
 

@@ -13,14 +13,7 @@ from itertools import combinations
 from string import ascii_uppercase
 from typing import Literal
 
-from annotator.compare.annotated_scene import (
-    AnnotatedScene,
-    LabelledObject,
-    Match,
-    match_objects,
-    same_shape,
-    work_notes,
-)
+from annotator.compare import annotated_scene
 from annotator.compare.comparison import ObjectAgreement, agreement_of
 from annotator.compare.joint_label import joint_label
 from annotator.compare.shared_recording import shared_recording
@@ -49,8 +42,8 @@ class MergedObject:
     """
 
     object: Object
-    labelled: tuple[LabelledObject, ...]
-    used: tuple[LabelledObject, ...]
+    labelled: tuple[annotated_scene.LabelledObject, ...]
+    used: tuple[annotated_scene.LabelledObject, ...]
     outcome: Outcome
     apart_m: float
     note: str
@@ -68,8 +61,8 @@ class Merge:
         notes: what a reader should know, one sentence each.
     """
 
-    target: AnnotatedScene
-    annotators: tuple[AnnotatedScene, ...]
+    target: annotated_scene.AnnotatedScene
+    annotators: tuple[annotated_scene.AnnotatedScene, ...]
     objects: tuple[MergedObject, ...]
     notes: tuple[str, ...]
 
@@ -120,9 +113,9 @@ def merge_labels(
         raise ToolkitError("a merge needs two to 26 scenes", value=len(scenes))
     place, annotators, notes = _shared(scenes, target, options)
     check_names(options, annotators)
-    groups: list[list[LabelledObject]] = []
+    groups: list[list[annotated_scene.LabelledObject]] = []
     for annotated in annotators:
-        matching = match_objects([g[0] for g in groups], annotated.objects)
+        matching = annotated_scene.match_objects([g[0] for g in groups], annotated.objects)
         for match in matching.matches:
             groups[[g[0] for g in groups].index(match.a)].append(match.b)
             if match.by == "place":
@@ -131,7 +124,7 @@ def merge_labels(
                     f"{match.b.owner.name}: same mesh, nearest place"
                 )
         groups += [[x] for x in matching.only_b]
-    notes += [note for annotated in annotators for note in work_notes(annotated)]
+    notes += [note for annotated in annotators for note in annotated_scene.work_notes(annotated)]
     if not groups:
         raise ToolkitError("none of the scenes has labels", path=scenes[0].root)
     check_taken(options, groups)
@@ -146,7 +139,7 @@ def merge_labels(
 
 def _shared(
     scenes: Sequence[Scene], target: Scene | None, options: MergeOptions
-) -> tuple[AnnotatedScene, list[AnnotatedScene], list[str]]:
+) -> tuple[annotated_scene.AnnotatedScene, list[annotated_scene.AnnotatedScene], list[str]]:
     base = target or scenes[0]
     base_name = "the target" if target else "A"
     annotators, notes = [], []
@@ -156,24 +149,27 @@ def _shared(
             shared = shared_recording(base, scene, (base_name, name))
             frames = shared.frames
             notes += list(shared.notes)
-        annotators.append(AnnotatedScene(name, scene, frames, options.as_annotated))
+        annotators.append(annotated_scene.AnnotatedScene(name, scene, frames, options.as_annotated))
     roots = [a.scene.root.resolve() for a in annotators]
     for i, root in enumerate(roots):
         if root in roots[:i]:
             raise ToolkitError("this scene is given twice", path=scenes[i].root)
-    place = AnnotatedScene(base_name, base, {f.id: f.id for f in base.frames})
+    place = annotated_scene.AnnotatedScene(base_name, base, {f.id: f.id for f in base.frames})
     return place, annotators, list(dict.fromkeys(notes))
 
 
 def _merged(
-    group: Sequence[LabelledObject],
+    group: Sequence[annotated_scene.LabelledObject],
     row: Object,
-    target: AnnotatedScene,
+    target: annotated_scene.AnnotatedScene,
     options: MergeOptions,
     compare: CompareOptions,
     time: str,
 ) -> MergedObject:
-    pairs = [agreement_of(Match(x, y, "name"), compare) for x, y in combinations(group, 2)]
+    pairs = [
+        agreement_of(annotated_scene.Match(x, y, "name"), compare)
+        for x, y in combinations(group, 2)
+    ]
     used, note = chosen_labels(group, pairs, options)
     apart = max((p.worst_m for p in pairs), default=float("nan"))
     label = None
@@ -188,13 +184,15 @@ def _merged(
     return MergedObject(row, tuple(group), tuple(used), outcome, apart, note, label)
 
 
-def _symmetry_of(members: Sequence[LabelledObject]) -> Symmetry:
+def _symmetry_of(members: Sequence[annotated_scene.LabelledObject]) -> Symmetry:
     return reduce(
         lambda a, b: common_symmetry(a, b, members[0].outline), (m.symmetry for m in members)
     )
 
 
-def _object_rows(target: Scene, groups: Sequence[Sequence[LabelledObject]]) -> list[Object]:
+def _object_rows(
+    target: Scene, groups: Sequence[Sequence[annotated_scene.LabelledObject]]
+) -> list[Object]:
     """The row of each object in the target scene; what it does not know gets a free id."""
     table = {o.name: o for o in target.objects.objects}
     taken = {o.id for o in table.values()}
@@ -214,20 +212,22 @@ def _object_rows(target: Scene, groups: Sequence[Sequence[LabelledObject]]) -> l
     return rows
 
 
-def _check_mesh(x: LabelledObject, row: Object, target: Scene) -> None:
+def _check_mesh(x: annotated_scene.LabelledObject, row: Object, target: Scene) -> None:
     """The target may know an object of this name, unlabelled, with a mesh of its own."""
     known = next((o for o in target.objects.objects if o.id == row.id), None)
     if known is None or x.owner.scene is target:
         return
-    if not same_shape(x.owner.scene, x.model, target, target.objects.model(known.model)):
+    if not annotated_scene.same_shape(
+        x.owner.scene, x.model, target, target.objects.model(known.model)
+    ):
         raise ToolkitError("the object has another mesh in the merged scene", field=row.name)
 
 
-def _is_done(x: LabelledObject) -> bool:
+def _is_done(x: annotated_scene.LabelledObject) -> bool:
     return x.owner.scene.annotation.of(x.object.id).status == "done"
 
 
-def _notes_of(labelled: Sequence[LabelledObject]) -> list[str]:
+def _notes_of(labelled: Sequence[annotated_scene.LabelledObject]) -> list[str]:
     notes = []
     for x in labelled:
         note = x.owner.scene.annotation.of(x.object.id).note
@@ -237,8 +237,10 @@ def _notes_of(labelled: Sequence[LabelledObject]) -> list[str]:
 
 
 def chosen_labels(
-    group: Sequence[LabelledObject], pairs: Sequence[ObjectAgreement], options: MergeOptions
-) -> tuple[Sequence[LabelledObject], str]:
+    group: Sequence[annotated_scene.LabelledObject],
+    pairs: Sequence[ObjectAgreement],
+    options: MergeOptions,
+) -> tuple[Sequence[annotated_scene.LabelledObject], str]:
     """The labels that count, and why; none where a person has to decide."""
     by_owner = {x.owner.name: x for x in group}
     wanted = options.take.get(group[0].name)
@@ -270,8 +272,8 @@ def _why(pair: ObjectAgreement) -> str:
 
 
 def _majority(
-    group: Sequence[LabelledObject], apart: Sequence[ObjectAgreement]
-) -> Sequence[LabelledObject]:
+    group: Sequence[annotated_scene.LabelledObject], apart: Sequence[ObjectAgreement]
+) -> Sequence[annotated_scene.LabelledObject]:
     """The largest set of labels that agree pairwise, if it is more than half and the only one."""
     foes = {frozenset((p.a.owner.name, p.b.owner.name)) for p in apart}
     for size in range(len(group) - 1, len(group) // 2, -1):
@@ -287,7 +289,9 @@ def _majority(
     return ()
 
 
-def check_names(options: MergeOptions, annotators: Sequence[AnnotatedScene]) -> None:
+def check_names(
+    options: MergeOptions, annotators: Sequence[annotated_scene.AnnotatedScene]
+) -> None:
     """Raises ToolkitError for an option that names an annotator that there is not."""
     known = [a.name for a in annotators]
     asked = {"--prefer": options.prefer, **{f"--take {k}": v for k, v in options.take.items()}}
@@ -301,7 +305,9 @@ def check_names(options: MergeOptions, annotators: Sequence[AnnotatedScene]) -> 
             )
 
 
-def check_taken(options: MergeOptions, groups: Sequence[Sequence[LabelledObject]]) -> None:
+def check_taken(
+    options: MergeOptions, groups: Sequence[Sequence[annotated_scene.LabelledObject]]
+) -> None:
     """Raises ToolkitError for `take` of an object that is not there or that nobody labelled."""
     by_name = {g[0].name: g for g in groups}
     for name, owner in options.take.items():

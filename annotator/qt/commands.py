@@ -2,32 +2,22 @@
 
 from __future__ import annotations
 
+from PySide6 import QtWidgets
 from PySide6.QtCore import QEvent, QObject, QSize, Qt, QTimer
 from PySide6.QtGui import QAction, QKeyEvent, QKeySequence, QResizeEvent
-from PySide6.QtWidgets import (
-    QAbstractSpinBox,
-    QApplication,
-    QHBoxLayout,
-    QLineEdit,
-    QMainWindow,
-    QMenu,
-    QPlainTextEdit,
-    QSlider,
-    QTextEdit,
-    QToolBar,
-    QToolButton,
-    QWidget,
-)
 
 from annotator.app.action import Action
 from annotator.app.action_table import ACTIONS, MENUS, OPACITY_TIP, SHORT_TITLES, TOOLS
 from annotator.app.controller import Controller
 from annotator.app.events import Event
-from annotator.qt.number_field import NumberField
-from annotator.qt.panel import Panel, tool_button
-from annotator.qt.theme import icon
+from annotator.qt import number_field, panel, theme
 
-TEXT_FIELDS = (QLineEdit, QAbstractSpinBox, QPlainTextEdit, QTextEdit)
+TEXT_FIELDS = (
+    QtWidgets.QLineEdit,
+    QtWidgets.QAbstractSpinBox,
+    QtWidgets.QPlainTextEdit,
+    QtWidgets.QTextEdit,
+)
 
 
 class Commands(QObject):
@@ -38,13 +28,13 @@ class Commands(QObject):
         menus: by name, submenus as "Object/Flip".
     """
 
-    def __init__(self, window: QMainWindow, controller: Controller) -> None:
+    def __init__(self, window: QtWidgets.QMainWindow, controller: Controller) -> None:
         super().__init__(window)
         self._controller = controller
         self._window = window
         self._items = {a.id: a for a in ACTIONS}
         self.actions: dict[str, QAction] = {a.id: self._made(a) for a in ACTIONS}
-        self.menus: dict[str, QMenu] = {}
+        self.menus: dict[str, QtWidgets.QMenu] = {}
         self._moving = False
         self._soon = QTimer(self, singleShot=True, interval=0)
         self._soon.timeout.connect(self.update)
@@ -84,7 +74,7 @@ class Commands(QObject):
             self.menus[name] = menu
             self._fill_menu(menu, [a for a in ACTIONS if a.menu == name])
 
-    def _fill_menu(self, menu: QMenu, items: list[Action]) -> None:
+    def _fill_menu(self, menu: QtWidgets.QMenu, items: list[Action]) -> None:
         menu.setToolTipsVisible(True)
         for group in dict.fromkeys(a.group for a in items):
             members = [self.actions[a.id] for a in items if a.group == group]
@@ -98,7 +88,7 @@ class Commands(QObject):
                 menu.addActions(members)
 
     def _made(self, item: Action) -> QAction:
-        action = QAction(icon(item.id), item.title, self._window)
+        action = QAction(theme.icon(item.id), item.title, self._window)
         action.setShortcuts([QKeySequence(key) for key in item.keys])
         # The views, the panels and whatever else has the focus: keys reach all of the window.
         action.setShortcutContext(Qt.ShortcutContext.WindowShortcut)
@@ -131,11 +121,11 @@ class TypingGuard(QObject):
     claim letters but neither page keys nor Tab, which would then reach the window.
     """
 
-    def __init__(self, app: QApplication) -> None:
+    def __init__(self, app: QtWidgets.QApplication) -> None:
         super().__init__(app)
         app.focusChanged.connect(self._on_focus)
 
-    def _on_focus(self, old: QWidget | None, new: QWidget | None) -> None:
+    def _on_focus(self, old: QtWidgets.QWidget | None, new: QtWidgets.QWidget | None) -> None:
         if isinstance(old, TEXT_FIELDS):
             old.removeEventFilter(self)
         if isinstance(new, TEXT_FIELDS):
@@ -146,7 +136,7 @@ class TypingGuard(QObject):
             if not _is_command(event):
                 event.accept()
                 return True
-            if isinstance(watched, NumberField) and not watched.edited:
+            if isinstance(watched, number_field.NumberField) and not watched.edited:
                 # Nothing was typed since: undo means the edit, not the text.
                 event.ignore()
                 return True
@@ -161,21 +151,21 @@ def _is_command(event: QKeyEvent) -> bool:
     return bool(event.modifiers() & strong)
 
 
-class OpacitySlider(Panel):
+class OpacitySlider(panel.Panel):
     """How much of the image shines through the meshes."""
 
     KINDS = ("view",)
 
     def __init__(self, controller: Controller) -> None:
         super().__init__(controller)
-        self.slider = QSlider(Qt.Orientation.Horizontal)
+        self.slider = QtWidgets.QSlider(Qt.Orientation.Horizontal)
         self.slider.setRange(10, 100)
         self.slider.setFixedWidth(72)
         self.setFixedWidth(80)
         self.slider.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.slider.setToolTip(f"<b>Opacity</b> [ and ]<br>{OPACITY_TIP}")
         self.slider.valueChanged.connect(self._set)
-        row = QHBoxLayout(self)
+        row = QtWidgets.QHBoxLayout(self)
         row.setContentsMargins(4, 0, 4, 0)
         row.addWidget(self.slider)
         self.follow()
@@ -188,10 +178,12 @@ class OpacitySlider(Panel):
         self.slider.setValue(round(100 * self._controller.options.opacity))
 
 
-class ActionBar(QToolBar):
+class ActionBar(QtWidgets.QToolBar):
     """Made from the table of actions."""
 
-    def __init__(self, window: QMainWindow, controller: Controller, commands: Commands) -> None:
+    def __init__(
+        self, window: QtWidgets.QMainWindow, controller: Controller, commands: Commands
+    ) -> None:
         super().__init__("Tools", window)
         self.setMovable(False)
         self.setFloatable(False)
@@ -199,7 +191,7 @@ class ActionBar(QToolBar):
         self.toggleViewAction().setEnabled(False)
         self.setContextMenuPolicy(Qt.ContextMenuPolicy.PreventContextMenu)
         self.opacity = OpacitySlider(controller)
-        self._labelled: list[QToolButton] = []
+        self._labelled: list[QtWidgets.QToolButton] = []
         for place, group in enumerate(TOOLS):
             if place:
                 self.addWidget(_line())
@@ -211,9 +203,9 @@ class ActionBar(QToolBar):
     def close_panel(self) -> None:
         self.opacity.close_panel()
 
-    def _button(self, commands: Commands, id: str) -> QToolButton:
+    def _button(self, commands: Commands, id: str) -> QtWidgets.QToolButton:
         action = commands.actions[id]
-        button = tool_button(action, labelled=id in SHORT_TITLES)
+        button = panel.tool_button(action, labelled=id in SHORT_TITLES)
         button.setIconSize(QSize(20, 20))
         if id in SHORT_TITLES:
             action.setIconText(SHORT_TITLES[id])
@@ -231,14 +223,14 @@ class ActionBar(QToolBar):
         super().resizeEvent(event)
 
 
-def _line() -> QWidget:
+def _line() -> QtWidgets.QWidget:
     """A thin line between groups of buttons."""
-    line = QWidget()
+    line = QtWidgets.QWidget()
     line.setObjectName("line")
     line.setAttribute(Qt.WidgetAttribute.WA_StyledBackground)
     line.setFixedSize(1, 20)
-    around = QWidget()
-    row = QHBoxLayout(around)
+    around = QtWidgets.QWidget()
+    row = QtWidgets.QHBoxLayout(around)
     row.setContentsMargins(5, 0, 5, 0)
     row.addWidget(line)
     return around

@@ -6,15 +6,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PySide6 import QtWidgets
 from PySide6.QtCore import QMimeData, QSize, Qt, Signal
 from PySide6.QtGui import QDragEnterEvent, QDragMoveEvent, QDropEvent, QIcon, QImage, QPixmap
-from PySide6.QtWidgets import (
-    QHBoxLayout,
-    QListWidget,
-    QListWidgetItem,
-    QStackedLayout,
-    QVBoxLayout,
-)
 
 from annotator.app.controller import Controller
 from annotator.app.placing import add_object
@@ -49,15 +43,15 @@ class LibraryPanel(Panel):
         self.list.itemDoubleClicked.connect(
             lambda item: add_object(controller, item.data(Qt.ItemDataRole.UserRole))
         )
-        top = QHBoxLayout()
+        top = QtWidgets.QHBoxLayout()
         top.addWidget(label("heading", "Mesh library"))
         top.addStretch(1)
         top.addWidget(tool_button(commands.actions["add_mesh"], labelled=True))
 
-        self.stack = QStackedLayout()
+        self.stack = QtWidgets.QStackedLayout()
         self.stack.addWidget(self.list)
         self.stack.addWidget(label("empty", _EMPTY))
-        layout = QVBoxLayout(self)
+        layout = QtWidgets.QVBoxLayout(self)
         layout.setContentsMargins(6, 4, 6, 4)
         layout.setSpacing(4)
         layout.addLayout(top)
@@ -77,7 +71,7 @@ class LibraryPanel(Panel):
         if shown != [m.id for m in models]:
             self.list.clear()
             for model in models:
-                item = QListWidgetItem(model.id)
+                item = QtWidgets.QListWidgetItem(model.id)
                 # All alike, or long names would crowd the others.
                 item.setSizeHint(self.list.gridSize())
                 item.setData(Qt.ItemDataRole.UserRole, model.id)
@@ -113,25 +107,25 @@ class LibraryPanel(Panel):
             self.files_dropped.emit(files)
 
 
-class _Meshes(QListWidget):
+class _Meshes(QtWidgets.QListWidget):
     def __init__(self) -> None:
         super().__init__()
-        self.setViewMode(QListWidget.ViewMode.IconMode)
+        self.setViewMode(QtWidgets.QListWidget.ViewMode.IconMode)
         self.setIconSize(QSize(THUMBNAIL, THUMBNAIL))
         line = self.fontMetrics().height()
         self.setGridSize(QSize(THUMBNAIL + 26, THUMBNAIL + line + 10))
         self.setMinimumHeight(THUMBNAIL + line + 18)
-        self.setResizeMode(QListWidget.ResizeMode.Adjust)
-        self.setMovement(QListWidget.Movement.Static)
+        self.setResizeMode(QtWidgets.QListWidget.ResizeMode.Adjust)
+        self.setMovement(QtWidgets.QListWidget.Movement.Static)
         self.setDragEnabled(True)
         self.setTextElideMode(Qt.TextElideMode.ElideMiddle)
-        self.setVerticalScrollMode(QListWidget.ScrollMode.ScrollPerPixel)
+        self.setVerticalScrollMode(QtWidgets.QListWidget.ScrollMode.ScrollPerPixel)
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
 
     def mimeTypes(self) -> list[str]:
         return [MODEL_MIME]
 
-    def mimeData(self, items: list[QListWidgetItem]) -> QMimeData:  # type: ignore[override]
+    def mimeData(self, items: list[QtWidgets.QListWidgetItem]) -> QMimeData:  # type: ignore[override]
         data = QMimeData()
         data.setData(MODEL_MIME, items[0].data(Qt.ItemDataRole.UserRole).encode())
         return data

@@ -13,18 +13,9 @@ from PySide6.QtCore import QEventLoop, QObject, Qt, QTimer, Signal, Slot
 from PySide6.QtGui import QCloseEvent
 from PySide6.QtWidgets import QApplication, QFileDialog, QMainWindow
 
-from annotator.app import operations
+from annotator.app import events, image_cache, operations, questions, tasks, view_options
 from annotator.app.controller import Controller
-from annotator.app.events import Event
-from annotator.app.image_cache import ImageCache
-from annotator.app.questions import closing_question, recovery_question
-from annotator.app.tasks import ThreadRunner
-from annotator.app.view_options import choose_view_frames
-from annotator.qt.commands import TypingGuard
-from annotator.qt.graphics import prepare_window
-from annotator.qt.question_dialog import QuestionDialog, WindowDialogs
-from annotator.qt.settings import remember_scene, restore_window
-from annotator.qt.start_page import OpeningPage, StartPage
+from annotator.qt import commands, graphics, question_dialog, settings, start_page
 from annotator.session import Session
 from annotator.startup import quick_imports
 from std_toolkit.errors import ToolkitError
@@ -51,16 +42,16 @@ class Shell(QMainWindow):
         self._annotator = annotator
         self.workspace: Workspace | None = None
         self.controller: Controller | None = None
-        self.start_page: StartPage | None = None
+        self.start_page: start_page.StartPage | None = None
         self._runner: QtRunner | None = None
-        prepare_window(self)
+        graphics.prepare_window(self)
         self.setMinimumSize(*SMALLEST)
-        if not restore_window(self):
+        if not settings.restore_window(self):
             screen = QApplication.primaryScreen().availableSize()
             self.resize(min(USUAL[0], screen.width()), min(USUAL[1], screen.height()))
         app = QApplication.instance()
         assert isinstance(app, QApplication)
-        self._typing = TypingGuard(app)
+        self._typing = commands.TypingGuard(app)
         self.show_start_page()
 
     # --- opening ---------------------------------------------------------------------------------
@@ -92,7 +83,7 @@ class Shell(QMainWindow):
             self.show_start_page(error, root)
             return False
         if session.writable:
-            remember_scene(root)
+            settings.remember_scene(root)
         return True
 
     def browse(self) -> None:
@@ -106,7 +97,7 @@ class Shell(QMainWindow):
     ) -> None:
         """What is shown without a scene."""
         if self.start_page is None:
-            self.start_page = StartPage()
+            self.start_page = start_page.StartPage()
             self.start_page.browse.connect(self.browse)
             self.start_page.chosen.connect(
                 lambda root, read_only: self.open_scene(root, read_only=read_only)
@@ -119,7 +110,9 @@ class Shell(QMainWindow):
     def _decide_recovery(self, session: Session) -> bool:
         """Ask about edits that were not saved; False to leave the scene alone for now."""
         assert session.recovery is not None
-        answer, _ = QuestionDialog(self, recovery_question(session.recovery)).ask()
+        answer, _ = question_dialog.QuestionDialog(
+            self, questions.recovery_question(session.recovery)
+        ).ask()
         if answer == "recover":
             session.recover()
         elif answer == "discard":
@@ -127,8 +120,8 @@ class Shell(QMainWindow):
         return answer != ""
 
     def _show_scene(self, session: Session) -> None:
-        frames = choose_view_frames(session.scene, session)
-        images = ImageCache(session.scene)
+        frames = view_options.choose_view_frames(session.scene, session)
+        images = image_cache.ImageCache(session.scene)
         self._show_first_image(session, images, frames[0])
         images.prefetch(frames[1:])  # decoded while the window is built
         # What draws in three dimensions is loaded after the first image is seen.
@@ -142,7 +135,7 @@ class Shell(QMainWindow):
             self.controller.select(objects[0].name)
         self.workspace = Workspace(self, self.controller)
         self.setCentralWidget(self.workspace)
-        dialogs = WindowDialogs(
+        dialogs = question_dialog.WindowDialogs(
             self.workspace, self.controller, {"open": self.browse, "close": self.close_soon}
         )
         self.workspace.files_dropped.connect(dialogs.add_meshes)
@@ -153,16 +146,18 @@ class Shell(QMainWindow):
         self.workspace.start()
         operations.tell_opening(self.controller)
 
-    def _show_first_image(self, session: Session, images: ImageCache, frame: int) -> None:
+    def _show_first_image(
+        self, session: Session, images: image_cache.ImageCache, frame: int
+    ) -> None:
         try:
             rgb = images.image(frame).rgb
         except ToolkitError:
             rgb = None  # told in the view
         self.start_page = None
-        self.setCentralWidget(OpeningPage(session.scene.info.name, rgb))
+        self.setCentralWidget(start_page.OpeningPage(session.scene.info.name, rgb))
         QApplication.processEvents(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)
 
-    def _on_event(self, event: Event) -> None:
+    def _on_event(self, event: events.Event) -> None:
         if event.kind in ("edited", "saved") and self.controller is not None:
             self.setWindowModified(self.controller.session.unsaved)
 
@@ -181,7 +176,9 @@ class Shell(QMainWindow):
             return False
         controller.cancel_drag()
         if session.writable and session.unsaved:
-            answer, _ = QuestionDialog(self, closing_question(len(session.steps))).ask()
+            answer, _ = question_dialog.QuestionDialog(
+                self, questions.closing_question(len(session.steps))
+            ).ask()
             if not answer or (answer == "save" and not operations.save(controller)):
                 return False
         if controller.task is not None:
@@ -232,7 +229,7 @@ class _Postman(QObject):
         self._handed_in.emit(call)
 
 
-class QtRunner(ThreadRunner):
+class QtRunner(tasks.ThreadRunner):
     """Results are delivered in the thread that makes it, while its event loop runs."""
 
     def __init__(self) -> None:

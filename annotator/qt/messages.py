@@ -2,16 +2,8 @@
 
 from __future__ import annotations
 
+from PySide6 import QtWidgets
 from PySide6.QtCore import QEvent, QObject, QSize, Qt, QTimer
-from PySide6.QtWidgets import (
-    QFrame,
-    QHBoxLayout,
-    QLabel,
-    QProgressBar,
-    QSizePolicy,
-    QVBoxLayout,
-    QWidget,
-)
 
 from annotator.app.controller import Controller
 from annotator.app.events import Event, Level, Notice, Notices
@@ -36,10 +28,12 @@ class StatusLine(Panel):
     def __init__(self, controller: Controller) -> None:
         super().__init__(controller)
         self._moving = False
-        self.hint = QLabel()
-        self.hint.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
-        self.busy = QLabel()
-        self.progress = QProgressBar()
+        self.hint = QtWidgets.QLabel()
+        self.hint.setSizePolicy(
+            QtWidgets.QSizePolicy.Policy.Ignored, QtWidgets.QSizePolicy.Policy.Preferred
+        )
+        self.busy = QtWidgets.QLabel()
+        self.progress = QtWidgets.QProgressBar()
         self.progress.setFixedWidth(120)
         self.progress.setTextVisible(False)
         self.cancel = tool_button()
@@ -47,8 +41,8 @@ class StatusLine(Panel):
         self.cancel.setIconSize(QSize(12, 12))
         self.cancel.setToolTip("<b>Cancel</b> Esc<br>Stop; nothing is changed.")
         self.cancel.clicked.connect(controller.cancel)
-        self.saved = QLabel()
-        row = QHBoxLayout(self)
+        self.saved = QtWidgets.QLabel()
+        row = QtWidgets.QHBoxLayout(self)
         row.setContentsMargins(8, 2, 8, 2)
         row.setSpacing(6)
         row.addWidget(self.hint, 1)
@@ -121,17 +115,17 @@ class StatusLine(Panel):
             self._soon.start()
 
 
-class Banner(QWidget):
+class Banner(QtWidgets.QWidget):
     """The latest messages, newest below; hidden while there are none.
 
     It floats over the foot of a widget: the views keep their place and size.
     """
 
-    def __init__(self, over: QWidget) -> None:
+    def __init__(self, over: QtWidgets.QWidget) -> None:
         super().__init__(over)
         self._over = over
         over.installEventFilter(self)
-        self._layout = QVBoxLayout(self)
+        self._layout = QtWidgets.QVBoxLayout(self)
         self._layout.setContentsMargins(0, 0, 0, 0)
         self._layout.setSpacing(2)
         self.messages: list[Message] = []
@@ -180,7 +174,7 @@ class Banner(QWidget):
             self.raise_()
 
 
-class Message(QFrame):
+class Message(QtWidgets.QFrame):
     """One message: what it is by a coloured edge and an icon."""
 
     def __init__(self, notice: Notice) -> None:
@@ -191,16 +185,16 @@ class Message(QFrame):
             f"QFrame#message {{ background: {theme.RAISED}; border: 1px solid {theme.BORDER};"
             f" border-left: 3px solid {theme.LEVEL_INK[level]}; }}"
         )
-        sign = QLabel()
+        sign = QtWidgets.QLabel()
         sign.setPixmap(pixmap(level, 16, theme.LEVEL_INK[level], self.devicePixelRatioF()))
-        label = QLabel(self.text)
+        label = QtWidgets.QLabel(self.text)
         label.setTextFormat(Qt.TextFormat.PlainText)
         label.setWordWrap(True)
         label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.close_button = tool_button()
         self.close_button.setIcon(icon("close", theme.MUTED))
         self.close_button.setToolTip("Close this message")
-        row = QHBoxLayout(self)
+        row = QtWidgets.QHBoxLayout(self)
         row.setContentsMargins(8, 4, 4, 4)
         row.addWidget(sign, 0, Qt.AlignmentFlag.AlignTop)
         row.addWidget(label, 1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from PySide6 import QtWidgets
 from PySide6.QtCore import (
     QAbstractListModel,
     QItemSelectionModel,
@@ -17,18 +18,6 @@ from PySide6.QtCore import (
     Qt,
 )
 from PySide6.QtGui import QColor, QFont, QFontMetrics, QPainter
-from PySide6.QtWidgets import (
-    QComboBox,
-    QHBoxLayout,
-    QListView,
-    QMenu,
-    QStackedLayout,
-    QStyle,
-    QStyledItemDelegate,
-    QStyleOptionViewItem,
-    QVBoxLayout,
-    QWidget,
-)
 
 from annotator.app.controller import Controller
 from annotator.app.object_summary import ObjectSummary, progress, summarize
@@ -81,17 +70,17 @@ class ObjectPanel(Panel):
         self.list.doubleClicked.connect(lambda: commands.run("zoom_object"))
 
         self.count = label("muted")
-        top = QHBoxLayout()
+        top = QtWidgets.QHBoxLayout()
         top.addWidget(label("heading", "Objects"))
         top.addStretch(1)
         top.addWidget(self.count)
 
         self.list.setMinimumHeight(round(8.7 * self.fontMetrics().height()))
-        self.stack = QStackedLayout()
+        self.stack = QtWidgets.QStackedLayout()
         self.stack.addWidget(self.list)
         self.stack.addWidget(label("empty", _EMPTY))
 
-        self.material = QComboBox()
+        self.material = QtWidgets.QComboBox()
         self.material.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
         for name in MATERIALS:
             self.material.addItem(icon(name), name)
@@ -102,12 +91,12 @@ class ObjectPanel(Panel):
             "raw and diffuse surfaces only."
         )
         self.material.activated.connect(self._set_material)
-        below = QHBoxLayout()
+        below = QtWidgets.QHBoxLayout()
         below.addWidget(self.material, 1)
         for id in ("done", "note", "unplace", "remove_object"):
             below.addWidget(tool_button(commands.actions[id]))
 
-        layout = QVBoxLayout(self)
+        layout = QtWidgets.QVBoxLayout(self)
         layout.setContentsMargins(6, 4, 6, 4)
         layout.setSpacing(4)
         layout.addLayout(top)
@@ -149,7 +138,7 @@ class ObjectPanel(Panel):
     def _show_menu(self, place: QPoint) -> None:
         if not self.list.indexAt(place).isValid():
             return
-        menu = QMenu(self)
+        menu = QtWidgets.QMenu(self)
         menu.setToolTipsVisible(True)
         for group in _MENU:
             menu.addActions([self._commands.actions[id] for id in group])
@@ -204,18 +193,20 @@ class ObjectListModel(QAbstractListModel):
         return data
 
 
-class ObjectDelegate(QStyledItemDelegate):
+class ObjectDelegate(QtWidgets.QStyledItemDelegate):
     """Two lines to an object."""
 
-    def sizeHint(self, option: QStyleOptionViewItem, index: Index) -> QSize:  # noqa: ARG002
+    def sizeHint(self, option: QtWidgets.QStyleOptionViewItem, index: Index) -> QSize:  # noqa: ARG002
         return QSize(160, round(2.9 * QFontMetrics(option.font).height()))
 
-    def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: Index) -> None:
+    def paint(
+        self, painter: QPainter, option: QtWidgets.QStyleOptionViewItem, index: Index
+    ) -> None:
         row: ObjectSummary = index.data(_ROLE.UserRole)
         model = index.model()
         assert isinstance(model, ObjectListModel)
-        selected = bool(option.state & QStyle.StateFlag.State_Selected)
-        hovered = bool(option.state & QStyle.StateFlag.State_MouseOver)
+        selected = bool(option.state & QtWidgets.QStyle.StateFlag.State_Selected)
+        hovered = bool(option.state & QtWidgets.QStyle.StateFlag.State_MouseOver)
         painter.save()
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         box: QRect = option.rect
@@ -273,17 +264,17 @@ class ObjectDelegate(QStyledItemDelegate):
         painter.restore()
 
 
-class ObjectList(QListView):
+class ObjectList(QtWidgets.QListView):
     """The view of the list; objects can be dragged from it onto an image."""
 
-    def __init__(self, model: ObjectListModel, parent: QWidget | None = None) -> None:
+    def __init__(self, model: ObjectListModel, parent: QtWidgets.QWidget | None = None) -> None:
         super().__init__(parent)
         self.setModel(model)
         self.setItemDelegate(ObjectDelegate(self))
         self.setUniformItemSizes(True)
         self.setMouseTracking(True)
         self.setDragEnabled(True)
-        self.setVerticalScrollMode(QListView.ScrollMode.ScrollPerPixel)
+        self.setVerticalScrollMode(QtWidgets.QListView.ScrollMode.ScrollPerPixel)
         self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
         # Keys belong to the views: the arrows move the object, N and P go through the list.

@@ -5,23 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import ClassVar
 
+from PySide6 import QtWidgets
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QAction
-from PySide6.QtWidgets import (
-    QAbstractItemView,
-    QHeaderView,
-    QLabel,
-    QSizePolicy,
-    QTableWidget,
-    QToolButton,
-    QWidget,
-)
 
 from annotator.app.controller import Controller
 from annotator.app.events import Event, Kind
 
 
-class Panel(QWidget):
+class Panel(QtWidgets.QWidget):
     """Shows a part of the controller's state.
 
     Attributes:
@@ -52,13 +44,13 @@ class Panel(QWidget):
             self.refresh()
 
 
-def tool_button(action: QAction | None = None, *, labelled: bool = False) -> QToolButton:
+def tool_button(action: QAction | None = None, *, labelled: bool = False) -> QtWidgets.QToolButton:
     """A button that leaves the keys to the views.
 
     Args:
         labelled: the action's name is beside its icon.
     """
-    button = QToolButton()
+    button = QtWidgets.QToolButton()
     if labelled:
         button.setObjectName("labelled")
         button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
@@ -68,26 +60,28 @@ def tool_button(action: QAction | None = None, *, labelled: bool = False) -> QTo
     return button
 
 
-def label(name: str, text: str = "") -> QLabel:
+def label(name: str, text: str = "") -> QtWidgets.QLabel:
     """A text in the style of a name: "heading", "muted" or "empty" (of a list)."""
-    made = QLabel(text)
+    made = QtWidgets.QLabel(text)
     made.setObjectName(name)
     if name == "empty":
         made.setWordWrap(True)
         made.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        made.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)
+        made.setSizePolicy(
+            QtWidgets.QSizePolicy.Policy.Ignored, QtWidgets.QSizePolicy.Policy.Ignored
+        )
     return made
 
 
-def number_table(titles: Sequence[str]) -> QTableWidget:
+def number_table(titles: Sequence[str]) -> QtWidgets.QTableWidget:
     """An empty table of rows of numbers."""
-    table = QTableWidget(0, len(titles))
+    table = QtWidgets.QTableWidget(0, len(titles))
     table.setHorizontalHeaderLabels(list(titles))
     table.verticalHeader().setVisible(False)
     table.verticalHeader().setDefaultSectionSize(22)
     table.setShowGrid(False)
     header = table.horizontalHeader()
-    header.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
+    header.setSectionResizeMode(QtWidgets.QHeaderView.ResizeMode.Stretch)
     header.setHighlightSections(False)
-    table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+    table.setEditTriggers(QtWidgets.QAbstractItemView.EditTrigger.NoEditTriggers)
     return table

@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
+from PySide6 import QtWidgets
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QColor, QShowEvent
-from PySide6.QtWidgets import (
-    QAbstractItemView,
-    QHBoxLayout,
-    QHeaderView,
-    QPushButton,
-    QStackedLayout,
-    QTableWidgetItem,
-    QVBoxLayout,
-    QWidget,
-)
 
 from annotator.app.controller import Controller
 from annotator.app.panels import ClickRow, click_rows
@@ -47,10 +38,10 @@ class PointsPanel(Panel):
         self._filling = False
         self.table = number_table(["#", "frame", "u", "v", "residual"])
         header = self.table.horizontalHeader()
-        header.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
-        self.table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
-        self.table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
-        self.table.setEditTriggers(QAbstractItemView.EditTrigger.DoubleClicked)
+        header.setSectionResizeMode(0, QtWidgets.QHeaderView.ResizeMode.ResizeToContents)
+        self.table.setSelectionBehavior(QtWidgets.QAbstractItemView.SelectionBehavior.SelectRows)
+        self.table.setSelectionMode(QtWidgets.QAbstractItemView.SelectionMode.SingleSelection)
+        self.table.setEditTriggers(QtWidgets.QAbstractItemView.EditTrigger.DoubleClicked)
         self.table.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
         self.table.itemChanged.connect(self._on_typed)
         self.table.itemSelectionChanged.connect(self._update_buttons)
@@ -59,24 +50,24 @@ class PointsPanel(Panel):
             "in the image to correct it, or double-click a number here."
         )
 
-        below = QWidget()
-        self.stack = QStackedLayout(below)
+        below = QtWidgets.QWidget()
+        self.stack = QtWidgets.QStackedLayout(below)
         self.stack.addWidget(self.table)
         self.stack.addWidget(label("empty", _EMPTY))
 
-        self.remove_button = QPushButton(icon("remove"), "Delete point")
+        self.remove_button = QtWidgets.QPushButton(icon("remove"), "Delete point")
         self.remove_button.setToolTip("Take the chosen point of the list away.")
         self.remove_button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.remove_button.clicked.connect(self.remove)
-        buttons = QHBoxLayout()
+        buttons = QtWidgets.QHBoxLayout()
         for id in ("clicking", "solve_points"):
             buttons.addWidget(tool_button(commands.actions[id], labelled=True))
         buttons.addStretch(1)
-        edit = QHBoxLayout()
+        edit = QtWidgets.QHBoxLayout()
         edit.addWidget(self.remove_button)
         edit.addStretch(1)
 
-        layout = QVBoxLayout(self)
+        layout = QtWidgets.QVBoxLayout(self)
         layout.setContentsMargins(6, 6, 6, 4)
         layout.setSpacing(4)
         layout.addLayout(buttons)
@@ -113,7 +104,7 @@ class PointsPanel(Panel):
             if not self._controller.apply(edit):
                 self.refresh()
 
-    def _on_typed(self, item: QTableWidgetItem) -> None:
+    def _on_typed(self, item: QtWidgets.QTableWidgetItem) -> None:
         if not self._filling and item.column() in (2, 3):
             self.correct(self.rows[item.row()], item.column(), item.text())
 
@@ -134,7 +125,7 @@ class PointsPanel(Panel):
             for column, text in enumerate(
                 (str(row.number + 1), str(row.frame), f"{row.u:.1f}", f"{row.v:.1f}", residual)
             ):
-                item = QTableWidgetItem(text)
+                item = QtWidgets.QTableWidgetItem(text)
                 item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
                 if column == 4 and row.residual_px is not None:
                     item.setForeground(QColor(_ink(row.residual_px)))
@@ -157,7 +148,7 @@ def _ink(residual_px: float) -> str:
     return theme.WARNING if residual_px <= BAD_PX else theme.BAD
 
 
-class MeshPickerWidget(QWidget):
+class MeshPickerWidget(QtWidgets.QWidget):
     """Built when it is first seen: most objects are labelled without it."""
 
     def __init__(self, controller: Controller) -> None:
@@ -166,7 +157,7 @@ class MeshPickerWidget(QWidget):
         self._shapes: ShapeStore | None = None
         self._picker: MeshPicker | None = None
         self.widget: ViewWidget | None = None
-        self._layout = QVBoxLayout(self)
+        self._layout = QtWidgets.QVBoxLayout(self)
         self._layout.setContentsMargins(0, 0, 0, 0)
         self.setMinimumHeight(120)
         self.setToolTip("Drag to turn the mesh, wheel to come closer, click to choose a point.")

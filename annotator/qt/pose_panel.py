@@ -4,33 +4,17 @@ from __future__ import annotations
 
 from typing import Literal
 
+from PySide6 import QtWidgets
 from PySide6.QtCore import QSignalBlocker, Qt, QTimer, Signal
-from PySide6.QtWidgets import (
-    QApplication,
-    QComboBox,
-    QGridLayout,
-    QHBoxLayout,
-    QLineEdit,
-    QPushButton,
-    QVBoxLayout,
-)
 
+from annotator.app import pose_text
 from annotator.app.controller import STEPS, Controller
 from annotator.app.events import Event
-from annotator.app.pose_text import (
-    FORM_TIPS,
-    FORM_TITLES,
-    PoseFields,
-    RotationForm,
-    quaternion_text,
-)
+from annotator.qt import number_field, panel, theme
 from annotator.qt.commands import Commands
-from annotator.qt.number_field import NumberField
-from annotator.qt.panel import Panel, label, tool_button
-from annotator.qt.theme import icon
 
 
-class PosePanel(Panel):
+class PosePanel(panel.Panel):
     """Numbers in the camera of the view in hand, or in the world.
 
     Signals:
@@ -42,28 +26,28 @@ class PosePanel(Panel):
 
     def __init__(self, controller: Controller, commands: Commands) -> None:
         super().__init__(controller)
-        self.fields = PoseFields(controller)
-        self._frame_box = QComboBox()
+        self.fields = pose_text.PoseFields(controller)
+        self._frame_box = QtWidgets.QComboBox()
         self._frame_box.addItem("camera", False)
         self._frame_box.addItem("world", True)
         self._frame_box.setToolTip(
             "<b>Frame of the numbers</b><br>Camera: x right, y down, z away."
         )
-        self._form_box = QComboBox()
-        for form, title in FORM_TITLES.items():
+        self._form_box = QtWidgets.QComboBox()
+        for form, title in pose_text.FORM_TITLES.items():
             self._form_box.addItem(title, form)
         self._form_box.setToolTip("<b>How the rotation is written</b><br>Angles are in degrees.")
         for box in (self._frame_box, self._form_box):
             box.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
             box.currentIndexChanged.connect(lambda _: self._choose())
 
-        grid = QGridLayout()
+        grid = QtWidgets.QGridLayout()
         grid.setHorizontalSpacing(4)
         grid.setVerticalSpacing(3)
-        self.position = [NumberField("mm", 2) for _ in "xyz"]
-        self.rotation = [NumberField("°", 3) for _ in "xyz"]
+        self.position = [number_field.NumberField("mm", 2) for _ in "xyz"]
+        self.rotation = [number_field.NumberField("°", 3) for _ in "xyz"]
         for column, axis in enumerate("xyz"):
-            grid.addWidget(label("muted", axis), 0, column, Qt.AlignmentFlag.AlignCenter)
+            grid.addWidget(panel.label("muted", axis), 0, column, Qt.AlignmentFlag.AlignCenter)
             grid.addWidget(self.position[column], 1, column)
             grid.addWidget(self.rotation[column], 2, column)
             self.position[column].setToolTip(
@@ -73,9 +57,9 @@ class PosePanel(Panel):
             self.rotation[column].typed.connect(lambda v, i=column: self._type("rotation", i, v))
         for field in (*self.position, *self.rotation):
             field.left.connect(self.left)
-        self.quaternion = QLineEdit()
+        self.quaternion = QtWidgets.QLineEdit()
         self.quaternion.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self.quaternion.setToolTip(FORM_TIPS[RotationForm.QUATERNION])
+        self.quaternion.setToolTip(pose_text.FORM_TIPS[pose_text.RotationForm.QUATERNION])
         self.quaternion.editingFinished.connect(self._type_quaternion)
         self.quaternion.returnPressed.connect(self.left)
         grid.addWidget(self.quaternion, 3, 0, 1, 3)
@@ -86,20 +70,20 @@ class PosePanel(Panel):
             "paste", "Paste 4x4", "Set the pose from a 4x4 matrix on the clipboard, metres."
         )
         self.paste_button.clicked.connect(self.paste)
-        matrix = QHBoxLayout()
+        matrix = QtWidgets.QHBoxLayout()
         matrix.addWidget(self.copy_button)
         matrix.addWidget(self.paste_button)
 
-        self.provenance = label("muted")
+        self.provenance = panel.label("muted")
         self.provenance.setWordWrap(True)
         self.provenance.setTextFormat(Qt.TextFormat.PlainText)
         self.provenance.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.provenance.setToolTip("Who set this pose, when, and with what.")
 
-        frames = QHBoxLayout()
+        frames = QtWidgets.QHBoxLayout()
         frames.addWidget(self._frame_box, 1)
         frames.addWidget(self._form_box, 1)
-        layout = QVBoxLayout(self)
+        layout = QtWidgets.QVBoxLayout(self)
         layout.setContentsMargins(6, 6, 6, 4)
         layout.setSpacing(5)
         layout.addLayout(frames)
@@ -117,26 +101,26 @@ class PosePanel(Panel):
         super().close_panel()
         self._soon.stop()
 
-    def _steps_row(self, commands: Commands) -> QHBoxLayout:
-        row = QHBoxLayout()
+    def _steps_row(self, commands: Commands) -> QtWidgets.QHBoxLayout:
+        row = QtWidgets.QHBoxLayout()
         row.setSpacing(2)
-        row.addWidget(label("muted", "Key steps"))
+        row.addWidget(panel.label("muted", "Key steps"))
         row.addStretch(1)
         for size, name in zip(STEPS, ("coarse", "middle", "fine"), strict=True):
             # The action's long title would replace it with every update.
             commands.actions[f"step_{name}"].setIconText(f"{size:g}")
-            button = tool_button(commands.actions[f"step_{name}"])
+            button = panel.tool_button(commands.actions[f"step_{name}"])
             button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextOnly)
             row.addWidget(button)
-        row.addWidget(label("muted", "mm, °"))
-        row.addWidget(tool_button(commands.actions["axes"]))
+        row.addWidget(panel.label("muted", "mm, °"))
+        row.addWidget(panel.tool_button(commands.actions["axes"]))
         return row
 
     # --- typing -----------------------------------------------------------------------------------
 
     def _choose(self) -> None:
         self.fields.in_world = bool(self._frame_box.currentData())
-        self.fields.form = RotationForm(self._form_box.currentData())
+        self.fields.form = pose_text.RotationForm(self._form_box.currentData())
         self.refresh()
 
     def _type(self, what: Literal["position", "rotation"], axis: int, value: float) -> None:
@@ -153,12 +137,12 @@ class PosePanel(Panel):
     def copy(self) -> None:
         """The shown pose onto the clipboard."""
         if text := self.fields.copied():
-            QApplication.clipboard().setText(text)
+            QtWidgets.QApplication.clipboard().setText(text)
             self.fields.tell_copied()
 
     def paste(self) -> None:
         """The pose from the clipboard."""
-        text = QApplication.clipboard().text()
+        text = QtWidgets.QApplication.clipboard().text()
         self._controller.attempt(lambda: self.fields.paste(text))
 
     # --- showing ---------------------------------------------------------------------------------
@@ -181,13 +165,13 @@ class PosePanel(Panel):
         self.paste_button.setEnabled(c.selected is not None and c.session.writable)
         for field, value in zip(self.position, position, strict=True):
             field.show_number(float(value))
-        as_quaternion = form is RotationForm.QUATERNION
+        as_quaternion = form is pose_text.RotationForm.QUATERNION
         self.quaternion.setVisible(as_quaternion)
         if as_quaternion and not self.quaternion.isModified():
-            self.quaternion.setText(quaternion_text(rotation))
+            self.quaternion.setText(pose_text.quaternion_text(rotation))
         for axis, field, value in zip("xyz", self.rotation, rotation[-3:], strict=True):
             field.setVisible(not as_quaternion)
-            field.setToolTip(FORM_TIPS[form].format(axis=axis))
+            field.setToolTip(pose_text.FORM_TIPS[form].format(axis=axis))
             if not as_quaternion:
                 field.show_number(float(value))
         self.provenance.setText(self.fields.provenance())
@@ -200,8 +184,8 @@ class PosePanel(Panel):
             self.refresh()
 
 
-def _button(name: str, text: str, tip: str) -> QPushButton:
-    button = QPushButton(icon(name), text)
+def _button(name: str, text: str, tip: str) -> QtWidgets.QPushButton:
+    button = QtWidgets.QPushButton(theme.icon(name), text)
     button.setToolTip(tip)
     button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
     return button

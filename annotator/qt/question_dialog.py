@@ -7,31 +7,12 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from PySide6 import QtWidgets
 from PySide6.QtCore import QObject, Qt
 from PySide6.QtGui import QKeySequence
-from PySide6.QtWidgets import (
-    QAbstractButton,
-    QButtonGroup,
-    QCheckBox,
-    QDialog,
-    QFileDialog,
-    QFormLayout,
-    QHBoxLayout,
-    QLabel,
-    QLineEdit,
-    QPlainTextEdit,
-    QPushButton,
-    QRadioButton,
-    QScrollArea,
-    QSpinBox,
-    QVBoxLayout,
-    QWidget,
-)
 
+from annotator.app import dialogs, events, questions
 from annotator.app.controller import Controller
-from annotator.app.dialogs import Dialogs
-from annotator.app.events import Event
-from annotator.app.questions import Answers, Field, Group, Question
 from annotator.qt import theme
 from annotator.qt.graphics import renderer_name
 from annotator.qt.theme import pixmap
@@ -49,11 +30,14 @@ class WindowDialogs(QObject):
     """
 
     def __init__(
-        self, parent: QWidget, controller: Controller, own: dict[str, Callable[[], object]]
+        self,
+        parent: QtWidgets.QWidget,
+        controller: Controller,
+        own: dict[str, Callable[[], object]],
     ) -> None:
         super().__init__(parent)
         self._parent = parent
-        self._dialogs = Dialogs(
+        self._dialogs = dialogs.Dialogs(
             controller,
             self._show,
             own={**own, "add_mesh": self._browse_meshes},
@@ -62,11 +46,11 @@ class WindowDialogs(QObject):
         self.add_meshes = self._dialogs.add_meshes
         controller.subscribe(self._on_event)
 
-    def _on_event(self, event: Event) -> None:
+    def _on_event(self, event: events.Event) -> None:
         if event.kind == "ask":
             self._dialogs.ask(event.text)
 
-    def _show(self, question: Question | None) -> None:
+    def _show(self, question: questions.Question | None) -> None:
         if question is None:
             return
         dialog = QuestionDialog(self._parent, question)
@@ -78,11 +62,13 @@ class WindowDialogs(QObject):
 
     def _browse_meshes(self) -> None:
         kinds = " ".join(f"*{s}" for s in MESH_SUFFIXES)
-        names, _ = QFileDialog.getOpenFileNames(self._parent, "Add mesh", "", f"Meshes ({kinds})")
+        names, _ = QtWidgets.QFileDialog.getOpenFileNames(
+            self._parent, "Add mesh", "", f"Meshes ({kinds})"
+        )
         self.add_meshes([Path(n) for n in names])
 
 
-class QuestionDialog(QDialog):
+class QuestionDialog(QtWidgets.QDialog):
     """Asks a question; closing it or Esc cancels, unless it must be answered.
 
     Attributes:
@@ -90,32 +76,32 @@ class QuestionDialog(QDialog):
         widgets: editors of the fields, by name.
     """
 
-    def __init__(self, parent: QWidget | None, question: Question) -> None:
+    def __init__(self, parent: QtWidgets.QWidget | None, question: questions.Question) -> None:
         super().__init__(parent)
         self.setWindowTitle("std-annotate")
         self.heading = question.title
         self._question = question
         self._pressed = ""
-        self.buttons: dict[str, QPushButton] = {}
+        self.buttons: dict[str, QtWidgets.QPushButton] = {}
         self.widgets = {field.name: _editor(field) for field in question.fields}
-        top = QHBoxLayout()
+        top = QtWidgets.QHBoxLayout()
         top.setSpacing(14)
         if not question.groups:
-            sign = QLabel()
+            sign = QtWidgets.QLabel()
             ratio = self.devicePixelRatioF()
             sign.setPixmap(pixmap(question.level, 32, theme.LEVEL_INK[question.level], ratio))
             top.addWidget(sign, 0, Qt.AlignmentFlag.AlignTop)
         top.addLayout(self._words(), 1)
-        row = QHBoxLayout()
+        row = QtWidgets.QHBoxLayout()
         row.addStretch(1)
         for place, button in reversed(list(enumerate(question.buttons))):
-            widget = self.buttons[button.id] = QPushButton(button.text)
+            widget = self.buttons[button.id] = QtWidgets.QPushButton(button.text)
             widget.setToolTip(button.tip)
             widget.setDefault(place == 0)
             widget.setAutoDefault(place == 0)
             widget.clicked.connect(lambda _=False, id=button.id: self._press(id))
             row.addWidget(widget)
-        layout = QVBoxLayout(self)
+        layout = QtWidgets.QVBoxLayout(self)
         layout.setContentsMargins(18, 16, 18, 14)
         layout.setSpacing(14)
         layout.addLayout(top, 1)
@@ -125,15 +111,15 @@ class QuestionDialog(QDialog):
             self.resize(1180, 720)
         first = next(iter(self.widgets.values()), self.buttons[question.buttons[0].id])
         first.setFocus()
-        if isinstance(first, QLineEdit):
+        if isinstance(first, QtWidgets.QLineEdit):
             first.selectAll()
 
-    def ask(self) -> tuple[str, Answers]:
+    def ask(self) -> tuple[str, questions.Answers]:
         """Show it and wait; the id of the button ("" if it was cancelled) and the answers."""
         self.exec()
         return self._pressed, self.answers()
 
-    def answers(self) -> Answers:
+    def answers(self) -> questions.Answers:
         """What the fields hold, by name."""
         return {name: _value(widget) for name, widget in self.widgets.items()}
 
@@ -145,7 +131,7 @@ class QuestionDialog(QDialog):
         self._pressed = id
         self.accept()
 
-    def _enable(self, form: QFormLayout) -> None:
+    def _enable(self, form: QtWidgets.QFormLayout) -> None:
         """Only the fields that are asked now."""
         answers = self.answers()
         for field in self._question.fields:
@@ -154,20 +140,20 @@ class QuestionDialog(QDialog):
                 if part is not None:
                     part.setEnabled(field.is_asked(answers))
 
-    def _words(self) -> QVBoxLayout:
-        head = QLabel(self.heading)
+    def _words(self) -> QtWidgets.QVBoxLayout:
+        head = QtWidgets.QLabel(self.heading)
         head.setObjectName("heading")
         head.setWordWrap(True)
-        self.text = QLabel(self._question.text)
+        self.text = QtWidgets.QLabel(self._question.text)
         self.text.setTextFormat(Qt.TextFormat.PlainText)
         self.text.setWordWrap(True)
         self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.text.setVisible(bool(self._question.text))
-        words = QVBoxLayout()
+        words = QtWidgets.QVBoxLayout()
         words.setSpacing(8)
         words.addWidget(head)
         words.addWidget(self.text)
-        form = QFormLayout()
+        form = QtWidgets.QFormLayout()
         form.setContentsMargins(0, 4, 0, 0)
         for field in self._question.fields:
             widget = self.widgets[field.name]
@@ -175,13 +161,13 @@ class QuestionDialog(QDialog):
             if field.kind in ("line", "number"):
                 form.addRow(field.label, widget)
             elif field.kind == "lines":
-                form.addRow(QLabel(field.label))
+                form.addRow(QtWidgets.QLabel(field.label))
                 form.addRow(widget)
             else:  # a switch has its label, choices speak for themselves
                 form.addRow(widget)
         for widget in self.widgets.values():
-            for button in widget.findChildren(QRadioButton) or [widget]:
-                if isinstance(button, QAbstractButton):
+            for button in widget.findChildren(QtWidgets.QRadioButton) or [widget]:
+                if isinstance(button, QtWidgets.QAbstractButton):
                     button.toggled.connect(lambda _: self._enable(form))
         self._enable(form)
         words.addLayout(form)
@@ -193,34 +179,34 @@ class QuestionDialog(QDialog):
         return words
 
 
-class GroupTables(QWidget):
+class GroupTables(QtWidgets.QWidget):
     """Tables to read in columns of about the same height, with a field to search them."""
 
-    def __init__(self, groups: Sequence[Group], *, searchable: bool) -> None:
+    def __init__(self, groups: Sequence[questions.Group], *, searchable: bool) -> None:
         super().__init__()
         self._groups = [
             (g.heading, [(_native(r[0], g.keys), r[1]) for r in g.rows]) for g in groups
         ]
-        self.search = QLineEdit()
+        self.search = QtWidgets.QLineEdit()
         self.search.setPlaceholderText("Search")
         self.search.setClearButtonEnabled(True)
         self.search.textChanged.connect(self._show)
         self.search.setVisible(searchable)
-        self.columns = [QLabel() for _ in range(_COLUMNS)]
-        row = QHBoxLayout()
+        self.columns = [QtWidgets.QLabel() for _ in range(_COLUMNS)]
+        row = QtWidgets.QHBoxLayout()
         row.setSpacing(28)
         for column in self.columns:
             column.setTextFormat(Qt.TextFormat.RichText)
             column.setAlignment(Qt.AlignmentFlag.AlignTop)
             column.setWordWrap(True)
             row.addWidget(column, 1)
-        body = QWidget()
+        body = QtWidgets.QWidget()
         body.setLayout(row)
-        scroll = QScrollArea()
+        scroll = QtWidgets.QScrollArea()
         scroll.setWidget(body)
         scroll.setWidgetResizable(True)
-        scroll.setFrameShape(QScrollArea.Shape.NoFrame)
-        layout = QVBoxLayout(self)
+        scroll.setFrameShape(QtWidgets.QScrollArea.Shape.NoFrame)
+        layout = QtWidgets.QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addWidget(self.search)
         layout.addWidget(scroll, 1)
@@ -250,31 +236,31 @@ class GroupTables(QWidget):
             column.setText(text)
 
 
-def _editor(field: Field) -> Any:
+def _editor(field: questions.Field) -> Any:
     if field.kind == "line":
-        return QLineEdit(str(field.value))
+        return QtWidgets.QLineEdit(str(field.value))
     if field.kind == "lines":
-        editor = QPlainTextEdit(str(field.value))
+        editor = QtWidgets.QPlainTextEdit(str(field.value))
         editor.setTabChangesFocus(True)
         editor.setFixedHeight(110)
         return editor
     if field.kind == "number":
-        number = QSpinBox()
+        number = QtWidgets.QSpinBox()
         number.setMaximumWidth(140)
         number.setRange(field.least, field.most)
         number.setSuffix(f" {field.unit}" if field.unit else "")
         number.setValue(int(field.value))
         return number
     if field.kind == "switch":
-        switch = QCheckBox(field.label)
+        switch = QtWidgets.QCheckBox(field.label)
         switch.setChecked(bool(field.value))
         return switch
-    choices = QWidget()
-    column = QVBoxLayout(choices)
+    choices = QtWidgets.QWidget()
+    column = QtWidgets.QVBoxLayout(choices)
     column.setContentsMargins(0, 0, 0, 0)
-    group = QButtonGroup(choices)
+    group = QtWidgets.QButtonGroup(choices)
     for choice in field.choices:
-        button = QRadioButton(choice.text)
+        button = QtWidgets.QRadioButton(choice.text)
         button.setProperty("choice", choice.value)
         button.setChecked(choice.value == field.value)
         group.addButton(button)
@@ -283,15 +269,15 @@ def _editor(field: Field) -> Any:
 
 
 def _value(widget: Any) -> str | int | bool:
-    if isinstance(widget, QLineEdit):
+    if isinstance(widget, QtWidgets.QLineEdit):
         return widget.text()
-    if isinstance(widget, QPlainTextEdit):
+    if isinstance(widget, QtWidgets.QPlainTextEdit):
         return widget.toPlainText()
-    if isinstance(widget, QSpinBox):
+    if isinstance(widget, QtWidgets.QSpinBox):
         return widget.value()
-    if isinstance(widget, QCheckBox):
+    if isinstance(widget, QtWidgets.QCheckBox):
         return widget.isChecked()
-    chosen = widget.findChild(QButtonGroup).checkedButton()
+    chosen = widget.findChild(QtWidgets.QButtonGroup).checkedButton()
     return str(chosen.property("choice"))
 
 

@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
+from PySide6 import QtWidgets
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor
-from PySide6.QtWidgets import (
-    QAbstractItemView,
-    QLabel,
-    QScrollArea,
-    QTableWidgetItem,
-    QVBoxLayout,
-)
 
 from annotator.app.controller import Controller
 from annotator.app.object_summary import CHANCE_SHARE, DEPTH_MM, EDGE_PX
@@ -40,23 +34,23 @@ class ResidualPanel(Panel):
         self.table = number_table(["frame", "edges", "chance", "depth"])
         # The main view and three beside it.
         self.table.setMinimumHeight(4 * 22 + self.table.horizontalHeader().sizeHint().height() + 4)
-        self.table.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
+        self.table.setSelectionMode(QtWidgets.QAbstractItemView.SelectionMode.NoSelection)
         self.table.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.table.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        self.summary = QLabel()
+        self.summary = QtWidgets.QLabel()
         self.summary.setWordWrap(True)
-        self.weak = QLabel()
+        self.weak = QtWidgets.QLabel()
         self.weak.setWordWrap(True)
         self.weak.setStyleSheet(f"color: {theme.WARNING}")
         legend = label("muted", _LEGEND)
         legend.setWordWrap(True)
         legend.setAlignment(Qt.AlignmentFlag.AlignTop)
-        scroll = QScrollArea()
+        scroll = QtWidgets.QScrollArea()
         scroll.setWidget(legend)
         scroll.setWidgetResizable(True)
-        scroll.setFrameShape(QScrollArea.Shape.NoFrame)
+        scroll.setFrameShape(QtWidgets.QScrollArea.Shape.NoFrame)
         scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        layout = QVBoxLayout(self)
+        layout = QtWidgets.QVBoxLayout(self)
         layout.setContentsMargins(6, 6, 6, 4)
         layout.setSpacing(4)
         layout.addWidget(tool_button(commands.actions["residuals"], labelled=True))
@@ -89,7 +83,7 @@ class ResidualPanel(Panel):
             theme.GRADE_INK[row.depth_grade],
         )
         for column, text in enumerate(cells):
-            item = QTableWidgetItem(text)
+            item = QtWidgets.QTableWidgetItem(text)
             item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
             item.setForeground(QColor(inks[column]))
             if row.problem:

@@ -9,18 +9,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PySide6 import QtWidgets
 from PySide6.QtCore import QRectF, Qt, Signal
 from PySide6.QtGui import QColor, QDragEnterEvent, QDropEvent, QImage, QPainter, QPaintEvent
-from PySide6.QtWidgets import (
-    QFrame,
-    QHBoxLayout,
-    QLabel,
-    QListWidget,
-    QListWidgetItem,
-    QPushButton,
-    QVBoxLayout,
-    QWidget,
-)
 
 from annotator.qt import theme
 from annotator.qt.settings import recent_scenes
@@ -33,7 +24,7 @@ _HOW = (
 )
 
 
-class StartPage(QWidget):
+class StartPage(QtWidgets.QWidget):
     """Choose a scene.
 
     Signals:
@@ -47,38 +38,38 @@ class StartPage(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self.setAcceptDrops(True)
-        title = QLabel("std-annotate")
+        title = QtWidgets.QLabel("std-annotate")
         title.setObjectName("title")
-        what = QLabel("Align the CAD meshes of objects to a recorded scene.")
+        what = QtWidgets.QLabel("Align the CAD meshes of objects to a recorded scene.")
         what.setObjectName("muted")
         self.problem = ProblemCard()
         self.problem.again.clicked.connect(lambda: self._retry(False))
         self.problem.look.clicked.connect(lambda: self._retry(True))
 
-        self.open_button = QPushButton(icon("open"), "Open scene folder...")
+        self.open_button = QtWidgets.QPushButton(icon("open"), "Open scene folder...")
         self.open_button.setObjectName("primary")
         self.open_button.clicked.connect(self.browse)
-        how = QLabel(_HOW)
+        how = QtWidgets.QLabel(_HOW)
         how.setObjectName("muted")
         how.setWordWrap(True)
 
-        self.heading = QLabel("Recent scenes")
+        self.heading = QtWidgets.QLabel("Recent scenes")
         self.heading.setObjectName("heading")
-        self.recent = QListWidget()
+        self.recent = QtWidgets.QListWidget()
         self.recent.setObjectName("roomy")
         self.recent.itemActivated.connect(self._choose)
         self.recent.itemClicked.connect(self._choose)
-        self.empty = QLabel("No scenes yet. Open a folder, or drop one here.")
+        self.empty = QtWidgets.QLabel("No scenes yet. Open a folder, or drop one here.")
         self.empty.setObjectName("empty")
 
-        column = QVBoxLayout()
+        column = QtWidgets.QVBoxLayout()
         column.setSpacing(10)
         column.addStretch(1)
         column.addWidget(title)
         column.addWidget(what)
         column.addSpacing(6)
         column.addWidget(self.problem)
-        buttons = QHBoxLayout()
+        buttons = QtWidgets.QHBoxLayout()
         buttons.addWidget(self.open_button)
         buttons.addStretch(1)
         column.addLayout(buttons)
@@ -88,10 +79,10 @@ class StartPage(QWidget):
         column.addWidget(self.recent, 4)
         column.addWidget(self.empty)
         column.addStretch(1)
-        middle = QWidget()
+        middle = QtWidgets.QWidget()
         middle.setLayout(column)
         middle.setMaximumWidth(720)
-        row = QHBoxLayout(self)
+        row = QtWidgets.QHBoxLayout(self)
         row.addStretch(1)
         row.addWidget(middle, 6)
         row.addStretch(1)
@@ -104,13 +95,15 @@ class StartPage(QWidget):
         self.problem.show_problem(problem)
         self.recent.clear()
         for path in recent_scenes():
-            item = QListWidgetItem(icon("folder", theme.MUTED), f"{path.name}\n{path.parent}")
+            item = QtWidgets.QListWidgetItem(
+                icon("folder", theme.MUTED), f"{path.name}\n{path.parent}"
+            )
             item.setData(Qt.ItemDataRole.UserRole, str(path))
             self.recent.addItem(item)
         self.recent.setVisible(self.recent.count() > 0)
         self.empty.setVisible(self.recent.count() == 0)
 
-    def _choose(self, item: QListWidgetItem) -> None:
+    def _choose(self, item: QtWidgets.QListWidgetItem) -> None:
         self.chosen.emit(Path(item.data(Qt.ItemDataRole.UserRole)), False)
 
     def _retry(self, read_only: bool) -> None:
@@ -129,29 +122,29 @@ class StartPage(QWidget):
             self.chosen.emit(folder, False)
 
 
-class ProblemCard(QFrame):
+class ProblemCard(QtWidgets.QFrame):
     """Why a scene could not be opened, and what can be done."""
 
     def __init__(self) -> None:
         super().__init__()
         self.setObjectName("card")
-        sign = QLabel()
+        sign = QtWidgets.QLabel()
         sign.setPixmap(pixmap("error", 20, theme.BAD, self.devicePixelRatioF()))
-        self.text = QLabel()
+        self.text = QtWidgets.QLabel()
         self.text.setTextFormat(Qt.TextFormat.PlainText)
         self.text.setWordWrap(True)
         self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.again = QPushButton("Try again")
-        self.look = QPushButton("Open for looking only")
+        self.again = QtWidgets.QPushButton("Try again")
+        self.look = QtWidgets.QPushButton("Open for looking only")
         self.look.setToolTip("Nothing can be changed, and the other session is not disturbed.")
-        top = QHBoxLayout()
+        top = QtWidgets.QHBoxLayout()
         top.addWidget(sign, 0, Qt.AlignmentFlag.AlignTop)
         top.addWidget(self.text, 1)
-        buttons = QHBoxLayout()
+        buttons = QtWidgets.QHBoxLayout()
         buttons.addStretch(1)
         buttons.addWidget(self.look)
         buttons.addWidget(self.again)
-        layout = QVBoxLayout(self)
+        layout = QtWidgets.QVBoxLayout(self)
         layout.addLayout(top)
         layout.addLayout(buttons)
 
@@ -173,7 +166,7 @@ def describe_problem(problem: ToolkitError) -> str:
     return text
 
 
-class OpeningPage(QWidget):
+class OpeningPage(QtWidgets.QWidget):
     """Loading what draws in three dimensions takes a second; the image is there at once."""
 
     def __init__(self, name: str, rgb: NDArray[np.uint8] | None) -> None:

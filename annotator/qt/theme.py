@@ -9,9 +9,7 @@ from PySide6.QtGui import QColor, QIcon, QPainter, QPalette, QPixmap
 from PySide6.QtSvg import QSvgRenderer
 from PySide6.QtWidgets import QApplication, QStyleFactory
 
-from annotator.app.events import Level
-from annotator.app.icons import ALIASES, STROKES, svg
-from annotator.app.object_summary import Grade
+from annotator.app import events, icons, object_summary
 
 BASE = "#1f1f1f"
 
@@ -36,9 +34,14 @@ ACCENT_DEEP = "#3d6d99"
 
 GOOD, WARNING, BAD = "#6fbf84", "#e0b050", "#e8776a"
 
-GRADE_INK: dict[Grade, str] = {"good": GOOD, "fair": WARNING, "poor": BAD, "unknown": MUTED}
+GRADE_INK: dict[object_summary.Grade, str] = {
+    "good": GOOD,
+    "fair": WARNING,
+    "poor": BAD,
+    "unknown": MUTED,
+}
 
-LEVEL_INK: dict[Level, str] = {"info": ACCENT, "warning": WARNING, "error": BAD}
+LEVEL_INK: dict[events.Level, str] = {"info": ACCENT, "warning": WARNING, "error": BAD}
 
 _STYLE = f"""
 QToolTip {{ color: {TEXT}; background: {RAISED}; border: 1px solid {BORDER}; padding: 4px 6px; }}
@@ -157,7 +160,7 @@ def apply_theme(app: QApplication) -> None:
 @cache
 def icon(name: str, color: str = TEXT) -> QIcon:
     """The icon of a name; an empty one if there is none."""
-    if ALIASES.get(name, name) not in STROKES:
+    if icons.ALIASES.get(name, name) not in icons.STROKES:
         return QIcon()
     result = QIcon()
     for mode, ink in ((QIcon.Mode.Normal, color), (QIcon.Mode.Disabled, FAINT)):
@@ -173,7 +176,9 @@ def pixmap(name: str, size: int, color: str = TEXT, ratio: float = 1.0) -> QPixm
     drawn = QPixmap(QSize(edge, edge))
     drawn.fill(Qt.GlobalColor.transparent)
     painter = QPainter(drawn)
-    QSvgRenderer(QByteArray(svg(name, color).encode())).render(painter, QRectF(0, 0, edge, edge))
+    QSvgRenderer(QByteArray(icons.svg(name, color).encode())).render(
+        painter, QRectF(0, 0, edge, edge)
+    )
     painter.end()
     drawn.setDevicePixelRatio(ratio)
     return drawn

@@ -26,12 +26,8 @@ from pyvistaqt import QtInteractor
 from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.app.placing import drop_model, drop_object
-from annotator.qt import theme
+from annotator.qt import graphics, library_panel, object_panel, panel, theme
 from annotator.qt.commands import Commands
-from annotator.qt.graphics import multi_samples
-from annotator.qt.library_panel import MODEL_MIME, mesh_files
-from annotator.qt.object_panel import OBJECT_MIME
-from annotator.qt.panel import tool_button
 from annotator.qt.theme import icon
 from annotator.views import ViewSet
 from annotator.views.meshes import ShapeStore
@@ -176,7 +172,7 @@ class ViewTile(QFrame):
 
 
 def _corner_button(action: QAction | None = None) -> QToolButton:
-    button = tool_button(action)
+    button = panel.tool_button(action)
     button.setIconSize(QSize(16, 16))
     return button
 
@@ -196,7 +192,7 @@ class ViewWidget(QtInteractor):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         self._drawn = False
-        super().__init__(parent, auto_update=False, multi_samples=multi_samples())
+        super().__init__(parent, auto_update=False, multi_samples=graphics.multi_samples())
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAcceptDrops(True)
         self.setMinimumSize(120, 90)
@@ -246,7 +242,11 @@ class ViewWidget(QtInteractor):
 
     def dragEnterEvent(self, event: QDragEnterEvent) -> None:
         data = event.mimeData()
-        if data.hasFormat(MODEL_MIME) or data.hasFormat(OBJECT_MIME) or mesh_files(data):
+        if (
+            data.hasFormat(library_panel.MODEL_MIME)
+            or data.hasFormat(object_panel.OBJECT_MIME)
+            or library_panel.mesh_files(data)
+        ):
             event.acceptProposedAction()
 
     def dragMoveEvent(self, event: QDragMoveEvent) -> None:
@@ -258,10 +258,10 @@ class ViewWidget(QtInteractor):
         x, y = place.x() * ratio, place.y() * ratio
         event.acceptProposedAction()
         self.setFocus()
-        files: list[Path] = mesh_files(data)
-        if data.hasFormat(MODEL_MIME):
-            self.model_dropped.emit(data.data(MODEL_MIME).toStdString(), x, y)
-        elif data.hasFormat(OBJECT_MIME):
-            self.object_dropped.emit(data.data(OBJECT_MIME).toStdString(), x, y)
+        files: list[Path] = library_panel.mesh_files(data)
+        if data.hasFormat(library_panel.MODEL_MIME):
+            self.model_dropped.emit(data.data(library_panel.MODEL_MIME).toStdString(), x, y)
+        elif data.hasFormat(object_panel.OBJECT_MIME):
+            self.object_dropped.emit(data.data(object_panel.OBJECT_MIME).toStdString(), x, y)
         elif files:
             self.files_dropped.emit(files)

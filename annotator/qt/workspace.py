@@ -9,16 +9,18 @@ from PySide6.QtWidgets import QMainWindow, QSplitter, QTabWidget, QVBoxLayout, Q
 from annotator.app.background_updates import BackgroundUpdates
 from annotator.app.controller import Controller
 from annotator.app.events import Event
-from annotator.qt.commands import ActionBar, Commands
-from annotator.qt.frame_bar import FrameBar
-from annotator.qt.library_panel import LibraryPanel
-from annotator.qt.messages import Banner, StatusLine
-from annotator.qt.object_panel import ObjectPanel
-from annotator.qt.points_panel import PointsPanel
-from annotator.qt.pose_panel import PosePanel
-from annotator.qt.residual_panel import ResidualPanel
-from annotator.qt.settings import remember, restore_splitters
-from annotator.qt.view_area import ViewArea
+from annotator.qt import (
+    commands,
+    frame_bar,
+    library_panel,
+    messages,
+    object_panel,
+    points_panel,
+    pose_panel,
+    residual_panel,
+    settings,
+    view_area,
+)
 
 SIDE_WIDTH = 300
 UPKEEP_AFTER_MS = 500
@@ -39,20 +41,20 @@ class Workspace(QWidget):
         self._window = window
         self._closed = False
         self._upkeep: BackgroundUpdates | None = None
-        self.commands = Commands(window, controller)
+        self.commands = commands.Commands(window, controller)
         self.commands.fill_menu_bar()
-        self.toolbar = ActionBar(window, controller, self.commands)
+        self.toolbar = commands.ActionBar(window, controller, self.commands)
         window.addToolBar(Qt.ToolBarArea.TopToolBarArea, self.toolbar)
 
-        self.views = ViewArea(controller, self.commands)
-        self.banner = Banner(self.views)
-        self.frame_bar = FrameBar(controller, self.commands)
-        self.status = StatusLine(controller)
-        self.objects = ObjectPanel(controller, self.commands)
-        self.library = LibraryPanel(controller, self.commands)
-        self.pose = PosePanel(controller, self.commands)
-        self.points = PointsPanel(controller, self.commands)
-        self.residuals = ResidualPanel(controller, self.commands)
+        self.views = view_area.ViewArea(controller, self.commands)
+        self.banner = messages.Banner(self.views)
+        self.frame_bar = frame_bar.FrameBar(controller, self.commands)
+        self.status = messages.StatusLine(controller)
+        self.objects = object_panel.ObjectPanel(controller, self.commands)
+        self.library = library_panel.LibraryPanel(controller, self.commands)
+        self.pose = pose_panel.PosePanel(controller, self.commands)
+        self.points = points_panel.PointsPanel(controller, self.commands)
+        self.residuals = residual_panel.ResidualPanel(controller, self.commands)
         self.tabs = QTabWidget()
         self.tabs.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.tabs.tabBar().setFocusPolicy(Qt.FocusPolicy.NoFocus)
@@ -87,7 +89,7 @@ class Workspace(QWidget):
             split.setHandleWidth(4)
         # Until a person divides it otherwise, each panel gets what it needs.
         self._shared = True
-        known = restore_splitters(self.splitters)
+        known = settings.restore_splitters(self.splitters)
         if "side" in known:
             self._shared = False
         layout = QVBoxLayout(self)
@@ -151,7 +153,7 @@ class Workspace(QWidget):
     def close_panel(self) -> None:
         """Let go of the controller; the widgets are thrown away afterwards."""
         self._closed = True
-        remember(self._window, self.splitters if not self._shared else self._divided())
+        settings.remember(self._window, self.splitters if not self._shared else self._divided())
         self._unsubscribe()
         if self._upkeep is not None:
             self._upkeep.close()

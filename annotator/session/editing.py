@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal
 
+from annotator.session import ledger, merge, recovery
 from annotator.session.edits import AnyEdit, EditContext
 from annotator.session.journal import (
     AnyEntry,
@@ -24,10 +25,7 @@ from annotator.session.journal import (
     scene_digests,
     set_aside,
 )
-from annotator.session.ledger import Effect, Ledger, Step
-from annotator.session.merge import Stored, Version, state_of
 from annotator.session.meshes import MeshLibrary
-from annotator.session.recovery import Recovery, find_recovery
 from annotator.session.state import AnnotationState, Cameras, Queries, Snapshot
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
@@ -69,11 +67,11 @@ class Editing(Queries):
         self._listeners: list[Callable[[Change], None]] = []
         self._meshes = MeshLibrary(scene.root)
         self._poses, self._cameras = scene.poses, Cameras.of(scene)
-        stored = Stored.of(scene)
-        opened = state_of(scene, self._cameras, stored)
+        stored = merge.Stored.of(scene)
+        opened = merge.state_of(scene, self._cameras, stored)
         self.warnings = list(opened.warnings)
-        self.recovery: Recovery | None = None
-        self._ledger = Ledger(Version(stored, opened.state))
+        self.recovery: recovery.Recovery | None = None
+        self._ledger = ledger.Ledger(merge.Version(stored, opened.state))
 
     # --- what there is ---------------------------------------------------------------------------
 
@@ -100,15 +98,15 @@ class Editing(Queries):
         return self._ledger.unsaved
 
     @property
-    def undoable(self) -> Step | None:
+    def undoable(self) -> ledger.Step | None:
         return self._ledger.history.undoable
 
     @property
-    def redoable(self) -> Step | None:
+    def redoable(self) -> ledger.Step | None:
         return self._ledger.history.redoable
 
     @property
-    def steps(self) -> tuple[Step, ...]:
+    def steps(self) -> tuple[ledger.Step, ...]:
         """Every edit in force, oldest first."""
         return self._ledger.history.steps
 
@@ -178,7 +176,7 @@ class Editing(Queries):
         quiet: bool = False,
         time: str | None = None,
         **fields: Any,
-    ) -> Effect:
+    ) -> ledger.Effect:
         """Journal an entry, then let it take effect; on an error nothing has changed."""
         recorder = self._recorder
         assert recorder is not None
@@ -246,7 +244,7 @@ class Recorder:
         self._digests = scene_digests(scene.root)
         self._journal: Journal | None = None
 
-    def look_back(self) -> tuple[Recovery | None, list[str]]:
+    def look_back(self) -> tuple[recovery.Recovery | None, list[str]]:
         """Edits of an earlier session that were not saved, and warnings about its journal.
 
         A journal with nothing to recover is set aside.
@@ -261,7 +259,7 @@ class Recorder:
                 "the journal's folder must not be a symbolic link", path=self._path.parent
             )
         content = read_journal(self._path)
-        found = find_recovery(self._scene, content)
+        found = recovery.find_recovery(self._scene, content)
         if found is not None:
             return found, []
         reason = "damaged" if content.damage else "saved" if content.begun else "torn"
@@ -273,7 +271,7 @@ class Recorder:
             f"line cannot be brought back. It is kept as {kept}."
         ]
 
-    def recover(self, found: Recovery) -> None:
+    def recover(self, found: recovery.Recovery) -> None:
         """Go on with the journal of a recovered session."""
         if found.damage:
             set_aside(self._path, self._scene.root, "damaged", keep=True)
@@ -296,7 +294,7 @@ class Recorder:
         data = encode_entry(entry)
         return decode_document(data, AnyEntry), data  # type: ignore[arg-type]
 
-    def append(self, data: bytes, *, base: Version, like: AnyEntry) -> None:
+    def append(self, data: bytes, *, base: merge.Version, like: AnyEntry) -> None:
         """Put an entry on disk; before the first one, what the annotation began with.
 
         Args:

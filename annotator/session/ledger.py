@@ -14,18 +14,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from annotator.session import journal
 from annotator.session.edits import AnyEdit, EditContext
-from annotator.session.journal import (
-    AnyEntry,
-    Begun,
-    Edited,
-    Redone,
-    Reread,
-    Resumed,
-    Saved,
-    TakenOver,
-    Undone,
-)
 from annotator.session.merge import Merged, Side, Version, _by_id, differ, merge
 from annotator.session.saving import WorkTimer
 from annotator.session.state import AnnotationState
@@ -66,31 +56,31 @@ class Ledger:
         """Saving now would change the scene."""
         return differ(self.state, self.base.state)
 
-    def plan(self, entry: AnyEntry) -> Callable[[], Effect]:
+    def plan(self, entry: journal.AnyEntry) -> Callable[[], Effect]:
         """What the entry will do: everything that can fail is done, and nothing has changed yet.
 
         Raises:
             ToolkitError: the entry does not fit the state.
         """
         match entry:
-            case Edited():
+            case journal.Edited():
                 return self._plan_edit(entry)
-            case Undone():
+            case journal.Undone():
                 return self._plan_undo(entry)
-            case Redone():
+            case journal.Redone():
                 return self._plan_redo(entry)
-            case TakenOver():
+            case journal.TakenOver():
                 return self._plan_take_over(entry)
-            case Reread():
+            case journal.Reread():
                 return self._plan_reread(entry)
-            case Saved():
+            case journal.Saved():
                 return lambda: self._save(entry)
-            case Resumed():
+            case journal.Resumed():
                 return self._resume
-            case Begun():
+            case journal.Begun():
                 raise ToolkitError("a journal begins once")
 
-    def _plan_edit(self, entry: Edited) -> Callable[[], Effect]:
+    def _plan_edit(self, entry: journal.Edited) -> Callable[[], Effect]:
         before = self.state
         after = entry.edit.apply(before, _replay_context(entry))
         step = Step(entry.edit.title, entry.edit.objects, after, entry.edit)
@@ -102,7 +92,7 @@ class Ledger:
 
         return commit
 
-    def _plan_undo(self, entry: Undone) -> Callable[[], Effect]:
+    def _plan_undo(self, entry: journal.Undone) -> Callable[[], Effect]:
         if self.history.undoable is None:
             raise ToolkitError("there is nothing to undo")
 
@@ -114,7 +104,7 @@ class Ledger:
 
         return commit
 
-    def _plan_redo(self, entry: Redone) -> Callable[[], Effect]:
+    def _plan_redo(self, entry: journal.Redone) -> Callable[[], Effect]:
         if self.history.redoable is None:
             raise ToolkitError("there is nothing to redo")
 
@@ -126,7 +116,7 @@ class Ledger:
 
         return commit
 
-    def _plan_take_over(self, entry: TakenOver) -> Callable[[], Effect]:
+    def _plan_take_over(self, entry: journal.TakenOver) -> Callable[[], Effect]:
         theirs = Version(entry.stored, entry.state)
         history = self.history.copy()
         merged = take_over(self.base, history, theirs, prefer=entry.prefer)
@@ -137,7 +127,7 @@ class Ledger:
 
         return commit
 
-    def _plan_reread(self, entry: Reread) -> Callable[[], Effect]:
+    def _plan_reread(self, entry: journal.Reread) -> Callable[[], Effect]:
         theirs = Version(entry.stored, entry.state)
         before = self.state
         merged = merge(self.base, before, theirs, prefer="mine")
@@ -150,7 +140,7 @@ class Ledger:
 
         return commit
 
-    def _save(self, entry: Saved) -> Effect:
+    def _save(self, entry: journal.Saved) -> Effect:
         written = [
             x.object
             for x in entry.stored.labels.labels
@@ -169,7 +159,7 @@ class Ledger:
         self.hands_on.edited(time, sorted(ids))
 
 
-def _replay_context(entry: Edited) -> EditContext:
+def _replay_context(entry: journal.Edited) -> EditContext:
     return EditContext(
         frames=_ANY_FRAME,
         pose=_unresolved,

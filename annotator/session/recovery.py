@@ -5,14 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 
-from annotator.session.journal import (
-    Edited,
-    JournalContent,
-    Redone,
-    Saved,
-    Undone,
-    scene_digests,
-)
+from annotator.session import journal
 from annotator.session.ledger import Ledger
 from annotator.session.merge import Version
 from std_toolkit.errors import ToolkitError
@@ -43,7 +36,7 @@ class Recovery:
     changed: tuple[str, ...]
     ledger: Ledger
     entries: int
-    content: JournalContent
+    content: journal.JournalContent
 
     def __str__(self) -> str:
         edits = "1 edit" if self.count == 1 else f"{self.count} edits"
@@ -58,7 +51,7 @@ class Recovery:
         return text
 
 
-def replay(content: JournalContent) -> tuple[Ledger, int, str]:
+def replay(content: journal.JournalContent) -> tuple[Ledger, int, str]:
     """The ledger after all entries, the number of them that took effect, and what went wrong.
 
     An entry that does not fit the state ends the replay, as a damaged line does.
@@ -73,7 +66,7 @@ def replay(content: JournalContent) -> tuple[Ledger, int, str]:
     return ledger, len(content.entries), content.damage
 
 
-def find_recovery(scene: Scene, content: JournalContent) -> Recovery | None:
+def find_recovery(scene: Scene, content: journal.JournalContent) -> Recovery | None:
     """What can be recovered from a journal; None if all that can be read of it was saved."""
     begun = content.begun
     if begun is None:
@@ -81,14 +74,14 @@ def find_recovery(scene: Scene, content: JournalContent) -> Recovery | None:
     ledger, entries, damage = replay(content)
     if not ledger.unsaved:
         return None
-    saves = [i + 1 for i, x in enumerate(content.entries[:entries]) if isinstance(x, Saved)]
+    saves = [i + 1 for i, x in enumerate(content.entries[:entries]) if isinstance(x, journal.Saved)]
     made = [
         entry
         for entry in content.entries[max(saves, default=0) : entries]
-        if isinstance(entry, Edited | Undone | Redone)
+        if isinstance(entry, journal.Edited | journal.Undone | journal.Redone)
     ]
     last = made[-1] if made else begun
-    now = scene_digests(scene.root)
+    now = journal.scene_digests(scene.root)
     changed = tuple(name for name, digest in begun.digests.items() if now.get(name) != digest)
     problem = ""
     if begun.scene != scene.info.name or "frames.json" in changed:

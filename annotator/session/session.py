@@ -12,18 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from annotator.session import journal, ledger, merge, recovery, saving, state
 from annotator.session.editing import Change, Editing, Recorder
-from annotator.session.journal import Reread, Resumed, Saved, TakenOver
-from annotator.session.ledger import Effect, conflicts
-from annotator.session.merge import Side, Stored, Version, state_of
-from annotator.session.recovery import Recovery
-from annotator.session.saving import (
-    SaveReport,
-    documents_of,
-    propagate_saved_labels,
-    write_documents,
-)
-from annotator.session.state import Cameras
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import hold_lock, sweep_temporaries
 from std_toolkit.scene import Scene
@@ -45,7 +35,7 @@ class PropagateReport:
         lines: one per label, for people.
     """
 
-    saved: SaveReport
+    saved: saving.SaveReport
     lines: tuple[str, ...]
 
     def __str__(self) -> str:
@@ -159,10 +149,10 @@ class Session(Editing):
         self._recorder.recover(found)
         self._ledger = found.ledger
         self.recovery = None
-        self._record("reread", Resumed, quiet=True)
+        self._record("reread", journal.Resumed, quiet=True)
         changed = theirs.stored != self._ledger.base.stored
         # What both changed is asked about when it is saved, as in any session.
-        if changed and not conflicts(self._ledger.base, self._ledger.history, theirs):
+        if changed and not ledger.conflicts(self._ledger.base, self._ledger.history, theirs):
             self._take_over(theirs, prefer="mine")
         self._tell(Change("reread", "Recover", ()))
 
@@ -179,7 +169,7 @@ class Session(Editing):
 
     # --- saving ----------------------------------------------------------------------------------
 
-    def save(self, *, on_conflict: Side | None = None) -> SaveReport:
+    def save(self, *, on_conflict: merge.Side | None = None) -> saving.SaveReport:
         """Write what was edited into the scene; undo goes on to work.
 
         What others wrote since the scene was last read is taken over where we left it alone.
@@ -194,20 +184,22 @@ class Session(Editing):
         """
         self._require_editable()
         if not self.unsaved:
-            return SaveReport()
+            return saving.SaveReport()
         with self._noticing_cameras(), self.scene.lock():
             sweep_temporaries(self.scene.root)
             self._renew_cameras()
             taken = self._meet_others(on_conflict)
             base = self._ledger.base
-            new = documents_of(self.state, base, self._ledger.hands_on if self._by_hand else None)
-            files = write_documents(self.scene, new)
+            new = saving.documents_of(
+                self.state, base, self._ledger.hands_on if self._by_hand else None
+            )
+            files = saving.write_documents(self.scene, new)
             warnings = self._note_saved(new)
         before = {x.object: x for x in base.stored.labels.labels}
         names = {o.id: o.name for o in self.state.objects}
         labelled = [names[x.object] for x in new.labels.labels if before.get(x.object) != x]
         self._tell(Change("saved", "Save", ()))
-        return SaveReport(files, tuple(labelled), taken, warnings)
+        return saving.SaveReport(files, tuple(labelled), taken, warnings)
 
     def reload(self, title: str = "Read the scene again") -> None:
         """Take over what stands in the scene now, as one step that undo takes back.
@@ -224,7 +216,7 @@ class Session(Editing):
             if theirs.stored != self._ledger.base.stored:
                 self._refuse_conflict(theirs, hint="save first, and say whose version to keep")
                 self._record(
-                    "reread", Reread, title=title, stored=theirs.stored, state=theirs.state
+                    "reread", journal.Reread, title=title, stored=theirs.stored, state=theirs.state
                 )
 
     def propagate(self, options: PropagateOptions | None = None) -> PropagateReport:
@@ -234,7 +226,7 @@ class Session(Editing):
             ToolkitError: as `save` and `std_toolkit.labels.propagate.propagate_labels`.
         """
         saved = self.save()
-        carried = propagate_saved_labels(self.scene.root, options)
+        carried = saving.propagate_saved_labels(self.scene.root, options)
         self.reload("Propagate")
         return PropagateReport(saved, (*carried.lines, *carried.warnings))
 
@@ -242,7 +234,7 @@ class Session(Editing):
         """Take the camera poses as the scene has them now."""
         before, self._poses = self._poses, self.scene.poses
         if before != self._poses:
-            self._cameras = Cameras.of(self.scene)
+            self._cameras = state.Cameras.of(self.scene)
 
     @contextmanager
     def _noticing_cameras(self) -> Iterator[None]:
@@ -254,7 +246,7 @@ class Session(Editing):
             if self._cameras is not before:
                 self._tell(Change("reread", "New camera poses", ()))
 
-    def _meet_others(self, on_conflict: Side | None) -> tuple[str, ...]:
+    def _meet_others(self, on_conflict: merge.Side | None) -> tuple[str, ...]:
         """Take over what others wrote; returns what that was."""
         theirs = self._read_version()
         if theirs.stored == self._ledger.base.stored:
@@ -264,8 +256,8 @@ class Session(Editing):
             self._refuse_conflict(theirs, hint=hint)
         return self._take_over(theirs, prefer=on_conflict or "mine").objects
 
-    def _refuse_conflict(self, theirs: Version, *, hint: str) -> None:
-        clash = conflicts(self._ledger.base, self._ledger.history, theirs)
+    def _refuse_conflict(self, theirs: merge.Version, *, hint: str) -> None:
+        clash = ledger.conflicts(self._ledger.base, self._ledger.history, theirs)
         if clash:
             raise SaveConflict(
                 "others changed these in the scene while you edited them",
@@ -274,27 +266,27 @@ class Session(Editing):
                 hint=hint,
             )
 
-    def _take_over(self, theirs: Version, *, prefer: Side) -> Effect:
+    def _take_over(self, theirs: merge.Version, *, prefer: merge.Side) -> ledger.Effect:
         return self._record(
-            "reread", TakenOver, stored=theirs.stored, state=theirs.state, prefer=prefer
+            "reread", journal.TakenOver, stored=theirs.stored, state=theirs.state, prefer=prefer
         )
 
-    def _note_saved(self, new: Stored) -> tuple[str, ...]:
+    def _note_saved(self, new: merge.Stored) -> tuple[str, ...]:
         try:
-            self._record("saved", Saved, quiet=True, stored=new)
+            self._record("saved", journal.Saved, quiet=True, stored=new)
         except ToolkitError as error:
             # The labels are written. Without this line they would be offered for recovery once
             # more, where nothing of them is found missing.
             return (f"The labels are saved, but {error.problem}.",)
         return ()
 
-    def _read_version(self) -> Version:
-        stored = Stored.of(self.scene)
-        opened = state_of(self.scene, self._cameras, stored)
+    def _read_version(self) -> merge.Version:
+        stored = merge.Stored.of(self.scene)
+        opened = merge.state_of(self.scene, self._cameras, stored)
         self.warnings = list(opened.warnings)
-        return Version(stored, opened.state)
+        return merge.Version(stored, opened.state)
 
-    def _decided(self) -> Recovery:
+    def _decided(self) -> recovery.Recovery:
         if self.recovery is None:
             raise ToolkitError("there are no edits to recover", path=self.scene.root)
         return self.recovery

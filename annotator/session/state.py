@@ -21,19 +21,7 @@ from numpy.typing import NDArray
 from annotator.session.meshes import MeshLibrary
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
-from std_toolkit.scene import Object, ObjectTable, Scene
-from std_toolkit.scene.document import (
-    Count,
-    Document,
-    ObjectId,
-    Pose16,
-    Vector3,
-    check_name,
-    check_pose,
-    check_unique,
-    find_row,
-    pose_from_list,
-)
+from std_toolkit.scene import Object, ObjectTable, Scene, document
 from std_toolkit.scene.model import Material, Model
 from std_toolkit.scene.scene import require_metres
 
@@ -43,7 +31,7 @@ if TYPE_CHECKING:
 Status = Literal["open", "done"]
 
 
-class Click(Document, frozen=True, kw_only=True):
+class Click(document.Document, frozen=True, kw_only=True):
     """One 2D-3D correspondence.
 
     Attributes:
@@ -53,7 +41,7 @@ class Click(Document, frozen=True, kw_only=True):
 
     u: float
     v: float
-    point: Vector3
+    point: document.Vector3
 
     def check(self) -> None:
         # JSON knows no NaN: such a click could not be read back.
@@ -61,7 +49,7 @@ class Click(Document, frozen=True, kw_only=True):
             raise ToolkitError("a click needs finite numbers", value=[self.u, self.v, *self.point])
 
 
-class Placement(Document, frozen=True, kw_only=True):
+class Placement(document.Document, frozen=True, kw_only=True):
     """Where an object was put in one frame, and how it came there.
 
     Attributes:
@@ -72,21 +60,21 @@ class Placement(Document, frozen=True, kw_only=True):
         time: when, UTC, ISO 8601.
     """
 
-    T_cam_obj: Pose16
+    T_cam_obj: document.Pose16
     method: str = ""
     refinement: str = ""
     annotator: str = ""
     time: str = ""
 
     def check(self) -> None:
-        check_pose(self.T_cam_obj, "T_cam_obj")
+        document.check_pose(self.T_cam_obj, "T_cam_obj")
 
     @property
     def pose(self) -> SE3:
-        return pose_from_list(self.T_cam_obj)
+        return document.pose_from_list(self.T_cam_obj)
 
 
-class ObjectState(Document, frozen=True, kw_only=True):
+class ObjectState(document.Document, frozen=True, kw_only=True):
     """One object of the scene as annotated.
 
     Attributes:
@@ -98,39 +86,39 @@ class ObjectState(Document, frozen=True, kw_only=True):
         note: free text, such as what to look at again.
     """
 
-    id: ObjectId
+    id: document.ObjectId
     name: str
     model: str
     material: Material
     status: Status = "open"
     note: str = ""
-    placements: dict[Count, Placement] = msgspec.field(default_factory=dict)
-    clicks: dict[Count, list[Click]] = msgspec.field(default_factory=dict)
+    placements: dict[document.Count, Placement] = msgspec.field(default_factory=dict)
+    clicks: dict[document.Count, list[Click]] = msgspec.field(default_factory=dict)
 
     def check(self) -> None:
-        check_name(self.name)
+        document.check_name(self.name)
 
 
-class AnnotationState(Document, frozen=True, kw_only=True):
+class AnnotationState(document.Document, frozen=True, kw_only=True):
     """Everything that edits change."""
 
     models: list[Model] = msgspec.field(default_factory=list)
     objects: list[ObjectState] = msgspec.field(default_factory=list)
 
     def check(self) -> None:
-        check_unique([m.id for m in self.models], "models", "id")
-        check_unique([o.name for o in self.objects], "objects", "name")
-        check_unique([str(o.id) for o in self.objects], "objects", "id")
+        document.check_unique([m.id for m in self.models], "models", "id")
+        document.check_unique([o.name for o in self.objects], "objects", "name")
+        document.check_unique([str(o.id) for o in self.objects], "objects", "id")
         for thing in self.objects:
             self.model(thing.model)
 
     def object(self, name: str) -> ObjectState:
         """Raises ToolkitError, naming the known ones, if there is none."""
-        return find_row(self.objects, "name", name, "object")
+        return document.find_row(self.objects, "name", name, "object")
 
     def model(self, model_id: str) -> Model:
         """Raises ToolkitError, naming the known ones, if there is none."""
-        return find_row(self.models, "id", model_id, "model")
+        return document.find_row(self.models, "id", model_id, "model")
 
     def model_of(self, name: str) -> Model:
         return self.model(self.object(name).model)

@@ -11,10 +11,8 @@ from vtkmodules.vtkCommonCore import vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
 from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper
 
-from annotator.views.clouds import LIGHT_POINTS, Cloud
+from annotator.views import clouds, projection, triangles
 from annotator.views.layers import Layers, fill, place
-from annotator.views.projection import ScreenCamera
-from annotator.views.triangles import Color, Strokes, lines
 from std_toolkit.geometry import SE3, Camera
 
 Array = NDArray[np.float64]
@@ -34,7 +32,7 @@ class CloudLayer:
 
     def __init__(self, layers: Layers) -> None:
         self._layers = layers
-        self._cloud: Cloud | None = None
+        self._cloud: clouds.Cloud | None = None
         self._T_eye: SE3 | None = None
         self._filled: set[bool] = set()
         # They come first in their layer, so that translucent meshes are drawn over them.
@@ -43,7 +41,7 @@ class CloudLayer:
             layers.solids.AddActor(actor)
 
     def show(
-        self, cloud: Cloud | None, T_eye: SE3 | None, *, light: bool, pixels_per_metre: float
+        self, cloud: clouds.Cloud | None, T_eye: SE3 | None, *, light: bool, pixels_per_metre: float
     ) -> None:
         """Show points at a pose, or none.
 
@@ -60,27 +58,29 @@ class CloudLayer:
             actor.VisibilityOff()
         if cloud is None or T_eye is None or len(cloud.points) == 0:
             return
-        few = light and len(cloud.points) > LIGHT_POINTS
+        few = light and len(cloud.points) > clouds.LIGHT_POINTS
         actor = self._actors[few]
         if few not in self._filled:
             self._filled.add(few)
-            count = LIGHT_POINTS if few else len(cloud.points)
+            count = clouds.LIGHT_POINTS if few else len(cloud.points)
             mapper: Any = actor.GetMapper()
             mapper.SetInputData(_points(cloud.points[:count], cloud.colors[:count]))
         actor.VisibilityOn()
         # So large that surfaces look closed; fewer points are larger.
-        spacing = cloud.spacing_m * (np.sqrt(len(cloud.points) / LIGHT_POINTS) if few else 1.0)
+        spacing = cloud.spacing_m * (
+            np.sqrt(len(cloud.points) / clouds.LIGHT_POINTS) if few else 1.0
+        )
         size = 1.5 * spacing * pixels_per_metre
         smallest, largest = POINT_PX
         largest = LARGEST_LIGHT_PX if few else largest
         actor.GetProperty().SetPointSize(float(np.clip(size, smallest, largest)))
         place(actor, T_eye)
 
-    def depth_at(self, camera: ScreenCamera, xy: Array, *, reach: float) -> float | None:
+    def depth_at(self, camera: projection.ScreenCamera, xy: Array, *, reach: float) -> float | None:
         """Depth of the nearest point within `reach` pixels of a screen position."""
         if self._cloud is None or self._T_eye is None or len(self._cloud.points) == 0:
             return None
-        points = self._T_eye @ self._cloud.points[:LIGHT_POINTS].astype(np.float64)
+        points = self._T_eye @ self._cloud.points[: clouds.LIGHT_POINTS].astype(np.float64)
         with np.errstate(invalid="ignore"):
             near = np.abs(camera.project(points) - xy).max(axis=1) <= reach
         return float(points[near, 2].min()) if near.any() else None
@@ -113,11 +113,11 @@ class TableLayer:
 
 
 def draw_camera(
-    strokes: Strokes,
-    screen: ScreenCamera,
+    strokes: triangles.Strokes,
+    screen: projection.ScreenCamera,
     T_eye_cam: SE3,
     camera: Camera,
-    color: Color,
+    color: triangles.Color,
     *,
     scale: float = 1.0,
 ) -> Array | None:
@@ -186,7 +186,7 @@ def _table_actors(normal: Array, middle: Array, radius: float) -> list[vtkActor]
         base = middle + steps[:, None] * across
         ends.append(np.stack([base - half[:, None] * along, base + half[:, None] * along], axis=1))
     ends.append(np.stack([rim, np.roll(rim, -1, axis=0)], axis=1))
-    return [_flat_actor(disc, 0.10), _flat_actor(lines(np.concatenate(ends)), 0.45)]
+    return [_flat_actor(disc, 0.10), _flat_actor(triangles.lines(np.concatenate(ends)), 0.45)]
 
 
 def _flat_actor(polydata: vtkPolyData, opacity: float) -> vtkActor:

@@ -10,13 +10,7 @@ from numpy.typing import NDArray
 
 from annotator.app.placing import front_rotation
 from annotator.app.view_options import Style
-from annotator.views.interaction import Events
-from annotator.views.layers import Captions, Drawing, Layers
-from annotator.views.meshes import Shape
-from annotator.views.projection import ScreenCamera
-from annotator.views.scene_view import repainter
-from annotator.views.solids import Appearance, Solid
-from annotator.views.triangles import Color, Strokes, rgba
+from annotator.views import interaction, layers, meshes, projection, scene_view, solids, triangles
 from std_toolkit.geometry import SE3, so3_exp
 
 Array = NDArray[np.float64]
@@ -26,9 +20,9 @@ OnClick = Callable[[tuple[float, float, float]], None]
 DISTANCE = 6.0
 _FILL = 0.88
 _DRAG_PX = 3.0
-_POINT: Color = (0.3, 0.95, 1.0, 1.0)
-_PENDING: Color = (1.0, 0.83, 0.2, 1.0)
-_SHADOW: Color = (0.0, 0.0, 0.0, 0.6)
+_POINT: triangles.Color = (0.3, 0.95, 1.0, 1.0)
+_PENDING: triangles.Color = (1.0, 0.83, 0.2, 1.0)
+_SHADOW: triangles.Color = (0.0, 0.0, 0.0, 0.6)
 
 
 class ModelView:
@@ -49,23 +43,25 @@ class ModelView:
         repaint: Callable[[], None] | None = None,
         pixel_ratio: float = 1.0,
     ) -> None:
-        self.layers = Layers(plotter)
+        self.layers = layers.Layers(plotter)
         self.pixel_ratio = pixel_ratio
         self.zoom = 1.0
         self.R_eye_obj = np.eye(3)
         self._shift = np.zeros(2)
         self._up = 2
-        self._solid: Solid | None = None
-        self._look = Appearance(color=(0.7, 0.75, 0.8), style=Style.SOLID, contour=0.0, light=False)
+        self._solid: solids.Solid | None = None
+        self._look = solids.Appearance(
+            color=(0.7, 0.75, 0.8), style=Style.SOLID, contour=0.0, light=False
+        )
         self._points: list[Array] = []
         self._pending: Array | None = None
         self._on_click = on_click
-        self._repaint = repaint or repainter(plotter)
-        self._strokes = Drawing(self.layers.glass)
-        self._captions = Captions(self.layers)
+        self._repaint = repaint or scene_view.repainter(plotter)
+        self._strokes = layers.Drawing(self.layers.glass)
+        self._captions = layers.Captions(self.layers)
         self._pressed: tuple[str, Array, Array] | None = None
         self._dragging = False
-        self._events = Events(
+        self._events = interaction.Events(
             plotter,
             {
                 "LeftButtonPressEvent": lambda *_: self._press("turn"),
@@ -84,7 +80,7 @@ class ModelView:
     # --- what is shown --------------------------------------------------------------------------
 
     def show(
-        self, shape: Shape | None, color: str | Sequence[float] = "#c0c0c0", *, up: int = 2
+        self, shape: meshes.Shape | None, color: str | Sequence[float] = "#c0c0c0", *, up: int = 2
     ) -> None:
         """Show a mesh, or nothing; another mesh than before is seen from its front.
 
@@ -95,9 +91,11 @@ class ModelView:
         if shape is not (self._solid.shape if self._solid else None):
             if self._solid is not None:
                 self._solid.close()
-            self._solid = None if shape is None else Solid(self.layers, shape)
+            self._solid = None if shape is None else solids.Solid(self.layers, shape)
             self.fit()
-        self._look = Appearance(color=rgba(color)[:3], style=Style.SOLID, contour=0.0, light=False)
+        self._look = solids.Appearance(
+            color=triangles.rgba(color)[:3], style=Style.SOLID, contour=0.0, light=False
+        )
 
     def set_points(
         self, points: Sequence[Sequence[float]], pending: Sequence[float] | None = None
@@ -132,11 +130,11 @@ class ModelView:
     # --- geometry -------------------------------------------------------------------------------
 
     @property
-    def screen(self) -> ScreenCamera:
+    def screen(self) -> projection.ScreenCamera:
         width, height = self.layers.size
         f = self.zoom * _FILL * min(width, height) / 2 * DISTANCE
         x, y = self._shift
-        return ScreenCamera(width, height, f, f, width / 2 + x, height / 2 + y)
+        return projection.ScreenCamera(width, height, f, f, width / 2 + x, height / 2 + y)
 
     @property
     def T_eye_obj(self) -> SE3:
@@ -160,7 +158,7 @@ class ModelView:
         self.layers.look(self.screen)
         if self._solid is not None:
             self._solid.show(self.T_eye_obj, self._look)
-        strokes = Strokes()
+        strokes = triangles.Strokes()
         self._captions.begin()
         marks = [(p, _POINT, str(i)) for i, p in enumerate(self._points, start=1)]
         if self._pending is not None:
@@ -170,7 +168,9 @@ class ModelView:
         self._captions.end()
         self._strokes.show(strokes)
 
-    def _mark(self, strokes: Strokes, point: Array, color: Color, text: str) -> None:
+    def _mark(
+        self, strokes: triangles.Strokes, point: Array, color: triangles.Color, text: str
+    ) -> None:
         scale = self.pixel_ratio
         seen = self.T_eye_obj @ point
         x, y = self.screen.project(seen)

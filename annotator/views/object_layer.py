@@ -9,12 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annotator.app.view_options import Mode, Style
+from annotator.views import meshes, projection, solids, triangles, viewpoint
 from annotator.views.layers import Layers
-from annotator.views.meshes import ShapeStore
-from annotator.views.projection import ScreenCamera
-from annotator.views.solids import Appearance, Solid, front_to_back
-from annotator.views.triangles import rgba
-from annotator.views.viewpoint import Viewpoint
 from std_toolkit.html.plots import object_color
 
 if TYPE_CHECKING:
@@ -31,13 +27,15 @@ SELECTED_COLOR = (1.0, 1.0, 1.0)
 class ObjectLayer:
     """The objects drawn in one view."""
 
-    def __init__(self, layers: Layers, shapes: ShapeStore) -> None:
+    def __init__(self, layers: Layers, shapes: meshes.ShapeStore) -> None:
         self._layers, self._shapes = layers, shapes
-        self._solids: dict[str, Solid] = {}
+        self._solids: dict[str, solids.Solid] = {}
         self._penetrations: tuple[Penetration, ...] = ()
         self._red: dict[str, NDArray[np.int64]] = {}
 
-    def show(self, view: Viewpoint, *, light: bool, off: bool, pixel_ratio: float) -> None:
+    def show(
+        self, view: viewpoint.Viewpoint, *, light: bool, off: bool, pixel_ratio: float
+    ) -> None:
         """Draw the objects as they are now.
 
         Args:
@@ -47,14 +45,14 @@ class ObjectLayer:
         state = view.controller.session.state
         ids = [o.id for o in state.objects]
         self.set_penetrations(view.controller.penetrations)
-        looks: dict[str, Appearance] = {}
+        looks: dict[str, solids.Appearance] = {}
         for name in self._solids.keys() - {o.name for o in state.objects}:
             self._solids.pop(name).close()
         for obj in state.objects:
             solid = self._solid_of(obj.name, state.model(obj.model))
             if solid is None:
                 continue
-            color = rgba(object_color(ids, obj.id))[:3]
+            color = triangles.rgba(object_color(ids, obj.id))[:3]
             look = _look(view, obj.name, color, light=light, pixel_ratio=pixel_ratio)
             look = replace(look, red=self._painted(view, obj.name))
             T_eye_obj = view.T_eye_obj(obj.name) if _is_shown(view, obj.name) else None
@@ -73,7 +71,7 @@ class ObjectLayer:
             parts.setdefault(pair.second, []).append(pair.second_surface.faces)
         self._red = {name: np.unique(np.concatenate(f)) for name, f in parts.items()}
 
-    def _painted(self, view: Viewpoint, name: str) -> NDArray[np.int64] | None:
+    def _painted(self, view: viewpoint.Viewpoint, name: str) -> NDArray[np.int64] | None:
         # It does not hold during a drag, nor in a frame that has poses of its own.
         controller = view.controller
         if not controller.options.penetration or controller.dragging == name:
@@ -82,15 +80,15 @@ class ObjectLayer:
             return None
         return self._red.get(name)
 
-    def solid(self, name: str | None) -> Solid | None:
+    def solid(self, name: str | None) -> solids.Solid | None:
         """The object as drawn; None if its mesh is not there yet."""
         return self._solids.get(name) if name is not None else None
 
-    def placed(self) -> dict[str, Solid]:
+    def placed(self) -> dict[str, solids.Solid]:
         """Those that are drawn at a pose, by name."""
         return {n: s for n, s in self._solids.items() if s.T_eye_obj is not None}
 
-    def extent(self, screen: ScreenCamera) -> Array | None:
+    def extent(self, screen: projection.ScreenCamera) -> Array | None:
         """(2, 2) corners between which the objects lie on the screen; None if there are none."""
         seen = [
             screen.project(solid.T_eye_obj @ solid.shape.corners)
@@ -105,7 +103,7 @@ class ObjectLayer:
             return np.array([[0.0, 0.0], [screen.width, screen.height]])
         return np.stack([corners.min(axis=0) - 2, corners.max(axis=0) + 2])
 
-    def pick(self, view: Viewpoint, xy: Array) -> tuple[str, float] | None:
+    def pick(self, view: viewpoint.Viewpoint, xy: Array) -> tuple[str, float] | None:
         """The foremost object at a screen position, and the depth of the point hit there."""
         hits = {name: self._hit(view, name, xy) for name in self.placed()}
         depths = {name: hit[0] for name, hit in hits.items() if hit is not None}
@@ -114,17 +112,17 @@ class ObjectLayer:
         name = min(depths, key=depths.__getitem__)
         return name, depths[name]
 
-    def depth_on(self, view: Viewpoint, name: str, xy: Array) -> float | None:
+    def depth_on(self, view: viewpoint.Viewpoint, name: str, xy: Array) -> float | None:
         """Depth of an object at a screen position, whatever hides it there; None beside it."""
         hit = self._hit(view, name, xy)
         return None if hit is None else hit[0]
 
-    def pick_on(self, view: Viewpoint, name: str, xy: Array) -> Array | None:
+    def pick_on(self, view: viewpoint.Viewpoint, name: str, xy: Array) -> Array | None:
         """The point (3,) of an object's mesh at a screen position, whatever hides it there."""
         hit = self._hit(view, name, xy)
         return None if hit is None else hit[1]
 
-    def _hit(self, view: Viewpoint, name: str, xy: Array) -> tuple[float, Array] | None:
+    def _hit(self, view: viewpoint.Viewpoint, name: str, xy: Array) -> tuple[float, Array] | None:
         """Depth of the point of an object that is hit, and the point (3,) on its mesh."""
         solid = self.placed().get(name)
         if solid is None or solid.T_eye_obj is None:
@@ -137,20 +135,20 @@ class ObjectLayer:
         for solid in self._solids.values():
             solid.close()
 
-    def _solid_of(self, name: str, model: Model) -> Solid | None:
+    def _solid_of(self, name: str, model: Model) -> solids.Solid | None:
         known, shape = self._solids.get(name), self._shapes.get(model)
         if known is not None and known.shape is not shape:
             # Of another mesh than the object has now.
             self._solids.pop(name).close()
             known = None
         if known is None and shape is not None:
-            known = self._solids[name] = Solid(self._layers, shape)
+            known = self._solids[name] = solids.Solid(self._layers, shape)
         return known
 
-    def _outline(self, view: Viewpoint, looks: dict[str, Appearance]) -> None:
+    def _outline(self, view: viewpoint.Viewpoint, looks: dict[str, solids.Appearance]) -> None:
         by_solid = {id(self._solids[name]): look for name, look in looks.items()}
         selected = self.solid(view.controller.selected)
-        order = front_to_back([self._solids[name] for name in looks], selected)
+        order = solids.front_to_back([self._solids[name] for name in looks], selected)
         # What comes after the last line hides none.
         while order and not by_solid[id(order[-1])].contour:
             order.pop()
@@ -161,7 +159,7 @@ class ObjectLayer:
             solid.outline(screen, look, slot, len(order), (*color, 1.0))
 
 
-def _is_shown(view: Viewpoint, name: str) -> bool:
+def _is_shown(view: viewpoint.Viewpoint, name: str) -> bool:
     controller = view.controller
     if controller.options.hidden:
         return False
@@ -169,13 +167,13 @@ def _is_shown(view: Viewpoint, name: str) -> bool:
 
 
 def _look(
-    view: Viewpoint,
+    view: viewpoint.Viewpoint,
     name: str,
     color: tuple[float, float, float],
     *,
     light: bool,
     pixel_ratio: float,
-) -> Appearance:
+) -> solids.Appearance:
     controller, options = view.controller, view.controller.options
     selected = name == controller.selected
     if options.style is Style.CONTOUR or options.contour_always:
@@ -186,7 +184,7 @@ def _look(
     if selected:
         # In the cloud it shines through what lies in front.
         rim = SELECTED_PX if view.mode is Mode.IMAGE or rim else WIRE_PX
-    return Appearance(
+    return solids.Appearance(
         color=color,
         style=options.style,
         contour=rim * pixel_ratio,

@@ -10,18 +10,13 @@ from numpy.typing import NDArray
 from annotator.app.controller import Controller
 from annotator.app.view_options import CloudSource, Gizmo, Mode
 from annotator.session import Click
-from annotator.views.cloud_layer import draw_camera
-from annotator.views.gizmo import GizmoFrame, Handle, draw_gizmo
-from annotator.views.layers import FAINT, PAPER, Captions
-from annotator.views.solids import Solid
-from annotator.views.triangles import Color, Strokes, rgba
-from annotator.views.viewpoint import Viewpoint
+from annotator.views import cloud_layer, gizmo, layers, solids, triangles, viewpoint
 from std_toolkit.html.plots import object_color
 
 # Handles: part of the drawing area, smallest and largest length of an arrow.
 GIZMO_SHARE, SMALLEST_GIZMO_PX, LARGEST_GIZMO_PX = 0.16, 38.0, 92.0
 
-_CAMERA: Color = (0.93, 0.86, 0.62, 0.9)
+_CAMERA: triangles.Color = (0.93, 0.86, 0.62, 0.9)
 
 _WARNING = (0.98, 0.78, 0.35)
 
@@ -33,19 +28,19 @@ ScreenPoints = NDArray[np.float64]
 _GAP_PX = 4.0
 
 
-_PIXEL: Color = (1.0, 0.85, 0.2, 1.0)
+_PIXEL: triangles.Color = (1.0, 0.85, 0.2, 1.0)
 
 
-_POINT: Color = (0.3, 0.95, 1.0, 1.0)
+_POINT: triangles.Color = (0.3, 0.95, 1.0, 1.0)
 
 
-_RESIDUAL: Color = (1.0, 0.35, 0.3, 1.0)
+_RESIDUAL: triangles.Color = (1.0, 0.35, 0.3, 1.0)
 
 
-_SHADOW: Color = (0.0, 0.0, 0.0, 0.6)
+_SHADOW: triangles.Color = (0.0, 0.0, 0.0, 0.6)
 
 
-class OverlaidView(Viewpoint, ABC):
+class OverlaidView(viewpoint.Viewpoint, ABC):
     """A view with what lies over its picture.
 
     Attributes:
@@ -60,16 +55,16 @@ class OverlaidView(Viewpoint, ABC):
     ) -> None:
         super().__init__(controller, slot=slot, size=size)
         self.pixel_ratio = pixel_ratio
-        self.hovered: Handle | None = None
-        self.held: Handle | None = None
+        self.hovered: gizmo.Handle | None = None
+        self.held: gizmo.Handle | None = None
         self.dragged_marker: tuple[int, ScreenPoints] | None = None
         self.problem = ""
 
     @abstractmethod
-    def solid(self, name: str | None) -> Solid | None:
+    def solid(self, name: str | None) -> solids.Solid | None:
         """An object as drawn here; None if its mesh is not there yet."""
 
-    def gizmo_frame(self) -> GizmoFrame | None:
+    def gizmo_frame(self) -> gizmo.GizmoFrame | None:
         """The handles of the selected object; None where there are none."""
         controller = self.controller
         hidden = controller.gizmo is Gizmo.OFF or controller.clicking or controller.options.hidden
@@ -83,16 +78,16 @@ class OverlaidView(Viewpoint, ABC):
         axes = T_eye_obj.R if controller.axes == "object" else self.T_eye_cam.R
         largest = LARGEST_GIZMO_PX * self.pixel_ratio
         size = float(np.clip(GIZMO_SHARE * min(self.size), SMALLEST_GIZMO_PX, largest))
-        return GizmoFrame(self.screen, centre, axes, size)
+        return gizmo.GizmoFrame(self.screen, centre, axes, size)
 
 
-def draw_overlay(strokes: Strokes, captions: Captions, view: OverlaidView) -> None:
+def draw_overlay(strokes: triangles.Strokes, captions: layers.Captions, view: OverlaidView) -> None:
     """Everything that lies over image, cloud and meshes."""
     if view.mode is Mode.CLOUD:
         _draw_cameras(strokes, captions, view)
     frame = view.gizmo_frame()
     if frame is not None:
-        draw_gizmo(
+        gizmo.draw_gizmo(
             strokes,
             frame,
             view.controller.gizmo,
@@ -104,7 +99,9 @@ def draw_overlay(strokes: Strokes, captions: Captions, view: OverlaidView) -> No
     _say_captions(captions, view)
 
 
-def _draw_cameras(strokes: Strokes, captions: Captions, view: OverlaidView) -> None:
+def _draw_cameras(
+    strokes: triangles.Strokes, captions: layers.Captions, view: OverlaidView
+) -> None:
     """Where the frames of the views were taken from."""
     T_eye_world = view.T_eye_world
     session, scale = view.controller.session, view.pixel_ratio
@@ -115,7 +112,7 @@ def _draw_cameras(strokes: Strokes, captions: Captions, view: OverlaidView) -> N
         if T_world_cam is None:
             continue
         camera = session.scene.camera(session.scene.frame(frame)).without_distortion()
-        at = draw_camera(
+        at = cloud_layer.draw_camera(
             strokes, view.screen, T_eye_world @ T_world_cam, camera, _CAMERA, scale=scale
         )
         if at is not None:
@@ -132,13 +129,13 @@ def _draw_cameras(strokes: Strokes, captions: Captions, view: OverlaidView) -> N
             )
 
 
-def _say_captions(captions: Captions, view: OverlaidView) -> None:
+def _say_captions(captions: layers.Captions, view: OverlaidView) -> None:
     """Which frame it is, the name of the selected object, and what is missing."""
     session, scale = view.controller.session, view.pixel_ratio
     frame = session.scene.frame(view.frame)
     name = "" if frame.name == f"{frame.id:06d}" else f"  {frame.name}"
     text = f"Frame {frame.id}{name}"
-    color = FAINT
+    color = layers.FAINT
     if session.posed and session.T_world_cam(view.frame) is None:
         text, color = f"{text}  ·  no camera pose", _WARNING
     elif view.mode is Mode.CLOUD:
@@ -178,7 +175,7 @@ def _first_step(view: OverlaidView) -> str:
     return "No objects yet\nDrag a mesh from the library onto the image, or double-click it."
 
 
-def _say_name(captions: Captions, view: OverlaidView) -> None:
+def _say_name(captions: layers.Captions, view: OverlaidView) -> None:
     """The selected object's name above it."""
     controller, scale = view.controller, view.pixel_ratio
     name = controller.selected
@@ -191,7 +188,7 @@ def _say_name(captions: Captions, view: OverlaidView) -> None:
     x = float(np.clip(seen[:, 0].mean(), 30 * scale, view.size[0] - 30 * scale))
     y = float(np.clip(seen[:, 1].min() - 8 * scale, 40 * scale, view.size[1] - 10 * scale))
     ids = [o.id for o in controller.session.state.objects]
-    color = rgba(object_color(ids, controller.session.object(name).id))
+    color = triangles.rgba(object_color(ids, controller.session.object(name).id))
     captions.say(
         "name",
         name,
@@ -208,9 +205,9 @@ def _fused(view: OverlaidView) -> bool:
     return view.controller.options.cloud is CloudSource.FUSED and view.controller.session.posed
 
 
-def _darker(color: Color) -> tuple[float, float, float]:
+def _darker(color: triangles.Color) -> tuple[float, float, float]:
     """The colour mixed with that of the paper, so that white letters can be read on it."""
-    r, g, b = (0.55 * c + 0.45 * p for c, p in zip(color[:3], PAPER, strict=True))
+    r, g, b = (0.55 * c + 0.45 * p for c, p in zip(color[:3], layers.PAPER, strict=True))
     return r, g, b
 
 
@@ -251,7 +248,7 @@ def _beside(ends: ScreenPoints, gap: float) -> ScreenPoints:
     return along * np.divide(gap, length, out=np.ones_like(length), where=length > gap)
 
 
-def draw_markers(strokes: Strokes, captions: Captions, view: OverlaidView) -> None:
+def draw_markers(strokes: triangles.Strokes, captions: layers.Captions, view: OverlaidView) -> None:
     """The pixels, the points of the mesh as posed, and the residual between them."""
     controller, scale = view.controller, view.pixel_ratio
     name = controller.selected
@@ -288,7 +285,7 @@ def draw_markers(strokes: Strokes, captions: Captions, view: OverlaidView) -> No
         )
 
 
-def _draw_pending(strokes: Strokes, at: ScreenPoints, scale: float) -> None:
+def _draw_pending(strokes: triangles.Strokes, at: ScreenPoints, scale: float) -> None:
     """The point that waits for its pixel."""
     strokes.ring(at, 8.5 * scale, 3.6 * scale, _SHADOW)
     strokes.ring(at, 8.5 * scale, 1.8 * scale, _PIXEL)

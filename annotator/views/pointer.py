@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from annotator.app.controller import Controller
 from annotator.app.view_options import Mode
-from annotator.views.drags import Drag, PlaneDrag, TrackballDrag
-from annotator.views.gizmo import Handle
+from annotator.views import drags, gizmo, scene_view
 from annotator.views.interaction import (
     Array,
     Events,
@@ -27,7 +26,6 @@ from annotator.views.interaction import (
     marker_at,
     pick_point,
 )
-from annotator.views.scene_view import SceneView
 from std_toolkit.geometry import SE3
 
 __all__ = ["Pointer", "interactor_of"]
@@ -69,7 +67,9 @@ class PoseGesture:
 
     moves_view = False
 
-    def __init__(self, view: SceneView, name: str, drag: Drag, method: str) -> None:
+    def __init__(
+        self, view: scene_view.SceneView, name: str, drag: drags.Drag, method: str
+    ) -> None:
         self._view, self._name, self._drag, self._method = view, name, drag, method
         self._frame = view.frame
         self._T_cam_eye = view.T_eye_cam.inverse()
@@ -91,7 +91,7 @@ class PoseGesture:
 class Motion(Protocol):
     """Who draws a view that moves by itself, and knows the other pointers."""
 
-    def moved(self, view: SceneView) -> None: ...
+    def moved(self, view: scene_view.SceneView) -> None: ...
     def end_wheels(self) -> None: ...
 
 
@@ -104,7 +104,7 @@ class Pointer:
     """
 
     def __init__(
-        self, view: SceneView, controller: Controller, *, motion: Motion, later: Later
+        self, view: scene_view.SceneView, controller: Controller, *, motion: Motion, later: Later
     ) -> None:
         self.view, self.controller = view, controller
         self._motion, self._later = motion, later
@@ -190,7 +190,9 @@ class Pointer:
         assert pose is not None
         grabbed = self.view.screen.ray(at) * depth
         normal = self._table_normal() if control else None
-        return self._pose_gesture(name, PlaneDrag(self.view.screen, grabbed, pose, normal), "drag")
+        return self._pose_gesture(
+            name, drags.PlaneDrag(self.view.screen, grabbed, pose, normal), "drag"
+        )
 
     def _grabbed(self, at: NDArray[np.float64]) -> tuple[str, float] | None:
         """What a drag takes, and the depth of the point under the pointer.
@@ -223,10 +225,10 @@ class Pointer:
         centre = pose @ solid.shape.centre
         radius = solid.shape.radius / self.view.screen.pixel_m(float(centre[2]))
         radius = max(radius, SMALLEST_TRACKBALL_PX * self.view.pixel_ratio)
-        return self._pose_gesture(name, TrackballDrag(centre, radius, at, pose), "drag")
+        return self._pose_gesture(name, drags.TrackballDrag(centre, radius, at, pose), "drag")
 
     def _pose_gesture(
-        self, name: str, drag: Drag, method: str, handle: Handle | None = None
+        self, name: str, drag: drags.Drag, method: str, handle: gizmo.Handle | None = None
     ) -> Gesture:
         if not self.controller.session.writable:
             return self._background()

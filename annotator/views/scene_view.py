@@ -11,15 +11,17 @@ from numpy.typing import NDArray
 from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.app.view_options import Mode, Style
-from annotator.views.cloud_layer import CloudLayer, TableLayer
+from annotator.views import (
+    cloud_layer,
+    layers,
+    meshes,
+    object_layer,
+    overlay,
+    picture,
+    solids,
+    triangles,
+)
 from annotator.views.clouds import Cloud, CloudReader
-from annotator.views.layers import Captions, Drawing, Layers
-from annotator.views.meshes import ShapeStore
-from annotator.views.object_layer import ObjectLayer
-from annotator.views.overlay import OverlaidView, draw_overlay
-from annotator.views.picture import Picture
-from annotator.views.solids import Solid
-from annotator.views.triangles import Strokes
 from std_toolkit.errors import ToolkitError
 
 Array = NDArray[np.float64]
@@ -28,7 +30,7 @@ Array = NDArray[np.float64]
 USUAL_DEPTH_M = 0.7
 
 
-class SceneView(OverlaidView):
+class SceneView(overlay.OverlaidView):
     """Draws one of the controller's views into a plotter.
 
     Args:
@@ -52,30 +54,35 @@ class SceneView(OverlaidView):
         controller: Controller,
         *,
         slot: int,
-        shapes: ShapeStore | None = None,
+        shapes: meshes.ShapeStore | None = None,
         clouds: CloudReader | None = None,
         repaint: Callable[[], None] | None = None,
         pixel_ratio: float = 1.0,
     ) -> None:
         self.plotter = plotter
-        self.layers = Layers(plotter)
+        self.layers = layers.Layers(plotter)
         super().__init__(controller, slot=slot, size=self.layers.size, pixel_ratio=pixel_ratio)
         self.moving = False
         self.blinked_off = False
         self.cloud: Cloud | None = None
         self._clouds = clouds or CloudReader(controller)
         self._repaint = repaint or repainter(plotter)
-        self._picture = Picture(self.layers)
-        self._points, self._table = CloudLayer(self.layers), TableLayer(self.layers)
-        self.objects = ObjectLayer(self.layers, shapes or ShapeStore(controller.session.mesh))
-        self._strokes = Drawing(self.layers.glass)
-        self.captions = Captions(self.layers)
+        self._picture = picture.Picture(self.layers)
+        self._points, self._table = (
+            cloud_layer.CloudLayer(self.layers),
+            cloud_layer.TableLayer(self.layers),
+        )
+        self.objects = object_layer.ObjectLayer(
+            self.layers, shapes or meshes.ShapeStore(controller.session.mesh)
+        )
+        self._strokes = layers.Drawing(self.layers.glass)
+        self.captions = layers.Captions(self.layers)
         self._preparing = False
         self._observer = self.layers.window.AddObserver("StartEvent", self._before_render)
 
     # --- what is seen ---------------------------------------------------------------------------
 
-    def solid(self, name: str | None) -> Solid | None:
+    def solid(self, name: str | None) -> solids.Solid | None:
         """An object as drawn here; None if its mesh is not there yet."""
         return self.objects.solid(name)
 
@@ -191,9 +198,9 @@ class SceneView(OverlaidView):
             self._table.show(plane, self.T_eye_of(table.plane.frame))
 
     def _show_glass(self) -> None:
-        strokes = Strokes()
+        strokes = triangles.Strokes()
         self.captions.begin()
-        draw_overlay(strokes, self.captions, self)
+        overlay.draw_overlay(strokes, self.captions, self)
         self.captions.end()
         self._strokes.show(strokes)
 

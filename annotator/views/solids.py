@@ -11,10 +11,8 @@ from vtkmodules.vtkCommonDataModel import vtkPolyData
 from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkRenderer
 
 from annotator.app.view_options import Style
+from annotator.views import meshes, projection, triangles
 from annotator.views.layers import Layers, fill, place
-from annotator.views.meshes import Shape
-from annotator.views.projection import ScreenCamera
-from annotator.views.triangles import Color, Strokes, Surface
 from std_toolkit.geometry import SE3
 
 # Replacing a vertex's depth by a constant: what is drawn first hides what comes behind it.
@@ -52,14 +50,14 @@ class Appearance:
 class Solid:
     """One object in one view."""
 
-    def __init__(self, layers: Layers, shape: Shape) -> None:
+    def __init__(self, layers: Layers, shape: meshes.Shape) -> None:
         self.shape = shape
         self.T_eye_obj: SE3 | None = None
         self.seen = False
         self._layers = layers
         self._bodies: dict[vtkPolyData, vtkActor] = {}
-        self._hiders: dict[Surface, vtkActor] = {}
-        self._masks: dict[Surface, vtkActor] = {}
+        self._hiders: dict[triangles.Surface, vtkActor] = {}
+        self._masks: dict[triangles.Surface, vtkActor] = {}
         self._rim, self._rim_data = _rim_actor()
         self._rim_drawn: object = None
         layers.outlines.AddActor(self._rim)
@@ -89,7 +87,12 @@ class Solid:
         place(body, T_eye_obj)
 
     def outline(
-        self, camera: ScreenCamera, look: Appearance, slot: int, slots: int, color: Color
+        self,
+        camera: projection.ScreenCamera,
+        look: Appearance,
+        slot: int,
+        slots: int,
+        color: triangles.Color,
     ) -> None:
         """Draw the silhouette; lower slots lie in front of higher ones and hide them."""
         if self.T_eye_obj is None:
@@ -108,7 +111,7 @@ class Solid:
             surface = self._surface(look.light)
             edges = surface.silhouette(self.T_eye_obj.inverse().t)
             seen = camera.project(self.T_eye_obj @ edges.reshape(-1, 3)).reshape(-1, 2, 2)
-            strokes = Strokes()
+            strokes = triangles.Strokes()
             # The inner half is hidden by the mask: the silhouette is the line's inner rim.
             strokes.segments(seen, 2 * look.contour, color)
             points, colors, faces = strokes.arrays()
@@ -123,7 +126,7 @@ class Solid:
             self._layers.outlines.RemoveActor(actor)
         self._patch.show(None, None)
 
-    def _surface(self, light: bool) -> Surface:
+    def _surface(self, light: bool) -> triangles.Surface:
         return self.shape.light if light else self.shape.full
 
     def _body(self, polydata: vtkPolyData) -> vtkActor:
@@ -135,7 +138,7 @@ class Solid:
                 )
         return self._bodies[polydata]
 
-    def _hider(self, surface: Surface) -> vtkActor:
+    def _hider(self, surface: triangles.Surface) -> vtkActor:
         if surface not in self._hiders:
             actor = _mesh_actor(surface.polydata, self._layers.solids)
             actor.GetShaderProperty().AddFragmentShaderReplacement(
@@ -144,7 +147,7 @@ class Solid:
             self._hiders[surface] = actor
         return self._hiders[surface]
 
-    def _mask(self, surface: Surface) -> vtkActor:
+    def _mask(self, surface: triangles.Surface) -> vtkActor:
         if surface not in self._masks:
             # Each mask is drawn before its rim, which it partly hides.
             self._layers.outlines.RemoveActor(self._rim)
@@ -161,7 +164,7 @@ class Solid:
 class _Patch:
     """Faces that run into something, red and seen through whatever hides them."""
 
-    def __init__(self, layers: Layers, shape: Shape) -> None:
+    def __init__(self, layers: Layers, shape: meshes.Shape) -> None:
         self._layers, self._shape = layers, shape
         self._faces: NDArray[np.int64] | None = None
         self._actor: vtkActor | None = None

@@ -10,10 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from annotator.app import events, placing, tasks
 from annotator.app.controller import Controller
-from annotator.app.events import Event
-from annotator.app.placing import front_rotation, standing_axis
-from annotator.app.tasks import Task
 from annotator.session.meshes import Version
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
@@ -46,7 +44,7 @@ def model_picture(snapshot: Snapshot, model: Model, size: int) -> NDArray[np.uin
     """
     try:
         mesh = snapshot.meshes.mesh(model)
-        axis = standing_axis(snapshot, model)
+        axis = placing.standing_axis(snapshot, model)
     except ToolkitError:
         return None  # told where the mesh itself is drawn
     if snapshot.writable:
@@ -103,7 +101,7 @@ def cached_thumbnail(
 
 
 def _front_view(mesh: RenderMesh, axis: int, distance: float) -> SE3:
-    R = front_rotation(axis)
+    R = placing.front_rotation(axis)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     middle = mesh.centre + (low + high) / 2
     return SE3(R, np.array([0.0, 0.0, distance]) - R @ middle)
@@ -149,7 +147,7 @@ class Thumbnails:
     def close(self) -> None:
         self._unsubscribe()
 
-    def _on_event(self, event: Event) -> None:
+    def _on_event(self, event: events.Event) -> None:
         if event.kind == "edited":
             self._show_all()
             self._draw_next()
@@ -169,7 +167,7 @@ class Thumbnails:
             return
         self._asked_for = versions[model.id], library
 
-        def work(_: Task) -> NDArray[np.uint8] | None:
+        def work(_: tasks.Task) -> NDArray[np.uint8] | None:
             return model_picture(snapshot, model, self._size)
 
         def finish(picture: NDArray[np.uint8] | None) -> None:

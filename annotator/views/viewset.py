@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.app.view_options import Mode
-from annotator.views.clouds import CloudReader
-from annotator.views.meshes import ShapeStore
+from annotator.views import clouds, meshes, scene_view
 from annotator.views.pointer import Pointer
-from annotator.views.scene_view import SceneView, recorded_pixel_under
 
 Later = Callable[[float, Callable[[], None]], None]
 
@@ -59,11 +57,11 @@ class ViewSet:
         background: bool = True,
     ) -> None:
         self.controller = controller
-        self.shapes = ShapeStore(controller.session.mesh, background=background)
-        self.clouds = CloudReader(controller)
+        self.shapes = meshes.ShapeStore(controller.session.mesh, background=background)
+        self.clouds = clouds.CloudReader(controller)
         self._later, self._clock = later, clock
         self.views = [
-            SceneView(
+            scene_view.SceneView(
                 plotter,
                 controller,
                 slot=slot,
@@ -104,7 +102,7 @@ class ViewSet:
         self._queue(i for i in wanted if i != self._active)
         self._poll_shapes()
 
-    def moved(self, view: SceneView) -> None:
+    def moved(self, view: scene_view.SceneView) -> None:
         """The eye of one view moved."""
         self._moves([view.slot])
 
@@ -123,7 +121,7 @@ class ViewSet:
         """Something was dropped onto a view, at a screen position (2,)."""
         view = self.views[slot]
         self.controller.activate_view(slot)
-        drop(self.controller, what, view.frame, recorded_pixel_under(view, at))
+        drop(self.controller, what, view.frame, scene_view.recorded_pixel_under(view, at))
 
     def close(self) -> None:
         if self._closed:
@@ -295,7 +293,7 @@ def _shown(c: Controller) -> tuple[Mode, list[int], tuple[object, ...]]:
 class Stopwatch:
     """How long a view takes to be rendered, in seconds: in full detail, and while moving."""
 
-    def __init__(self, view: SceneView, clock: Callable[[], float]) -> None:
+    def __init__(self, view: scene_view.SceneView, clock: Callable[[], float]) -> None:
         self.full_s = self.light_s = 0.0
         self._view, self._clock = view, clock
         self._began = 0.0

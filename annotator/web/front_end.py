@@ -13,18 +13,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.app import operations
-from annotator.app.action_table import BY_ID, available_actions
-from annotator.app.background_updates import BackgroundUpdates
-from annotator.app.controller import Controller
-from annotator.app.dialogs import Dialogs
-from annotator.app.events import Event, Notice, Notices
-from annotator.app.image_cache import ImageCache
-from annotator.app.placing import add_object, drop_model, drop_object
-from annotator.app.pose_text import PoseFields, RotationForm
-from annotator.app.questions import Question
-from annotator.app.tasks import ThreadRunner
-from annotator.app.view_options import choose_view_frames
+from annotator.app import (
+    action_table,
+    background_updates,
+    controller,
+    dialogs,
+    events,
+    image_cache,
+    operations,
+    placing,
+    pose_text,
+    questions,
+    tasks,
+    view_options,
+)
 from annotator.session import ChangeClick, Session
 from annotator.views import ViewSet
 from annotator.views.mesh_picker import MeshPicker
@@ -50,20 +52,22 @@ class FrontEnd:
         self._loop = asyncio.get_running_loop()
         self._refresh_planned = False
         self._wanted_frame: int | None = None
-        self._notices = Notices(self._show_notices, self._later)
-        self._runner = ThreadRunner(self._call_soon)
-        self._images = ImageCache(session.scene)
-        c = self.controller = Controller(
+        self._notices = events.Notices(self._show_notices, self._later)
+        self._runner = tasks.ThreadRunner(self._call_soon)
+        self._images = image_cache.ImageCache(session.scene)
+        c = self.controller = controller.Controller(
             session,
             self._images,
             runner=self._runner,
-            view_frames=choose_view_frames(session.scene, session),
+            view_frames=view_options.choose_view_frames(session.scene, session),
         )
         if session.state.objects:
             c.select(session.state.objects[0].name)
-        self.dialogs = Dialogs(c, self._show_question)
-        self._fields = PoseFields(c)
-        self._action_of = {k: a.id for a in available_actions(c.dialogs) for k in a.keys}
+        self.dialogs = dialogs.Dialogs(c, self._show_question)
+        self._fields = pose_text.PoseFields(c)
+        self._action_of = {
+            k: a.id for a in action_table.available_actions(c.dialogs) for k in a.keys
+        }
         views = len(c.view_frames)
         self._build_page(server, views)
         self.channel = ViewChannel(self, views=views + 1, keys=sorted(self._action_of))
@@ -88,7 +92,7 @@ class FrontEnd:
         )
         last.view = self._picker.view
         c.subscribe(self._on_event)
-        self._upkeep = BackgroundUpdates(c)
+        self._upkeep = background_updates.BackgroundUpdates(c)
         self._thumbnails = Thumbnails(c, self._show_thumbnails)
         operations.tell_opening(c)
 
@@ -156,19 +160,19 @@ class FrontEnd:
         self._refresh_planned = False
         self._set(**page_pose(self.controller, self._fields))
 
-    def _show_notices(self, notices: list[Notice]) -> None:
+    def _show_notices(self, notices: list[events.Notice]) -> None:
         self._set(notices=[asdict(notice) for notice in notices])
 
     def _show_thumbnails(self, pictures: dict[str, NDArray[np.uint8] | None]) -> None:
         self._set(thumbnails={i: _as_png(p) for i, p in pictures.items() if p is not None})
 
-    def _show_question(self, question: Question | None) -> None:
+    def _show_question(self, question: questions.Question | None) -> None:
         if question is None:
             self._set(dialog=None)
         else:
             self._set(dialog=question.as_dict(), answers=question.first_answers(), sought="")
 
-    def _on_event(self, event: Event) -> None:
+    def _on_event(self, event: events.Event) -> None:
         if event.kind == "message":
             self._notices.tell(event.text, event.level)
         elif event.kind == "ask":
@@ -223,14 +227,14 @@ class FrontEnd:
 
     def key(self, event: Key) -> None:
         id = self._action_of.get(event.name)
-        if id is not None and (BY_ID[id].repeats or not event.repeat):
+        if id is not None and (action_table.BY_ID[id].repeats or not event.repeat):
             self.act(id)
 
     def drop(self, event: Drop) -> None:
         c = self.controller
         if event.view >= len(self._views.views) or not c.session.writable:
             return
-        drop = drop_model if event.what == "model" else drop_object
+        drop = placing.drop_model if event.what == "model" else placing.drop_object
         self._views.drop(
             event.view, self._streams[event.view].place(event.x, event.y), drop, event.name
         )
@@ -239,7 +243,7 @@ class FrontEnd:
 
     def act(self, id: str) -> None:
         """Run an action, if it makes sense now."""
-        action = BY_ID.get(id)
+        action = action_table.BY_ID.get(id)
         if action is not None and action.enabled(self.controller):
             self.controller.attempt(lambda: action.run(self.controller))
 
@@ -265,7 +269,7 @@ class FrontEnd:
         self._notices.close(number)
 
     def add_object(self, model: str) -> None:
-        add_object(self.controller, model)
+        placing.add_object(self.controller, model)
 
     def remove_point(self, frame: int, number: int) -> None:
         if self.controller.selected is not None:
@@ -278,7 +282,7 @@ class FrontEnd:
     def set_form(self, in_world: bool, form: str) -> None:
         """In which frame and form the numbers of the pose are."""
         self._fields.in_world = bool(in_world) and self.controller.session.posed
-        self._fields.form = RotationForm(form)
+        self._fields.form = pose_text.RotationForm(form)
         self._refresh()
 
     def set_number(

@@ -10,32 +10,15 @@ from typing import Any
 
 from trame.ui.vuetify3 import VAppLayout
 
-from annotator.app.action_table import (
-    ACTIONS,
-    MENUS,
-    OPACITY_TIP,
-    SHORT_TITLES,
-    TOOLS,
-    available_actions,
+from annotator.app import (
+    action_table,
+    controller,
+    icons,
+    object_summary,
+    panels,
+    pose_text,
+    questions,
 )
-from annotator.app.controller import Controller
-from annotator.app.icons import symbols
-from annotator.app.object_summary import next_hint, progress, summarize
-from annotator.app.panels import (
-    click_rows,
-    frame_marks,
-    residual_rows,
-    verdict,
-    weak_direction,
-)
-from annotator.app.pose_text import (
-    FORM_TIPS,
-    FORM_TITLES,
-    PoseFields,
-    RotationForm,
-    quaternion_text,
-)
-from annotator.app.questions import symmetry_summary
 from annotator.session import Session
 from std_toolkit.html.plots import object_color
 
@@ -77,7 +60,7 @@ def build_page(server: Any, *, views: int) -> None:
     if side:
         columns.append(f'<div class="side">{"".join(side)}</div>')
     page = _read("page.html").replace("<!--views-->", "".join(columns))
-    page = page.replace("<!--mesh-->", _view(views)).replace("<!--icons-->", symbols())
+    page = page.replace("<!--mesh-->", _view(views)).replace("<!--icons-->", icons.symbols())
     with VAppLayout(server, theme="dark") as layout:
         layout.root.add_child(page)
 
@@ -113,29 +96,32 @@ def page_constants(session: Session, *, dialogs: frozenset[str]) -> dict[str, An
         "trame__title": f"{name} · std-annotate",
         "annotator": session.annotator or "",
         "frame_count": len(session.scene.frames),
-        "menus": [_menu(menu, dialogs) for menu in MENUS],
+        "menus": [_menu(menu, dialogs) for menu in action_table.MENUS],
         "tools": _tools(dialogs),
-        "forms": [{"value": f, "title": t, "tip": FORM_TIPS[f]} for f, t in FORM_TITLES.items()],
+        "forms": [
+            {"value": f, "title": t, "tip": pose_text.FORM_TIPS[f]}
+            for f, t in pose_text.FORM_TITLES.items()
+        ],
         "posed": session.posed,
     }
 
 
 def _tools(dialogs: frozenset[str]) -> list[list[dict[str, Any]]]:
-    known = {a.id: a for a in available_actions(dialogs)}
+    known = {a.id: a for a in action_table.available_actions(dialogs)}
     return [
         [
-            {"id": id, "tip": OPACITY_TIP, "keys": "[ and ]"}
+            {"id": id, "tip": action_table.OPACITY_TIP, "keys": "[ and ]"}
             if id == "opacity"
             else {
                 "id": id,
                 "tip": known[id].tip,
                 "keys": " ".join(known[id].keys[:1]),
-                "label": SHORT_TITLES.get(id, ""),
+                "label": action_table.SHORT_TITLES.get(id, ""),
             }
             for id in group
             if id in known or id == "opacity"
         ]
-        for group in TOOLS
+        for group in action_table.TOOLS
     ]
 
 
@@ -143,7 +129,7 @@ def _menu(name: str, dialogs: frozenset[str]) -> dict[str, Any]:
     """The entries of one menu; what would need a dialog that the page lacks is left out."""
     entries: list[dict[str, Any]] = []
     group = None
-    for action in available_actions(dialogs):
+    for action in action_table.available_actions(dialogs):
         if action.menu != name:
             continue
         entries.append(
@@ -160,7 +146,7 @@ def _menu(name: str, dialogs: frozenset[str]) -> dict[str, Any]:
     return {"name": name, "entries": entries}
 
 
-def page_state(c: Controller, fields: PoseFields) -> dict[str, Any]:
+def page_state(c: controller.Controller, fields: pose_text.PoseFields) -> dict[str, Any]:
     """Everything beside the pictures.
 
     Args:
@@ -171,10 +157,10 @@ def page_state(c: Controller, fields: PoseFields) -> dict[str, Any]:
         "objects": _objects(c),
         "selected": c.selected or "",
         "models": [_model(m) for m in c.session.state.models],
-        "progress": progress(c),
+        "progress": object_summary.progress(c),
         "unsaved": c.session.unsaved,
         "writable": c.session.writable,
-        "actions": {a.id: _action(c, a) for a in ACTIONS},
+        "actions": {a.id: _action(c, a) for a in action_table.ACTIONS},
         "frame_index": frames.index(c.frame),
         "frame_ids": list(c.view_frames),
         "active_view": c.active_view,
@@ -186,25 +172,25 @@ def page_state(c: Controller, fields: PoseFields) -> dict[str, Any]:
         "step": c.step,
         "axes": c.axes,
         "points": _points(c),
-        "residuals": [asdict(row) for row in residual_rows(c)],
-        "verdict": verdict(c),
-        "weak": weak_direction(c),
-        "marks": asdict(frame_marks(c)),
+        "residuals": [asdict(row) for row in panels.residual_rows(c)],
+        "verdict": panels.verdict(c),
+        "weak": panels.weak_direction(c),
+        "marks": asdict(panels.frame_marks(c)),
         "provenance": fields.provenance(),
         **page_pose(c, fields),
     }
 
 
-def page_pose(c: Controller, fields: PoseFields) -> dict[str, Any]:
+def page_pose(c: controller.Controller, fields: pose_text.PoseFields) -> dict[str, Any]:
     """The part of it that changes as an object is dragged."""
-    return {"pose": _pose(fields), "hint": next_hint(c)}
+    return {"pose": _pose(fields), "hint": object_summary.next_hint(c)}
 
 
-def _frame_problem(c: Controller) -> str:
+def _frame_problem(c: controller.Controller) -> str:
     return "no camera pose" if c.session.posed and c.frame not in c.session.frames else ""
 
 
-def _action(c: Controller, action: Any) -> dict[str, Any]:
+def _action(c: controller.Controller, action: Any) -> dict[str, Any]:
     return {
         "enabled": bool(action.enabled(c)),
         "on": bool(action.checked(c)) if action.checked is not None else False,
@@ -212,7 +198,7 @@ def _action(c: Controller, action: Any) -> dict[str, Any]:
     }
 
 
-def _objects(c: Controller) -> list[dict[str, Any]]:
+def _objects(c: controller.Controller) -> list[dict[str, Any]]:
     ids = [o.id for o in c.session.state.objects]
     return [
         {
@@ -228,35 +214,35 @@ def _objects(c: Controller) -> list[dict[str, Any]]:
             "alarm": s.alarm,
             "explanation": s.explanation,
         }
-        for s in summarize(c)
+        for s in object_summary.summarize(c)
     ]
 
 
 def _model(model: Any) -> dict[str, Any]:
     size = " × ".join(f"{1000 * x:.0f}" for x in model.size_m)
-    turns = symmetry_summary(model.symmetry)
+    turns = questions.symmetry_summary(model.symmetry)
     told = f"{size} mm · {model.category}"
     return {"id": model.id, "told": told, "explanation": f"{size} mm, {model.category}, {turns}"}
 
 
-def _pose(fields: PoseFields) -> dict[str, Any] | None:
+def _pose(fields: pose_text.PoseFields) -> dict[str, Any] | None:
     """The numbers of the selected object's pose, mm and degrees; None without a pose."""
     if fields.pose is None:
         return None
     position, rotation = fields.numbers()
-    as_quaternion = fields.form is RotationForm.QUATERNION
+    as_quaternion = fields.form is pose_text.RotationForm.QUATERNION
     return {
         "where": fields.where,
         "in_world": fields.in_world,
         "form": fields.form,
         "position": [f"{x:.2f}" for x in position],
         "rotation": [] if as_quaternion else [f"{x:.3f}" for x in rotation],
-        "quaternion": quaternion_text(rotation) if as_quaternion else "",
+        "quaternion": pose_text.quaternion_text(rotation) if as_quaternion else "",
         "matrix": fields.copied(),
     }
 
 
-def _points(c: Controller) -> list[dict[str, Any]]:
+def _points(c: controller.Controller) -> list[dict[str, Any]]:
     if c.selected is None:
         return []
     return [
@@ -266,5 +252,5 @@ def _points(c: Controller) -> list[dict[str, Any]]:
             "pixel": f"{row.u:.1f}, {row.v:.1f}",
             "residual": "" if row.residual_px is None else f"{row.residual_px:.1f} px",
         }
-        for row in click_rows(c, c.selected)
+        for row in panels.click_rows(c, c.selected)
     ]

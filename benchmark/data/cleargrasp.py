@@ -36,21 +36,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmark.data.frame import DepthFrame, Instance, Material
-from benchmark.data.loading import (
-    NO_COLOR,
-    NO_DEPTH,
-    FrameIndex,
-    SceneFolder,
-    check_proportions,
-    check_same_size,
-    first_file,
-    list_scenes,
-    read_binary_mask,
-    read_depth_map,
-    scene_files,
-)
-from benchmark.data.splits import FrameKey, SceneFiles
+from benchmark.data import frame, loading, splits
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.importers.intrinsics import read_intrinsics
@@ -74,7 +60,7 @@ INTRINSICS = "camera_intrinsics.yaml"
 # Of the cameras' colour images; ClearGrasp's own evaluation uses it for all of them.
 COLOR_FOV_X = math.radians(69.4)
 
-TRANSPARENT = Instance(1, 0, Material.TRANSPARENT)
+TRANSPARENT = frame.Instance(1, 0, frame.Material.TRANSPARENT)
 
 SYNTHETIC_COLOR = ("-rgb.jpg", "-rgb.png")
 
@@ -94,36 +80,36 @@ class ClearGraspReal:
     """Captures of a split; see `DepthSource`."""
 
     name: str
-    index: FrameIndex
+    index: loading.FrameIndex
     _cameras: dict[str, Camera] = field(default_factory=dict, repr=False, compare=False)
 
     def __len__(self) -> int:
         return len(self.index)
 
-    def keys(self) -> list[FrameKey]:
-        return [FrameKey(f"{folder.name}-{stem}", stem) for folder, stem in self.index]
+    def keys(self) -> list[splits.FrameKey]:
+        return [splits.FrameKey(f"{folder.name}-{stem}", stem) for folder, stem in self.index]
 
-    def load(self, index: int, *, sensor: bool = True, nocs: bool = False) -> DepthFrame:  # noqa: ARG002 - it has none
+    def load(self, index: int, *, sensor: bool = True, nocs: bool = False) -> frame.DepthFrame:  # noqa: ARG002 - it has none
         """See `DepthSource`."""
         scene, stem = self.index.at(index)
         folder = Path(scene.path)
 
         def path(what: str) -> Path:
-            return first_file(folder, tuple(stem + s for s in NEEDED[what]), what)
+            return loading.first_file(folder, tuple(stem + s for s in NEEDED[what]), what)
 
-        true = read_depth_map(path("ground-truth depth"))
+        true = loading.read_depth_map(path("ground-truth depth"))
         mask_path = path("mask")
-        mask = read_binary_mask(mask_path, TRANSPARENT.mask_id)
-        check_same_size(mask_path, mask, true, "mask")
+        mask = loading.read_binary_mask(mask_path, TRANSPARENT.mask_id)
+        loading.check_same_size(mask_path, mask, true, "mask")
         size = (true.shape[1], true.shape[0])
-        color, raw = NO_COLOR, NO_DEPTH
+        color, raw = loading.NO_COLOR, loading.NO_DEPTH
         if sensor:
             color_path, raw_path = path("colour"), path("raw depth")
             color = read_color(color_path)
-            raw = read_depth_map(raw_path)
-            check_proportions(color_path, color, size)
-            check_proportions(raw_path, raw, size)
-        return DepthFrame(
+            raw = loading.read_depth_map(raw_path)
+            loading.check_proportions(color_path, color, size)
+            loading.check_proportions(raw_path, raw, size)
+        return frame.DepthFrame(
             scene=f"{scene.name}-{stem}",
             name=stem,
             color=color,
@@ -134,9 +120,9 @@ class ClearGraspReal:
             instances=(TRANSPARENT,),
         )
 
-    def files(self) -> Iterator[SceneFiles]:
+    def files(self) -> Iterator[splits.SceneFiles]:
         """See `DepthSource`."""
-        return (scene_files(scene, NEEDED) for scene in self.index.scenes)
+        return (loading.scene_files(scene, NEEDED) for scene in self.index.scenes)
 
     def _camera(self, folder: Path, size: tuple[int, int]) -> Camera:
         known = self._cameras.get(str(folder))
@@ -166,34 +152,36 @@ class ClearGraspSynthetic:
     """Rendered images, a scene per folder of one kind of object; see `DepthSource`."""
 
     name: str
-    index: FrameIndex
+    index: loading.FrameIndex
 
     def __len__(self) -> int:
         return len(self.index)
 
-    def keys(self) -> list[FrameKey]:
-        return [FrameKey(scene.name, stem) for scene, stem in self.index]
+    def keys(self) -> list[splits.FrameKey]:
+        return [splits.FrameKey(scene.name, stem) for scene, stem in self.index]
 
-    def load(self, index: int, *, sensor: bool = True, nocs: bool = False) -> DepthFrame:  # noqa: ARG002 - it has none
+    def load(self, index: int, *, sensor: bool = True, nocs: bool = False) -> frame.DepthFrame:  # noqa: ARG002 - it has none
         """See `DepthSource`."""
         scene, stem = self.index.at(index)
 
         def path(what: str) -> Path:
             folder, suffixes = _FOLDERS[what]
-            return first_file(Path(scene.path) / folder, tuple(stem + s for s in suffixes), what)
+            return loading.first_file(
+                Path(scene.path) / folder, tuple(stem + s for s in suffixes), what
+            )
 
-        true, mask_path = read_depth_map(path("ground-truth depth")), path("mask")
-        mask = read_binary_mask(mask_path, TRANSPARENT.mask_id)
-        check_same_size(mask_path, mask, true, "mask")
+        true, mask_path = loading.read_depth_map(path("ground-truth depth")), path("mask")
+        mask = loading.read_binary_mask(mask_path, TRANSPARENT.mask_id)
+        loading.check_same_size(mask_path, mask, true, "mask")
         size = (true.shape[1], true.shape[0])
-        color, raw = NO_COLOR, NO_DEPTH
+        color, raw = loading.NO_COLOR, loading.NO_DEPTH
         if sensor:
             color_path = path("colour")
             color = read_color(color_path)
-            check_proportions(color_path, color, size)
+            loading.check_proportions(color_path, color, size)
             raw = np.where(mask == TRANSPARENT.mask_id, np.float32(0), true)
         view = _field_of_view(Path(scene.path) / "json-files" / f"{stem}-masks.json")
-        return DepthFrame(
+        return frame.DepthFrame(
             scene=scene.name,
             name=stem,
             color=color,
@@ -204,7 +192,7 @@ class ClearGraspSynthetic:
             instances=(TRANSPARENT,),
         )
 
-    def files(self) -> Iterator[SceneFiles]:
+    def files(self) -> Iterator[splits.SceneFiles]:
         """See `DepthSource`."""
         for scene in self.index.scenes:
             missing: dict[str, list[str]] = {}
@@ -213,12 +201,12 @@ class ClearGraspSynthetic:
                 if not place.is_dir():
                     missing[what] = [f"{folder}/{stem}{suffixes[0]}" for stem in scene.stems]
                     continue
-                part = SceneFolder(scene.name, str(place), scene.stems)
-                missing |= scene_files(part, {what: suffixes}).missing
-            yield SceneFiles(scene.name, scene.path, len(scene.stems), missing)
+                part = loading.SceneFolder(scene.name, str(place), scene.stems)
+                missing |= loading.scene_files(part, {what: suffixes}).missing
+            yield splits.SceneFiles(scene.name, scene.path, len(scene.stems), missing)
 
 
-def list_rendered(tops: Sequence[Path]) -> FrameIndex:
+def list_rendered(tops: Sequence[Path]) -> loading.FrameIndex:
     """Scenes below these folders: every folder that holds `rgb-imgs`.
 
     Raises:
@@ -226,16 +214,18 @@ def list_rendered(tops: Sequence[Path]) -> FrameIndex:
     """
     scenes = []
     for top in tops:
-        listed = list_scenes(top, (*SYNTHETIC_COLOR, *SYNTHETIC_TRUTH, *SYNTHETIC_MASK), depth=4)
+        listed = loading.list_scenes(
+            top, (*SYNTHETIC_COLOR, *SYNTHETIC_TRUTH, *SYNTHETIC_MASK), depth=4
+        )
         stems: dict[Path, set[str]] = {}
         for part in listed.scenes:
             if Path(part.path).name in {folder for folder, _ in _FOLDERS.values()}:
                 stems.setdefault(Path(part.path).parent, set()).update(part.stems)
         scenes += [
-            SceneFolder(place.name, str(place), tuple(sorted(found)))
+            loading.SceneFolder(place.name, str(place), tuple(sorted(found)))
             for place, found in stems.items()
         ]
-    return FrameIndex(tuple(scenes))
+    return loading.FrameIndex(tuple(scenes))
 
 
 def _field_of_view(path: Path) -> float:

@@ -29,9 +29,7 @@ from benchmark.data.splits import FrameKey, SceneFiles
 from benchmark.data.true_poses import KnownBox, model_handle, model_sides
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
-from std_toolkit.importers.intrinsics import read_intrinsics
-from std_toolkit.importers.std_importer import DREDS_LAYOUT, STD_LAYOUT, Layout
-from std_toolkit.importers.std_objects import MetaLine, read_meta
+from std_toolkit.importers import intrinsics, std_importer, std_objects
 from std_toolkit.io.images import read_color
 from std_toolkit.scene.model import CATEGORY_CLASS_IDS, MATERIAL_IDS
 from std_toolkit.scene.sidecar import find_sidecar
@@ -89,7 +87,7 @@ class SceneCamera:
         return camera.resized(*size)
 
 
-def read_scene_camera(folder: Path, layout: Layout) -> SceneCamera:
+def read_scene_camera(folder: Path, layout: std_importer.Layout) -> SceneCamera:
     """The cameras of a scene folder.
 
     Raises:
@@ -115,14 +113,14 @@ def read_scene_camera(folder: Path, layout: Layout) -> SceneCamera:
     for top in list(place.parents)[:4]:
         record = top / "parameters" / place.parent.name / f"{place.name}.json"
         if record.is_file():
-            read = read_intrinsics(str(record))
+            read = intrinsics.read_intrinsics(str(record))
             if read.size is None:
                 raise ToolkitError("the record tells no image size", path=record, field="width")
             return SceneCamera(read.camera(read.size, path=str(record)), given=True)
     return SceneCamera(constant)
 
 
-LAYOUTS = {layout.name: layout for layout in (DREDS_LAYOUT, STD_LAYOUT)}
+LAYOUTS = {layout.name: layout for layout in (std_importer.DREDS_LAYOUT, std_importer.STD_LAYOUT)}
 
 _CATEGORIES = {number: name for name, number in CATEGORY_CLASS_IDS.items()}
 
@@ -183,7 +181,9 @@ class LayoutScenes:
                 depth_true=true,
                 mask=mask,
                 camera=camera.of(stem, size, path=true_path),
-                instances=tuple(_instance(x) for x in read_meta(meta_path, any_class=True)),
+                instances=tuple(
+                    _instance(x) for x in std_objects.read_meta(meta_path, any_class=True)
+                ),
                 nocs=loading.read_coord_picture(coord, mask) if nocs and coord.is_file() else None,
             )
         except ToolkitError as error:
@@ -194,7 +194,7 @@ class LayoutScenes:
         scene, stem = self.index.at(index)
         folder = Path(scene.path)
         found = {}
-        for line in read_meta(
+        for line in std_objects.read_meta(
             loading.first_file(folder, (stem + META[0],), "meta file"), any_class=True
         ):
             if line.class_folder is not None and line.instance_folder is not None:
@@ -220,7 +220,7 @@ class LayoutScenes:
         return found
 
 
-def needed_files(layout: Layout) -> dict[str, tuple[str, ...]]:
+def needed_files(layout: std_importer.Layout) -> dict[str, tuple[str, ...]]:
     """What a frame's files hold, to the suffixes that such a file may have."""
     return {
         "colour": COLOR,
@@ -231,12 +231,12 @@ def needed_files(layout: Layout) -> dict[str, tuple[str, ...]]:
     }
 
 
-def frame_suffixes(layout: Layout) -> tuple[str, ...]:
+def frame_suffixes(layout: std_importer.Layout) -> tuple[str, ...]:
     """Ends of the file names that make a frame."""
     return tuple(s for suffixes in needed_files(layout).values() for s in suffixes)
 
 
-def _instance(line: MetaLine) -> Instance:
+def _instance(line: std_objects.MetaLine) -> Instance:
     folder = line.class_folder or ""
     # DREDS names its folders by WordNet's numbers, exports of the toolkit by category.
     category = _CATEGORIES[line.class_id] if line.class_id or folder.isdigit() else folder

@@ -14,11 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmark.data.cleargrasp import SUFFIXES, ClearGraspReal, ClearGraspSynthetic, list_rendered
-from benchmark.data.dreds_std import LAYOUTS, LayoutScenes, frame_suffixes
-from benchmark.data.loading import FrameIndex, list_scenes
-from benchmark.data.splits import DepthSource, Published, Split, get_split, where_to_get
-from benchmark.data.toolkit_scenes import open_scenes
+from benchmark.data import cleargrasp, dreds_std, loading, splits, toolkit_scenes
 from std_toolkit.errors import ToolkitError
 
 # Folder names that mean one split of one data set: where they are met, it is not another's.
@@ -120,32 +116,36 @@ def _plain(name: str) -> str:
     return name.lower().replace("_", "-")
 
 
-def _layout_scenes(name: str, layout: str, place: Place) -> Callable[[Path], DepthSource]:
-    def open_root(root: Path) -> DepthSource:
+def _layout_scenes(name: str, layout: str, place: Place) -> Callable[[Path], splits.DepthSource]:
+    def open_root(root: Path) -> splits.DepthSource:
         top = place.find(root)
-        index = list_scenes(top, frame_suffixes(LAYOUTS[layout])) if top else FrameIndex(())
+        index = (
+            loading.list_scenes(top, dreds_std.frame_suffixes(dreds_std.LAYOUTS[layout]))
+            if top
+            else loading.FrameIndex(())
+        )
         if top is None or not len(index):
             raise _nothing(name, top or root)
         _check_layout(name, layout, index)
-        return LayoutScenes(name, layout, index)
+        return dreds_std.LayoutScenes(name, layout, index)
 
     return open_root
 
 
-def _open_exports(root: Path) -> DepthSource:
-    layout = LAYOUTS["std"]
+def _open_exports(root: Path) -> splits.DepthSource:
+    layout = dreds_std.LAYOUTS["std"]
     # Exports for other tools may lie beside; NOCS names its colour and masks alike.
     depth = (layout.raw, *layout.ground_truth)
-    index = list_scenes(root, frame_suffixes(layout), telling=depth)
+    index = loading.list_scenes(root, dreds_std.frame_suffixes(layout), telling=depth)
     if not len(index):
         raise _nothing("std-export", root)
-    return LayoutScenes("std-export", "std", index)
+    return dreds_std.LayoutScenes("std-export", "std", index)
 
 
-def _check_layout(name: str, layout: str, index: FrameIndex) -> None:
+def _check_layout(name: str, layout: str, index: loading.FrameIndex) -> None:
     """Colour, masks and meta files are named alike in both layouts; depth tells them apart."""
-    ours = LAYOUTS[layout]
-    other = next(x for x in LAYOUTS.values() if x.name != layout)
+    ours = dreds_std.LAYOUTS[layout]
+    other = next(x for x in dreds_std.LAYOUTS.values() if x.name != layout)
     folder = Path(index.scenes[0].path)
     names = {p.name for p in folder.iterdir()}
     stems = index.scenes[0].stems
@@ -160,39 +160,50 @@ def _check_layout(name: str, layout: str, index: FrameIndex) -> None:
         )
 
 
-def _captures(name: str, place: Place) -> Callable[[Path], DepthSource]:
-    def open_root(root: Path) -> DepthSource:
+def _captures(name: str, place: Place) -> Callable[[Path], splits.DepthSource]:
+    def open_root(root: Path) -> splits.DepthSource:
         top = place.find(root)
-        index = list_scenes(top, SUFFIXES, depth=1) if top else FrameIndex(())
+        index = (
+            loading.list_scenes(top, cleargrasp.SUFFIXES, depth=1)
+            if top
+            else loading.FrameIndex(())
+        )
         if not len(index):
             raise _nothing(name, top or root)
-        return ClearGraspReal(name, index)
+        return cleargrasp.ClearGraspReal(name, index)
 
     return open_root
 
 
-def _rendered(name: str) -> Callable[[Path], DepthSource]:
-    def open_root(root: Path) -> DepthSource:
-        index = list_rendered(find_all(root, ("synthetic-val", "synthetic-test")) or [root])
+def _rendered(name: str) -> Callable[[Path], splits.DepthSource]:
+    def open_root(root: Path) -> splits.DepthSource:
+        index = cleargrasp.list_rendered(
+            find_all(root, ("synthetic-val", "synthetic-test")) or [root]
+        )
         if not len(index):
             raise _nothing(name, root)
-        return ClearGraspSynthetic(name, index)
+        return cleargrasp.ClearGraspSynthetic(name, index)
 
     return open_root
 
 
 def _nothing(name: str, place: Path) -> ToolkitError:
     return ToolkitError(
-        "nothing of this split is here", path=place, value=name, hint=where_to_get(get_split(name))
+        "nothing of this split is here",
+        path=place,
+        value=name,
+        hint=splits.where_to_get(splits.get_split(name)),
     )
 
 
-def _dreds(name: str, part: str, about: str, published: tuple[Published, ...]) -> Split:
+def _dreds(
+    name: str, part: str, about: str, published: tuple[splits.Published, ...]
+) -> splits.Split:
     # What the archives of the parts unpack to.
     inside = {"val": ("shapenet_generate_1216",), "test": ("shapenet_generate_1216_val_novel",)}
     folders = (f"DREDS-CatKnown/{part}", part, *inside.get(part, ()))
     place = Place(folders, data_set="DREDS-CatKnown", part=True)
-    return Split(
+    return splits.Split(
         name=name,
         about=about,
         layout=f"ROOT/DREDS-CatKnown/{part}/<scene>/0000_simDepthImage.exr",
@@ -203,7 +214,9 @@ def _dreds(name: str, part: str, about: str, published: tuple[Published, ...]) -
     )
 
 
-_TRAIN_AND_VAL = Published("paper and the README", 100_200, 3340, of_more="training and validation")
+_TRAIN_AND_VAL = splits.Published(
+    "paper and the README", 100_200, 3340, of_more="training and validation"
+)
 
 DREDS_CATKNOWN_TRAIN = _dreds(
     "dreds-catknown-train", "train", "simulated, training shapes of 7 categories", (_TRAIN_AND_VAL,)
@@ -217,10 +230,10 @@ DREDS_CATKNOWN_TEST = _dreds(
     "dreds-catknown-test",
     "test",
     "simulated, new shapes of 7 categories",
-    (Published("paper and the README", 19_380, 646),),
+    (splits.Published("paper and the README", 19_380, 646),),
 )
 
-DREDS_CATNOVEL = Split(
+DREDS_CATNOVEL = splits.Split(
     name="dreds-catnovel",
     about="simulated, 60 objects of other categories",
     layout="ROOT/DREDS-CatNovel/<scene>/0000_simDepthImage.exr",
@@ -229,20 +242,20 @@ DREDS_CATNOVEL = Split(
     ),
     page=_DREDS_PAGE,
     download=(f"{_DREDS_FILES}DREDS-CatNovel/",),
-    published=(Published("paper and the README", 11_520),),
+    published=(splits.Published("paper and the README", 11_520),),
 )
 
-STD_CATKNOWN = Split(
+STD_CATKNOWN = splits.Split(
     name="std-catknown",
     about="real D415, 42 objects of 7 categories in 25 scenes",
     layout="ROOT/STD-CatKnown/<scene>/0000_depth_415.exr",
     open=_layout_scenes("std-catknown", "std", Place(("STD-CatKnown",), data_set="STD-CatKnown")),
     page=_DREDS_PAGE,
     download=(f"{_DREDS_FILES}STD-CatKnown/",),
-    published=(Published("paper", 22_500, 25), Published("README", 27_000, 25)),
+    published=(splits.Published("paper", 22_500, 25), splits.Published("README", 27_000, 25)),
 )
 
-STD_CATNOVEL = Split(
+STD_CATNOVEL = splits.Split(
     name="std-catnovel",
     about="real D415, 8 objects of other categories in 5 scenes, all specular or transparent",
     layout="ROOT/STD-CatNovel/<scene>/0000_depth_415.exr",
@@ -251,30 +264,30 @@ STD_CATNOVEL = Split(
     ),
     page=_DREDS_PAGE,
     download=(f"{_DREDS_FILES}STD-CatNovel/",),
-    published=(Published("paper", 4_500, 5), Published("README", 11_000, 5)),
+    published=(splits.Published("paper", 4_500, 5), splits.Published("README", 11_000, 5)),
 )
 
-CLEARGRASP_REAL_KNOWN = Split(
+CLEARGRASP_REAL_KNOWN = splits.Split(
     name="cleargrasp-real-known",
     about="real D435, transparent objects of the training set (real-val)",
     layout="ROOT/real-val/d435/000000000-transparent-depth-img.exr",
     open=_captures("cleargrasp-real-known", Place(("real-val", "real-known"), part=True)),
     page=_CLEARGRASP_PAGE,
     download=(_CLEARGRASP_FILES,),
-    published=(Published("paper", 173),),
+    published=(splits.Published("paper", 173),),
 )
 
-CLEARGRASP_REAL_NOVEL = Split(
+CLEARGRASP_REAL_NOVEL = splits.Split(
     name="cleargrasp-real-novel",
     about="real D415 and D435, transparent objects that are new (real-test)",
     layout="ROOT/real-test/d415/000000000-transparent-depth-img.exr",
     open=_captures("cleargrasp-real-novel", Place(("real-test", "real-novel"), part=True)),
     page=_CLEARGRASP_PAGE,
     download=(_CLEARGRASP_FILES,),
-    published=(Published("paper", 113),),
+    published=(splits.Published("paper", 113),),
 )
 
-CLEARGRASP_SYNTHETIC = Split(
+CLEARGRASP_SYNTHETIC = splits.Split(
     name="cleargrasp-synthetic",
     about="rendered transparent objects, known (synthetic-val) and novel (synthetic-test)",
     layout="ROOT/synthetic-val/<object>-val/rgb-imgs/000000000-rgb.jpg",
@@ -283,14 +296,14 @@ CLEARGRASP_SYNTHETIC = Split(
     download=(_CLEARGRASP_FILES,),
 )
 
-SCENES = Split(
+SCENES = splits.Split(
     name="scenes",
     about="scene folders of this toolkit, recorded, imported or simulated",
     layout="ROOT/<scene>/scene.json with ground truth (`std-curate render`)",
-    open=lambda root: open_scenes("scenes", root),
+    open=lambda root: toolkit_scenes.open_scenes("scenes", root),
 )
 
-STD_EXPORT = Split(
+STD_EXPORT = splits.Split(
     name="std-export",
     about="exports of `std-curate export --format std`, several below one folder too",
     layout="ROOT/<export>/<scene>/0000_depth_415.exr",

@@ -16,12 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.data import loading
-from benchmark.data.cleargrasp import TRANSPARENT
-from benchmark.data.dreds_std import MUG
+from benchmark.data import cleargrasp, dreds_std, loading, splits, true_poses
 from benchmark.data.frame import BACKGROUND, DepthFrame, Instance, Material
-from benchmark.data.splits import FrameKey, SceneFiles
-from benchmark.data.true_poses import KnownBox, mesh_handle
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters.frame_maps import check_fresh
 from std_toolkit.geometry.alignment import Similarity
@@ -73,8 +69,8 @@ class ToolkitScenes:
     def __len__(self) -> int:
         return len(self.index)
 
-    def keys(self) -> list[FrameKey]:
-        return [FrameKey(scene.name, stem) for scene, stem in self.index]
+    def keys(self) -> list[splits.FrameKey]:
+        return [splits.FrameKey(scene.name, stem) for scene, stem in self.index]
 
     def load(self, index: int, *, sensor: bool = True, nocs: bool = False) -> DepthFrame:
         """See `DepthSource`."""
@@ -92,7 +88,7 @@ class ToolkitScenes:
         color, raw = loading.NO_COLOR, loading.NO_DEPTH
         if sensor:
             color, raw = scene.read_color(frame), _sensor_depth(scene, frame)
-        key = FrameKey(listed.name, stem)
+        key = splits.FrameKey(listed.name, stem)
         try:
             return DepthFrame(
                 scene=key.scene,
@@ -108,7 +104,7 @@ class ToolkitScenes:
         except ToolkitError as error:
             raise loading.about(error, key, truth.mask) from error
 
-    def known_boxes(self, index: int) -> dict[int, KnownBox]:
+    def known_boxes(self, index: int) -> dict[int, true_poses.KnownBox]:
         """See `BoxSource`: of the scene's meshes, with the poses that were rendered."""
         listed, stem = self.index.at(index)
         scene = self._scene(listed.path)
@@ -124,19 +120,19 @@ class ToolkitScenes:
             model, mesh = scene.objects.model(obj.model), scene.mesh(obj.model)
             centre, diagonal = nocs_frame(mesh)
             sides = np.array(model.size_m) / diagonal
-            handle = mesh_handle(mesh) if model.class_id == MUG else None
+            handle = true_poses.mesh_handle(mesh) if model.class_id == dreds_std.MUG else None
             RT = None
             if obj.id in poses:
                 RT = poses[obj.id] @ Similarity(diagonal, np.eye(3), centre).matrix()
-            found[obj.id] = KnownBox(sides, RT, handle)
+            found[obj.id] = true_poses.KnownBox(sides, RT, handle)
         return found
 
-    def files(self) -> Iterator[SceneFiles]:
+    def files(self) -> Iterator[splits.SceneFiles]:
         """See `DepthSource`."""
         for scene in self.index.scenes:
             missing = self.left_out.get(scene.name, {})
             lost = {name for names in missing.values() for name in names}
-            yield SceneFiles(scene.name, scene.path, len(scene.stems) + len(lost), missing)
+            yield splits.SceneFiles(scene.name, scene.path, len(scene.stems) + len(lost), missing)
 
     def _scene(self, path: str) -> Scene:
         scene = self._open.get(path)
@@ -241,7 +237,7 @@ def _sensor_depth(scene: Scene, frame: Frame) -> NDArray[np.float32]:
 
 def _instances(scene: Scene, truth: _Truth) -> tuple[Instance, ...]:
     if not truth.rendered and scene.info.source == _CLEARGRASP:
-        return (TRANSPARENT,)
+        return (cleargrasp.TRANSPARENT,)
     models = {m.id: m for m in scene.objects.models}
     return tuple(
         Instance(

@@ -20,9 +20,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, interpolate, pad
 
-from benchmark.methods.protocol import Restored, View
-from benchmark.methods.registry import MethodOptions, configured, preset_of
-from benchmark.methods.weights import load_weights, weights_for
+from benchmark.methods import protocol, registry, weights
 from std_toolkit.errors import ToolkitError
 
 _PRECISIONS = {"fp32": None, "bf16": torch.bfloat16, "fp16": torch.float16}
@@ -75,7 +73,7 @@ class NetworkRestorer:
     def __init__(
         self,
         network: nn.Module,
-        options: MethodOptions,
+        options: registry.MethodOptions,
         input_size: tuple[int, int] | None,
     ) -> None:
         self.input_size = input_size
@@ -84,7 +82,7 @@ class NetworkRestorer:
         self.network = network.to(self.device).eval().requires_grad_(False)
         self._run: Any = torch.compile(self.network) if options.compile else self.network
 
-    def restore(self, views: Sequence[View]) -> list[Restored]:
+    def restore(self, views: Sequence[protocol.View]) -> list[protocol.Restored]:
         """Restore a batch of views, which all have one size unless the restorer has its own.
 
         Raises:
@@ -101,24 +99,24 @@ class NetworkRestorer:
             ) from error
 
     @torch.inference_mode()
-    def _restore(self, views: Sequence[View]) -> list[Restored]:
+    def _restore(self, views: Sequence[protocol.View]) -> list[protocol.Restored]:
         inputs = self.inputs(views)
         with torch.autocast(self.device.type, dtype=self._narrow, enabled=self._narrow is not None):
             outputs = self._run(*inputs)
         return self.answers(outputs, views)
 
-    def inputs(self, views: Sequence[View]) -> tuple[Tensor, ...]:
+    def inputs(self, views: Sequence[protocol.View]) -> tuple[Tensor, ...]:
         """What the network is called with: colour and depth at the input size, on the device."""
         color, depth = color_and_depth(views, self.device)
         return self.resized(color), self.resized(depth)
 
-    def answers(self, outputs: Any, views: Sequence[View]) -> list[Restored]:
+    def answers(self, outputs: Any, views: Sequence[protocol.View]) -> list[protocol.Restored]:
         """What the network's outputs say of each view, at the view's size."""
         depth = _at_size(outputs.depth.float(), views)
         if outputs.confidence is None:
-            return [Restored(d) for d in depth]
+            return [protocol.Restored(d) for d in depth]
         confidence = _at_size(outputs.confidence.float().clamp(0, 1), views)
-        return [Restored(d, c) for d, c in zip(depth, confidence, strict=True)]
+        return [protocol.Restored(d, c) for d, c in zip(depth, confidence, strict=True)]
 
     def resized(self, images: Tensor) -> Tensor:
         """(b, c, h, w) images at the input size, by the nearest pixel."""
@@ -135,7 +133,7 @@ class NetworkRestorer:
         """Parameters of the network as published."""
         return parameter_count(self.skeleton())
 
-    def macs(self, view: View) -> int:
+    def macs(self, view: protocol.View) -> int:
         """Multiplications with addition that one view costs the network as published.
 
         Those of element-wise work are not counted.
@@ -146,7 +144,7 @@ class NetworkRestorer:
             return count_macs(skeleton, *(tensor.to(device) for tensor in self.inputs([view])))
 
 
-def color_and_depth(views: Sequence[View], device: torch.device) -> tuple[Tensor, Tensor]:
+def color_and_depth(views: Sequence[protocol.View], device: torch.device) -> tuple[Tensor, Tensor]:
     """(b, 3, h, w) RGB in [0, 1] and (b, 1, h, w) metres, 0 where a depth is none.
 
     Raises:
@@ -185,7 +183,7 @@ def network_of(
     method: str,
     presets: Mapping[str, Config],
     make: Callable[[Config], Network],
-    options: MethodOptions,
+    options: registry.MethodOptions,
     *,
     ignored: Sequence[str] = (),
 ) -> tuple[Config, Network]:
@@ -201,10 +199,10 @@ def network_of(
     Raises:
         ToolkitError: an unknown setting, no weights or those of another network, no such device.
     """
-    config = configured(preset_of(presets, options.preset), options.settings)
+    config = registry.configured(registry.preset_of(presets, options.preset), options.settings)
     torch_device(options.device)  # refused before weights are read
     network = make(config)
-    load_weights(network, weights_for(method, options), ignored=ignored)
+    weights.load_weights(network, weights.weights_for(method, options), ignored=ignored)
     return config, network
 
 
@@ -264,7 +262,7 @@ def count_macs(network: nn.Module, *inputs: Tensor) -> int:
     return counter.get_total_flops() // 2
 
 
-def _at_size(images: Tensor, views: Sequence[View]) -> list[np.ndarray]:
+def _at_size(images: Tensor, views: Sequence[protocol.View]) -> list[np.ndarray]:
     """Each of (b, 1, h, w) images at the size of its view, as (h, w) arrays."""
     size = views[0].depth.shape
     if images.shape[-2:] != size:

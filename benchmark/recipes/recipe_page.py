@@ -9,9 +9,7 @@ from math import nan
 import pandas as pd
 
 from benchmark.evaluation.tasks.depth_results import RunResult
-from benchmark.recipes.recipe_plan import RecipePlan
-from benchmark.recipes.recipe_run import Outcome
-from benchmark.recipes.recipe_table import ABSENT, PUBLISHED, findings, recipe_rows
+from benchmark.recipes import recipe_plan, recipe_run, recipe_table
 from benchmark.report.leaderboard import BOARD, frames_of
 from benchmark.report.parts.depth import gallery
 from benchmark.report.parts.depth_tables import MAIN_SUBSETS, OBJECTS, run_table
@@ -28,14 +26,14 @@ _NOTE = (
 )
 
 
-def write_pages(plan: RecipePlan, outcome: Outcome) -> str:
+def write_pages(plan: recipe_plan.RecipePlan, outcome: recipe_run.Outcome) -> str:
     """Write the table in all formats; returns it for a terminal.
 
     Raises:
         ToolkitError: a file cannot be written.
     """
-    rows = recipe_rows(plan, outcome)
-    told = findings(plan, outcome)
+    rows = recipe_table.recipe_rows(plan, outcome)
+    told = recipe_table.findings(plan, outcome)
     plan.folder.mkdir(parents=True, exist_ok=True)
     texts = {
         CSV: rows.to_csv(index=False, lineterminator="\n"),
@@ -47,12 +45,17 @@ def write_pages(plan: RecipePlan, outcome: Outcome) -> str:
     return f"{terminal(plan, rows, told)}\n{plan.folder / PAGE}"
 
 
-def scale_line(plan: RecipePlan) -> str:
+def scale_line(plan: recipe_plan.RecipePlan) -> str:
     """The scale, and what its numbers are worth."""
     return f"Scale: {plan.scale_name} ({plan.scale.about})"
 
 
-def markdown(plan: RecipePlan, outcome: Outcome, rows: pd.DataFrame, told: Sequence[str]) -> str:
+def markdown(
+    plan: recipe_plan.RecipePlan,
+    outcome: recipe_run.Outcome,
+    rows: pd.DataFrame,
+    told: Sequence[str],
+) -> str:
     """The tables as GitHub's Markdown; published rows in italics."""
     lines = [f"# {plan.recipe.title}", "", f"**{scale_line(plan)}**", "", plan.recipe.about, ""]
     lines += [f"- {sentence}" for sentence in told] + [""] * bool(told)
@@ -70,7 +73,12 @@ def markdown(plan: RecipePlan, outcome: Outcome, rows: pd.DataFrame, told: Seque
     return "\n".join(lines).rstrip() + "\n"
 
 
-def html(plan: RecipePlan, outcome: Outcome, rows: pd.DataFrame, told: Sequence[str]) -> str:
+def html(
+    plan: recipe_plan.RecipePlan,
+    outcome: recipe_run.Outcome,
+    rows: pd.DataFrame,
+    told: Sequence[str],
+) -> str:
     """One file that needs nothing but itself; the same results give the same bytes."""
     results = [result for found in outcome.results.values() for result in found]
     sections = []
@@ -100,17 +108,17 @@ def html(plan: RecipePlan, outcome: Outcome, rows: pd.DataFrame, told: Sequence[
     ).html()
 
 
-def terminal(plan: RecipePlan, rows: pd.DataFrame, told: Sequence[str]) -> str:
+def terminal(plan: recipe_plan.RecipePlan, rows: pd.DataFrame, told: Sequence[str]) -> str:
     """The rows of specular and transparent objects, or of all where there are no others."""
     lines = [scale_line(plan)]
     for target in plan.targets:
         mine = rows[rows["test"] == target.name]
         lines.append(f"{target.title}: {_data(mine)}")
         lines += [f"  {what}: {why}" for what, why in _absent(mine)]
-        shown = mine[mine["kind"] != ABSENT]
+        shown = mine[mine["kind"] != recipe_table.ABSENT]
         hard = shown[shown["subset"] == MAIN_SUBSETS[-1]]
         for row in (shown if hard.empty else hard).to_dict("records"):
-            printed = row["kind"] == PUBLISHED
+            printed = row["kind"] == recipe_table.PUBLISHED
             numbers = "  ".join(
                 f"{c.heading} {text}{c.unit and ' ' + c.unit}"
                 for c in BOARD
@@ -123,7 +131,7 @@ def terminal(plan: RecipePlan, rows: pd.DataFrame, told: Sequence[str]) -> str:
 
 def _absent(rows: pd.DataFrame) -> list[tuple[str, str]]:
     """What was not measured, and why."""
-    absent = rows[rows["kind"] == ABSENT].to_dict("records")
+    absent = rows[rows["kind"] == recipe_table.ABSENT].to_dict("records")
     return [(row["variant"] or "Not measured", row["note"]) for row in absent]
 
 
@@ -132,12 +140,12 @@ def _tables(rows: pd.DataFrame) -> list[Table]:
     texts = [Column(heading=h, numeric=False) for h in ("variant", "figures", "training")]
     tables = []
     for subset in MAIN_SUBSETS:
-        block = rows[(rows["subset"] == subset) & (rows["kind"] != ABSENT)]
+        block = rows[(rows["subset"] == subset) & (rows["kind"] != recipe_table.ABSENT)]
         made = [_row(row) for row in block.to_dict("records")]
         columns = [*texts[:2], *BOARD, texts[2]]
         if made:
             title = OBJECTS[subset].capitalize()
-            frames = block.loc[block["kind"] != PUBLISHED, "frames"].max()
+            frames = block.loc[block["kind"] != recipe_table.PUBLISHED, "frames"].max()
             if not pd.isna(frames):
                 title += f": {frames_of(str(block['test'].iloc[0]), int(frames))}"
             tables.append(Table(columns=columns, rows=made, title=title))
@@ -145,7 +153,7 @@ def _tables(rows: pd.DataFrame) -> list[Table]:
 
 
 def _row(row: dict[str, object]) -> Row:
-    published = row["kind"] == PUBLISHED
+    published = row["kind"] == recipe_table.PUBLISHED
     cells = [Cell(text=str(row["variant"])), Cell(text=_figures(row))]
     for column in BOARD:
         ends = (row["rmse_low"], row["rmse_high"]) if column.name == "rmse" else (nan, nan)
@@ -155,14 +163,14 @@ def _row(row: dict[str, object]) -> Row:
 
 
 def _figures(row: dict[str, object]) -> str:
-    if row["kind"] == PUBLISHED:
+    if row["kind"] == recipe_table.PUBLISHED:
         return "published"
     frames, scenes = int(row["frames"]), int(row["scenes"])  # type: ignore[call-overload]
     return f"{row['protocol']}, {frames} frames of {scenes} scene{'s' * (scenes != 1)}"
 
 
 def _training(row: dict[str, object]) -> str:
-    if row["kind"] == PUBLISHED:
+    if row["kind"] == recipe_table.PUBLISHED:
         note = f"; {row['note']}" if row["note"] and not pd.isna(row["note"]) else ""
         return f"{row['training_data']}{note}"
     if pd.isna(row["steps"]):
@@ -178,6 +186,6 @@ def _data(rows: pd.DataFrame) -> str:
     return f"Frames: {rows['data'].iloc[0]}"
 
 
-def _shown(plan: RecipePlan, results: Sequence[RunResult]) -> list[RunResult]:
+def _shown(plan: recipe_plan.RecipePlan, results: Sequence[RunResult]) -> list[RunResult]:
     """Pictures by one protocol are enough."""
     return [r for r in results if r.manifest.setup.protocol == plan.recipe.protocols[-1]]

@@ -9,9 +9,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from benchmark.recipes.recipe import load_recipe, recipe_names, scales
-from benchmark.recipes.recipe_page import scale_line
-from benchmark.recipes.recipe_plan import Entry, RecipePlan
+from benchmark.recipes import recipe, recipe_page, recipe_plan
 from benchmark.training.options import TrainCommand
 from benchmark.training.run_files import LAST
 from benchmark.training.shards import PACK
@@ -80,9 +78,9 @@ def as_time(seconds: float) -> str:
 
 def recipe_records() -> dict[str, dict[str, str]]:
     """A line on each recipe and each scale."""
-    about = {name: load_recipe(name)[1].about for name in recipe_names()}
+    about = {name: recipe.load_recipe(name)[1].about for name in recipe.recipe_names()}
     sizes = {}
-    for name, scale in scales().items():
+    for name, scale in recipe.scales().items():
         frames = scale.sets["train"].scenes * int(scale.sets["train"].options["views"])
         sizes[name] = f"{frames} training frames; {scale.about}"
     return {"recipes": {n: " ".join(text.split()) for n, text in about.items()}, "scales": sizes}
@@ -90,16 +88,16 @@ def recipe_records() -> dict[str, dict[str, str]]:
 
 def recipe_list() -> str:
     """All recipes and scales with a line on each."""
-    width = max(map(len, recipe_names()))
+    width = max(map(len, recipe.recipe_names()))
     lines = []
     for title, rows in recipe_records().items():
         lines += [f"{title}:", *(f"  {name:{width}}  {about}" for name, about in rows.items())]
     return "\n".join(lines)
 
 
-def plan_text(plan: RecipePlan) -> str:
+def plan_text(plan: recipe_plan.RecipePlan) -> str:
     """All steps with their size, and which are finished."""
-    lines = [f"{plan.recipe.title}. {scale_line(plan)}", "", "data"]
+    lines = [f"{plan.recipe.title}. {recipe_page.scale_line(plan)}", "", "data"]
     lines += _sets(plan) or ["  nothing to simulate"]
     lines.append("packs")
     lines += _packs(plan) or ["  none"]
@@ -123,7 +121,7 @@ def plan_text(plan: RecipePlan) -> str:
     return "\n".join(lines)
 
 
-def _sets(plan: RecipePlan) -> list[str]:
+def _sets(plan: recipe_plan.RecipePlan) -> list[str]:
     lines = []
     for frames in plan.sets.values():
         if frames.options is None:
@@ -141,7 +139,7 @@ def _sets(plan: RecipePlan) -> list[str]:
     return lines
 
 
-def _packs(plan: RecipePlan) -> list[str]:
+def _packs(plan: recipe_plan.RecipePlan) -> list[str]:
     lines = []
     for pack in plan.packs:
         size = as_size(pack_bytes(pack.size, pack.frames.frames))
@@ -150,7 +148,7 @@ def _packs(plan: RecipePlan) -> list[str]:
     return lines
 
 
-def _training(entry: Entry) -> list[str]:
+def _training(entry: recipe_plan.Entry) -> list[str]:
     if entry.problem:
         return [f"  {entry.title}: {entry.problem}"]
     assert entry.training is not None
@@ -165,7 +163,7 @@ def _training(entry: Entry) -> list[str]:
     ]
 
 
-def train_command(entry: Entry, folder: Path) -> str:
+def train_command(entry: recipe_plan.Entry, folder: Path) -> str:
     """The same training by itself: on several devices, for instance."""
     assert entry.training is not None
     words = words_of(TrainCommand(**vars(entry.training), out=folder))

@@ -8,10 +8,8 @@ from benchmark.evaluation.tasks.depth_results import OVER_ALL, summarise
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.metrics.significance import compare_methods
 from benchmark.published.load import published_table
+from benchmark.recipes import recipe_plan, recipe_run, targets
 from benchmark.recipes.recipe import Recipe
-from benchmark.recipes.recipe_plan import Entry, RecipePlan
-from benchmark.recipes.recipe_run import Outcome
-from benchmark.recipes.targets import Target
 from benchmark.report.parts.depth_tables import MAIN_SUBSETS
 
 MEASURED, PUBLISHED, ABSENT = "measured", "published", "not measured"
@@ -28,7 +26,7 @@ _PLACES = {subset: place for place, subset in enumerate(MAIN_SUBSETS)}
 RANKED_BY = "rmse"
 
 
-def recipe_rows(plan: RecipePlan, outcome: Outcome) -> pd.DataFrame:
+def recipe_rows(plan: recipe_plan.RecipePlan, outcome: recipe_run.Outcome) -> pd.DataFrame:
     """All rows, test by test, in the order of the recipe; see `COLUMNS`.
 
     Nothing is left out: a test that is not available and a variant that did not run have a row that
@@ -78,14 +76,14 @@ def printed_rows(recipe: Recipe) -> pd.DataFrame:
     return published_table(recipe.table)
 
 
-def origin(plan: RecipePlan, target: Target) -> str:
+def origin(plan: recipe_plan.RecipePlan, target: targets.Target) -> str:
     """Where a test's frames come from, for people."""
     if target.set:
         return plan.sets[target.set].origin
     return "not available" if target.root is None else f"from {target.root}"
 
 
-def findings(plan: RecipePlan, outcome: Outcome) -> list[str]:
+def findings(plan: recipe_plan.RecipePlan, outcome: recipe_run.Outcome) -> list[str]:
     """A sentence on every test in which variants can be compared: who is best in RMSE by the first
     protocol, by how much, whether chance could do it, and what the paper prints."""
     printed = printed_rows(plan.recipe)
@@ -127,7 +125,9 @@ def _hardest(tables: list[pd.DataFrame]) -> str | None:
     return None
 
 
-def _printed_order(plan: RecipePlan, printed: pd.DataFrame, target: Target, subset: str) -> str:
+def _printed_order(
+    plan: recipe_plan.RecipePlan, printed: pd.DataFrame, target: targets.Target, subset: str
+) -> str:
     rows = printed[(printed["dataset"] == target.dataset) & (printed["subset"] == subset)]
     found = {}
     for entry in plan.entries:
@@ -143,7 +143,9 @@ def _printed_order(plan: RecipePlan, printed: pd.DataFrame, target: Target, subs
     return f"Published: {figures} mm." if ordered else ""
 
 
-def _measured(outcome: Outcome, entry: Entry, target: Target) -> list[dict[str, object]]:
+def _measured(
+    outcome: recipe_run.Outcome, entry: recipe_plan.Entry, target: targets.Target
+) -> list[dict[str, object]]:
     told: dict[str, object] = {"variant": entry.title}
     if entry.name in outcome.trained:
         trained = outcome.trained[entry.name]

@@ -20,10 +20,7 @@ from sensors.physics import PhysicalObject
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.rendering.maps import compose, surface_maps
-from std_toolkit.rendering.mesh import RenderMesh
-from std_toolkit.rendering.raycast import RaycastRenderer
-from std_toolkit.rendering.renderer import PlacedMesh, image_window
+from std_toolkit.rendering import maps, mesh, raycast, renderer
 
 if TYPE_CHECKING:
     from sensors.simulation.options import QualityName
@@ -69,8 +66,8 @@ class ExactCamera:
 
     def __init__(self, camera: Camera, T_world_cam: SE3) -> None:
         self.camera, self.T_world_cam = camera, T_world_cam
-        self._renderer = RaycastRenderer(threads=1)
-        self._meshes: dict[tuple[str, float], RenderMesh] = {}
+        self._renderer = raycast.RaycastRenderer(threads=1)
+        self._meshes: dict[tuple[str, float], mesh.RenderMesh] = {}
         down = camera.rays() @ T_world_cam.R[2]
         self.table = (-T_world_cam.t[2] / down).astype(np.float32)
 
@@ -78,7 +75,7 @@ class ExactCamera:
         """The view of objects at poses T_world_obj."""
         T_cam_world = self.T_world_cam.inverse()
         placed = [
-            PlacedMesh(i + 1, self._mesh(o), T_cam_world @ T)
+            renderer.PlacedMesh(i + 1, self._mesh(o), T_cam_world @ T)
             for i, (o, T) in enumerate(zip(objects, poses, strict=True))
         ]
         up = T_cam_world.R[:, 2].astype(np.float32)
@@ -87,23 +84,23 @@ class ExactCamera:
         normals = np.broadcast_to(up, (*depth.shape, 3)).copy()
         if not placed:
             return ExactView(depth, mask, behind, normals)
-        seen = compose(self._renderer, self.camera, placed)
+        seen = maps.compose(self._renderer, self.camera, placed)
         on = (seen.index >= 0) & (seen.depth < self.table)
         depth[on], mask[on] = seen.depth[on], seen.index[on].astype(np.uint8)
-        normals[on] = surface_maps(self.camera, placed, seen)[1][on]
+        normals[on] = maps.surface_maps(self.camera, placed, seen)[1][on]
         for i, outline in enumerate(seen.silhouettes):
             if outline.image is None or outline.image_window is None:
                 continue
-            place = outline.image_window.slices_in(image_window(self.camera))
+            place = outline.image_window.slices_in(renderer.image_window(self.camera))
             there = outline.image.depth
             later = (there > 0) & (mask[place] != i) & on[place] & (there < behind[place])
             np.copyto(behind[place], there, where=later)
         return ExactView(depth, mask, behind, normals)
 
-    def _mesh(self, obj: PhysicalObject) -> RenderMesh:
+    def _mesh(self, obj: PhysicalObject) -> mesh.RenderMesh:
         key = (obj.asset.id, obj.diagonal_m)
         if key not in self._meshes:
-            self._meshes[key] = RenderMesh.from_arrays(
+            self._meshes[key] = mesh.RenderMesh.from_arrays(
                 obj.asset.vertices * obj.diagonal_m, obj.asset.faces
             )
         return self._meshes[key]

@@ -10,12 +10,8 @@ from pathlib import Path
 import torch
 
 from benchmark.methods.weights import save_weights
-from benchmark.training.catalogue import Trainable, get_trainable
+from benchmark.training import catalogue, options, packed_frames, run_files, run_note
 from benchmark.training.config import TrainConfig, begin, seed_of
-from benchmark.training.options import Machine
-from benchmark.training.packed_frames import Data
-from benchmark.training.run_files import BEST, CHECKPOINT, LAST
-from benchmark.training.run_note import RUN_NOTE, note_of
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import hold_lock, sweep_temporaries
 from std_toolkit.io.documents import write_document
@@ -38,8 +34,8 @@ class Beginning:
 def fit(
     folder: Path,
     config: TrainConfig,
-    data: Data,
-    machine: Machine | None = None,
+    data: packed_frames.Data,
+    machine: options.Machine | None = None,
     beginning: Beginning | None = None,
 ) -> Path:
     """Train, or go on with the training that was begun in the folder.
@@ -57,8 +53,8 @@ def fit(
     from benchmark.training.module import RestorerTraining
     from benchmark.training.trainer import Loaders, lightning_trainer, quieten
 
-    machine = machine or Machine()
-    trainable = get_trainable(config.method)
+    machine = machine or options.Machine()
+    trainable = catalogue.get_trainable(config.method)
     is_first = process_rank() == 0
     loss = trainable.loss_with(config.loss)
     # Before anything is written: wrong weights leave no training behind.
@@ -69,15 +65,15 @@ def fit(
             stack.enter_context(hold_lock(folder, "lock", doing="training in"))
             begin(folder, config)
             sweep_temporaries(folder)
-            if not (folder / RUN_NOTE).exists():
-                note = note_of(
+            if not (folder / run_note.RUN_NOTE).exists():
+                note = run_note.note_of(
                     data.training,
                     data.of_training,
                     data.validation,
                     data.of_validation,
                     None if beginning is None else beginning.weights,
                 )
-                write_document(folder / RUN_NOTE, note)
+                write_document(folder / run_note.RUN_NOTE, note)
         quieten()
         module = RestorerTraining(config, network, trainable.step, loss, data.training.key)
         validator = trainable.validator(
@@ -85,14 +81,14 @@ def fit(
         )
         watch = Watch(folder, validator, log_every=machine.log_every)
         trainer = lightning_trainer(trainable, config, machine, watch, folder)
-        checkpoint = folder / CHECKPOINT
+        checkpoint = folder / run_files.CHECKPOINT
         trainer.fit(
             module,
             datamodule=Loaders(data, config, machine.readers, folder / ".std" / "lock"),
             ckpt_path=checkpoint if checkpoint.exists() else None,
         )
         if trainer.is_global_zero:
-            save_weights(module.network, folder / LAST)
+            save_weights(module.network, folder / run_files.LAST)
             told = watch.speed.told()
             if watch.speed.samples:
                 logger.info(
@@ -101,11 +97,11 @@ def fit(
                     told["samples_per_s"],
                     100 * told["waiting_for_data"],
                 )
-    return folder / BEST
+    return folder / run_files.BEST
 
 
 def make_network(
-    trainable: Trainable, config: TrainConfig, beginning: Beginning
+    trainable: catalogue.Trainable, config: TrainConfig, beginning: Beginning
 ) -> torch.nn.Module:
     """The network with the weights that training begins with.
 

@@ -5,18 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from benchmark.training import fit, frame_order, packed_frames
 from benchmark.training.catalogue import Trainable, get_trainable
 from benchmark.training.config import Optimization, TrainConfig
-from benchmark.training.fit import Beginning
-from benchmark.training.frame_order import (
-    BatchOrder,
-    check_no_leak,
-    frames_digest,
-    hold_out,
-    thinned,
-)
 from benchmark.training.options import TrainOptions
-from benchmark.training.packed_frames import Data
 from std_toolkit.errors import ToolkitError
 from std_toolkit.scene.document import digest_file
 
@@ -25,7 +17,7 @@ _CHECKPOINTS = 20
 _LONGEST_INTERVAL = 500
 
 
-def plan_training(options: TrainOptions) -> tuple[TrainConfig, Data, Beginning]:
+def plan_training(options: TrainOptions) -> tuple[TrainConfig, packed_frames.Data, fit.Beginning]:
     """The configuration, frames and first weights of a training.
 
     Raises:
@@ -45,7 +37,9 @@ def plan_training(options: TrainOptions) -> tuple[TrainConfig, Data, Beginning]:
         if (value := getattr(options, name)) is not None
     }  # fmt: skip
     optimization = replace(trainable.optimization, **changes)
-    order = BatchOrder(len(data.of_training), optimization.batch_size, seed=options.seed)
+    order = frame_order.BatchOrder(
+        len(data.of_training), optimization.batch_size, seed=options.seed
+    )
     phases = _phases(options, optimization, order.steps_per_epoch)
     steps = sum(phases.values())
     every = options.checkpoint_every
@@ -65,8 +59,8 @@ def plan_training(options: TrainOptions) -> tuple[TrainConfig, Data, Beginning]:
         geometry=_geometry(options, trainable),
         validate_every=options.validate_every or about_an_epoch,
         checkpoint_every=every,
-        training=frames_digest(data.training, data.of_training),
-        validation=frames_digest(data.validation, data.of_validation),
+        training=frame_order.frames_digest(data.training, data.of_training),
+        validation=frame_order.frames_digest(data.validation, data.of_validation),
         beginning=_digest(options),
     )
     if not trainable.images and (config.colors or config.jitter or config.holes):
@@ -75,7 +69,7 @@ def plan_training(options: TrainOptions) -> tuple[TrainConfig, Data, Beginning]:
             field="--colors, --holes",
             value=options.method,
         )
-    return config, data, Beginning(options.weights, options.imagenet)
+    return config, data, fit.Beginning(options.weights, options.imagenet)
 
 
 def _phases(
@@ -105,17 +99,19 @@ def _geometry(options: TrainOptions, trainable: Trainable) -> bool:
     return bool(trainable.geometry) if options.geometry == "published" else options.geometry == "on"
 
 
-def _data(options: TrainOptions, trainable: Trainable, network: Any) -> Data:
+def _data(options: TrainOptions, trainable: Trainable, network: Any) -> packed_frames.Data:
     training = trainable.frames(options.data, network)
     if options.validation:
         validation = trainable.frames(options.validation, network)
         of_training, of_validation = list(range(len(training))), list(range(len(validation)))
     else:
         validation = training
-        of_training, of_validation = hold_out(training, options.hold_out, seed=options.seed)
-    of_training = thinned(training, of_training, options.share, seed=options.seed)
-    check_no_leak(training, of_training, validation, of_validation)
-    return Data(training, of_training, validation, of_validation)
+        of_training, of_validation = frame_order.hold_out(
+            training, options.hold_out, seed=options.seed
+        )
+    of_training = frame_order.thinned(training, of_training, options.share, seed=options.seed)
+    frame_order.check_no_leak(training, of_training, validation, of_validation)
+    return packed_frames.Data(training, of_training, validation, of_validation)
 
 
 def _digest(options: TrainOptions) -> str:

@@ -20,12 +20,8 @@ from pytorch_lightning.plugins import CheckpointIO
 from pytorch_lightning.strategies import DDPStrategy
 from torch.utils.data import DataLoader
 
-from benchmark.training.callbacks import Watch
-from benchmark.training.catalogue import Trainable
+from benchmark.training import callbacks, catalogue, frame_order, options, packed_frames
 from benchmark.training.config import TrainConfig
-from benchmark.training.frame_order import BatchOrder, Steps
-from benchmark.training.options import Machine
-from benchmark.training.packed_frames import Data, PackedFrames
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import atomic_path
 
@@ -33,7 +29,11 @@ _PRECISIONS: dict[str, Any] = {"fp32": "32-true", "bf16": "bf16-mixed"}
 
 
 def lightning_trainer(
-    trainable: Trainable, config: TrainConfig, machine: Machine, watch: Watch, folder: Path
+    trainable: catalogue.Trainable,
+    config: TrainConfig,
+    machine: options.Machine,
+    watch: callbacks.Watch,
+    folder: Path,
 ) -> pl.Trainer:
     """Writes nothing by itself but checkpoints; `watch` does the rest."""
     strategy: Any = "auto"
@@ -90,7 +90,9 @@ class Loaders(pl.LightningDataModule):
         lock: file of the run's lock, which readers let go of.
     """
 
-    def __init__(self, data: Data, config: TrainConfig, readers: int, lock: Path) -> None:
+    def __init__(
+        self, data: packed_frames.Data, config: TrainConfig, readers: int, lock: Path
+    ) -> None:
         super().__init__()
         self.data, self.config, self.readers, self.lock = data, config, readers, lock
 
@@ -98,8 +100,8 @@ class Loaders(pl.LightningDataModule):
         trainer, config = self.trainer, self.config
         assert trainer is not None
         chosen = _Chosen(self.data.training, self.data.of_training)
-        steps = Steps(
-            BatchOrder(len(chosen), config.optimization.batch_size, seed=config.seed),
+        steps = frame_order.Steps(
+            frame_order.BatchOrder(len(chosen), config.optimization.batch_size, seed=config.seed),
             lambda: trainer.global_step,
             steps=config.checkpoint_every,
             end=config.steps,
@@ -122,7 +124,7 @@ class Loaders(pl.LightningDataModule):
 class _Chosen(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     """Some of the frames, numbered anew for the order, by their own numbers in the batch."""
 
-    def __init__(self, frames: PackedFrames, chosen: Sequence[int]) -> None:
+    def __init__(self, frames: packed_frames.PackedFrames, chosen: Sequence[int]) -> None:
         self.frames, self.chosen = frames, list(chosen)
 
     def __len__(self) -> int:

@@ -27,16 +27,14 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from sensors.assets.asset import NO_SYMMETRY, TURN_Y, Asset
-from sensors.assets.asset_source import SourceOptions, in_split
-from sensors.assets.mesh_file import read_asset
+from sensors.assets import asset, asset_source, mesh_file
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import MESH_SUFFIXES, UNITS_IN_M
 from std_toolkit.scene.document import check_name, check_relative, safe_name
 
 DOCUMENT = "assets.json"
 
-_SYMMETRIES = {"none": NO_SYMMETRY, "axis:y": TURN_Y, "auto": None}
+_SYMMETRIES = {"none": asset.NO_SYMMETRY, "axis:y": asset.TURN_Y, "auto": None}
 
 SYNSETS = {
     "aeroplane": "02691156",
@@ -89,7 +87,7 @@ class FolderSource:
             one id.
     """
 
-    def __init__(self, options: SourceOptions) -> None:
+    def __init__(self, options: asset_source.SourceOptions) -> None:
         self._root = options.need_root()
         if options.unit is not None and options.unit not in UNITS_IN_M:
             raise ToolkitError(
@@ -110,7 +108,7 @@ class FolderSource:
         self._rows = {_id(row): row for row in rows}
         self._ids: dict[str, list[str]] = {}
         for key in sorted(self._rows):
-            if in_split(self._rows[key].mesh, options.split):
+            if asset_source.in_split(self._rows[key].mesh, options.split):
                 self._ids.setdefault(self._rows[key].category, []).append(key)
         if not self._ids:
             raise ToolkitError(
@@ -122,7 +120,7 @@ class FolderSource:
     def categories(self) -> Sequence[str]:
         return tuple(sorted(self._ids))
 
-    def sample(self, rng: np.random.Generator, category: str) -> Asset:
+    def sample(self, rng: np.random.Generator, category: str) -> asset.Asset:
         ids = self._ids.get(category)
         if ids is None:
             raise ToolkitError(
@@ -133,11 +131,11 @@ class FolderSource:
             )
         return self.load(ids[int(rng.integers(len(ids)))])
 
-    def load(self, asset_id: str) -> Asset:
+    def load(self, asset_id: str) -> asset.Asset:
         row = self._rows.get(asset_id)
         if row is None:
             raise ToolkitError("no mesh of this id", path=self._root, field="id", value=asset_id)
-        return read_asset(
+        return mesh_file.read_asset(
             self._root / row.mesh,
             asset_id=asset_id,
             category=row.category,
@@ -191,7 +189,7 @@ class ShapeNetSource:
         ToolkitError: no such folder, or none of the synsets with a model in it.
     """
 
-    def __init__(self, options: SourceOptions) -> None:
+    def __init__(self, options: asset_source.SourceOptions) -> None:
         self._root = options.need_root()
         self._models = {
             category: names
@@ -208,7 +206,7 @@ class ShapeNetSource:
     def categories(self) -> Sequence[str]:
         return tuple(self._models)
 
-    def sample(self, rng: np.random.Generator, category: str) -> Asset:
+    def sample(self, rng: np.random.Generator, category: str) -> asset.Asset:
         names = self._models.get(category)
         if names is None:
             raise ToolkitError(
@@ -219,7 +217,7 @@ class ShapeNetSource:
             )
         return self.load(f"{SYNSETS[category]}-{names[int(rng.integers(len(names)))]}")
 
-    def load(self, asset_id: str) -> Asset:
+    def load(self, asset_id: str) -> asset.Asset:
         synset, _, name = asset_id.partition("-")
         path = self._path(synset, name) if name else None
         if synset not in _CATEGORY_OF or path is None:
@@ -229,16 +227,17 @@ class ShapeNetSource:
                 field="id",
                 value=asset_id,
             )
-        return read_asset(path, asset_id=asset_id, category=_CATEGORY_OF[synset])
+        return mesh_file.read_asset(path, asset_id=asset_id, category=_CATEGORY_OF[synset])
 
-    def _names(self, synset: str, options: SourceOptions) -> list[str]:
+    def _names(self, synset: str, options: asset_source.SourceOptions) -> list[str]:
         folder = self._root / synset
         if not folder.is_dir():
             return []
         return sorted(
             p.name
             for p in folder.iterdir()
-            if in_split(p.name, options.split) and self._path(synset, p.name) is not None
+            if asset_source.in_split(p.name, options.split)
+            and self._path(synset, p.name) is not None
         )
 
     def _path(self, synset: str, name: str) -> Path | None:

@@ -33,10 +33,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters.mesh_export import obj_files, write_files
 from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.io.atomic import write_bytes_atomic
-from std_toolkit.io.documents import read_document, write_document
-from std_toolkit.io.exr import write_exr
-from std_toolkit.io.images import write_color, write_png
+from std_toolkit.io import atomic, documents, exr, images
 from std_toolkit.scene.model import MATERIAL_IDS
 
 Split = Literal["train", "val", "test"]
@@ -93,17 +90,17 @@ class DredsWriter:
         def path(suffix: str) -> Path:
             return base.with_name(base.name + suffix)
 
-        write_color(path("_color.png"), frame.color)
-        write_png(path("_ir_l.png"), frame.infrared_left)
-        write_png(path("_ir_r.png"), frame.infrared_right)
+        images.write_color(path("_color.png"), frame.color)
+        images.write_png(path("_ir_l.png"), frame.infrared_left)
+        images.write_png(path("_ir_r.png"), frame.infrared_right)
         raw = np.where(frame.depth_aligned > 0, frame.depth_aligned, NO_MEASUREMENT)
         _write_equal(path("_simDepthImage.exr"), raw)
         _write_equal(path("_depth_120.exr"), frame.depth_exact)
         _write_equal(path("_mask.exr"), mask_values(frame.mask))
-        write_png(path("_coord.png"), nocs_picture(frame.nocs, frame.mask))
+        images.write_png(path("_coord.png"), nocs_picture(frame.nocs, frame.mask))
         _write_channels(path("_normal.exr"), frame.normals)
         meta = meta_text(self._received.scene, frame)
-        write_bytes_atomic(path("_meta.txt"), meta.encode("ascii"))
+        atomic.write_bytes_atomic(path("_meta.txt"), meta.encode("ascii"))
 
 
 @contextmanager
@@ -140,7 +137,7 @@ def dreds_scene(
             received.require_all()
             for item in scene.objects:
                 _write_model(out, f"cad_model/{_CAD_FOLDERS[split]}/{_cad_name(item)}", item)
-            write_document(record, scene_record(received))
+            documents.write_document(record, scene_record(received))
     except BaseException:
         if not target.exists():
             record.unlink(missing_ok=True)
@@ -166,7 +163,7 @@ def read_record(out: Path, split: Split, name: str) -> SceneRecord:
     folder = scene_folder(out, split, name)
     if not folder.is_dir():
         raise ToolkitError("no such scene", path=folder)
-    return read_document(record_path(out, split, name), SceneRecord)
+    return documents.read_document(record_path(out, split, name), SceneRecord)
 
 
 def mask_values(mask: simulated_frame.Image8) -> simulated_frame.Map:
@@ -240,4 +237,4 @@ def _write_channels(path: Path, values: simulated_frame.Map) -> None:
     pixels: dict[str, NDArray[np.generic]] = {
         name: np.ascontiguousarray(values[..., i], np.float32) for i, name in enumerate("RGB")
     }
-    write_exr(path, pixels, compression="zip")
+    exr.write_exr(path, pixels, compression="zip")

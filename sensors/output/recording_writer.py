@@ -20,9 +20,7 @@ from sensors.output.toolkit_scene import frame_name, label_color, metric_objects
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.importers.foreign_files import write_mesh
-from std_toolkit.io.atomic import new_folder
-from std_toolkit.io.documents import read_document, write_document
-from std_toolkit.io.images import write_color, write_depth_png16
+from std_toolkit.io import atomic, documents, images
 from std_toolkit.scene.model import CameraModel, Material, SymmetryModel
 
 if TYPE_CHECKING:
@@ -65,7 +63,7 @@ class Truth(msgspec.Struct, frozen=True, kw_only=True):
 
 def read_truth(recording: Path) -> Truth:
     """Truth of a recording made by `make_recording`."""
-    return read_document(recording / "truth.json", Truth)
+    return documents.read_document(recording / "truth.json", Truth)
 
 
 class RecordingWriter:
@@ -103,7 +101,7 @@ class RecordingWriter:
         self._received.require_all()
         scene, folder = self._received.scene, self._folder
         poses = [self._received.poses[i][0] for i in range(scene.frames)]
-        write_document(folder / "simulation.json", scene_record(self._received))
+        documents.write_document(folder / "simulation.json", scene_record(self._received))
         write_truth(
             folder, scene, self._received.label_camera, poses, depth_scale=self._depth_scale
         )
@@ -117,8 +115,10 @@ def write_images(folder: Path, frame: SimulatedFrame, *, depth_scale: float) -> 
     """
     name, depth = frame_name(frame.index), frame.depth_aligned
     within = depth <= _LARGEST_VALUE * depth_scale
-    write_color(folder / f"color/{name}.png", label_color(frame))
-    write_depth_png16(folder / f"depth/{name}.png", np.where(within, depth, 0), scale=depth_scale)
+    images.write_color(folder / f"color/{name}.png", label_color(frame))
+    images.write_depth_png16(
+        folder / f"depth/{name}.png", np.where(within, depth, 0), scale=depth_scale
+    )
 
 
 def write_truth(
@@ -156,7 +156,7 @@ def write_truth(
     intrinsics = {"width": camera.width, "height": camera.height, "K": camera.K.tolist()}
     if camera.is_distorted:
         intrinsics["distortion"] = list(camera.distortion)
-    write_document(folder / "intrinsics.json", intrinsics)
+    documents.write_document(folder / "intrinsics.json", intrinsics)
     truth = Truth(
         camera=CameraModel.of(camera),
         depth_scale=depth_scale,
@@ -166,7 +166,7 @@ def write_truth(
         T_world_cam=[pose.flat() for pose in T_world_cam],
         objects=objects,
     )
-    write_document(folder / "truth.json", truth)
+    documents.write_document(folder / "truth.json", truth)
     return truth
 
 
@@ -186,7 +186,7 @@ def simulated_recording(
     """
     if not 0 < depth_scale <= 1:
         raise ToolkitError("must lie above 0 and at most 1", field="depth_scale", value=depth_scale)
-    with new_folder(out) as folder:
+    with atomic.new_folder(out) as folder:
         writer = RecordingWriter(folder, ReceivedFrames(scene), depth_scale)
         yield writer
         writer.finish()

@@ -26,16 +26,10 @@ from std_toolkit import __version__
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.geometry.symmetry import Symmetry
 from std_toolkit.importers.foreign_files import mesh_suffix, model_of_mesh, write_mesh
-from std_toolkit.io.atomic import new_folder
-from std_toolkit.io.documents import read_document, write_document
-from std_toolkit.io.exr import write_exr
-from std_toolkit.io.images import write_color, write_png
-from std_toolkit.rendering import ground_truth
+from std_toolkit.io import atomic, documents, exr, images
+from std_toolkit.rendering import ground_truth, maps, placements, raycast
 from std_toolkit.rendering.ground_truth import FrameTruth, ObjectTruth, info_path, map_paths
-from std_toolkit.rendering.maps import mask_box, object_silhouette
 from std_toolkit.rendering.mesh import RenderMesh
-from std_toolkit.rendering.placements import frame_inputs
-from std_toolkit.rendering.raycast import RaycastRenderer
 from std_toolkit.scene.document import digest_file, digest_of, safe_name
 from std_toolkit.scene.model import (
     CameraModel,
@@ -69,7 +63,7 @@ class ToolkitSceneWriter:
         self._folder = folder
         self._received = received
         self._objects = metric_objects(received.scene)
-        self._renderer = RaycastRenderer()
+        self._renderer = raycast.RaycastRenderer()
         self._prepared = {
             o.item.instance_id: RenderMesh.from_arrays(o.mesh.vertices, o.mesh.faces)
             for o in self._objects
@@ -84,13 +78,13 @@ class ToolkitSceneWriter:
         """
         self._received.accept(frame)
         folder, name = self._folder, frame_name(frame.index)
-        write_color(folder / f"color/{name}.png", label_color(frame))
-        write_exr(folder / f"depth/{name}.exr", {"Y": frame.depth_aligned}, compression="zip")
-        write_exr(
+        images.write_color(folder / f"color/{name}.png", label_color(frame))
+        exr.write_exr(folder / f"depth/{name}.exr", {"Y": frame.depth_aligned}, compression="zip")
+        exr.write_exr(
             folder / f"reference/depth/{name}.exr", {"Y": frame.depth_exact}, compression="zip"
         )
-        write_png(folder / f"infrared/left/{name}.png", frame.infrared_left)
-        write_png(folder / f"infrared/right/{name}.png", frame.infrared_right)
+        images.write_png(folder / f"infrared/left/{name}.png", frame.infrared_left)
+        images.write_png(folder / f"infrared/right/{name}.png", frame.infrared_right)
         rows = self._truth_rows(frame)
         if not rows:  # ground truth is of labelled objects
             return
@@ -139,7 +133,7 @@ class ToolkitSceneWriter:
         written.save_labels(Labels(labels=labels))
         for frame, rows in sorted(self._rows.items()):
             self._write_info(written, frame, rows)
-        write_document(record_path(folder), scene_record(self._received))
+        documents.write_document(record_path(folder), scene_record(self._received))
 
     def _T_world_cam(self, frame: int) -> SE3:
         return self._received.poses[frame][0]
@@ -153,12 +147,12 @@ class ToolkitSceneWriter:
             if key in frame.hidden:
                 continue
             T_cam_obj = T_cam_world @ obj.item.T_world_obj
-            alone = object_silhouette(
+            alone = maps.object_silhouette(
                 self._renderer, camera, self._prepared[key], T_cam_obj, canvas=3
             )
             visible = frame.mask == key
             px_visible = int(np.count_nonzero(visible))
-            box, visible_box = alone.box, mask_box(visible)
+            box, visible_box = alone.box, maps.mask_box(visible)
             inside = alone.image_mask(camera) & (frame.depth_aligned > 0)
             rows.append(
                 ObjectTruth(
@@ -197,8 +191,8 @@ class ToolkitSceneWriter:
     def _write_info(self, scene: Scene, frame: int, rows: list[ObjectTruth]) -> None:
         paths = map_paths(scene.root, frame)
         outputs = {p.relative_to(scene.root).as_posix(): digest_file(p) for p in paths.values()}
-        inputs = frame_inputs(scene, frame)
-        write_document(
+        inputs = placements.frame_inputs(scene, frame)
+        documents.write_document(
             info_path(scene.root, frame),
             FrameTruth(
                 frame=frame,
@@ -227,7 +221,7 @@ def toolkit_scene(out: Path, scene: SimulatedScene) -> Iterator[ToolkitSceneWrit
     Raises:
         ToolkitError: something is at `out` already, or not every frame was written.
     """
-    with new_folder(out) as folder:
+    with atomic.new_folder(out) as folder:
         writer = ToolkitSceneWriter(folder, ReceivedFrames(scene))
         yield writer
         writer.finish()
@@ -257,7 +251,7 @@ def read_simulation(scene: Path) -> SceneRecord:
     Raises:
         ToolkitError: the scene is none of a simulation, or the record is damaged.
     """
-    return read_document(record_path(scene), SceneRecord)
+    return documents.read_document(record_path(scene), SceneRecord)
 
 
 def _object_table(things: list[MetricObject]) -> ObjectTable:

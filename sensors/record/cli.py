@@ -14,11 +14,8 @@ from std_toolkit.cli.command import Command, Program, print_json
 from std_toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
-    from sensors.record.device_source import DeviceSource
+    from sensors.record import device_source, realsense, recording_document, recording_session
     from sensors.record.options import RecordCommand, SessionOptions
-    from sensors.record.realsense import Stream
-    from sensors.record.recording_document import CapturedFrame, Session
-    from sensors.record.recording_session import Progress
 
 _DEVICES: ContextVar[Sequence[Any] | None] = ContextVar("devices", default=None)
 
@@ -54,7 +51,7 @@ def _devices() -> Sequence[Any]:
 
 
 def _record(options: RecordCommand, scene: Path) -> None:
-    from sensors.record.device_source import DeviceSource, open_file
+    from sensors.record.device_source import open_file
     from sensors.record.live_view import stopped_by_signal
     from sensors.record.realsense import choose, recorded_streams, requested_streams
     from std_toolkit.io.atomic import check_vacant
@@ -81,7 +78,7 @@ def _record(options: RecordCommand, scene: Path) -> None:
         else:
             device = choose(_devices(), options.serial)
             streams = requested_streams(device, replace(options.streams, infrared=infrared))
-        with DeviceSource(
+        with device_source.DeviceSource(
             device,
             streams,
             playback=options.file is not None,
@@ -96,9 +93,9 @@ def _session(
     options: RecordCommand,
     scene: Path,
     session: SessionOptions,
-    source: DeviceSource,
-    streams: dict[str, Stream],
-) -> Session:
+    source: device_source.DeviceSource,
+    streams: dict[str, realsense.Stream],
+) -> recording_document.Session:
     from sensors.record.camera_settings import apply_settings, lock
     from sensors.record.live_view import PreviewPage, StatusLine, enter_pressed
     from sensors.record.recording_session import record
@@ -124,7 +121,9 @@ def _session(
             print("press Enter to record", file=sys.stderr)
         open_parts.callback(status.end)
 
-        def watch(frame: CapturedFrame, progress: Progress) -> None:
+        def watch(
+            frame: recording_document.CapturedFrame, progress: recording_session.Progress
+        ) -> None:
             status.show(progress.line())
             if options.preview is None and page is None:
                 return
@@ -151,7 +150,7 @@ def _session(
         )
 
 
-def _summary(scene: Path, session: Session) -> str:
+def _summary(scene: Path, session: recording_document.Session) -> str:
     import shlex
 
     lost = max(session.lost.values(), default=0)

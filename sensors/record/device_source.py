@@ -12,10 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from sensors.record import sdk_frames
-from sensors.record.calibration import read_calibration
-from sensors.record.realsense import INFRARED, Stream, device_info, librealsense
-from sensors.record.recording_document import CapturedFrame
+from sensors.record import calibration, realsense, recording_document, sdk_frames
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
 
@@ -48,14 +45,14 @@ class DeviceSource:
     def __init__(
         self,
         device: Any,
-        streams: dict[str, Stream],
+        streams: dict[str, realsense.Stream],
         *,
         playback: bool,
         align: bool = False,
         stop: Callable[[], bool] = lambda: False,
     ) -> None:
-        self.info = device_info(device)
-        self.calibration = read_calibration(streams)
+        self.info = realsense.device_info(device)
+        self.calibration = calibration.read_calibration(streams)
         self.fps = float(streams["color"].profile.fps() or 30)
         self.overrun: Counter[str] = Counter()
         self.live = not playback
@@ -93,7 +90,7 @@ class DeviceSource:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def frames(self) -> Iterator[CapturedFrame]:
+    def frames(self) -> Iterator[recording_document.CapturedFrame]:
         """Sets of images as they come.
 
         Raises:
@@ -201,22 +198,26 @@ class DeviceSource:
     def _ended(self) -> bool:
         if self._starter is None or self._starter.is_alive():
             return False
-        return bool(self._device.current_status() == librealsense().playback_status.stopped)
+        return bool(
+            self._device.current_status() == realsense.librealsense().playback_status.stopped
+        )
 
-    def _paired(self, name: str, image: Any) -> Iterator[CapturedFrame]:
+    def _paired(self, name: str, image: Any) -> Iterator[recording_document.CapturedFrame]:
         number, time_ms = image.get_frame_number(), image.get_timestamp()
         for images in self._pairing.add(name, number, time_ms, image):
             yield self._converted(images)
 
-    def _converted(self, images: dict[str, Any]) -> CapturedFrame:
+    def _converted(self, images: dict[str, Any]) -> recording_document.CapturedFrame:
         color, depth = images["color"], images["depth"]
-        return CapturedFrame(
+        return recording_document.CapturedFrame(
             color=sdk_frames.color_image(color),
             depth=sdk_frames.depth_image(depth),
             timestamp=color.get_timestamp() / 1000,
             aligned=None if self._aligner is None else self._aligner(depth, color),
             infrared={
-                name: sdk_frames.grey_image(images[name]) for name in INFRARED if name in images
+                name: sdk_frames.grey_image(images[name])
+                for name in realsense.INFRARED
+                if name in images
             },
             exposure_s=sdk_frames.exposure(color),
         )
@@ -237,7 +238,7 @@ def _key(profile: Any) -> tuple[str, int]:
 
 
 def _same(a: Any, b: Any) -> bool:
-    name = librealsense().camera_info.name
+    name = realsense.librealsense().camera_info.name
     return bool(a.get_info(name) == b.get_info(name))
 
 
@@ -252,7 +253,7 @@ def open_file(path: str) -> Any:
     if Path(path).suffix.lower() not in (".bag", ".db3"):
         raise ToolkitError("not a recording of librealsense", path=path, hint=".bag or .db3")
     try:
-        device = librealsense().context().load_device(str(path))
+        device = realsense.librealsense().context().load_device(str(path))
         device.set_real_time(False)
     except RuntimeError as error:
         raise ToolkitError(

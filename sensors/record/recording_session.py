@@ -9,18 +9,10 @@ from pathlib import Path
 
 import msgspec
 
+from sensors.record import device_source, recording_document, scene_writer
 from sensors.record.calibration import compare
-from sensors.record.device_source import DeviceSource
 from sensors.record.hints import HintMaker, Hints
 from sensors.record.options import SessionOptions
-from sensors.record.recording_document import (
-    CapturedFrame,
-    RecordingDocument,
-    Session,
-    device_document,
-    read_recording,
-)
-from sensors.record.scene_writer import SceneWriter
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
@@ -58,21 +50,21 @@ class Progress:
         return text if self.hints is None else f"{text}  {self.hints.line()}"
 
 
-Watcher = Callable[[CapturedFrame, Progress], None]
+Watcher = Callable[[recording_document.CapturedFrame, Progress], None]
 
 
 def record(
     out: Path,
-    source: DeviceSource,
+    source: device_source.DeviceSource,
     options: SessionOptions,
     *,
     aligned_by: str,
     origin: str,
     settings: dict[str, str],
     started: Callable[[], bool] = lambda: True,
-    on_start: Callable[[CapturedFrame], dict[str, str]] = lambda _: {},
+    on_start: Callable[[recording_document.CapturedFrame], dict[str, str]] = lambda _: {},
     watch: Watcher = lambda _frame, _progress: None,
-) -> Session:
+) -> recording_document.Session:
     """Record `out` from a source until it ends, or enough was recorded.
 
     Args:
@@ -95,12 +87,12 @@ def record(
     )
     progress, look = Progress(), _Observation(HintMaker(source.fps), watch)
     clock = _Clock()
-    writer = SceneWriter(out, info, document, options.writer, drop=source.live)
+    writer = scene_writer.SceneWriter(out, info, document, options.writer, drop=source.live)
     with writer:
         session = document.sessions[-1]
         session = msgspec.structs.replace(session, first_frame=writer.first_frame)
 
-        def finished(ended: bool = True) -> RecordingDocument:
+        def finished(ended: bool = True) -> recording_document.RecordingDocument:
             nonlocal session
             session = _counted(session, source, writer, clock, ended)
             return msgspec.structs.replace(document, sessions=[*document.sessions[:-1], session])
@@ -148,10 +140,10 @@ class _Clock:
         self._first: float | None = None
         self.seconds = 0.0
 
-    def would_be(self, frame: CapturedFrame) -> float:
+    def would_be(self, frame: recording_document.CapturedFrame) -> float:
         return 0.0 if self._first is None else frame.timestamp - self._first
 
-    def tick(self, frame: CapturedFrame) -> None:
+    def tick(self, frame: recording_document.CapturedFrame) -> None:
         self.seconds = self.would_be(frame)
         if self._first is None:
             self._first = frame.timestamp
@@ -165,7 +157,9 @@ class _Observation:
         self._watch = watch
         self._last = float("-inf")
 
-    def __call__(self, frame: CapturedFrame, progress: Progress, *, busy: bool) -> None:
+    def __call__(
+        self, frame: recording_document.CapturedFrame, progress: Progress, *, busy: bool
+    ) -> None:
         if busy or 0 <= frame.timestamp - self._last < _LOOK_S:
             return
         self._last = frame.timestamp
@@ -175,19 +169,21 @@ class _Observation:
 
 def _document(
     out: Path,
-    source: DeviceSource,
+    source: device_source.DeviceSource,
     options: SessionOptions,
     aligned_by: str,
     origin: str,
     settings: dict[str, str],
-) -> RecordingDocument:
+) -> recording_document.RecordingDocument:
     calibration = source.calibration
     notes = [*calibration.notes, *compare(source.info, calibration, options.sensor)]
     for note in notes:
         logger.warning("%s", note)
-    session = Session(version=__version__, source=origin, first_frame=0, settings=settings)
-    document = RecordingDocument(
-        device=device_document(source.info),
+    session = recording_document.Session(
+        version=__version__, source=origin, first_frame=0, settings=settings
+    )
+    document = recording_document.RecordingDocument(
+        device=recording_document.device_document(source.info),
         color=calibration.color,
         depth=calibration.depth,
         infrared=calibration.infrared,
@@ -201,7 +197,7 @@ def _document(
     )
     if not options.writer.resume or not (out / "scene.json").is_file():
         return document
-    known = read_recording(out)
+    known = recording_document.read_recording(out)
     if known.aligned_by != document.aligned_by or known.kept != document.kept:
         raise ToolkitError(
             f"the scene was recorded with depth aligned by {known.aligned_by} and "
@@ -213,8 +209,12 @@ def _document(
 
 
 def _counted(
-    session: Session, source: DeviceSource, writer: SceneWriter, clock: _Clock, ended: bool
-) -> Session:
+    session: recording_document.Session,
+    source: device_source.DeviceSource,
+    writer: scene_writer.SceneWriter,
+    clock: _Clock,
+    ended: bool,
+) -> recording_document.Session:
     return msgspec.structs.replace(
         session,
         ended=ended,

@@ -11,15 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sensors.record.frame_files import aligned_units, write_frame
-from sensors.record.frame_table import FrameTable, recovered
+from sensors.record import frame_files, frame_table, recording_document
 from sensors.record.options import WriterOptions
-from sensors.record.recording_document import (
-    Calibration,
-    CapturedFrame,
-    RecordingDocument,
-    write_recording,
-)
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import check_vacant, new_folder, scene_lock
 from std_toolkit.scene.model import Frames, SceneInfo
@@ -52,7 +45,7 @@ class SceneWriter:
         self,
         out: Path,
         info: SceneInfo,
-        document: RecordingDocument,
+        document: recording_document.RecordingDocument,
         options: WriterOptions,
         *,
         drop: bool,
@@ -62,12 +55,14 @@ class SceneWriter:
         self.taken = 0
         self._info = info
         self._document = document
-        self._calibration: Calibration = document.calibration()
+        self._calibration: recording_document.Calibration = document.calibration()
         self._options = options
         self._drop = drop
         self._held = ExitStack()
-        self._table: FrameTable | None = None
-        self._queue: queue.Queue[tuple[int, CapturedFrame] | None] = queue.Queue(options.queue)
+        self._table: frame_table.FrameTable | None = None
+        self._queue: queue.Queue[tuple[int, recording_document.CapturedFrame] | None] = queue.Queue(
+            options.queue
+        )
         self._threads: list[threading.Thread] = []
         self._error: Exception | None = None
         self._next = 0
@@ -85,10 +80,10 @@ class SceneWriter:
             )
         self._held.enter_context(scene_lock(self.out))
         try:
-            scene = recovered(self.out)
+            scene = frame_table.recovered(self.out)
             check_same_camera(scene.info, self._info, self.out)
             self._next = max((f.id for f in scene.frames), default=-1) + 1
-            self._begin(FrameTable(self.out, scene.frames))
+            self._begin(frame_table.FrameTable(self.out, scene.frames))
         except BaseException:
             self._held.close()
             raise
@@ -108,7 +103,7 @@ class SceneWriter:
         """How full the queue is, from 0 to 1."""
         return self._queue.qsize() / self._options.queue
 
-    def offer(self, frame: CapturedFrame) -> bool:
+    def offer(self, frame: recording_document.CapturedFrame) -> bool:
         """Take a frame; False if it was dropped because the writer is behind.
 
         Raises:
@@ -132,7 +127,9 @@ class SceneWriter:
         self.taken += 1
         return True
 
-    def close(self, finished: Callable[[], RecordingDocument] | None = None) -> None:
+    def close(
+        self, finished: Callable[[], recording_document.RecordingDocument] | None = None
+    ) -> None:
         """Write what was taken, then recording.json as it is now.
 
         Args:
@@ -151,13 +148,13 @@ class SceneWriter:
             thread.join()
         try:
             if finished is not None and self._error is None:
-                write_recording(self.out, finished())
+                recording_document.write_recording(self.out, finished())
             table.close()
         finally:
             self._held.close()
         self._raise_error()
 
-    def _wait_to_put(self, item: tuple[int, CapturedFrame] | None) -> None:
+    def _wait_to_put(self, item: tuple[int, recording_document.CapturedFrame] | None) -> None:
         while True:
             if item is not None:
                 self._raise_error()
@@ -165,20 +162,22 @@ class SceneWriter:
                 self._queue.put(item, timeout=0.2)
                 return
 
-    def _create(self, frame: CapturedFrame) -> None:
+    def _create(self, frame: recording_document.CapturedFrame) -> None:
         """Make the scene with its first frame: all of it at once."""
         with new_folder(self.out) as staging:
-            row = write_frame(staging, self._next, frame, self._calibration, self._options.files)
-            write_recording(staging, self._document)
+            row = frame_files.write_frame(
+                staging, self._next, frame, self._calibration, self._options.files
+            )
+            recording_document.write_recording(staging, self._document)
             Scene.create(staging, self._info, Frames(frames=[row]))
         self._held.enter_context(scene_lock(self.out))
         self._next += 1
         self.taken += 1
-        self._begin(FrameTable(self.out, [row]), write=False)
+        self._begin(frame_table.FrameTable(self.out, [row]), write=False)
 
-    def _begin(self, table: FrameTable, *, write: bool = True) -> None:
+    def _begin(self, table: frame_table.FrameTable, *, write: bool = True) -> None:
         if write:
-            write_recording(self.out, self._document)
+            recording_document.write_recording(self.out, self._document)
         self._table = table
         for number in range(self._options.threads):
             thread = threading.Thread(
@@ -187,12 +186,14 @@ class SceneWriter:
             thread.start()
             self._threads.append(thread)
 
-    def _work(self, table: FrameTable) -> None:
+    def _work(self, table: frame_table.FrameTable) -> None:
         while (item := self._queue.get()) is not None:
             if self._error is not None:
                 continue  # the queue is emptied, for those who wait for room in it
             try:
-                table.add(write_frame(self.out, *item, self._calibration, self._options.files))
+                table.add(
+                    frame_files.write_frame(self.out, *item, self._calibration, self._options.files)
+                )
             except Exception as error:
                 self._error = error
 
@@ -256,7 +257,9 @@ def check_same_camera(there: SceneInfo, new: SceneInfo, out: Path) -> None:
         )
 
 
-def _warm_up(calibration: Calibration) -> None:
+def _warm_up(calibration: recording_document.Calibration) -> None:
     empty = np.zeros((calibration.depth.height, calibration.depth.width), dtype=np.uint16)
     black = np.zeros((1, 1, 3), dtype=np.uint8)
-    aligned_units(CapturedFrame(color=black, depth=empty, timestamp=0.0), calibration)
+    frame_files.aligned_units(
+        recording_document.CapturedFrame(color=black, depth=empty, timestamp=0.0), calibration
+    )

@@ -19,9 +19,7 @@ import mitsuba
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.render.mitsuba_scene import Shapes
-from sensors.render.sim_renderer import RenderOptions
-from sensors.render.sim_scene import Projector
+from sensors.render import mitsuba_scene, sim_renderer, sim_scene
 from sensors.render.sky import Sky
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
@@ -78,20 +76,20 @@ class PathTracer:
         sky: its environment.
     """
 
-    def __init__(self, shapes: Shapes, sky: Sky) -> None:
+    def __init__(self, shapes: mitsuba_scene.Shapes, sky: Sky) -> None:
         self._shapes, self._sky = shapes, sky
         self._far = _data(4 * shapes.everything.bbox().bounding_sphere().radius + 1)
         self._sampler = mi.load_dict({"type": "multijitter"})
-        self._patterns: dict[int, tuple[Projector, Any]] = {}
+        self._patterns: dict[int, tuple[sim_scene.Projector, Any]] = {}
 
     def radiance(
         self,
         camera: Camera,
         T_world_cam: SE3,
-        projector: Projector | None,
+        projector: sim_scene.Projector | None,
         *,
         ambient: float,
-        options: RenderOptions,
+        options: sim_renderer.RenderOptions,
         seed: int,
         grey: bool,
     ) -> NDArray[np.float32]:
@@ -175,7 +173,7 @@ class PathTracer:
                 return count
         return 1
 
-    def _beam(self, projector: Projector, weight: float) -> _Beam:
+    def _beam(self, projector: sim_scene.Projector, weight: float) -> _Beam:
         kept = self._patterns.get(id(projector.pattern))
         if kept is None or kept[0].pattern is not projector.pattern:
             texture = mi.Texture2f(

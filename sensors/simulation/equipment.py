@@ -15,9 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from sensors.assets import Asset, AssetSource, SourceOptions, open_source
-from sensors.lighting.environment import files_of_split
-from sensors.lighting.environment_sources import EnvironmentSource, environment_source
-from sensors.lighting.light_draw import IMAGE_SUFFIXES
+from sensors.lighting import environment, environment_sources, light_draw
 from sensors.pattern import DotPattern, load_pattern, make_pattern
 from sensors.physics import GraspNetScenes
 from sensors.simulation.options import SimulationOptions
@@ -47,7 +45,7 @@ class Equipment:
     cameras: tuple[Camera, Camera]
     matcher: StereoMatcher
     assets: AssetSource
-    environments: EnvironmentSource
+    environments: environment_sources.EnvironmentSource
     pattern: DotPattern | None
     arrangements: Arrangements | None
 
@@ -67,14 +65,14 @@ class Equipment:
         if options.matcher == "local":
             own["threads"] = threads or len(os.sched_getaffinity(0))
         if options.floors is not None:
-            files_of_split(options.floors, options.split, IMAGE_SUFFIXES)
+            environment.files_of_split(options.floors, options.split, light_draw.IMAGE_SUFFIXES)
         root = None if options.assets_root is None else Path(options.assets_root)
         return Equipment(
             sensor,
             cameras,
             make_matcher(options.matcher, **own),
             open_source(options.assets, SourceOptions(root=root, split=options.split)),
-            environment_source(options.environments, split=options.split),
+            environment_sources.environment_source(options.environments, split=options.split),
             _pattern(sensor, options),
             Arrangements(options) if options.scenes_from == "graspnet" else None,
         )

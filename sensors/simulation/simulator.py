@@ -16,10 +16,7 @@ from numpy.typing import NDArray
 
 from sensors.align import align_depth
 from sensors.output.simulated_frame import SimulatedFrame
-from sensors.render.color_image import denoise, develop
-from sensors.render.infrared_image import InfraredResponse, expose_pair
-from sensors.render.sim_renderer import SIM_RENDERERS, ColorLight, LoadedScene, quality_of
-from sensors.render.sim_scene import Projector, TruthCaster
+from sensors.render import color_image, infrared_image, sim_renderer, sim_scene
 from sensors.simulation.equipment import DRESSED_AS, Equipment
 from sensors.simulation.options import SimulationOptions
 from sensors.simulation.scene_draw import draw_scene, dress_scene, generator
@@ -68,7 +65,7 @@ class _Seen:
     seed: int
     left: NDArray[np.float32]
     right: NDArray[np.float32]
-    color: ColorLight
+    color: sim_renderer.ColorLight
 
 
 class Simulator:
@@ -106,10 +103,10 @@ class Simulator:
         self._color_camera = self._label_camera.resized(
             options.color_factor * options.width, options.color_factor * options.height
         )
-        self._quality = quality_of(options.quality)
+        self._quality = sim_renderer.quality_of(options.quality)
         self._pattern = equipment.pattern
         self._parts_cache = parts_cache
-        self._renderer = SIM_RENDERERS.get(renderer)(threads=threads)
+        self._renderer = sim_renderer.SIM_RENDERERS.get(renderer)(threads=threads)
 
     def world(self, seed: int, name: str) -> World:
         """Draw a scene and let it come to rest.
@@ -147,7 +144,7 @@ class Simulator:
         """The frames of a scene, one after the other."""
         with self.stopwatch.part("load"):
             loaded = self._renderer.load(world.scene)
-            truth = TruthCaster(world.scene)
+            truth = sim_scene.TruthCaster(world.scene)
         noise = generator(world.draw.seed, "noise")
         # A seed for each frame: a frame's noise does not depend on those before it.
         seen = (
@@ -169,14 +166,19 @@ class Simulator:
                 yield waiting.result()
 
     def _look(
-        self, world: World, loaded: LoadedScene, index: int, T_world_cam: SE3, seed: int
+        self,
+        world: World,
+        loaded: sim_renderer.LoadedScene,
+        index: int,
+        T_world_cam: SE3,
+        seed: int,
     ) -> _Seen:
         """Render a view: the only part that the renderer has."""
         light = world.draw.light[index]
         T_world_ir = T_world_cam @ self._sensor.pose_of_color.inverse()
         projector = None
         if self._pattern is not None and self._sensor.projector is not None:
-            projector = Projector(
+            projector = sim_scene.Projector(
                 self._pattern.image,
                 self._pattern.fov_x_deg,
                 T_world_ir @ self._sensor.projector.T_ir_projector,
@@ -206,23 +208,23 @@ class Simulator:
             )
         return _Seen(index, T_world_cam, T_world_ir, seed, left, right, color)
 
-    def _frame(self, world: World, truth: TruthCaster, view: _Seen) -> SimulatedFrame:
+    def _frame(self, world: World, truth: sim_scene.TruthCaster, view: _Seen) -> SimulatedFrame:
         """What cameras, matcher and labels make of a view."""
         part = self.stopwatch.part
         with part("exact maps"):
             exact = truth.maps(self._label_camera, view.T_world_cam)
             exact_ir = truth.maps(self._infrared_camera, view.T_world_ir)
         with part("images"):
-            left, right, _ = expose_pair(
+            left, right, _ = infrared_image.expose_pair(
                 view.left,
                 view.right,
                 rng=np.random.default_rng([view.seed, 0]),
-                response=InfraredResponse(noise=self.options.infrared_noise),
+                response=infrared_image.InfraredResponse(noise=self.options.infrared_noise),
             )
         with part("denoise"):
-            clean = denoise(view.color, threads=self._threads)
+            clean = color_image.denoise(view.color, threads=self._threads)
         with part("images"):
-            color, _ = develop(clean, rng=np.random.default_rng([view.seed, 1]))
+            color, _ = color_image.develop(clean, rng=np.random.default_rng([view.seed, 1]))
         if self.options.depth == "cut":
             depth_ir = self._cut(world, exact_ir.depth, exact_ir.mask)
             aligned = self._cut(world, exact.depth, exact.mask)

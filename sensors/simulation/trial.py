@@ -22,9 +22,7 @@ from sensors.lighting.light_draw import draw_floor, draw_lighting
 from sensors.materials.material_draw import DrawnMaterial, draw_material
 from sensors.materials.material_library import MaterialClass, load_library
 from sensors.pattern import make_pattern
-from sensors.render.infrared_image import BLUR_SHARE, InfraredResponse, expose_pair
-from sensors.render.sim_renderer import RenderOptions, SimRenderer
-from sensors.render.sim_scene import Projector, SceneObject, SimScene, SurfaceMesh, TruthCaster
+from sensors.render import infrared_image, sim_renderer, sim_scene
 from sensors.simulation.simulator import PROJECTOR_POWER
 from sensors.specs import SensorSpec
 from sensors.stereo import disparity_to_depth, make_matcher
@@ -52,7 +50,7 @@ class TrialScene:
         materials: of the instances 1, 2, ...
     """
 
-    scene: SimScene
+    scene: sim_scene.SimScene
     T_world_ir: SE3
     materials: tuple[DrawnMaterial, ...]
 
@@ -88,7 +86,7 @@ def tiles(camera: Camera, seed: int, *, material_class: MaterialClass = "diffuse
     # A quarter more than the view shows, so that no corner of a tilted board is seen.
     size = 1.25 * DISTANCE_M * np.array([camera.width / camera.fx, camera.height / camera.fy])
     w, h = size / (columns, rows)
-    square = SurfaceMesh(
+    square = sim_scene.SurfaceMesh(
         np.array([[-w, -h, 0], [w, -h, 0], [w, h, 0], [-w, h, 0]]) / 2,
         np.array([[0, 1, 2], [0, 2, 3]]),
     )
@@ -101,12 +99,14 @@ def tiles(camera: Camera, seed: int, *, material_class: MaterialClass = "diffuse
         at = (np.array([place % columns, place // columns]) + 0.5) * (w, h) - size / 2
         pose = SE3(np.eye(3), np.array([*at, 0.0]))
         objects.append(
-            SceneObject(place + 1, square, pose, materials[index], color=_own_color(rng))
+            sim_scene.SceneObject(place + 1, square, pose, materials[index], color=_own_color(rng))
         )
     tilt = np.deg2rad(rng.uniform(-TILT_DEG, TILT_DEG, 2))
     T_board_cam = SE3.exp([0, 0, 0, *tilt, 0]) @ _above(DISTANCE_M)
     placed = tuple(item.material for item in objects)
-    return TrialScene(SimScene(tuple(objects), StudioSource().draw(rng)), T_board_cam, placed)
+    return TrialScene(
+        sim_scene.SimScene(tuple(objects), StudioSource().draw(rng)), T_board_cam, placed
+    )
 
 
 def vessels(materials: Sequence[tuple[MaterialClass, str, str]], seed: int) -> TrialScene:
@@ -119,10 +119,10 @@ def vessels(materials: Sequence[tuple[MaterialClass, str, str]], seed: int) -> T
     rng = np.random.default_rng([seed, 1])
     source = open_source("procedural")
     h = 3.0
-    ground = SurfaceMesh(
+    ground = sim_scene.SurfaceMesh(
         np.array([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]]), np.array([[0, 1, 2], [0, 2, 3]])
     )
-    objects = [SceneObject(0, ground, SE3.identity(), draw_floor(rng).material)]
+    objects = [sim_scene.SceneObject(0, ground, SE3.identity(), draw_floor(rng).material)]
     # Assets stand along y, the world's z is up.
     upright = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     rows = int(np.ceil(len(materials) / _COLUMNS))
@@ -132,9 +132,9 @@ def vessels(materials: Sequence[tuple[MaterialClass, str, str]], seed: int) -> T
         place = np.array([i % _COLUMNS, i // _COLUMNS]) - (np.array([_COLUMNS, rows]) - 1) / 2
         at = np.array([*(place * _SPACING_M), -float(vertices[:, 1].min())])
         objects.append(
-            SceneObject(
+            sim_scene.SceneObject(
                 i + 1,
-                SurfaceMesh(vertices, asset.faces),
+                sim_scene.SurfaceMesh(vertices, asset.faces),
                 SE3(upright, at),
                 draw_material(rng, material_class, name=name),
                 color=_own_color(rng),
@@ -142,7 +142,9 @@ def vessels(materials: Sequence[tuple[MaterialClass, str, str]], seed: int) -> T
         )
     away = SE3.exp([0, 0, 0, np.deg2rad(90 - _ELEVATION_DEG), 0, 0]) @ _above(DISTANCE_M)
     T_world_ir = SE3(np.eye(3), np.array([0, 0, 0.05])) @ away
-    scene = SimScene(tuple(objects), StudioSource().draw(rng), float(rng.uniform(0, 2 * np.pi)))
+    scene = sim_scene.SimScene(
+        tuple(objects), StudioSource().draw(rng), float(rng.uniform(0, 2 * np.pi))
+    )
     return TrialScene(scene, T_world_ir, tuple(item.material for item in objects[1:]))
 
 
@@ -150,9 +152,9 @@ def render_view(
     trial: TrialScene,
     spec: SensorSpec,
     camera: Camera,
-    renderer: SimRenderer,
+    renderer: sim_renderer.SimRenderer,
     *,
-    options: RenderOptions,
+    options: sim_renderer.RenderOptions,
     seed: int,
 ) -> TrialView:
     """Render the pair, match it, and cast the exact depth.
@@ -170,7 +172,7 @@ def render_view(
     rng = np.random.default_rng([seed, 2])
     light = draw_lighting(rng, trial.scene.environment.name)
     T = trial.T_world_ir
-    projector = Projector(
+    projector = sim_scene.Projector(
         pattern.image,
         pattern.fov_x_deg,
         T @ spec.projector.T_ir_projector,
@@ -190,8 +192,10 @@ def render_view(
         for i, eye in enumerate((T, T @ T_left_right))
     ]
     whole = spec.infrared_camera(640, 360)
-    response = InfraredResponse(blur_px=BLUR_SHARE * whole.width * camera.fx / whole.fx)
-    left, right, _ = expose_pair(*pair, rng=rng, response=response)
+    response = infrared_image.InfraredResponse(
+        blur_px=infrared_image.BLUR_SHARE * whole.width * camera.fx / whole.fx
+    )
+    left, right, _ = infrared_image.expose_pair(*pair, rng=rng, response=response)
     low, high = spec.disparity_range(whole.width, whole.height)
     matcher = make_matcher("local", min_disparity=low, max_disparity=high)
     depth = disparity_to_depth(
@@ -200,7 +204,7 @@ def render_view(
         baseline_m=spec.baseline_m,
         range_m=(spec.depth.range_m[0], spec.depth.range_m[1]),
     )
-    maps = TruthCaster(trial.scene).maps(camera, T)
+    maps = sim_scene.TruthCaster(trial.scene).maps(camera, T)
     return TrialView(left, right, depth, maps.depth, maps.mask)
 
 

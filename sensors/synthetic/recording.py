@@ -19,9 +19,7 @@ from sensors.synthetic.shapes import Shape, default_shapes
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3, so3_exp
-from std_toolkit.io.atomic import atomic_path
-from std_toolkit.io.documents import write_document
-from std_toolkit.io.images import write_color, write_depth_png16
+from std_toolkit.io import atomic, documents, images
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.scene import model
 from std_toolkit.scene.model import ContinuousSymmetry as AxisSymmetry
@@ -88,11 +86,11 @@ def make_recording(
     )
     work.raise_if_failed()
     camera = options.camera()
-    write_document(
+    documents.write_document(
         out / "intrinsics.json",
         {"width": camera.width, "height": camera.height, "K": camera.K.tolist()},
     )
-    write_document(out / "truth.json", truth)
+    documents.write_document(out / "truth.json", truth)
     return truth
 
 
@@ -172,12 +170,12 @@ def _write_frame(out: Path, options: RecordingOptions, index: int) -> None:
         rng=rng,
     )
     # Colour first: the depth file marks a frame as complete.
-    write_color(out / f"color/{index:06d}.png", maps.color)
-    write_depth_png16(depth_path, np.where(depth < 10, depth, 0), scale=DEPTH_SCALE)
+    images.write_color(out / f"color/{index:06d}.png", maps.color)
+    images.write_depth_png16(depth_path, np.where(depth < 10, depth, 0), scale=DEPTH_SCALE)
 
 
 def _write_mesh(path: Path, shape: Shape) -> None:
-    with atomic_path(path) as temporary:
+    with atomic.atomic_path(path) as temporary:
         shape.mesh.export(temporary)
 
 

@@ -12,15 +12,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.checks import aggregate, result
-from std_toolkit.checks.contours import mesh_problem
-from std_toolkit.checks.coverage import SEEN_FRACTION, scene_up
-from std_toolkit.checks.figures import sky_figure
+from std_toolkit.checks import (
+    aggregate,
+    contours,
+    coverage,
+    figures,
+    overlay,
+    report_warnings,
+    residuals,
+    result,
+)
 from std_toolkit.checks.gates import evaluate_gates, evaluate_object, scale_share
-from std_toolkit.checks.overlay import DrawingOrder, FramePictures, draw_frame
 from std_toolkit.checks.report import PageParts, render_page
-from std_toolkit.checks.report_warnings import find_warnings
-from std_toolkit.checks.residuals import FrameObservation, observe_frame
 from std_toolkit.checks.view3d import Cloud, fused_cloud, scene_figure, sparse_cloud
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import sweep_temporaries, write_bytes_atomic
@@ -122,7 +125,7 @@ def _check(
 ) -> tuple[result.CheckReport, str]:
     work: dict[str, Any] = {"root": scene.root, "fingerprint": fingerprint, "options": options}
     observed_job = run_jobs(
-        partial(observe_frame, **work), [f.id for f in frames], name="check", options=jobs
+        partial(residuals.observe_frame, **work), [f.id for f in frames], name="check", options=jobs
     )
     observed = list(observed_job.results.values())
     problems = {int(k): v for k, v in observed_job.failed.items()}
@@ -144,14 +147,14 @@ def _check(
 
     orders = _drawing_orders(readable, objects, options)
     drawn = run_jobs(
-        partial(draw_frame, **work),
+        partial(overlay.draw_frame, **work),
         orders,
         name="draw",
         key=lambda o: str(o.frame),
         options=_drawing_jobs(jobs, len(orders)),
     )
     drawn.raise_if_failed()
-    pictures: list[FramePictures] = list(drawn.results.values())
+    pictures: list[overlay.FramePictures] = list(drawn.results.values())
     view3d = scene_figure(scene, up, sparse, fused)
     failed = [g for g in gates if g.status == "fail"]
     report = result.CheckReport(
@@ -160,14 +163,14 @@ def _check(
         verdict=_verdict(failed, summary),
         summary=summary,
         gates=gates,
-        warnings=find_warnings(summary, gates, objects, rows, materials, options),
+        warnings=report_warnings.find_warnings(summary, gates, objects, rows, materials, options),
         missing=missing,
         objects=objects,
         frames=rows,
         materials=materials,
         limits={k: float(v) for k, v in asdict(options).items()},
     )
-    parts = PageParts(view3d, sky_figure(_sky(scene, objects, up), objects), pictures)
+    parts = PageParts(view3d, figures.sky_figure(_sky(scene, objects, up), objects), pictures)
     return report, render_page(report, parts, options)
 
 
@@ -175,7 +178,7 @@ def _summary(
     scene: Scene,
     objects: list[result.ObjectCheck],
     rows: list[result.FrameCheck],
-    observed: list[FrameObservation],
+    observed: list[residuals.FrameObservation],
     bias: float | None,
 ) -> result.SceneSummary:
     registered = [r for r in rows if r.status == "registered"]
@@ -199,7 +202,7 @@ def _summary(
 
 
 def _missing(
-    scene: Scene, summary: result.SceneSummary, observed: list[FrameObservation]
+    scene: Scene, summary: result.SceneSummary, observed: list[residuals.FrameObservation]
 ) -> list[str]:
     found = []
     if scene.poses is None:
@@ -231,7 +234,7 @@ def _mesh_gate(scene: Scene) -> list[result.CheckGate]:
     problems = {
         o.name: p
         for o in scene.objects.objects
-        if scene.T_world_obj(o.id) is not None and (p := mesh_problem(scene, o.model))
+        if scene.T_world_obj(o.id) is not None and (p := contours.mesh_problem(scene, o.model))
     }
     if not problems:
         return []
@@ -251,7 +254,7 @@ def _mesh_gate(scene: Scene) -> list[result.CheckGate]:
 
 def _drawing_orders(
     frames: list[Frame], objects: list[result.ObjectCheck], options: CheckOptions
-) -> list[DrawingOrder]:
+) -> list[overlay.DrawingOrder]:
     """Spread frames whole; of every object its annotated, its worst and some spread frames."""
     whole = [f.id for f in spread(frames, max(options.overlay_frames, 1))]
     if options.overlay_frames == 0:
@@ -261,7 +264,9 @@ def _drawing_orders(
     known = {f.id for f in frames}
     closeups: dict[int, set[int]] = {}
     for item in objects:
-        seen = [f for f in item.frames if f.visible_fraction >= SEEN_FRACTION] or item.frames
+        seen = [
+            f for f in item.frames if f.visible_fraction >= coverage.SEEN_FRACTION
+        ] or item.frames
         if not seen or not whole:
             continue
         chosen = {seen[i].frame for i in _even(len(seen), _CLOSEUPS)}
@@ -273,7 +278,7 @@ def _drawing_orders(
         for frame in chosen:
             closeups.setdefault(frame, set()).add(item.object)
     return [
-        DrawingOrder(i, i in whole, tuple(sorted(closeups.get(i, ()))), i in deep)
+        overlay.DrawingOrder(i, i in whole, tuple(sorted(closeups.get(i, ()))), i in deep)
         for i in sorted(known & {*whole, *closeups})
     ]
 
@@ -295,7 +300,7 @@ def _sky(
 ) -> dict[int, tuple[NDArray[np.float64], NDArray[np.float64], list[result.ObjectFrameCheck]]]:
     views = {}
     for item in objects:
-        seen = [f for f in item.frames if f.visible_fraction >= SEEN_FRACTION]
+        seen = [f for f in item.frames if f.visible_fraction >= coverage.SEEN_FRACTION]
         found = aggregate.view_directions(scene, item.object, [f.frame for f in seen], up)
         if found is not None:
             views[item.object] = (*found, seen)
@@ -304,7 +309,7 @@ def _sky(
 
 def _up(scene: Scene, cloud: Cloud | None) -> NDArray[np.float64]:
     poses = [T for f in scene.registered_frames() if (T := scene.T_world_cam(f.id)) is not None]
-    return scene_up(poses, None if cloud is None else cloud.xyz.astype(np.float64))
+    return coverage.scene_up(poses, None if cloud is None else cloud.xyz.astype(np.float64))
 
 
 def _verdict(failed: list[result.CheckGate], summary: result.SceneSummary) -> str:

@@ -12,24 +12,22 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import DIALECT
 from std_toolkit.rendering.ground_truth import FrameTruth
-from std_toolkit.scene.document import Record
-from std_toolkit.scene.model import Annotation, CameraPoses, Frames, Labels, ObjectTable, SceneInfo
-from std_toolkit.scene.sidecar import Sidecar
+from std_toolkit.scene import document, model, sidecar
 
 
 def document_types() -> dict[str, type]:
     """Name of every kind of document, to its structure."""
     return {
-        "scene": SceneInfo,
-        "frames": Frames,
-        "objects": ObjectTable,
-        "poses": CameraPoses,
-        "labels": Labels,
-        "annotation": Annotation,
+        "scene": model.SceneInfo,
+        "frames": model.Frames,
+        "objects": model.ObjectTable,
+        "poses": model.CameraPoses,
+        "labels": model.Labels,
+        "annotation": model.Annotation,
         "ground_truth": FrameTruth,
         "check_report": CheckReport,
-        "record": Record,
-        "export": Sidecar,
+        "record": document.Record,
+        "export": sidecar.Sidecar,
     }
 
 

@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import hypot
 
-from std_toolkit.checks import figures
-from std_toolkit.checks.gates import depth_excess_mm, scale_share, shift_px
-from std_toolkit.checks.overlay import FramePictures
-from std_toolkit.checks.result import CheckReport, ObjectCheck
+from std_toolkit.checks import figures, gates, overlay, result
 from std_toolkit.html import page
 from std_toolkit.html.plots import object_color
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table, number
@@ -47,12 +44,12 @@ _COLUMNS = (
 )
 
 
-def label_blocks(report: CheckReport, options: CheckOptions) -> list[page.Block]:
+def label_blocks(report: result.CheckReport, options: CheckOptions) -> list[page.Block]:
     """Table of the objects and figures over frames."""
     if not report.objects:
         return [page.Paragraph("The scene has no objects (`objects.json`).")]
     if any(o.frames_seen for o in report.objects):
-        share = scale_share(report.summary)
+        share = gates.scale_share(report.summary)
         rows = [_label_row(report, o, share, options) for o in report.objects]
         blocks: list[page.Block] = [Table(columns=_COLUMNS, rows=rows), page.Terms(_MEANINGS)]
     else:
@@ -65,7 +62,7 @@ def label_blocks(report: CheckReport, options: CheckOptions) -> list[page.Block]
     return blocks + _label_figures(report, options)
 
 
-def _label_figures(report: CheckReport, options: CheckOptions) -> list[page.Block]:
+def _label_figures(report: result.CheckReport, options: CheckOptions) -> list[page.Block]:
     bias = report.summary.depth_bias
     residual_title = "Depth residual over frames, diffuse objects"
     if bias is not None:
@@ -101,15 +98,17 @@ def _label_figures(report: CheckReport, options: CheckOptions) -> list[page.Bloc
     return blocks
 
 
-def _label_row(report: CheckReport, item: ObjectCheck, share: float, options: CheckOptions) -> Row:
+def _label_row(
+    report: result.CheckReport, item: result.ObjectCheck, share: float, options: CheckOptions
+) -> Row:
     spread = "" if item.depth_mad_mm is None else f"± {item.depth_mad_mm:.1f}"
     # Value, what is compared with the limit, the limit, and what is written behind the value.
     figures_of: list[tuple[float | None, float | None, float, str]] = [
         (item.edge_px, item.edge_px, options.max_edge_px, ""),
         (item.edge_p90_px, None, 0, ""),
         (item.edge_chance_px, None, 0, ""),
-        (item.shift_px, shift_px(item, options), options.max_shift_px, ""),
-        (item.depth_mm, depth_excess_mm(item, share), options.max_depth_mm, spread),
+        (item.shift_px, gates.shift_px(item, options), options.max_shift_px, ""),
+        (item.depth_mm, gates.depth_excess_mm(item, share), options.max_depth_mm, spread),
         (item.depth_unscaled_mm, None, 0, ""),
         (item.offset_norm_mm, None, 0, ""),
         (item.drift_px, item.drift_px, options.max_drift_px, ""),
@@ -125,7 +124,9 @@ def _label_row(report: CheckReport, item: ObjectCheck, share: float, options: Ch
     return Row(cells)
 
 
-def overlay_blocks(report: CheckReport, pictures: Sequence[FramePictures]) -> list[page.Block]:
+def overlay_blocks(
+    report: result.CheckReport, pictures: Sequence[overlay.FramePictures]
+) -> list[page.Block]:
     """Whole frames with all outlines, then the close-ups of every object."""
     colors = _colors(report)
     names = {f.frame: f.name for f in report.frames}
@@ -163,12 +164,12 @@ def overlay_blocks(report: CheckReport, pictures: Sequence[FramePictures]) -> li
     return blocks
 
 
-def name_cell(report: CheckReport, item: ObjectCheck) -> Cell:
+def name_cell(report: result.CheckReport, item: result.ObjectCheck) -> Cell:
     """An object's name in its colour, material and state of its label below."""
     note = f"{item.material}, {item.label}"
     return Cell(text=item.name, note=note, color=_colors(report)[item.object])
 
 
-def _colors(report: CheckReport) -> dict[int, str]:
+def _colors(report: result.CheckReport) -> dict[int, str]:
     ids = [o.object for o in report.objects]
     return {i: object_color(ids, i) for i in ids}

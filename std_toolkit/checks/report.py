@@ -6,10 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from std_toolkit import __version__
-from std_toolkit.checks import figures
-from std_toolkit.checks.label_sections import label_blocks, name_cell, overlay_blocks
-from std_toolkit.checks.overlay import FramePictures
-from std_toolkit.checks.result import CheckGate, CheckReport
+from std_toolkit.checks import figures, label_sections, overlay, result
 from std_toolkit.html import page
 from std_toolkit.html.plots import MATERIAL_COLORS
 from std_toolkit.html.table import MINUS, NONE, Cell, Column, Row, Table, number
@@ -28,13 +25,13 @@ class PageParts:
 
     view3d: str | None
     sky: str | None
-    pictures: Sequence[FramePictures]
+    pictures: Sequence[overlay.FramePictures]
 
 
 _TEXT = Column(heading="", numeric=False)
 
 
-def render_page(report: CheckReport, parts: PageParts, options: CheckOptions) -> str:
+def render_page(report: result.CheckReport, parts: PageParts, options: CheckOptions) -> str:
     """The report as HTML."""
     word, _, rest = report.verdict.partition(": ")
     return page.Page(
@@ -47,8 +44,10 @@ def render_page(report: CheckReport, parts: PageParts, options: CheckOptions) ->
         sections=[
             page.Section("gates", "Gates", [_gates(report)]),
             page.Section("warnings", "Warnings", [_warnings(report)]),
-            page.Section("labels", "Labels", label_blocks(report, options)),
-            page.Section("overlays", "Overlays", overlay_blocks(report, parts.pictures)),
+            page.Section("labels", "Labels", label_sections.label_blocks(report, options)),
+            page.Section(
+                "overlays", "Overlays", label_sections.overlay_blocks(report, parts.pictures)
+            ),
             page.Section("scene", "Scene", _scene(report, parts, options)),
             page.Section("coverage", "Coverage", _coverage(report, parts)),
             page.Section("depth", "Sensor depth", _depth(report, parts)),
@@ -63,7 +62,7 @@ def render_page(report: CheckReport, parts: PageParts, options: CheckOptions) ->
     ).html()
 
 
-def _facts(report: CheckReport) -> list[page.Fact]:
+def _facts(report: result.CheckReport) -> list[page.Fact]:
     s = report.summary
     edges = sorted(o.edge_px for o in report.objects if o.edge_px is not None)
     gates = [g for g in report.gates if g.status != "open"]
@@ -82,7 +81,7 @@ def _facts(report: CheckReport) -> list[page.Fact]:
     ]
 
 
-def _gates(report: CheckReport) -> Table:
+def _gates(report: result.CheckReport) -> Table:
     rows = [
         [
             Cell(text={"open": "not measured"}.get(g.status, g.status), tag=g.status),
@@ -104,7 +103,7 @@ def _gates(report: CheckReport) -> Table:
     return Table(columns=columns[:shown], rows=[Row(row[:shown]) for row in rows])
 
 
-def _warnings(report: CheckReport) -> page.Block:
+def _warnings(report: result.CheckReport) -> page.Block:
     rows = [
         Row([Cell(text=w.severity, tag=w.severity), *_texts(w.about, w.problem, w.advice)])
         for w in report.warnings
@@ -116,7 +115,7 @@ def _warnings(report: CheckReport) -> page.Block:
     return Table(columns=[_TEXT, *(Column(heading=h, numeric=False) for h in heads)], rows=rows)
 
 
-def _scene(report: CheckReport, parts: PageParts, options: CheckOptions) -> list[page.Block]:
+def _scene(report: result.CheckReport, parts: PageParts, options: CheckOptions) -> list[page.Block]:
     blocks: list[page.Block] = []
     if parts.view3d is not None:
         blocks += [
@@ -150,7 +149,7 @@ def _scene(report: CheckReport, parts: PageParts, options: CheckOptions) -> list
     return blocks
 
 
-def _coverage(report: CheckReport, parts: PageParts) -> list[page.Block]:
+def _coverage(report: result.CheckReport, parts: PageParts) -> list[page.Block]:
     if parts.sky is None:
         return []
     columns = [
@@ -168,7 +167,7 @@ def _coverage(report: CheckReport, parts: PageParts) -> list[page.Block]:
         low, high = o.elevation_deg or (None, None)
         elevation = f"{number(low, 0)} to {number(high, 0)}" if o.elevation_deg else NONE
         cells = [
-            name_cell(report, o),
+            label_sections.name_cell(report, o),
             *_cells(columns[1:3], (o.frames_seen, o.azimuth_span_deg)),
             Cell(text=elevation),
             *_cells(columns[4:], (o.parallax_deg, o.largest_step_deg)),
@@ -185,7 +184,7 @@ def _coverage(report: CheckReport, parts: PageParts) -> list[page.Block]:
     ]
 
 
-def _depth(report: CheckReport, parts: PageParts) -> list[page.Block]:
+def _depth(report: result.CheckReport, parts: PageParts) -> list[page.Block]:
     if not report.materials:
         return []
     source = {
@@ -249,11 +248,11 @@ def _cells(columns: Sequence[Column], values: Sequence[float | None]) -> list[Ce
     return [c.cell(v, missing=NONE) for c, v in zip(columns, values, strict=True)]
 
 
-def _with_unit(gate: CheckGate, value: float | None) -> str:
+def _with_unit(gate: result.CheckGate, value: float | None) -> str:
     return NONE if value is None else f"{value:.4g} {gate.unit}".rstrip().replace("-", MINUS)
 
 
-def _scale_fact(report: CheckReport) -> tuple[str, str]:
+def _scale_fact(report: result.CheckReport) -> tuple[str, str]:
     """Where the metric scale comes from, and how far its sources differ."""
     scale = report.summary.scale
     if scale is None:

@@ -24,11 +24,7 @@ from std_toolkit.checks.sensor_depth import DepthResidual, ErrorTally, depth_res
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.options import CheckOptions
-from std_toolkit.rendering.ground_truth import (
-    GroundTruth,
-    info_path,
-    read_ground_truth,
-)
+from std_toolkit.rendering import ground_truth
 from std_toolkit.rendering.placements import truth_is_current
 from std_toolkit.scene import Frame, Scene
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
@@ -94,7 +90,7 @@ class LabelledView:
     caster: LabelCaster
     object_id: NDArray[np.int32]
     depth: NDArray[np.float32]
-    truth: GroundTruth | None
+    truth: ground_truth.GroundTruth | None
     truth_state: str
 
     def mask(self, object_id: int) -> NDArray[np.bool_]:
@@ -163,8 +159,8 @@ def render_view(scene: Scene, caster: LabelCaster, frame: Frame) -> LabelledView
         depth[y0:y1, x0:x1] = hits.depth
     truth = None
     state = "none"
-    if info_path(scene.root, frame.id).is_file():
-        truth = read_ground_truth(scene, frame.id)
+    if ground_truth.info_path(scene.root, frame.id).is_file():
+        truth = ground_truth.read_ground_truth(scene, frame.id)
         state = "current" if truth_is_current(scene, truth.info) else "stale"
     return LabelledView(
         frame,

@@ -14,22 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.exporters.bop_metadata import (
-    coco_document,
-    dataset_info,
-    dataset_text,
-    record_lines,
-    targets_19,
-    targets_24,
-)
-from std_toolkit.exporters.exporter import FrameRow, Target, exported_frame
+from std_toolkit.exporters import bop_metadata, exporter, mesh_export
 from std_toolkit.exporters.frame_maps import (
     color_camera,
     frame_maps,
     read_color,
     read_sensor_depth,
 )
-from std_toolkit.exporters.mesh_export import evenly_split, ply_files, transformed, write_files
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.mesh import mesh_bounds, mesh_diameter, nocs_frame
 from std_toolkit.geometry.se3 import SE3
@@ -60,19 +51,19 @@ class DepthUnits:
 class BopExporter:
     """`OUT/<split>/000001/`, `OUT/models/`, and the documents of a data set."""
 
-    def check(self, target: Target) -> None:
+    def check(self, target: exporter.Target) -> None:
         """Everything that a scene can hold fits."""
 
-    def folder(self, target: Target) -> str:
+    def folder(self, target: exporter.Target) -> str:
         return f"{target.options.split}/{target.options.scene_number:06d}"
 
-    def label_camera(self, target: Target, camera: Camera) -> Camera:  # noqa: ARG002
+    def label_camera(self, target: exporter.Target, camera: Camera) -> Camera:  # noqa: ARG002
         return camera
 
-    def quaternion(self, target: Target) -> str | None:  # noqa: ARG002
+    def quaternion(self, target: exporter.Target) -> str | None:  # noqa: ARG002
         return None
 
-    def write_models(self, target: Target) -> tuple[list[ExportedModel], list[str]]:
+    def write_models(self, target: exporter.Target) -> tuple[list[ExportedModel], list[str]]:
         """models/, models_eval/ and their models_info.json."""
         rows: list[ExportedModel] = []
         files: list[str] = []
@@ -82,10 +73,12 @@ class BopExporter:
             name = f"obj_{number:06d}.ply"
             mesh = target.scene.mesh(model_id)
             centre, diagonal = nocs_frame(mesh)
-            mm = transformed(mesh, centre=centre, factor=MM)
-            even = evenly_split(mm, largest_edge=_EVAL_EDGE * mesh_diameter(mm))
+            mm = mesh_export.transformed(mesh, centre=centre, factor=MM)
+            even = mesh_export.evenly_split(mm, largest_edge=_EVAL_EDGE * mesh_diameter(mm))
             for folder, shape in (("models", mm), ("models_eval", even)):
-                paths = write_files(target.root / folder, ply_files(shape, name))
+                paths = mesh_export.write_files(
+                    target.root / folder, mesh_export.ply_files(shape, name)
+                )
                 files += [p.relative_to(target.root).as_posix() for p in paths]
             symmetry = target.scene.objects.model(model_id).symmetry
             info[str(number)] = model_info(mm, symmetry, centre)
@@ -100,11 +93,13 @@ class BopExporter:
                 )
             )
         for folder in ("models", "models_eval"):
-            write_bytes_atomic(target.root / folder / "models_info.json", record_lines(info))
+            write_bytes_atomic(
+                target.root / folder / "models_info.json", bop_metadata.record_lines(info)
+            )
             files.append(f"{folder}/models_info.json")
         return rows, files
 
-    def write_frame(self, target: Target, frame: Frame) -> FrameRow:
+    def write_frame(self, target: exporter.Target, frame: Frame) -> exporter.FrameRow:
         """Colour, depth, both masks of every object, and the frame's rows of the documents."""
         scene = target.scene
         camera = color_camera(scene, frame)
@@ -142,8 +137,8 @@ class BopExporter:
             )
             gt_info.append(gt_info_row(row))
             coco.append(_coco_row(number, row, amodal, visible))
-        return FrameRow(
-            frame=exported_frame(
+        return exporter.FrameRow(
+            frame=exporter.exported_frame(
                 target,
                 frame,
                 maps.truth,
@@ -162,7 +157,7 @@ class BopExporter:
         )
 
     def finish(
-        self, target: Target, rows: list[FrameRow], models: list[ExportedModel]
+        self, target: exporter.Target, rows: list[exporter.FrameRow], models: list[ExportedModel]
     ) -> list[str]:
         """The documents of the scene and of the data set."""
         folder = self.folder(target)
@@ -170,15 +165,17 @@ class BopExporter:
         first = rows[0]
         camera = color_camera(target.scene, target.frames[0])
         documents: dict[str, bytes] = {
-            f"{folder}/scene_camera.json": record_lines(
+            f"{folder}/scene_camera.json": bop_metadata.record_lines(
                 {k: r.extra["camera"] for k, r in by_id.items()}
             ),
-            f"{folder}/scene_gt.json": record_lines({k: r.extra["gt"] for k, r in by_id.items()}),
-            f"{folder}/scene_gt_info.json": record_lines(
+            f"{folder}/scene_gt.json": bop_metadata.record_lines(
+                {k: r.extra["gt"] for k, r in by_id.items()}
+            ),
+            f"{folder}/scene_gt_info.json": bop_metadata.record_lines(
                 {k: r.extra["gt_info"] for k, r in by_id.items()}
             ),
-            f"{folder}/scene_gt_coco.json": coco_document(target, rows, models),
-            "camera.json": record_lines(
+            f"{folder}/scene_gt_coco.json": bop_metadata.coco_document(target, rows, models),
+            "camera.json": bop_metadata.record_lines(
                 {
                     "cx": camera.cx,
                     "cy": camera.cy,
@@ -189,10 +186,14 @@ class BopExporter:
                     "width": camera.width,
                 }
             ),
-            "test_targets_bop19.json": record_lines(targets_19(target, rows)),
-            "test_targets_bop24.json": record_lines(targets_24(target, rows)),
-            "dataset_info.json": dataset_info(target, rows, models),
-            "dataset_info.md": dataset_text(target, rows, models),
+            "test_targets_bop19.json": bop_metadata.record_lines(
+                bop_metadata.targets_19(target, rows)
+            ),
+            "test_targets_bop24.json": bop_metadata.record_lines(
+                bop_metadata.targets_24(target, rows)
+            ),
+            "dataset_info.json": bop_metadata.dataset_info(target, rows, models),
+            "dataset_info.md": bop_metadata.dataset_text(target, rows, models),
         }
         for name, content in documents.items():
             write_bytes_atomic(target.root / name, content)

@@ -17,15 +17,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, undistort_image
-from std_toolkit.rendering.choose import choose_renderer, get_renderer
-from std_toolkit.rendering.ground_truth import (
-    FrameTruth,
-    GroundTruth,
-    ObjectTruth,
-    read_ground_truth,
-)
-from std_toolkit.rendering.maps import Composition, compose, mask_box, mask_of, surface_maps
-from std_toolkit.rendering.placements import frame_placements, place_meshes, truth_is_current
+from std_toolkit.rendering import choose, ground_truth, maps, placements
 from std_toolkit.rendering.renderer import image_window
 from std_toolkit.scene.model import Frame
 from std_toolkit.scene.scene import Scene
@@ -42,7 +34,7 @@ class FrameMaps:
         nocs: (H, W, 3) float32 in 0..1, not flipped, 0 in the background.
     """
 
-    truth: FrameTruth
+    truth: ground_truth.FrameTruth
     depth: NDArray[np.float32]
     mask: NDArray[np.uint8]
     nocs: NDArray[np.float32]
@@ -68,7 +60,7 @@ def read_sensor_depth(scene: Scene, frame: Frame) -> NDArray[np.float32] | None:
     )
 
 
-def check_fresh(scene: Scene, truth: FrameTruth) -> None:
+def check_fresh(scene: Scene, truth: ground_truth.FrameTruth) -> None:
     """Refuse ground truth that belongs to another state of the scene than today's.
 
     Raises:
@@ -78,7 +70,7 @@ def check_fresh(scene: Scene, truth: FrameTruth) -> None:
     frame = scene.frame(truth.frame)
     if scene.info.depth_scale is None and frame.depth is not None and frame.depth.endswith(".png"):
         scene.read_depth(frame)  # a damaged scene, no stale one: this names the file and the mend
-    if not truth_is_current(scene, truth):
+    if not placements.truth_is_current(scene, truth):
         raise ToolkitError(
             "the ground truth is older than the labels, the camera or the meshes",
             path=scene.root,
@@ -93,30 +85,32 @@ def frame_maps(scene: Scene, frame: Frame, camera: Camera) -> FrameMaps:
     Raises:
         ToolkitError: the frame was not rendered, or its ground truth is stale or damaged.
     """
-    found = read_ground_truth(scene, frame.id)
+    found = ground_truth.read_ground_truth(scene, frame.id)
     check_fresh(scene, found.info)
     if camera == scene.camera(frame):
         return FrameMaps(found.info, found.depth, found.mask, found.nocs)
     return _rendered(scene, frame, camera, found)
 
 
-def _rendered(scene: Scene, frame: Frame, camera: Camera, found: GroundTruth) -> FrameMaps:
-    placed = place_meshes(scene, frame_placements(scene, frame.id))
-    renderer = get_renderer(choose_renderer(found.info.renderer, cameras=[camera]))
-    composition = compose(renderer, camera, placed, canvas=3)
+def _rendered(
+    scene: Scene, frame: Frame, camera: Camera, found: ground_truth.GroundTruth
+) -> FrameMaps:
+    placed = placements.place_meshes(scene, placements.frame_placements(scene, frame.id))
+    renderer = choose.get_renderer(choose.choose_renderer(found.info.renderer, cameras=[camera]))
+    composition = maps.compose(renderer, camera, placed, canvas=3)
     ids = [p.object_id for p in placed]
     if found.info.policy != "models":
         hidden = _hidden(composition, ids, scene.camera(frame), camera, found.mask)
         composition.depth[hidden] = 0
         composition.index[hidden] = -1
         composition.face[hidden] = -1
-    nocs, _ = surface_maps(camera, placed, composition, smooth_normals=False)
+    nocs, _ = maps.surface_maps(camera, placed, composition, smooth_normals=False)
     sensor = read_sensor_depth(scene, frame)
     if sensor is not None and camera.size != color_camera(scene, frame).size:
         sensor = cv2.resize(sensor, camera.size, interpolation=cv2.INTER_NEAREST_EXACT)  # type: ignore[assignment]
     old = {row.object: row for row in found.info.objects}
     rows = [_row(old[i], composition, k, camera, sensor) for k, i in enumerate(ids)]
-    truth = FrameTruth(
+    truth = ground_truth.FrameTruth(
         frame=frame.id,
         policy=found.info.policy,
         delta_m=found.info.delta_m,
@@ -128,12 +122,12 @@ def _rendered(scene: Scene, frame: Frame, camera: Camera, found: GroundTruth) ->
         digest=found.info.digest,
         outputs={},
     )
-    mask = mask_of(composition.index, ids)
+    mask = maps.mask_of(composition.index, ids)
     return FrameMaps(truth, composition.depth, mask, nocs)
 
 
 def _hidden(
-    composition: Composition,
+    composition: maps.Composition,
     ids: list[int],
     source: Camera,
     camera: Camera,
@@ -153,20 +147,20 @@ def _hidden(
 
 
 def _row(
-    old: ObjectTruth,
-    composition: Composition,
+    old: ground_truth.ObjectTruth,
+    composition: maps.Composition,
     index: int,
     camera: Camera,
     sensor: NDArray[np.float32] | None,
-) -> ObjectTruth:
+) -> ground_truth.ObjectTruth:
     silhouette = composition.silhouettes[index]
     visible = composition.index == index
     amodal = silhouette.image_mask(camera)
     valid = amodal if sensor is None else amodal & (sensor > 0)
     px_visible = int(np.count_nonzero(visible))
     box = silhouette.box
-    visible_box = mask_box(visible, image_window(camera))
-    return ObjectTruth(
+    visible_box = maps.mask_box(visible, image_window(camera))
+    return ground_truth.ObjectTruth(
         object=old.object,
         T_cam_obj=old.T_cam_obj,
         px_all=silhouette.px_all,

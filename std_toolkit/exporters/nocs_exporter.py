@@ -11,15 +11,13 @@ from __future__ import annotations
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.exporters.exporter import FrameRow, Target, exported_frame
+from std_toolkit.exporters import exporter, mesh_export, std_exporter
 from std_toolkit.exporters.frame_maps import (
     color_camera,
     frame_maps,
     read_color,
     read_sensor_depth,
 )
-from std_toolkit.exporters.mesh_export import obj_files, transformed, write_files
-from std_toolkit.exporters.std_exporter import dense_mask, nocs_image
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.mesh import mesh_extents, nocs_frame
 from std_toolkit.io.atomic import write_bytes_atomic
@@ -36,7 +34,7 @@ _LARGEST = 65535
 class NocsExporter:
     """`OUT/real/<split>/scene_N/NNNN_*`, meshes in `OUT/obj_models/real_<split>/`."""
 
-    def check(self, target: Target) -> None:
+    def check(self, target: exporter.Target) -> None:
         """Refuse more objects than the loader holds."""
         if len(target.object_ids) > MOST_OBJECTS:
             raise ToolkitError(
@@ -45,24 +43,26 @@ class NocsExporter:
                 value=len(target.object_ids),
             )
 
-    def folder(self, target: Target) -> str:
+    def folder(self, target: exporter.Target) -> str:
         return f"real/{target.options.split}/scene_{target.options.scene_number}"
 
-    def label_camera(self, target: Target, camera: Camera) -> Camera:  # noqa: ARG002
+    def label_camera(self, target: exporter.Target, camera: Camera) -> Camera:  # noqa: ARG002
         return camera
 
-    def quaternion(self, target: Target) -> str | None:  # noqa: ARG002
+    def quaternion(self, target: exporter.Target) -> str | None:  # noqa: ARG002
         return None
 
-    def write_models(self, target: Target) -> tuple[list[ExportedModel], list[str]]:
+    def write_models(self, target: exporter.Target) -> tuple[list[ExportedModel], list[str]]:
         """`<model>.obj` in metres, centred, and `<model>.txt` with its extents."""
         rows, files = [], []
         relative = f"obj_models/real_{target.options.split}"
         for model_id in target.model_ids:
             mesh = target.scene.mesh(model_id)
             centre, diagonal = nocs_frame(mesh)
-            centred = transformed(mesh, centre=centre, factor=1.0)
-            paths = write_files(target.root / relative, obj_files(centred, f"{model_id}.obj"))
+            centred = mesh_export.transformed(mesh, centre=centre, factor=1.0)
+            paths = mesh_export.write_files(
+                target.root / relative, mesh_export.obj_files(centred, f"{model_id}.obj")
+            )
             extents = " ".join(f"{x:.9f}" for x in mesh_extents(centred))
             write_bytes_atomic(target.root / relative / f"{model_id}.txt", f"{extents}\n".encode())
             files += [p.relative_to(target.root).as_posix() for p in paths]
@@ -79,7 +79,7 @@ class NocsExporter:
             )
         return rows, files
 
-    def write_frame(self, target: Target, frame: Frame) -> FrameRow:
+    def write_frame(self, target: exporter.Target, frame: Frame) -> exporter.FrameRow:
         """The five files of a frame."""
         scene = target.scene
         camera = color_camera(scene, frame)
@@ -95,26 +95,26 @@ class NocsExporter:
         # Beyond 65 m nothing was measured by a sensor of this field.
         units[units > _LARGEST] = 0
         write_png(folder / f"{stem}_depth.png", units.astype(np.uint16))
-        write_png(folder / f"{stem}_mask.png", dense_mask(maps.mask, mask_ids))
-        write_png(folder / f"{stem}_coord.png", nocs_image(maps.nocs, maps.mask))
+        write_png(folder / f"{stem}_mask.png", std_exporter.dense_mask(maps.mask, mask_ids))
+        write_png(folder / f"{stem}_coord.png", std_exporter.nocs_image(maps.nocs, maps.mask))
         write_bytes_atomic(folder / f"{stem}_meta.txt", self._meta(target).encode())
         suffixes = ("color.png", "depth.png", "mask.png", "coord.png", "meta.txt")
-        return FrameRow(
-            frame=exported_frame(target, frame, maps.truth, stem=stem, mask_ids=mask_ids),
+        return exporter.FrameRow(
+            frame=exporter.exported_frame(target, frame, maps.truth, stem=stem, mask_ids=mask_ids),
             truth=maps.truth,
             outputs=[f"{self.folder(target)}/{stem}_{s}" for s in suffixes],
         )
 
     def finish(
         self,
-        target: Target,  # noqa: ARG002 - part of the protocol
-        rows: list[FrameRow],  # noqa: ARG002
+        target: exporter.Target,  # noqa: ARG002 - part of the protocol
+        rows: list[exporter.FrameRow],  # noqa: ARG002
         models: list[ExportedModel],  # noqa: ARG002
     ) -> list[str]:
         """The layout has no documents over all frames."""
         return []
 
-    def _meta(self, target: Target) -> str:
+    def _meta(self, target: exporter.Target) -> str:
         lines = []
         for object_id in target.object_ids:
             model = target.scene.objects.model_of(object_id)

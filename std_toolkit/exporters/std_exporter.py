@@ -23,9 +23,7 @@ from std_toolkit.exporters.mesh_export import obj_files, transformed, write_file
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.mesh import mesh_bounds, nocs_frame
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.io.atomic import write_bytes_atomic
-from std_toolkit.io.exr import write_exr
-from std_toolkit.io.images import write_png
+from std_toolkit.io import atomic, exr, images
 from std_toolkit.rendering.ground_truth import FrameTruth
 from std_toolkit.scene.model import MATERIAL_IDS, Frame
 from std_toolkit.scene.sidecar import ExportedModel
@@ -95,7 +93,7 @@ class StdExporter:
             paths = write_files(folder, obj_files(unit, "model.obj"))
             low, high = mesh_bounds(unit)
             text = "\n".join(" ".join(f"{x:.9f}" for x in row) for row in (high, low)) + "\n"
-            write_bytes_atomic(folder / "bbox.txt", text.encode())
+            atomic.write_bytes_atomic(folder / "bbox.txt", text.encode())
             files += [p.relative_to(target.root).as_posix() for p in paths]
             files.append(f"{relative}/bbox.txt")
             rows.append(
@@ -121,16 +119,16 @@ class StdExporter:
         prefix = f"{self.folder(target)}/{stem}"
         mask_ids = {i: target.rank(i) for i in target.object_ids}
 
-        write_png(folder / f"{stem}_color.png", read_color(scene, frame), compression=3)
+        images.write_png(folder / f"{stem}_color.png", read_color(scene, frame), compression=3)
         sensor = read_sensor_depth(scene, frame)
         if sensor is None:
             sensor = np.zeros((camera.height, camera.width), np.float32)
         write_depth_exr(folder / f"{stem}_depth_415.exr", sensor)
         write_depth_exr(folder / f"{stem}_gt_depth.exr", maps.depth)
-        write_png(folder / f"{stem}_coord.png", nocs_image(maps.nocs, maps.mask))
-        write_png(folder / f"{stem}_mask.png", dense_mask(maps.mask, mask_ids))
+        images.write_png(folder / f"{stem}_coord.png", nocs_image(maps.nocs, maps.mask))
+        images.write_png(folder / f"{stem}_mask.png", dense_mask(maps.mask, mask_ids))
         meta = self._meta(target, maps.truth, mask_ids)
-        write_bytes_atomic(folder / f"{stem}_meta.txt", meta.encode())
+        atomic.write_bytes_atomic(folder / f"{stem}_meta.txt", meta.encode())
         suffixes = (
             "color.png", "depth_415.exr", "gt_depth.exr", "coord.png", "mask.png", "meta.txt",
         )  # fmt: skip
@@ -170,7 +168,7 @@ class StdExporter:
 def write_depth_exr(path: Path, depth: NDArray[np.float32]) -> None:
     """Depth in metres as three equal float32 channels, as the layout's files have it."""
     values = np.ascontiguousarray(depth, dtype=np.float32)
-    write_exr(path, {"R": values, "G": values, "B": values}, compression="zip")
+    exr.write_exr(path, {"R": values, "G": values, "B": values}, compression="zip")
 
 
 def nocs_image(nocs: NDArray[np.float32], mask: NDArray[np.uint8]) -> NDArray[np.uint8]:

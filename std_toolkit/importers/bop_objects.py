@@ -19,9 +19,7 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.importers.bop_documents import MM, BopScene, ModelInfo, named
-from std_toolkit.importers.foreign_files import mesh_suffix, model_of_mesh
-from std_toolkit.importers.importer import SourceModel
+from std_toolkit.importers import bop_documents, foreign_files, importer
 from std_toolkit.io.documents import read_document
 from std_toolkit.scene.model import (
     ContinuousSymmetry,
@@ -65,7 +63,7 @@ class _Track:
 
 
 def find_instances(
-    scene: BopScene,
+    scene: bop_documents.BopScene,
     T_world_cam: dict[int, SE3],
     model_ids: dict[int, str],
     material: Material,
@@ -124,7 +122,7 @@ def find_instances(
 
 
 def instances_from_sidecar(
-    scene: BopScene,
+    scene: bop_documents.BopScene,
     sidecar: Sidecar,
     T_world_cam: dict[int, SE3],
     centres: dict[int, NDArray[np.float64]],
@@ -199,7 +197,7 @@ def _label(track: _Track, object_id: int) -> Label:
 
 def read_models(
     top: Path, folder: Path, numbers: list[int], sidecar: Sidecar | None
-) -> tuple[dict[int, SourceModel], dict[int, NDArray[np.float64]]]:
+) -> tuple[dict[int, importer.SourceModel], dict[int, NDArray[np.float64]]]:
     """Models by obj_id, and where the scene's mesh origin lay before BOP's recentring.
 
     Args:
@@ -222,7 +220,9 @@ def read_models(
         raise ToolkitError(
             "the data set's models are missing", path=folder, hint="give --models DIR"
         )
-    infos = read_document(info_path, dict[str, ModelInfo]) if info_path.is_file() else {}
+    infos = (
+        read_document(info_path, dict[str, bop_documents.ModelInfo]) if info_path.is_file() else {}
+    )
     models, centres = {}, {}
     for number in numbers:
         exported = None
@@ -236,29 +236,29 @@ def read_models(
         known = None
         if sidecar is not None and exported is not None:
             known = sidecar.objects.model(exported.model)
-        with named(info_path, str(number)):
+        with bop_documents.named(info_path, str(number)):
             symmetry = symmetry_of(infos.get(str(number)), centre)
-        model = model_of_mesh(
+        model = foreign_files.model_of_mesh(
             mesh,
             model_id=known.id if known else f"obj_{number:06d}",
             category=known.category if known else "other",
             class_id=known.class_id if known else 0,
             symmetry=symmetry,
-            suffix=mesh_suffix(mesh),
+            suffix=foreign_files.mesh_suffix(mesh),
         )
-        models[number] = SourceModel(model=model, mesh=mesh)
+        models[number] = importer.SourceModel(model=model, mesh=mesh)
         centres[number] = centre
     return models, centres
 
 
-def symmetry_of(info: ModelInfo | None, centre: NDArray[np.float64]) -> SymmetryModel:
+def symmetry_of(info: bop_documents.ModelInfo | None, centre: NDArray[np.float64]) -> SymmetryModel:
     """Symmetries in the scene's mesh frame, metres."""
     if info is None:
         return SymmetryModel()
     discrete = []
     for T in info.symmetries_discrete:
         M = np.asarray(T, dtype=np.float64).reshape(4, 4).copy()
-        M[:3, 3] *= MM
+        M[:3, 3] *= bop_documents.MM
         S = SE3.from_matrix(M)
         discrete.append(SE3(S.R, S.t + centre - S.R @ centre).flat())
     continuous = []
@@ -267,7 +267,7 @@ def symmetry_of(info: ModelInfo | None, centre: NDArray[np.float64]) -> Symmetry
         length = float(np.linalg.norm(axis))
         if not np.isfinite(length) or length == 0:
             raise ToolkitError("a symmetry axis has no direction", value=c.axis)
-        offset = np.asarray(c.offset, dtype=np.float64) * MM + centre
+        offset = np.asarray(c.offset, dtype=np.float64) * bop_documents.MM + centre
         continuous.append(
             ContinuousSymmetry(
                 axis=[float(x) for x in axis / length], offset=[float(x) for x in offset]

@@ -10,9 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.importers.foreign_files import natural_key
-from std_toolkit.importers.importer import FileKind, Recording, SourceFile, SourceFrame
-from std_toolkit.importers.intrinsics import read_intrinsics
+from std_toolkit.importers import foreign_files, importer, intrinsics
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size
 from std_toolkit.options import ImportRequest
 from std_toolkit.scene.document import check_name
@@ -29,7 +27,7 @@ class ClearGraspImporter:
     def recognises(self, source: Path) -> bool:
         return source.is_dir() and any(source.glob(f"*{_DEPTH}"))
 
-    def read(self, request: ImportRequest) -> Recording:
+    def read(self, request: ImportRequest) -> importer.Recording:
         """See `Importer`.
 
         Raises:
@@ -45,20 +43,20 @@ class ClearGraspImporter:
         }
         depth = {p.name.removesuffix(_DEPTH): p for p in folder.glob(f"*{_DEPTH}")}
         if not depth or set(color) != set(depth):
-            odd = sorted(set(color) ^ set(depth), key=natural_key)
+            odd = sorted(set(color) ^ set(depth), key=foreign_files.natural_key)
             raise ToolkitError(
                 "no ClearGrasp captures here, or captures that lack colour or depth",
                 path=folder,
                 value=odd[:5] or None,
                 hint="give the folder that holds the *-transparent-depth-img.exr, such as real-val",
             )
-        keys = sorted(color, key=natural_key)
+        keys = sorted(color, key=foreign_files.natural_key)
         given = request.intrinsics or str(_intrinsics_file(folder))
         size = image_size(color[keys[0]])
-        camera = read_intrinsics(given, size=size).camera(
+        camera = intrinsics.read_intrinsics(given, size=size).camera(
             size, path=given, off_centre=request.off_centre
         )
-        return Recording(
+        return importer.Recording(
             source="import:cleargrasp",
             cameras={"color": CameraModel.of(camera)},
             frames=tuple(
@@ -76,8 +74,8 @@ def _intrinsics_file(folder: Path) -> Path:
     raise ToolkitError(f"{_INTRINSICS} not found", path=folder, hint="give --intrinsics")
 
 
-def _frame(folder: Path, key: str, index: int, color: Path, depth: Path) -> SourceFrame:
-    twins: tuple[tuple[str, FileKind, str], ...] = (
+def _frame(folder: Path, key: str, index: int, color: Path, depth: Path) -> importer.SourceFrame:
+    twins: tuple[tuple[str, importer.FileKind, str], ...] = (
         ("color", "color", "-opaque-rgb-img.jpg"),
         ("color", "color", "-opaque-rgb-img.png"),
         ("depth", "depth", "-opaque-depth-img.exr"),
@@ -85,7 +83,7 @@ def _frame(folder: Path, key: str, index: int, color: Path, depth: Path) -> Sour
         ("normals", "map", "-normals.exr"),
     )
     reference = tuple(
-        SourceFile(
+        importer.SourceFile(
             source=folder / f"{key}{suffix}",
             target=f"reference/{place}/{key}",
             kind=kind,
@@ -94,11 +92,11 @@ def _frame(folder: Path, key: str, index: int, color: Path, depth: Path) -> Sour
         for place, kind, suffix in twins
         if (folder / f"{key}{suffix}").is_file()
     )
-    return SourceFrame(
+    return importer.SourceFrame(
         id=index,
         name=key,
-        color=SourceFile(source=color, target=f"color/{key}", kind="color"),
-        depth=SourceFile(source=depth, target=f"depth/{key}", kind="depth"),
+        color=importer.SourceFile(source=color, target=f"color/{key}", kind="color"),
+        depth=importer.SourceFile(source=depth, target=f"depth/{key}", kind="depth"),
         reference=reference,
     )
 

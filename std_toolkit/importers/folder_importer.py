@@ -7,13 +7,11 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit import errors, log, options
 from std_toolkit.importers.foreign_files import DEPTH_SUFFIXES, natural_key
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
 from std_toolkit.importers.intrinsics import parse_distortion, read_intrinsics
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size
-from std_toolkit.log import logger
-from std_toolkit.options import ImportRequest
 from std_toolkit.scene.document import safe_name
 from std_toolkit.scene.model import CameraModel
 
@@ -38,7 +36,7 @@ class FolderImporter:
     def recognises(self, source: Path) -> bool:  # noqa: ARG002 - any folder could be one
         return False
 
-    def read(self, request: ImportRequest) -> Recording:
+    def read(self, request: options.ImportRequest) -> Recording:
         """See `Importer`.
 
         Raises:
@@ -47,7 +45,7 @@ class FolderImporter:
         """
         where = request.color or str(request.source)
         if request.intrinsics is None:
-            raise ToolkitError(
+            raise errors.ToolkitError(
                 "colour images need intrinsics",
                 path=where,
                 hint="give --intrinsics FILE or --intrinsics fx,fy,cx,cy",
@@ -103,7 +101,7 @@ def _common_size(color: dict[str, Path]) -> tuple[int, int]:
     size = image_size(first)
     for path in color.values():
         if (other := image_size(path)) != size:
-            raise ToolkitError(
+            raise errors.ToolkitError(
                 f"colour images differ in size: {first.name} is {size[0]}x{size[1]}",
                 path=path,
                 value=f"{other[0]}x{other[1]}",
@@ -112,7 +110,7 @@ def _common_size(color: dict[str, Path]) -> tuple[int, int]:
     return size
 
 
-def _camera(request: ImportRequest, given: str, size: tuple[int, int]) -> CameraModel:
+def _camera(request: options.ImportRequest, given: str, size: tuple[int, int]) -> CameraModel:
     intrinsics = read_intrinsics(given, size=size)
     if request.distortion is not None:
         intrinsics = replace(intrinsics, distortion=parse_distortion(request.distortion))
@@ -162,14 +160,14 @@ def list_images(
         wanted = _COLOR_WORDS if role == "color" else _DEPTH_WORDS
         paths = [p for p in paths if wanted & {w.lower() for w in _SEPARATORS.split(p.stem)}]
     if not paths:
-        raise ToolkitError(
+        raise errors.ToolkitError(
             f"no {role} images here", path=where, hint=f"files end in {', '.join(suffixes)}"
         )
     found: dict[str, Path] = {}
     for path in sorted(paths, key=lambda p: natural_key(p.stem)):
         key = frame_key(path.stem)
         if key in found:
-            raise ToolkitError(
+            raise errors.ToolkitError(
                 f"two {role} images of one frame: {found[key].name} and {path.name}",
                 path=path.parent,
                 value=key,
@@ -181,13 +179,13 @@ def list_images(
 
 def _listed(folder: Path, role: str) -> list[Path]:
     if folder.is_file():
-        raise ToolkitError(
+        raise errors.ToolkitError(
             f"a file, not a folder of {role} images",
             path=folder,
             hint=f'give its folder, or a pattern such as --{role} "DIR/*{folder.suffix}"',
         )
     if not folder.is_dir():
-        raise ToolkitError(f"no such folder of {role} images", path=folder)
+        raise errors.ToolkitError(f"no such folder of {role} images", path=folder)
     return [p for p in folder.iterdir() if p.is_file()]
 
 
@@ -207,19 +205,19 @@ def pair(
             for keys, what in ((no_depth, "depth"), (no_color, "colour"))
             if keys
         ]
-        raise ToolkitError(
+        raise errors.ToolkitError(
             "colour and depth do not pair by name: " + "; ".join(problems),
             path=next(iter(depth.values())).parent,
             hint="mend the names, or give --skip-unpaired to leave these frames out",
         )
     paired = {k: depth[k] for k in color if k in depth}
     if not paired:
-        raise ToolkitError(
+        raise errors.ToolkitError(
             "no colour image has a depth image of the same name",
             path=next(iter(color.values())).parent,
         )
     if no_depth or no_color:
-        logger.warning("left out %d frames without a partner", len(no_depth) + len(no_color))
+        log.logger.warning("left out %d frames without a partner", len(no_depth) + len(no_color))
     return paired
 
 
@@ -234,7 +232,9 @@ def frame_names(keys: list[str]) -> dict[str, str]:
     for key in keys:
         name = safe_name(key)
         if name in seen:
-            raise ToolkitError(f"frames {seen[name]!r} and {key!r} become one name", value=name)
+            raise errors.ToolkitError(
+                f"frames {seen[name]!r} and {key!r} become one name", value=name
+            )
         seen[name] = key
         names[key] = name
     return names
@@ -250,4 +250,4 @@ def warn_about_gaps(keys: list[str]) -> None:
     gaps = [i for i, s in enumerate(steps) if s > usual > 0]
     if gaps and usual > 0 and len(gaps) <= len(steps) // 4:
         where = ", ".join(keys[i] for i in gaps[:5])
-        logger.warning("frames are missing after %s%s", where, " ..." if len(gaps) > 5 else "")
+        log.logger.warning("frames are missing after %s%s", where, " ..." if len(gaps) > 5 else "")

@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import check_mesh_size, mesh_diameter, mesh_extents
-from std_toolkit.io.atomic import write_bytes_atomic
-from std_toolkit.io.exr import exr_size, read_exr
-from std_toolkit.io.images import read_png
+from std_toolkit.io import atomic, exr, images
 from std_toolkit.scene.model import CATEGORY_CLASS_IDS, Model, SymmetryModel
 
 if TYPE_CHECKING:
@@ -51,7 +49,7 @@ def read_foreign_depth(path: Path, *, size: tuple[int, int]) -> ForeignDepth:
         ToolkitError: unreadable, of another size, or no depth image.
     """
     if path.suffix.lower() == ".exr":
-        check_aligned(path, exr_size(path), size)
+        check_aligned(path, exr.exr_size(path), size)
         values = _single_channel(path)
         missing = ~np.isfinite(values) | (values < 0)
         if missing.any():
@@ -61,7 +59,7 @@ def read_foreign_depth(path: Path, *, size: tuple[int, int]) -> ForeignDepth:
         raise ToolkitError(
             "depth must be a 16-bit PNG or an EXR", path=path, hint="JPEG and 8-bit lose depth"
         )
-    raw = read_png(path)
+    raw = images.read_png(path)
     check_aligned(path, (raw.shape[1], raw.shape[0]), size)
     if raw.dtype != np.uint16 or raw.ndim != 2:
         raise ToolkitError(
@@ -121,7 +119,7 @@ def check_unit(
 
 
 def _single_channel(path: Path) -> NDArray[np.floating]:
-    channels = read_exr(path)
+    channels = exr.read_exr(path)
     for name in ("Y", "Z", "V", "R"):
         if name in channels:
             chosen = channels[name]
@@ -154,13 +152,13 @@ def read_mask_source(path: Path, *, size: tuple[int, int] | None) -> np.ndarray:
     """
     if path.suffix.lower() == ".exr":
         if size is not None:
-            check_aligned(path, exr_size(path), size)
-        channels = read_exr(path)
+            check_aligned(path, exr.exr_size(path), size)
+        channels = exr.read_exr(path)
         values = channels.get("R", next(iter(channels.values()))).astype(np.float64) * 255
         if not np.isfinite(values).all() or values.min() < 0 or values.max() > 255.5:
             raise ToolkitError("a mask in EXR holds id/255 between 0 and 1", path=path)
         return np.rint(values).astype(np.uint8)
-    image = read_png(path, size=size)
+    image = images.read_png(path, size=size)
     if image.ndim == 3:
         if not (image == image[..., :1]).all():
             raise ToolkitError("a mask holds ids in one channel or in equal ones", path=path)
@@ -177,7 +175,7 @@ def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
     check_mesh_size(mesh, path=path)
     data = mesh.export(file_type=path.suffix.lower().lstrip("."))
     assert isinstance(data, bytes)  # both formats are binary
-    write_bytes_atomic(path, data)
+    atomic.write_bytes_atomic(path, data)
 
 
 def mesh_suffix(mesh: trimesh.Trimesh) -> str:

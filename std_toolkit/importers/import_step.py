@@ -18,9 +18,7 @@ import numpy as np
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.importers import foreign_files, importer
-from std_toolkit.io.atomic import check_vacant, new_folder
-from std_toolkit.io.exr import write_exr
-from std_toolkit.io.images import image_size, read_color, read_png, write_color, write_png
+from std_toolkit.io import atomic, exr, images
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.log import logger
 from std_toolkit.options import ImportRequest, LinkMode
@@ -73,7 +71,7 @@ def write_recording(
     )
     if options is None and len(recording.frames) < _SERIAL_BELOW:
         options = JobOptions(engine="serial")
-    with new_folder(out) as staging:
+    with atomic.new_folder(out) as staging:
         job = partial(
             _write_frame,
             root=staging,
@@ -161,11 +159,11 @@ def _write_color(
 ) -> str:
     if file.resize:
         target = file.target + ".png"
-        image = cv2.resize(read_color(file.source), size, interpolation=cv2.INTER_AREA)
-        write_color(root / target, image)  # type: ignore[arg-type]
+        image = cv2.resize(images.read_color(file.source), size, interpolation=cv2.INTER_AREA)
+        images.write_color(root / target, image)  # type: ignore[arg-type]
         return target
     # Decoded once, so that a damaged image is found now and not in the middle of a later step.
-    read_color(file.source, size=size)
+    images.read_color(file.source, size=size)
     target = file.target + file.source.suffix.lower()
     _place(file.source, root / target, link)
     return target
@@ -192,14 +190,14 @@ def _write_depth(
     if values.dtype == np.uint16 and unit == scene_scale:
         target = file.target + ".png"
         if depth.converted:
-            write_png(root / target, values)
+            images.write_png(root / target, values)
         else:
             _place(file.source, root / target, link)
     else:
         # Another unit than the scene's would have to be rounded to it; EXR keeps it.
         target = file.target + ".exr"
         metres = values if unit == 1.0 else values.astype(np.float32) * np.float32(unit)
-        write_exr(root / target, {"Y": metres})
+        exr.write_exr(root / target, {"Y": metres})
     return target, median
 
 
@@ -210,22 +208,22 @@ def _write_reference(
     if file.kind == "color":
         _write_color(file, root, size, link)
     elif file.kind == "depth":
-        own = size if file.same_size else image_size(file.source)
+        own = size if file.same_size else images.image_size(file.source)
         depth = foreign_files.read_foreign_depth(file.source, size=own)
         metres = depth.values
         if metres.dtype == np.uint16:
             metres = metres.astype(np.float32) * np.float32(file.depth_scale or 0.001)
-        write_exr(target.with_suffix(".exr"), {"Y": metres})
+        exr.write_exr(target.with_suffix(".exr"), {"Y": metres})
     elif file.kind == "mask":
         mask = foreign_files.read_mask_source(file.source, size=size if file.same_size else None)
         if file.binary:
             mask = (mask > 0).astype(np.uint8)
         if file.background is not None:
             mask = np.where(mask == file.background, np.zeros((), mask.dtype), mask)
-        write_png(target.with_suffix(".png"), mask)
+        images.write_png(target.with_suffix(".png"), mask)
     else:
         if file.source.suffix.lower() == ".png":
-            read_png(file.source, size=size if file.same_size else None)
+            images.read_png(file.source, size=size if file.same_size else None)
         _place(file.source, target, link)
 
 
@@ -299,7 +297,7 @@ def import_recording(
         ToolkitError: the recording or the flags are wrong; nothing is left behind.
     """
     out = Path(out)
-    check_vacant(out)
+    atomic.check_vacant(out)
     if request.depth_scale is not None and not 0 < request.depth_scale <= 1:
         raise ToolkitError(
             "must be metres per unit of the depth images, above 0 and at most 1",

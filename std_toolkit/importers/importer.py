@@ -10,9 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
 
-from std_toolkit.errors import ToolkitError
-from std_toolkit.options import ImportRequest
-from std_toolkit.plugins import Registry
+from std_toolkit import errors, options, plugins
 from std_toolkit.scene.model import CameraModel, CameraPoses, Labels, Model, Object
 
 if TYPE_CHECKING:
@@ -107,7 +105,7 @@ class Importer(Protocol):
         """Whether `source` is unmistakably of this format. Looks at names only."""
         ...
 
-    def read(self, request: ImportRequest) -> Recording:
+    def read(self, request: options.ImportRequest) -> Recording:
         """Find and check what the recording holds.
 
         Raises:
@@ -116,7 +114,7 @@ class Importer(Protocol):
         ...
 
 
-IMPORTERS: Registry[Importer] = Registry(
+IMPORTERS: plugins.Registry[Importer] = plugins.Registry(
     "std_toolkit.importers",
     {
         "folder": "std_toolkit.importers.folder_importer:FOLDER",
@@ -136,11 +134,11 @@ def detect_format(source: Path) -> str:
         ToolkitError: none or several recognise it.
     """
     if not source.exists():
-        raise ToolkitError("no such file or folder", path=source)
+        raise errors.ToolkitError("no such file or folder", path=source)
     found = [name for name in IMPORTERS if IMPORTERS.get(name).recognises(source)]
     if len(found) == 1:
         return found[0]
-    raise ToolkitError(
+    raise errors.ToolkitError(
         "cannot tell the format of the recording" if not found else "several formats fit",
         path=source,
         value=found or None,

@@ -6,13 +6,7 @@ from pathlib import Path
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
-from std_toolkit.importers.foreign_files import natural_key
-from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
-from std_toolkit.importers.intrinsics import read_intrinsics
-from std_toolkit.importers.sidecar_recording import (
-    recording_from_sidecar,
-    reference_files,
-)
+from std_toolkit.importers import foreign_files, importer, intrinsics, sidecar_recording
 from std_toolkit.io.images import image_size
 from std_toolkit.options import ImportRequest
 from std_toolkit.scene.document import check_name
@@ -34,7 +28,7 @@ class NocsImporter:
             return find_sidecar(source, "nocs") is not None
         return any(source.glob("*_depth.png")) and any(source.glob("*_coord.png"))
 
-    def read(self, request: ImportRequest) -> Recording:
+    def read(self, request: ImportRequest) -> importer.Recording:
         """See `Importer`.
 
         Raises:
@@ -44,7 +38,7 @@ class NocsImporter:
         if found is not None:
             sidecar, top = found
             folder = top / sidecar.folder
-            return recording_from_sidecar(
+            return sidecar_recording.recording_from_sidecar(
                 sidecar,
                 top,
                 color=lambda stem: folder / f"{stem}_color.png",
@@ -56,7 +50,7 @@ class NocsImporter:
         stems = _stems(folder)
         size = image_size(folder / f"{stems[0]}_color.png")
         if request.intrinsics is not None:
-            given = read_intrinsics(request.intrinsics, size=size)
+            given = intrinsics.read_intrinsics(request.intrinsics, size=size)
             camera = given.camera(size, path=request.intrinsics, off_centre=request.off_centre)
         elif size == REAL275.size:
             camera = REAL275
@@ -68,7 +62,7 @@ class NocsImporter:
                 hint="give --intrinsics",
             )
         frames = tuple(_frame(folder, stem, i) for i, stem in enumerate(stems))
-        return Recording(
+        return importer.Recording(
             source="import:nocs",
             cameras={"color": CameraModel.of(camera)},
             frames=frames,
@@ -84,27 +78,32 @@ def _stems(folder: Path) -> list[str]:
     color = {p.name.removesuffix("_color.png") for p in folder.glob("*_color.png")}
     depth = {p.name.removesuffix("_depth.png") for p in folder.glob("*_depth.png")}
     if not color or color != depth:
-        odd = sorted(color ^ depth, key=natural_key)
+        odd = sorted(color ^ depth, key=foreign_files.natural_key)
         raise ToolkitError(
             "no NOCS recording here, or frames that lack colour or depth",
             path=folder,
             value=odd[:5] or None,
         )
-    return [check_name(s, path=folder, field="file name") for s in sorted(color, key=natural_key)]
+    return [
+        check_name(s, path=folder, field="file name")
+        for s in sorted(color, key=foreign_files.natural_key)
+    ]
 
 
-def _frame(folder: Path, stem: str, index: int) -> SourceFrame:
-    return SourceFrame(
+def _frame(folder: Path, stem: str, index: int) -> importer.SourceFrame:
+    return importer.SourceFrame(
         id=index,
         name=stem,
-        color=SourceFile(source=folder / f"{stem}_color.png", target=f"color/{stem}", kind="color"),
-        depth=SourceFile(
+        color=importer.SourceFile(
+            source=folder / f"{stem}_color.png", target=f"color/{stem}", kind="color"
+        ),
+        depth=importer.SourceFile(
             source=folder / f"{stem}_depth.png",
             target=f"depth/{stem}",
             kind="depth",
             depth_scale=DEPTH_SCALE,
         ),
-        reference=reference_files(stem, _maps(folder, stem)),
+        reference=sidecar_recording.reference_files(stem, _maps(folder, stem)),
     )
 
 

@@ -13,14 +13,13 @@ from pathlib import Path
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
-from std_toolkit.importers.foreign_files import natural_key
-from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
-from std_toolkit.importers.intrinsics import parse_distortion, read_intrinsics
-from std_toolkit.importers.sidecar_recording import (
-    recording_from_sidecar,
-    reference_files,
+from std_toolkit.importers import (
+    foreign_files,
+    importer,
+    intrinsics,
+    sidecar_recording,
+    std_objects,
 )
-from std_toolkit.importers.std_objects import read_objects
 from std_toolkit.io.images import image_size
 from std_toolkit.options import ImportRequest
 from std_toolkit.scene.document import check_name
@@ -76,7 +75,7 @@ class StdImporter:
             and found[1] == source.resolve()
         )
 
-    def read(self, request: ImportRequest) -> Recording:
+    def read(self, request: ImportRequest) -> importer.Recording:
         """See `Importer`.
 
         Raises:
@@ -86,7 +85,7 @@ class StdImporter:
         if found is not None:
             sidecar, top = found
             folder = top / sidecar.folder
-            return recording_from_sidecar(
+            return sidecar_recording.recording_from_sidecar(
                 sidecar,
                 top,
                 color=lambda stem: folder / f"{stem}_color.png",
@@ -99,10 +98,10 @@ class StdImporter:
         frames = tuple(
             self._frame(request.source, stem, i, resized) for i, stem in enumerate(stems)
         )
-        objects = read_objects(
+        objects = std_objects.read_objects(
             request, [f.name for f in frames], self.layout.name, self._maps, camera
         )
-        return Recording(
+        return importer.Recording(
             source=f"import:{self.layout.name}",
             cameras={"color": CameraModel.of(camera)},
             frames=frames,
@@ -122,11 +121,14 @@ class StdImporter:
             what = f"*{self.layout.raw}" if not raw else "*_color.png"
             raise ToolkitError(f"no {self.layout.name} recording here: no {what}", path=folder)
         if raw != color:
-            odd = sorted(raw ^ color, key=natural_key)
+            odd = sorted(raw ^ color, key=foreign_files.natural_key)
             raise ToolkitError(
                 f"{len(odd)} frames lack colour or raw depth: {', '.join(odd[:5])}", path=folder
             )
-        return [check_name(s, path=folder, field="file name") for s in sorted(raw, key=natural_key)]
+        return [
+            check_name(s, path=folder, field="file name")
+            for s in sorted(raw, key=foreign_files.natural_key)
+        ]
 
     def _maps(self, folder: Path, stem: str) -> tuple[tuple[str, Path], ...]:
         candidates = (
@@ -148,10 +150,10 @@ class StdImporter:
         resized = color != depth and color[0] * depth[1] == color[1] * depth[0]
         size = depth if resized else color
         if request.intrinsics is not None:
-            given = read_intrinsics(request.intrinsics, size=size)
+            given = intrinsics.read_intrinsics(request.intrinsics, size=size)
             camera = given.camera(size, path=request.intrinsics, off_centre=request.off_centre)
             if request.distortion is not None:
-                parse_distortion(request.distortion)
+                intrinsics.parse_distortion(request.distortion)
                 raise ToolkitError("images of this layout have no distortion", field="--distortion")
             return camera, resized
         width, height = self.layout.focal_size
@@ -165,20 +167,20 @@ class StdImporter:
         known = Camera(width, height, fx, fy, width / 2 - 0.5, height / 2 - 0.5)
         return known.resized(*size), resized
 
-    def _frame(self, folder: Path, stem: str, index: int, resized: bool) -> SourceFrame:
-        return SourceFrame(
+    def _frame(self, folder: Path, stem: str, index: int, resized: bool) -> importer.SourceFrame:
+        return importer.SourceFrame(
             id=index,
             name=stem,
-            color=SourceFile(
+            color=importer.SourceFile(
                 source=folder / f"{stem}_color.png",
                 target=f"color/{stem}",
                 kind="color",
                 resize=resized,
             ),
-            depth=SourceFile(
+            depth=importer.SourceFile(
                 source=folder / f"{stem}{self.layout.raw}", target=f"depth/{stem}", kind="depth"
             ),
-            reference=reference_files(stem, self._maps(folder, stem)),
+            reference=sidecar_recording.reference_files(stem, self._maps(folder, stem)),
         )
 
 

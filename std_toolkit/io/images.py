@@ -11,9 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import write_bytes_atomic
-from std_toolkit.io.exr import exr_size, read_exr_depth
-from std_toolkit.io.image_header import ImageHeader, check_whole, open_regular, read_header
+from std_toolkit.io import atomic, exr, image_header
 
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 
@@ -26,8 +24,8 @@ def image_size(path: Path | str) -> tuple[int, int]:
     """
     path = Path(path)
     if path.suffix.lower() == ".exr":
-        return exr_size(path)
-    header = read_header(path)
+        return exr.exr_size(path)
+    header = image_header.read_header(path)
     return header.width, header.height
 
 
@@ -44,7 +42,7 @@ def read_color(path: Path | str, *, size: tuple[int, int] | None = None) -> NDAr
         ToolkitError: unreadable, truncated, not 8-bit, CMYK, or of another size.
     """
     path = Path(path)
-    header = read_header(path)
+    header = image_header.read_header(path)
     if header.bits > 8:
         raise ToolkitError(
             "colour must be 8-bit",
@@ -82,8 +80,8 @@ def read_depth(
     """
     path = Path(path)
     if path.suffix.lower() == ".exr":
-        _check_size(path, exr_size(path), size)
-        depth = read_exr_depth(path)
+        _check_size(path, exr.exr_size(path), size)
+        depth = exr.read_exr_depth(path)
         if not np.isfinite(depth).all() or (depth < 0).any():
             raise ToolkitError(
                 "depth holds NaN, infinite or negative values",
@@ -165,20 +163,20 @@ def write_png(path: Path | str, image: NDArray[np.generic], *, compression: int 
     _encode(path, pixels, [cv2.IMWRITE_PNG_COMPRESSION, compression])
 
 
-def _png_header(path: Path, requirement: str) -> ImageHeader:
-    header = read_header(path)
+def _png_header(path: Path, requirement: str) -> image_header.ImageHeader:
+    header = image_header.read_header(path)
     if header.format != "png":
         raise ToolkitError(requirement, path=path, value=header.format)
     return header
 
 
 def _decode(
-    path: Path, header: ImageHeader, flags: int, size: tuple[int, int] | None
+    path: Path, header: image_header.ImageHeader, flags: int, size: tuple[int, int] | None
 ) -> NDArray[np.generic]:
     _check_size(path, (header.width, header.height), size)
-    with open_regular(path) as file:
+    with image_header.open_regular(path) as file:
         data = file.read()
-    check_whole(path, data, header)
+    image_header.check_whole(path, data, header)
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
     except cv2.error as error:
@@ -207,4 +205,4 @@ def _encode(path: Path | str, image: NDArray[np.generic], parameters: list[int])
     done, data = cv2.imencode(suffix, image, parameters)  # type: ignore[arg-type]
     if not done:
         raise ToolkitError("cannot encode the image", path=path)
-    write_bytes_atomic(path, data.data)
+    atomic.write_bytes_atomic(path, data.data)

@@ -10,10 +10,7 @@ import numpy as np
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import load_mesh, mesh_bounds
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.labels.label import add_model, add_object, set_pose
-from std_toolkit.labels.pnp import PnPResult, read_correspondences, solve_pnp
-from std_toolkit.labels.posefile import read_pose
-from std_toolkit.labels.symmetry_argument import parse_symmetry
+from std_toolkit.labels import label, pnp, posefile, symmetry_argument
 from std_toolkit.options import LabelCommand
 from std_toolkit.scene.document import check_name, safe_name
 from std_toolkit.scene.model import Frame, SymmetryModel
@@ -54,7 +51,7 @@ def run_label_command(scene: Scene, command: LabelCommand) -> Iterator[str]:
     for i, (frame, (pose, method, found)) in enumerate(
         zip(command.frames, annotations, strict=True)
     ):
-        set_pose(
+        label.set_pose(
             scene,
             command.object,
             frame,
@@ -75,7 +72,7 @@ def _enter_object(
     known = next((o for o in scene.objects.objects if o.name == command.object), None)
     model_id = command.model or (known.model if known is not None else None)
     if command.mesh is not None:
-        model = add_model(
+        model = label.add_model(
             scene,
             command.mesh,
             mesh_unit=command.mesh_unit,
@@ -93,19 +90,21 @@ def _enter_object(
     assert model_id is not None
     if known is None or command.material is not None or command.mesh is not None:
         material = command.material or (known.material if known is not None else "diffuse")
-        thing = add_object(scene, command.object, model=model_id, material=material)
+        thing = label.add_object(scene, command.object, model=model_id, material=material)
         yield f"object {thing.name}: id {thing.id}, model {thing.model}, {thing.material}"
 
 
-def _pose_of(scene: Scene, command: LabelCommand, index: int) -> tuple[SE3, str, PnPResult | None]:
+def _pose_of(
+    scene: Scene, command: LabelCommand, index: int
+) -> tuple[SE3, str, pnp.PnPResult | None]:
     frame = scene.frame(command.frames[index])
     if command.correspondences:
-        points, pixels = read_correspondences(
+        points, pixels = pnp.read_correspondences(
             command.correspondences[index], unit=command.pose_unit or "m"
         )
         _check_pixels(scene, frame, pixels, command.correspondences[index])
         try:
-            found = solve_pnp(
+            found = pnp.solve_pnp(
                 points, pixels, scene.camera(frame), threshold_px=command.threshold_px
             )
         except ToolkitError as error:
@@ -117,7 +116,7 @@ def _pose_of(scene: Scene, command: LabelCommand, index: int) -> tuple[SE3, str,
             ) from error
         return found.T_cam_obj, "pnp", found
     path = command.poses[index]
-    pose = read_pose(
+    pose = posefile.read_pose(
         path,
         format=command.pose_format,
         unit=command.pose_unit,
@@ -159,10 +158,10 @@ def _symmetry(scene: Scene, command: LabelCommand, model_id: str | None) -> Symm
     else:
         mesh = scene.mesh(command.model or model_id or safe_name(command.object))
     low, high = mesh_bounds(mesh)
-    return parse_symmetry(command.symmetry, centre=((low + high) / 2).tolist())
+    return symmetry_argument.parse_symmetry(command.symmetry, centre=((low + high) / 2).tolist())
 
 
-def _pnp_lines(found: PnPResult) -> Iterator[str]:
+def _pnp_lines(found: pnp.PnPResult) -> Iterator[str]:
     count = int(found.inliers.sum())
     yield (
         f"  PnP: {count} of {len(found.inliers)} correspondences fit, "

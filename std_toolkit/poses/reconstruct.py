@@ -18,6 +18,7 @@ from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.jobs import JobOptions
 from std_toolkit.log import logger
 from std_toolkit.options import PoseOptions
+from std_toolkit.poses import register
 from std_toolkit.poses.colmap import add_image, from_colmap_camera, quiet_colmap
 from std_toolkit.poses.features import (
     FeatureJob,
@@ -31,12 +32,6 @@ from std_toolkit.poses.features import (
     train_vocabulary,
 )
 from std_toolkit.poses.mapping import MappingImage, adjust, map_keyframes
-from std_toolkit.poses.register import (
-    Registration,
-    RegistrationJob,
-    build_index,
-    register_frames,
-)
 from std_toolkit.scene import CameraModel, Frame, Scene
 from std_toolkit.scene.document import digest_file, digest_of
 from std_toolkit.scene.model import Document
@@ -233,7 +228,7 @@ def _build(
         for key, i in mapping.camera_ids.items()
         if model.exists_camera(i)
     }
-    index = build_index(
+    index = register.build_index(
         model,
         [(image_id_of(f), names[f.id], i) for i, f in zip(chosen, keyframes, strict=True)],
         {image_id_of(f): vectors[f.id] for f in keyframes},
@@ -247,8 +242,11 @@ def _build(
         if image_id_of(f) not in registered and f.camera in intrinsics
     }
     logger.info("camera poses: registering %d further frames", len(rest))
-    report = register_frames(
-        [RegistrationJob(names[f.id], order, intrinsics[f.camera]) for order, f in rest.items()],
+    report = register.register_frames(
+        [
+            register.RegistrationJob(names[f.id], order, intrinsics[f.camera])
+            for order, f in rest.items()
+        ],
         work / "index.npz",
         features,
         min_points=options.min_points,
@@ -257,7 +255,7 @@ def _build(
     )
     report.raise_if_failed()
     for frame in rest.values():
-        found: Registration | None = report.results[names[frame.id]]
+        found: register.Registration | None = report.results[names[frame.id]]
         if found is None:
             continue
         _check_absent(model, frame)

@@ -21,11 +21,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit import errors, log, plugins
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.jobs import JobOptions
-from std_toolkit.log import logger
-from std_toolkit.plugins import Registry
 from std_toolkit.poses.colmap import Observations, observations
 from std_toolkit.scene import Frame, Scene
 from std_toolkit.scene.model import ScaleEstimate, ScaleReport
@@ -121,7 +119,7 @@ class ScaleSource(Protocol):
 
 
 # Names to factories.
-SOURCES: Registry[Callable[[], ScaleSource]] = Registry(
+SOURCES: plugins.Registry[Callable[[], ScaleSource]] = plugins.Registry(
     "std_toolkit.scale_sources",
     {
         "depth": "std_toolkit.poses.scale_sources:DepthScale",
@@ -183,7 +181,7 @@ def check_source_name(scale: str) -> None:
         ToolkitError: it is neither "auto" nor "none" nor a known source nor a plug-in's path.
     """
     if scale not in ("auto", "none", *SOURCES.names()) and ":" not in scale:
-        raise ToolkitError(
+        raise errors.ToolkitError(
             "no such scale source",
             field="scale",
             value=scale,
@@ -217,17 +215,17 @@ def resolve_scale(
             continue
         try:
             estimates[name] = source.estimate(context)
-        except ToolkitError as error:
+        except errors.ToolkitError as error:
             if name == scale or not named:
                 # A scene that has a source which cannot be used is a scene to look at, not one
                 # to go on with quietly.
-                raise ToolkitError(
+                raise errors.ToolkitError(
                     f"scale source {name!r}: {error}",
                     hint=None if named else "mend it or name another source with --scale",
                 ) from error
-            logger.warning("scale source %s (not used): %s", name, error)
+            log.logger.warning("scale source %s (not used): %s", name, error)
     if not estimates:
-        logger.warning(
+        log.logger.warning(
             "nothing tells the metres of this scene: the unit of its poses is UNKNOWN and every "
             "step that needs metres will refuse them; %s",
             NO_SCALE_HINT,
@@ -236,13 +234,13 @@ def resolve_scale(
     disagreement, worst = _disagreement(estimates)
     if disagreement > max_disagreement and not named:
         a, b = worst
-        raise ToolkitError(
+        raise errors.ToolkitError(
             f"scale sources differ by {100 * disagreement:.2f} % (limit "
             f"{100 * max_disagreement:.2f} %): {_line(estimates[a])}; {_line(estimates[b])}",
             hint=f"mend the wrong one or name the right one: --scale {a} or --scale {b}",
         )
     if disagreement > max_disagreement:
-        logger.warning(
+        log.logger.warning(
             "scale sources differ by %.2f %%; %s was named and is used", 100 * disagreement, scale
         )
     order = {name: i for i, name in enumerate(TRUST)}
@@ -294,7 +292,7 @@ class DepthScale:
             groups.append(np.full(len(single), frame.id))
         found = np.concatenate(ratios) if ratios else np.zeros(0)
         if len(found) < MIN_RATIOS:
-            raise ToolkitError(
+            raise errors.ToolkitError(
                 f"scale from depth needs {MIN_RATIOS} points with sensor depth",
                 value=len(found),
                 hint="is the depth aligned to colour? name another source with --scale",

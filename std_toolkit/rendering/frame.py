@@ -26,8 +26,7 @@ import numpy as np
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import read_document, write_document
-from std_toolkit.rendering import ground_truth
-from std_toolkit.rendering.choose import ANSWER_VARIABLE, get_renderer
+from std_toolkit.rendering import choose, ground_truth, maps, mesh, occluders, raycast
 from std_toolkit.rendering.ground_truth import (
     FrameTruth,
     ObjectTruth,
@@ -35,11 +34,7 @@ from std_toolkit.rendering.ground_truth import (
     info_path,
     map_paths,
 )
-from std_toolkit.rendering.maps import Composition, compose, mask_box, mask_of, surface_maps
-from std_toolkit.rendering.mesh import RenderMesh
-from std_toolkit.rendering.occluders import load_occluder
 from std_toolkit.rendering.placements import frame_inputs, frame_placements, place_meshes
-from std_toolkit.rendering.raycast import RaycastRenderer
 from std_toolkit.rendering.renderer import PlacedMesh, Window, image_window, normalised_rays
 from std_toolkit.scene.document import digest_file, digest_of
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
@@ -84,7 +79,7 @@ def render_frame(frame_id: int, *, job: FrameJob, force: bool) -> Literal["done"
         ToolkitError: an input cannot be read, or the frame has no labelled object.
     """
     if job.gl is not None:  # a worker need not find out again
-        os.environ.setdefault(ANSWER_VARIABLE, job.gl)
+        os.environ.setdefault(choose.ANSWER_VARIABLE, job.gl)
     scene = _open_scene(job.root, job.state)
     digest = _digest(scene, frame_id, job)
     if not force and is_finished(scene.root, frame_id, digest):
@@ -99,15 +94,17 @@ def render_frame(frame_id: int, *, job: FrameJob, force: bool) -> Literal["done"
         raise ToolkitError("no labelled object in this frame", path=scene.root, value=frame_id)
     sensor = scene.read_depth(frame)
 
-    composition = compose(get_renderer(job.renderer), camera, placed, canvas=3)
+    composition = maps.compose(choose.get_renderer(job.renderer), camera, placed, canvas=3)
     policy = _possible_policy(scene, frame_id, sensor, job)
     hidden = _hidden(scene, frame_id, composition, sensor, policy, job)
     if hidden is not None:
         composition.depth[hidden] = 0
         composition.index[hidden] = -1
         composition.face[hidden] = -1
-    mask = mask_of(composition.index, [p.object_id for p in placed])
-    nocs, normals = surface_maps(camera, placed, composition, smooth_normals=job.smooth_normals)
+    mask = maps.mask_of(composition.index, [p.object_id for p in placed])
+    nocs, normals = maps.surface_maps(
+        camera, placed, composition, smooth_normals=job.smooth_normals
+    )
     rows = [_object_truth(item, composition, i, sensor) for i, item in enumerate(placed)]
 
     paths = map_paths(scene.root, frame_id)
@@ -154,8 +151,8 @@ def _open_scene(root: str, state: str) -> Scene:  # noqa: ARG001 - part of the c
 
 
 @lru_cache(maxsize=1)
-def _caster() -> RaycastRenderer:
-    return RaycastRenderer()
+def _caster() -> raycast.RaycastRenderer:
+    return raycast.RaycastRenderer()
 
 
 def _digest(scene: Scene, frame_id: int, job: FrameJob) -> str:
@@ -189,7 +186,7 @@ def _possible_policy(
 def _hidden(
     scene: Scene,
     frame_id: int,
-    composition: Composition,
+    composition: maps.Composition,
     sensor: np.ndarray | None,
     policy: Policy,
     job: FrameJob,
@@ -200,7 +197,7 @@ def _hidden(
         return hidden_by_depth(composition.depth, sensor, camera, delta_m=job.delta_m)
     T_world_cam = scene.T_world_cam(frame_id)
     if policy == "fused" and job.occluder is not None and T_world_cam is not None:
-        occluder = load_occluder(*job.occluder)
+        occluder = occluders.load_occluder(*job.occluder)
         if occluder is None:
             return None
         front = occluder_depth(
@@ -212,7 +209,7 @@ def _hidden(
 
 def _object_truth(
     item: PlacedMesh,
-    composition: Composition,
+    composition: maps.Composition,
     index: int,
     sensor: np.ndarray | None,
 ) -> ObjectTruth:
@@ -224,7 +221,7 @@ def _object_truth(
         place = silhouette.image_window.slices_in(Window(0, 0, width, height))
         visible = composition.index[place] == index
         px_visible = int(np.count_nonzero(visible))
-        visible_box = mask_box(visible, silhouette.image_window)
+        visible_box = maps.mask_box(visible, silhouette.image_window)
         amodal = silhouette.image.depth > 0
         if sensor is not None:
             amodal &= sensor[place] > 0
@@ -312,8 +309,8 @@ def hidden_by_depth(
 
 
 def occluder_depth(
-    caster: RaycastRenderer,
-    occluder: RenderMesh,
+    caster: raycast.RaycastRenderer,
+    occluder: mesh.RenderMesh,
     T_cam_world: SE3,
     camera: Camera,
     *,

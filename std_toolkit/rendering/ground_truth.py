@@ -35,10 +35,7 @@ import numpy as np
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.io.atomic import write_bytes_atomic
-from std_toolkit.io.documents import read_document
-from std_toolkit.io.exr import write_exr
-from std_toolkit.io.images import read_depth, read_mask, read_png
+from std_toolkit.io import atomic, documents, exr, images
 from std_toolkit.scene.model import Count, Document, ObjectId, Pose16, pose_from_list
 from std_toolkit.scene.scene import Scene
 
@@ -194,7 +191,7 @@ def read_frame_truth(scene: Scene, frame_id: int) -> FrameTruth:
         raise ToolkitError(
             "this frame has no ground truth", path=path, hint="run `std-curate render` first"
         )
-    return read_document(path, FrameTruth)
+    return documents.read_document(path, FrameTruth)
 
 
 def read_ground_truth(scene: Scene, frame_id: int) -> GroundTruth:
@@ -221,7 +218,7 @@ _PNG_PARAMETERS += [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
 
 def write_depth(path: Path, depth: np.ndarray) -> None:
     """Store (H,W) float32 z-depth in metres, 0 = background, without loss."""
-    write_exr(path, {"Z": np.ascontiguousarray(depth, np.float32)}, compression="zip")
+    exr.write_exr(path, {"Z": np.ascontiguousarray(depth, np.float32)}, compression="zip")
 
 
 def write_mask(path: Path, mask: np.ndarray) -> None:
@@ -244,12 +241,12 @@ def write_normals(path: Path, normals: np.ndarray, mask: np.ndarray) -> None:
 
 def load_depth(path: Path, size: tuple[int, int]) -> np.ndarray:
     """(H,W) float32 metres."""
-    return read_depth(path, scale=None, size=size)
+    return images.read_depth(path, scale=None, size=size)
 
 
 def load_mask(path: Path, size: tuple[int, int]) -> np.ndarray:
     """(H,W) uint8."""
-    return read_mask(path, size=size)
+    return images.read_mask(path, size=size)
 
 
 def load_nocs(path: Path, size: tuple[int, int]) -> np.ndarray:
@@ -266,7 +263,7 @@ def load_normals(path: Path, size: tuple[int, int]) -> np.ndarray:
 
 
 def _load_triples(path: Path, size: tuple[int, int]) -> np.ndarray:
-    image = read_png(path, size=size)
+    image = images.read_png(path, size=size)
     if image.ndim != 3 or image.dtype != np.uint16:
         raise ToolkitError(
             "expected a 16-bit RGB image", path=path, value=f"{image.dtype} {image.shape}"
@@ -279,4 +276,4 @@ def _write_png(path: Path, image: np.ndarray) -> None:
     done, data = cv2.imencode(".png", pixels, _PNG_PARAMETERS)
     if not done:
         raise ToolkitError("cannot encode the image", path=path)
-    write_bytes_atomic(path, data.data)
+    atomic.write_bytes_atomic(path, data.data)

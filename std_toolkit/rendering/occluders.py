@@ -25,10 +25,8 @@ from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.atomic import atomic_path
 from std_toolkit.log import logger
 from std_toolkit.options import FusionOptions
-from std_toolkit.rendering.maps import compose
+from std_toolkit.rendering import maps, placements, raycast
 from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
-from std_toolkit.rendering.placements import frame_placements, place_meshes
-from std_toolkit.rendering.raycast import RaycastRenderer
 from std_toolkit.rendering.renderer import PlacedMesh
 from std_toolkit.scene.document import digest_file, digest_of, is_fresh, write_record
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
@@ -61,7 +59,7 @@ def fuse_occluders(scene: Scene, options: FusionOptions) -> tuple[str, str]:
                 f,
                 digest_file(scene.root / str(scene.frame(f).depth)),
                 _numbers(scene.T_world_cam(f)),
-                [[o, _numbers(T)] for o, T in frame_placements(scene, f).items()],
+                [[o, _numbers(T)] for o, T in placements.frame_placements(scene, f).items()],
                 repr(scene.camera(scene.frame(f))),
             ]
             for f in frames
@@ -123,7 +121,7 @@ def _fuse(
         block_resolution=16,
         block_count=4000,
     )
-    renderer = RaycastRenderer(threads=0)
+    renderer = raycast.RaycastRenderer(threads=0)
     for frame_id in frames:
         frame = scene.frame(frame_id)
         camera = scene.camera(frame)
@@ -134,7 +132,7 @@ def _fuse(
         if camera.is_distorted:
             sensor = _undistorted(sensor, camera)
             camera = camera.without_distortion()
-        placed = place_meshes(scene, frame_placements(scene, frame_id))
+        placed = placements.place_meshes(scene, placements.frame_placements(scene, frame_id))
         depth, farthest = _trusted_depth(scene, sensor, camera, placed, renderer, options)
         reading = o3d.t.geometry.Image(
             core.Tensor.from_numpy(np.ascontiguousarray(depth, np.float32))
@@ -171,7 +169,7 @@ def _trusted_depth(
     sensor: np.ndarray,
     camera: Camera,
     placed: Sequence[PlacedMesh],
-    renderer: RaycastRenderer,
+    renderer: raycast.RaycastRenderer,
     options: FusionOptions,
 ) -> tuple[np.ndarray, float]:
     """The readings that count, and the depth beyond which nothing can hide an object."""
@@ -179,7 +177,7 @@ def _trusted_depth(
     if not placed:
         return depth, 3.0
     kernel = np.ones((2 * _OUTLINE_MARGIN_PX + 1,) * 2, np.uint8)
-    composition = compose(renderer, camera, placed)
+    composition = maps.compose(renderer, camera, placed)
     farthest = 0.0
     for item, silhouette in zip(placed, composition.silhouettes, strict=True):
         mesh, T = item.prepared, item.T_cam_obj

@@ -11,11 +11,7 @@ from std_toolkit.io.atomic import sweep_temporaries
 from std_toolkit.jobs import JobOptions, JobReport, run_jobs
 from std_toolkit.log import logger
 from std_toolkit.options import RenderOptions
-from std_toolkit.rendering.choose import choose_renderer, find_gl
-from std_toolkit.rendering.frame import FrameJob, render_frame, resolve_policy
-from std_toolkit.rendering.ground_truth import FOLDER, Policy, info_path, map_paths
-from std_toolkit.rendering.occluders import OCCLUDER_FILE, fuse_occluders
-from std_toolkit.rendering.placements import frame_placements, labelled_frames
+from std_toolkit.rendering import choose, frame, ground_truth, occluders, placements
 from std_toolkit.scene.document import digest_file, digest_of
 from std_toolkit.scene.scene import Scene
 
@@ -45,37 +41,44 @@ def render_ground_truth(
         ToolkitError: nothing is labelled, a mesh cannot be read, or an option does not fit.
     """
     options = options or RenderOptions()
-    labelled = labelled_frames(scene)
+    labelled = placements.labelled_frames(scene)
     if frames is not None:
         strangers = sorted(set(frames) - set(labelled))
         if strangers:
             raise ToolkitError("frames without a labelled object", path=scene.root, value=strangers)
     wanted = labelled if frames is None else sorted(set(frames))
     cameras = {scene.camera(scene.frame(f)) for f in wanted}
-    policy = resolve_policy(scene, options.policy)
+    policy = frame.resolve_policy(scene, options.policy)
     models = sorted(
-        {scene.objects.object(o).model for f in wanted for o in frame_placements(scene, f)}
+        {
+            scene.objects.object(o).model
+            for f in wanted
+            for o in placements.frame_placements(scene, f)
+        }
     )
     for model in models:
         scene.mesh(model)  # a bad mesh is one error here, not one per frame
-    sweep_temporaries(scene.root / FOLDER)
+    sweep_temporaries(scene.root / ground_truth.FOLDER)
     if frames is None:
         _remove_stale(scene, set(labelled), policy)
     meshes = tuple((m, digest_file(scene.mesh_path(scene.objects.model(m)))) for m in models)
-    renderer = choose_renderer(options.renderer, cameras=cameras)
+    renderer = choose.choose_renderer(options.renderer, cameras=cameras)
     same_machine = jobs is None or jobs.engine != "ray"
-    job = FrameJob(
+    job = frame.FrameJob(
         root=str(scene.root),
         state=_state(scene, meshes),
         renderer=renderer,
         policy=policy,
         delta_m=options.delta_m,
         smooth_normals=options.smooth_normals,
-        occluder=fuse_occluders(scene, options.fusion) if policy == "fused" else None,
-        gl=find_gl()[0] if renderer == "pyrender" and same_machine else None,
+        occluder=occluders.fuse_occluders(scene, options.fusion) if policy == "fused" else None,
+        gl=choose.find_gl()[0] if renderer == "pyrender" and same_machine else None,
     )
     return run_jobs(
-        partial(render_frame, job=job, force=options.force), wanted, name="render", options=jobs
+        partial(frame.render_frame, job=job, force=options.force),
+        wanted,
+        name="render",
+        options=jobs,
     )
 
 
@@ -86,18 +89,18 @@ def _state(scene: Scene, meshes: tuple[tuple[str, str], ...]) -> str:
     return digest_of([digest_file(p) if p.is_file() else None for p in paths], meshes)
 
 
-def _remove_stale(scene: Scene, labelled: set[int], policy: Policy) -> None:
+def _remove_stale(scene: Scene, labelled: set[int], policy: ground_truth.Policy) -> None:
     """Remove ground truth of frames that have none any more: nobody should export it."""
     stale = [
         int(p.stem)
-        for p in sorted((scene.root / FOLDER / "info").glob("*.json"))
+        for p in sorted((scene.root / ground_truth.FOLDER / "info").glob("*.json"))
         if p.stem.isdigit() and int(p.stem) not in labelled
     ]
     for frame_id in stale:
-        info_path(scene.root, frame_id).unlink(missing_ok=True)
-        for path in map_paths(scene.root, frame_id).values():
+        ground_truth.info_path(scene.root, frame_id).unlink(missing_ok=True)
+        for path in ground_truth.map_paths(scene.root, frame_id).values():
             path.unlink(missing_ok=True)
     if stale:
         logger.warning("removed ground truth of %d frames that lost their labels", len(stale))
     if policy != "fused":
-        (scene.root / OCCLUDER_FILE).unlink(missing_ok=True)
+        (scene.root / occluders.OCCLUDER_FILE).unlink(missing_ok=True)

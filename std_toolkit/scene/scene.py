@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, check_depth_unit
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.io.atomic import scene_lock
-from std_toolkit.io.documents import read_document, write_document
-from std_toolkit.io.images import read_color, read_depth
+from std_toolkit.io import atomic, documents, images
 from std_toolkit.scene.document import digest_file
 from std_toolkit.scene.model import (
     Annotation,
@@ -71,9 +69,11 @@ class Scene:
         objects_path = root / "objects.json"
         return Scene(
             root,
-            read_document(root / "scene.json", SceneInfo),
-            read_document(root / "frames.json", Frames),
-            read_document(objects_path, ObjectTable) if objects_path.exists() else ObjectTable(),
+            documents.read_document(root / "scene.json", SceneInfo),
+            documents.read_document(root / "frames.json", Frames),
+            documents.read_document(objects_path, ObjectTable)
+            if objects_path.exists()
+            else ObjectTable(),
         )
 
     @staticmethod
@@ -91,9 +91,9 @@ class Scene:
                 "there is a scene here already", path=root, hint="choose another --out"
             )
         scene = Scene(root, info, frames, objects or ObjectTable())
-        write_document(root / "frames.json", scene.frame_table)
-        write_document(root / "objects.json", scene.objects)
-        write_document(root / "scene.json", info)
+        documents.write_document(root / "frames.json", scene.frame_table)
+        documents.write_document(root / "objects.json", scene.objects)
+        documents.write_document(root / "scene.json", info)
         return scene
 
     def copy(self, *, objects: ObjectTable | None = None) -> Scene:
@@ -121,7 +121,7 @@ class Scene:
         path = self.root / "poses.json"
         if not path.exists():
             return None
-        return self._checked_poses(read_document(path, CameraPoses))
+        return self._checked_poses(documents.read_document(path, CameraPoses))
 
     @cached_property
     def labels(self) -> Labels:
@@ -129,7 +129,7 @@ class Scene:
         path = self.root / "labels.json"
         if not path.exists():
             return Labels()
-        return self._checked_labels(read_document(path, Labels))
+        return self._checked_labels(documents.read_document(path, Labels))
 
     @cached_property
     def annotation(self) -> Annotation:
@@ -137,31 +137,33 @@ class Scene:
         path = self.root / "annotation.json"
         if not path.exists():
             return Annotation()
-        return self._checked_annotation(read_document(path, Annotation))
+        return self._checked_annotation(documents.read_document(path, Annotation))
 
     def save_info(self, info: SceneInfo) -> None:
         _check_cameras(self.root, info, self.frame_table)
-        write_document(self.root / "scene.json", info)
+        documents.write_document(self.root / "scene.json", info)
         self.info = info
 
     def save_objects(self, objects: ObjectTable) -> None:
-        write_document(self.root / "objects.json", objects)
+        documents.write_document(self.root / "objects.json", objects)
         self.objects = objects
 
     def save_poses(self, poses: CameraPoses) -> None:
         """Raises ToolkitError for poses of frames or cameras that the scene does not have."""
-        write_document(self.root / "poses.json", self._checked_poses(poses))
+        documents.write_document(self.root / "poses.json", self._checked_poses(poses))
         self.__dict__["poses"] = poses
         self.__dict__.pop("_pose_by_frame", None)
 
     def save_labels(self, labels: Labels) -> None:
         """Raises ToolkitError for labels of objects or frames that the scene does not have."""
-        write_document(self.root / "labels.json", self._checked_labels(labels))
+        documents.write_document(self.root / "labels.json", self._checked_labels(labels))
         self.__dict__["labels"] = labels
 
     def save_annotation(self, annotation: Annotation) -> None:
         """Raises ToolkitError for objects or frames that the scene does not have."""
-        write_document(self.root / "annotation.json", self._checked_annotation(annotation))
+        documents.write_document(
+            self.root / "annotation.json", self._checked_annotation(annotation)
+        )
         self.__dict__["annotation"] = annotation
 
     def _checked_poses(self, poses: CameraPoses) -> CameraPoses:
@@ -234,7 +236,7 @@ class Scene:
     @contextmanager
     def lock(self) -> Iterator[None]:
         """Hold the scene for writing, with its documents as they are now; see `scene_lock`."""
-        with scene_lock(self.root):
+        with atomic.scene_lock(self.root):
             # Another process may have written between `open` and the lock.
             self.reread()
             yield
@@ -281,7 +283,7 @@ class Scene:
 
     def read_color(self, frame: Frame) -> NDArray[np.uint8]:
         """(H, W, 3) uint8 RGB."""
-        return read_color(self.color_path(frame), size=self.camera(frame).size)
+        return images.read_color(self.color_path(frame), size=self.camera(frame).size)
 
     def read_depth(self, frame: Frame) -> NDArray[np.float32] | None:
         """Sensor z-depth (H, W) in metres with the sensor's correction factor; None if absent.
@@ -292,7 +294,7 @@ class Scene:
         if frame.depth is None:
             return None
         path = self.root / frame.depth
-        depth = read_depth(path, scale=self.info.depth_scale, size=self.camera(frame).size)
+        depth = images.read_depth(path, scale=self.info.depth_scale, size=self.camera(frame).size)
         check_depth_unit(path, depth, self.info.depth_scale)
         return depth * np.float32(self.info.depth_correction)
 

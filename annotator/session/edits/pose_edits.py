@@ -12,20 +12,12 @@ from annotator.session.edits.object_edits import Edit, EditContext
 from annotator.session.state import AnnotationState, Click, Placement
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, so3_exp
-from std_toolkit.scene.document import (
-    Count,
-    Document,
-    Pose16,
-    Vector3,
-    check_in_front,
-    check_pose,
-    pose_from_list,
-)
+from std_toolkit.scene import document
 
 Axes = Literal["camera", "object"]
 
 
-class PoseChange(Document, frozen=True, kw_only=True):
+class PoseChange(document.Document, frozen=True, kw_only=True):
     """One object's new pose in a frame.
 
     Attributes:
@@ -35,13 +27,13 @@ class PoseChange(Document, frozen=True, kw_only=True):
     """
 
     object: str
-    frame: Count
-    T_cam_obj: Pose16
+    frame: document.Count
+    T_cam_obj: document.Pose16
     method: str = "typed"
     refinement: str = ""
 
     def check(self) -> None:
-        check_pose(self.T_cam_obj, "T_cam_obj")
+        document.check_pose(self.T_cam_obj, "T_cam_obj")
 
     def resolved(self) -> PoseChange:
         """The same with an exact rotation: digits as people type them are off by a little."""
@@ -56,7 +48,7 @@ class PoseChange(Document, frozen=True, kw_only=True):
                 value=self.frame,
                 hint="it is not in the scene, or it has no camera pose",
             )
-        _check_distance(pose_from_list(self.T_cam_obj))
+        _check_distance(document.pose_from_list(self.T_cam_obj))
         obj = state.object(self.object)
         kept = {} if context.shared else obj.placements
         placement = Placement(
@@ -130,10 +122,10 @@ class Move(Edit, frozen=True, kw_only=True, tag="move"):
     """
 
     object: str
-    frame: Count
+    frame: document.Count
     axes: Axes = "camera"
-    shift_mm: Vector3 = msgspec.field(default_factory=lambda: [0.0, 0.0, 0.0])
-    turn_deg: Vector3 = msgspec.field(default_factory=lambda: [0.0, 0.0, 0.0])
+    shift_mm: document.Vector3 = msgspec.field(default_factory=lambda: [0.0, 0.0, 0.0])
+    turn_deg: document.Vector3 = msgspec.field(default_factory=lambda: [0.0, 0.0, 0.0])
 
     @property
     def title(self) -> str:
@@ -172,7 +164,7 @@ class ClearPose(Edit, frozen=True, kw_only=True, tag="clear_pose"):
     """The object loses its pose (in a scene without camera poses: in this frame only)."""
 
     object: str
-    frame: Count
+    frame: document.Count
 
     @property
     def title(self) -> str:
@@ -222,7 +214,7 @@ def moved_pose(
 
 def _check_distance(pose: SE3) -> None:
     try:
-        check_in_front(pose)
+        document.check_in_front(pose)
     except ToolkitError as error:
         # Its hints are about files of poses, which nobody has in hand here.
         raise ToolkitError(
@@ -234,7 +226,7 @@ class AddClick(Edit, frozen=True, kw_only=True, tag="add_click"):
     """One more correspondence of an object in a frame."""
 
     object: str
-    frame: Count
+    frame: document.Count
     click: Click
 
     @property
@@ -254,8 +246,8 @@ class ChangeClick(Edit, frozen=True, kw_only=True, tag="change_click"):
     """A correspondence is corrected, or removed where `click` is None; `index` counts from 0."""
 
     object: str
-    frame: Count
-    index: Count
+    frame: document.Count
+    index: document.Count
     click: Click | None = None
 
     @property

@@ -11,13 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.data import splits
 from benchmark.data.frame import DepthFrame
-from benchmark.data.splits import (
-    DepthSource,
-    FrameKey,
-    WithSavedDepth,
-    saved_depth_path,
-)
 from benchmark.evaluation.config import DepthConfig, options_by_method
 from benchmark.evaluation.engine import Task
 from benchmark.evaluation.frames import (
@@ -28,12 +23,7 @@ from benchmark.evaluation.frames import (
 )
 from benchmark.evaluation.manifest import MANIFEST, Manifest, Setup, circumstances
 from benchmark.evaluation.results import ERROR, FRAME, INDEX, NOT_FINITE, SCENE, TABLE, UNREAD
-from benchmark.evaluation.tasks.depth_results import (
-    RunResult,
-    depth_records,
-    read_run,
-    results_table,
-)
+from benchmark.evaluation.tasks import depth_results
 from benchmark.methods.depth.filling.filler import Filler, Raw
 from benchmark.methods.depth.full_size import restorer_view
 from benchmark.methods.protocol import Restored, Restorer
@@ -80,11 +70,11 @@ class Run(FrameRun[Restorer]):
     def check_data(self) -> None:
         self.check(self.open())
 
-    def open(self) -> DepthSource:
+    def open(self) -> splits.DepthSource:
         source = super().open()
-        return source if self.depth_from is None else WithSavedDepth(source, self.depth_from)
+        return source if self.depth_from is None else splits.WithSavedDepth(source, self.depth_from)
 
-    def check(self, data: DepthSource) -> None:  # noqa: ARG002
+    def check(self, data: splits.DepthSource) -> None:  # noqa: ARG002
         get_protocol(self.protocol)
 
     def make(self, device: str | None = None) -> Restorer:
@@ -101,7 +91,7 @@ class Run(FrameRun[Restorer]):
             )
         return restorer
 
-    def manifest(self, data: DepthSource, methods: Restorer) -> Manifest:
+    def manifest(self, data: splits.DepthSource, methods: Restorer) -> Manifest:
         setup = Setup(
             **self.setup(data, methods),
             protocol=self.protocol,
@@ -115,11 +105,14 @@ class Run(FrameRun[Restorer]):
             **circumstances(),
         )
 
-    def load(self, data: DepthSource, index: int) -> DepthFrame:
+    def load(self, data: splits.DepthSource, index: int) -> DepthFrame:
         return data.load(index)
 
     def rows(
-        self, data: DepthSource, methods: Restorer, frames: Sequence[tuple[Base, DepthFrame | str]]
+        self,
+        data: splits.DepthSource,
+        methods: Restorer,
+        frames: Sequence[tuple[Base, DepthFrame | str]],
     ) -> list[dict[str, Any]]:
         """For each frame the rows of the protocol.
 
@@ -143,7 +136,9 @@ class Run(FrameRun[Restorer]):
             told = {ERROR: error, NOT_FINITE: _not_finite(depth)}
             rows += [base | told | row.as_dict() for row in score_frame(depth, frame, protocol)]
             if self.save_depth and not isinstance(answer, str):
-                save_depth(self.folder, data.name, FrameKey(base[SCENE], base[FRAME]), answer)
+                save_depth(
+                    self.folder, data.name, splits.FrameKey(base[SCENE], base[FRAME]), answer
+                )
         return rows
 
     def after(self) -> None:
@@ -158,8 +153,8 @@ class Run(FrameRun[Restorer]):
             if not (self.folder / FOLDER / INDEX_FILE).exists():
                 make_gallery(self, self.protocol)
 
-    def read(self) -> RunResult:
-        return read_run(self.folder)
+    def read(self) -> depth_results.RunResult:
+        return depth_results.read_run(self.folder)
 
 
 def plan_runs(config: DepthConfig) -> list[Run]:
@@ -184,8 +179,8 @@ def plan_runs(config: DepthConfig) -> list[Run]:
 
 TASK = Task(
     plan=plan_runs,
-    table=lambda results, _: results_table(results),
-    records=lambda results, _: depth_records(results),
+    table=lambda results, _: depth_results.results_table(results),
+    records=lambda results, _: depth_results.depth_records(results),
 )
 
 
@@ -193,7 +188,7 @@ def _not_finite(depth: NDArray[np.float32] | None) -> int:
     return 0 if depth is None else int(depth.size - np.isfinite(depth).sum())
 
 
-def save_depth(folder: Path, split: str, key: FrameKey, restored: Restored) -> None:
+def save_depth(folder: Path, split: str, key: splits.FrameKey, restored: Restored) -> None:
     """Write restored depth as the data set keeps the sensor's: FOLDER/depth/SCENE/NAME + suffix.
 
     It has the size that the method answered at, three equal channels of float32 metres as the
@@ -205,5 +200,5 @@ def save_depth(folder: Path, split: str, key: FrameKey, restored: Restored) -> N
     depth = restored.depth
     channel = depth.astype("float32")
     channel[~(channel > 0) | (channel == float("inf"))] = 0.0
-    path = saved_depth_path(folder / "depth", split, key)
+    path = splits.saved_depth_path(folder / "depth", split, key)
     write_exr(path, dict.fromkeys("RGB", channel))

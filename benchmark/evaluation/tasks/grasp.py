@@ -12,23 +12,16 @@ from benchmark.evaluation.engine import Task, TaskRun, weights_digest
 from benchmark.evaluation.frames import restore_views
 from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest, GraspSetup, circumstances
 from benchmark.evaluation.results import write_part
+from benchmark.evaluation.tasks import grasp_results
 from benchmark.evaluation.tasks.grasp_pictures import attempt_strip
-from benchmark.evaluation.tasks.grasp_results import (
-    GraspResult,
-    grasp_records,
-    grasp_table,
-    read_grasp_run,
-)
 from benchmark.evaluation.tasks.grasp_table import ATTEMPTS, rows_of_round, scene_name
 from benchmark.methods.depth.full_size import at_full_size, restorer_view
 from benchmark.methods.protocol import GraspView, Restorer
 from benchmark.methods.registry import MethodOptions, grasp_planners, make_planner, make_restorer
 from benchmark.metrics.grasp.grasp import Grasps
 from benchmark.metrics.grasp.gripper import PANDA
+from benchmark.tabletop import depth_model, round, sense
 from benchmark.tabletop.arrange import arrange, round_seed
-from benchmark.tabletop.depth_model import MODEL_FILE
-from benchmark.tabletop.round import MOST_ATTEMPTS, GivenDepth, Plan, State, clear_table
-from benchmark.tabletop.sense import CameraKind, Observation, camera_pose, make_camera
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import write_color
 from std_toolkit.log import logger
@@ -59,25 +52,25 @@ class Methods:
         """Restorers do; planners only where they say so."""
         return self.restorer is not None or bool(getattr(self.planner, "needs_color", False))
 
-    def given(self, observation: Observation) -> GivenDepth:
+    def given(self, observation: sense.Observation) -> round.GivenDepth:
         """The depth to plan on, at the camera's size; a restorer's as `at_full_size` makes it."""
         frame = observation.frame
         if self.restorer is None:
             depth = frame.depth_true if self.true else frame.depth_raw
-            return GivenDepth(frame.color, depth, frame.camera)
+            return round.GivenDepth(frame.color, depth, frame.camera)
         view = restorer_view(frame, self.restorer)
         answer = restore_views(self.restorer, {0: view})[0]
         if isinstance(answer, str):
             raise ToolkitError(f"the restorer failed: {answer}")
-        return GivenDepth(frame.color, at_full_size(frame.depth_raw, answer), frame.camera)
+        return round.GivenDepth(frame.color, at_full_size(frame.depth_raw, answer), frame.camera)
 
-    def plan(self, view: GraspView, state: State) -> Grasps:
+    def plan(self, view: GraspView, state: round.State) -> Grasps:
         if self.planner is not None:
             return self.planner.plan(view)
         from benchmark.tabletop.oracle import plan_from_surfaces, surfaces_of
 
         surfaces = surfaces_of([o.body for o in state.objects], state.poses)
-        return plan_from_surfaces(surfaces).transformed(camera_pose().inverse())
+        return plan_from_surfaces(surfaces).transformed(sense.camera_pose().inverse())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,8 +100,8 @@ class GraspRun(TaskRun[None, Methods]):
     out: Path
     depth_options: MethodOptions = field(default_factory=MethodOptions)
     planner_options: MethodOptions = field(default_factory=MethodOptions)
-    camera: CameraKind = "quick"
-    attempts: int = MOST_ATTEMPTS
+    camera: sense.CameraKind = "quick"
+    attempts: int = round.MOST_ATTEMPTS
     devices: tuple[str, ...] = ("cpu",)
     strips: bool = True
 
@@ -159,7 +152,9 @@ class GraspRun(TaskRun[None, Methods]):
             seed=self.seed,
             attempts=self.attempts,
             camera=self.camera,
-            depth_model_sha256=digest_file(MODEL_FILE) if self.camera == "quick" else "",
+            depth_model_sha256=digest_file(depth_model.MODEL_FILE)
+            if self.camera == "quick"
+            else "",
             gripper=PANDA.name,
             planner=self.planner,
             planner_preset=planner.preset,
@@ -193,10 +188,10 @@ class GraspRun(TaskRun[None, Methods]):
         from sensors.simulation.simulated_set import parts_cache
 
         arrangement = arrange(round_seed(self.seed, item), parts_cache=parts_cache())
-        camera = make_camera(self.camera, arrangement, parts_cache=parts_cache())
-        plan: Plan = methods.plan
+        camera = sense.make_camera(self.camera, arrangement, parts_cache=parts_cache())
+        plan: round.Plan = methods.plan
         attempts = list(
-            clear_table(
+            round.clear_table(
                 arrangement, camera, methods.given, plan,
                 color=methods.looks_at_color, attempts=self.attempts,
             )
@@ -209,8 +204,8 @@ class GraspRun(TaskRun[None, Methods]):
         write_part(self.folder, item, item, rows)
         return len(attempts)
 
-    def read(self) -> GraspResult:
-        return read_grasp_run(self.folder, rounds=self.rounds)
+    def read(self) -> grasp_results.GraspResult:
+        return grasp_results.read_grasp_run(self.folder, rounds=self.rounds)
 
 
 def plan_runs(config: GraspConfig) -> list[GraspRun]:
@@ -255,6 +250,6 @@ def plan_runs(config: GraspConfig) -> list[GraspRun]:
 
 TASK = Task(
     plan=plan_runs,
-    table=lambda results, _: grasp_table(results),
-    records=lambda results, _: grasp_records(results),
+    table=lambda results, _: grasp_results.grasp_table(results),
+    records=lambda results, _: grasp_results.grasp_records(results),
 )

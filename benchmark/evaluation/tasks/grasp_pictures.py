@@ -17,10 +17,7 @@ from benchmark.tabletop.grasp import Stage
 from benchmark.tabletop.round import Attempt
 from sensors.physics import PhysicalObject
 from std_toolkit.geometry.camera import Camera
-from std_toolkit.rendering.maps import compose, surface_maps
-from std_toolkit.rendering.mesh import RenderMesh
-from std_toolkit.rendering.raycast import RaycastRenderer
-from std_toolkit.rendering.renderer import PlacedMesh
+from std_toolkit.rendering import maps, mesh, raycast, renderer
 
 Image = NDArray[np.uint8]
 PANELS = ("seen", "depth given", "pre-grasp", "closed", "lifted")
@@ -56,19 +53,19 @@ def _stage_picture(attempt: Attempt, stage: Stage, gripper: Gripper) -> Image:
     camera = Camera(WIDTH, HEIGHT, 260.0, 260.0, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
     T_world_cam = look_at(_EYE, _TARGET)
     T_cam_world = T_world_cam.inverse()
-    placed: list[PlacedMesh] = []
+    placed: list[renderer.PlacedMesh] = []
     colors: list[tuple[int, int, int]] = []
     for obj, T in zip(attempt.before.objects, stage.poses, strict=True):
-        placed.append(PlacedMesh(len(placed) + 1, _mesh(obj.body), T_cam_world @ T))
+        placed.append(renderer.PlacedMesh(len(placed) + 1, _mesh(obj.body), T_cam_world @ T))
         colors.append(_COLORS.get(obj.material.material_class, (200, 200, 120)))
     boxes = gripper.boxes([stage.opening], [0.0])
     for low, high in zip(boxes.low[0], boxes.high[0], strict=True):
         placed.append(
-            PlacedMesh(len(placed) + 1, _box(low, high), T_cam_world @ stage.T_world_hand)
+            renderer.PlacedMesh(len(placed) + 1, _box(low, high), T_cam_world @ stage.T_world_hand)
         )
         colors.append(_HAND)
-    seen = compose(RaycastRenderer(threads=1), camera, placed)
-    normals = surface_maps(camera, placed, seen)[1]
+    seen = maps.compose(raycast.RaycastRenderer(threads=1), camera, placed)
+    normals = maps.surface_maps(camera, placed, seen)[1]
     rays = camera.rays()
     down = rays @ T_world_cam.R[2]
     table = np.where(down < 0, -T_world_cam.t[2] / np.where(down < 0, down, -1), 0)
@@ -83,15 +80,15 @@ def _stage_picture(attempt: Attempt, stage: Stage, gripper: Gripper) -> Image:
     return np.rint(np.clip(image, 0, 255)).astype(np.uint8)
 
 
-def _mesh(obj: PhysicalObject) -> RenderMesh:
-    return RenderMesh.from_arrays(obj.asset.vertices * obj.diagonal_m, obj.asset.faces)
+def _mesh(obj: PhysicalObject) -> mesh.RenderMesh:
+    return mesh.RenderMesh.from_arrays(obj.asset.vertices * obj.diagonal_m, obj.asset.faces)
 
 
-def _box(low: NDArray[np.float64], high: NDArray[np.float64]) -> RenderMesh:
+def _box(low: NDArray[np.float64], high: NDArray[np.float64]) -> mesh.RenderMesh:
     import trimesh
 
     box = trimesh.creation.box(bounds=np.stack([low, high]))
-    return RenderMesh.from_arrays(np.asarray(box.vertices), np.asarray(box.faces))
+    return mesh.RenderMesh.from_arrays(np.asarray(box.vertices), np.asarray(box.faces))
 
 
 def _fit(image: Image) -> Image:

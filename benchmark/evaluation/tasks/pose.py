@@ -19,23 +19,7 @@ from benchmark.evaluation.frames import (
 )
 from benchmark.evaluation.manifest import POSE_MANIFEST, PoseManifest, PoseSetup, circumstances
 from benchmark.evaluation.results import ERROR, INDEX
-from benchmark.evaluation.tasks.pose_inputs import (
-    RAW,
-    DepthChoice,
-    DepthProvider,
-    PoseFrame,
-    depth_choice,
-    load_pose_frame,
-    pose_view,
-)
-from benchmark.evaluation.tasks.pose_results import (
-    PoseResult,
-    pose_records,
-    poses_table,
-    read_pose_run,
-    wanted_protocols,
-)
-from benchmark.evaluation.tasks.pose_table import POSES, READ, rows_of_frame
+from benchmark.evaluation.tasks import pose_inputs, pose_results, pose_table
 from benchmark.methods.protocol import Estimated, PoseEstimator, PoseView
 from benchmark.methods.registry import make_pose_method
 from benchmark.metrics.pose import PoseProtocol
@@ -45,7 +29,7 @@ POSE_FOLDER = "pose"
 
 AS_INPUT = "as-input"
 
-Methods = tuple[PoseEstimator, DepthProvider]
+Methods = tuple[PoseEstimator, pose_inputs.DepthProvider]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,8 +42,8 @@ class PoseRun(FrameRun[Methods]):
         as_input: networks look at that depth, too, and not at raw depth.
     """
 
-    manifest_name, table_name = POSE_MANIFEST, POSES
-    depth: DepthChoice
+    manifest_name, table_name = POSE_MANIFEST, pose_table.POSES
+    depth: pose_inputs.DepthChoice
     fit: str = "ransac"
     as_input: bool = False
 
@@ -88,12 +72,12 @@ class PoseRun(FrameRun[Methods]):
     def check(self, data: DepthSource) -> None:
         """Tell at once where a split has no true poses at all, and not once per frame."""
         for index in self.chosen(data)[:1]:
-            load_pose_frame(data, index)
+            pose_inputs.load_pose_frame(data, index)
 
     def make(self, device: str) -> Methods:
         options = replace(self.options, device=device, settings=self.settings)
         depth = replace(self.depth, options=replace(self.depth.options, device=device))
-        return make_pose_method(self.method, options), DepthProvider(depth, self.split)
+        return make_pose_method(self.method, options), pose_inputs.DepthProvider(depth, self.split)
 
     def parts(self, methods: Methods) -> tuple[object, ...]:
         method, depths = methods
@@ -122,14 +106,14 @@ class PoseRun(FrameRun[Methods]):
             **circumstances(),
         )
 
-    def load(self, data: DepthSource, index: int) -> PoseFrame:
-        return load_pose_frame(data, index)
+    def load(self, data: DepthSource, index: int) -> pose_inputs.PoseFrame:
+        return pose_inputs.load_pose_frame(data, index)
 
     def rows(
         self,
         data: DepthSource,  # noqa: ARG002
         methods: Methods,
-        frames: Sequence[tuple[Base, PoseFrame | str]],
+        frames: Sequence[tuple[Base, pose_inputs.PoseFrame | str]],
     ) -> list[dict[str, Any]]:
         method, depths = methods
         there = {b[INDEX]: frame for b, frame in frames if not isinstance(frame, str)}
@@ -141,17 +125,21 @@ class PoseRun(FrameRun[Methods]):
                 continue
             frame, boxes = there[index].frame, there[index].boxes
             sensor = depth if self.as_input else None
-            views[index] = pose_view(frame, depth, method, boxes=boxes, sensor=sensor)
+            views[index] = pose_inputs.pose_view(frame, depth, method, boxes=boxes, sensor=sensor)
         estimated = answers_one_by_one(method.estimate, _check_estimated, views)
         answers |= estimated
         rows: list[dict[str, Any]] = []
         for base, loaded in frames:
             if isinstance(loaded, str):
-                rows += rows_of_frame(base | {ERROR: loaded, READ: False}, (), None)
+                rows += pose_table.rows_of_frame(
+                    base | {ERROR: loaded, pose_table.READ: False}, (), None
+                )
                 continue
             answer = answers[base[INDEX]]
             error, found = (answer, None) if isinstance(answer, str) else ("", answer.prediction)
-            rows += rows_of_frame(base | {ERROR: error, READ: True}, loaded.truths, found)
+            rows += pose_table.rows_of_frame(
+                base | {ERROR: error, pose_table.READ: True}, loaded.truths, found
+            )
         return rows
 
     def after(self) -> None:
@@ -162,8 +150,8 @@ class PoseRun(FrameRun[Methods]):
         if self.gallery and not there.exists():
             pictures.make_pose_pictures(self.folder, self.open())
 
-    def read(self) -> PoseResult:
-        return read_pose_run(self.folder)
+    def read(self) -> pose_results.PoseResult:
+        return pose_results.read_pose_run(self.folder)
 
 
 def plan_runs(config: PoseConfig) -> list[PoseRun]:
@@ -174,7 +162,7 @@ def plan_runs(config: PoseConfig) -> list[PoseRun]:
             that nobody knows, or a label that cannot be a folder's name.
     """
     _protocols(config)
-    depths = [depth_choice(text) for text in config.depths]
+    depths = [pose_inputs.depth_choice(text) for text in config.depths]
     restored = [depth.name for depth in depths if depth.is_restored]
     options = options_by_method(config, [*config.methods, *restored])
     for place, depth in enumerate(depths):
@@ -187,22 +175,22 @@ def plan_runs(config: PoseConfig) -> list[PoseRun]:
             depth=depth,
             fit=fit,
             # Of raw depth nothing would change but the name.
-            as_input=config.depth_as_input and depth.name != RAW,
+            as_input=config.depth_as_input and depth.name != pose_inputs.RAW,
         )
         for method, split, depth, fit in product(config.methods, config.splits, depths, config.fits)
     ]
 
 
 def _protocols(config: PoseConfig) -> list[PoseProtocol]:
-    return wanted_protocols(
+    return pose_results.wanted_protocols(
         config.protocols, iou=config.iou, score=config.score, gates=config.gates
     )
 
 
 TASK = Task(
     plan=plan_runs,
-    table=lambda results, config: poses_table(results, _protocols(config)),
-    records=lambda results, config: pose_records(results, _protocols(config)),
+    table=lambda results, config: pose_results.poses_table(results, _protocols(config)),
+    records=lambda results, config: pose_results.pose_records(results, _protocols(config)),
 )
 
 

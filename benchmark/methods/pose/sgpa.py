@@ -23,9 +23,7 @@ from torch import Tensor, nn
 
 from benchmark.methods.network import network_of
 from benchmark.methods.pointnet.layers import FeaturePropagation, Scale, SetAbstraction, SharedMLP
-from benchmark.methods.pose.deformation import Deformed
-from benchmark.methods.pose.spd import DeformingEstimator
-from benchmark.methods.pose.spd_network import PriorNetwork, PriorNetworkConfig
+from benchmark.methods.pose import deformation, spd, spd_network
 from benchmark.methods.registry import MethodOptions
 from std_toolkit.errors import ToolkitError
 
@@ -42,7 +40,7 @@ _UP = ((128, 128), (256, 256), (512, 512), (512, 512))
 
 
 @dataclass(frozen=True, kw_only=True)
-class SGPAConfig(PriorNetworkConfig):
+class SGPAConfig(spd_network.PriorNetworkConfig):
     """The network; see `PriorNetworkConfig`.
 
     Attributes:
@@ -90,7 +88,7 @@ PRESETS = {
 }
 
 
-class SGPANetwork(PriorNetwork):
+class SGPANetwork(spd_network.PriorNetwork):
     """Patches and points of objects to `Deformed`.
 
     Raises:
@@ -114,7 +112,9 @@ class SGPANetwork(PriorNetwork):
         self.adapt = Adaptation(g, config.heads)
         self.heads = self.deformer(2 * g, 2 * g)
 
-    def forward(self, color: Tensor, points: Tensor, pixels: Tensor, category: Tensor) -> Deformed:
+    def forward(
+        self, color: Tensor, points: Tensor, pixels: Tensor, category: Tensor
+    ) -> deformation.Deformed:
         """Objects; see `SPDNetwork.forward`."""
         points, prior = self.seen(points), self.prior[category]
         of_points, of_pixels = self.geometry(points), self.color(color, pixels)
@@ -262,7 +262,7 @@ class Adaptation(nn.Module):
         return torch.cat([prior, color.transpose(1, 2)], dim=1)
 
 
-class SGPA(DeformingEstimator):
+class SGPA(spd.DeformingEstimator):
     """A prior adapted to the structure of the object and deformed; settings are those of
     `SGPAConfig`.
 

@@ -17,9 +17,7 @@ from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.mesh import hull_vertices, load_mesh, mesh_diameter
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.geometry.symmetry import Symmetry
-from std_toolkit.importers.bop_documents import MM, BopScene, ModelInfo, named, read_bop_scene
-from std_toolkit.importers.bop_objects import symmetry_of
-from std_toolkit.importers.foreign_files import read_foreign_depth
+from std_toolkit.importers import bop_documents, bop_objects, foreign_files
 from std_toolkit.io.documents import read_document
 from std_toolkit.io.images import image_size
 from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
@@ -82,7 +80,7 @@ class BopDataset:
     root: Path
     split: str
     targets: tuple[BopTarget, ...]
-    scenes: dict[int, BopScene]
+    scenes: dict[int, bop_documents.BopScene]
     visible: dict[int, dict[int, list[float]]]
 
     def truths(self, target: BopTarget) -> tuple[list[SE3], NDArray[np.bool_]]:
@@ -123,7 +121,7 @@ class BopDataset:
         if row is None or not path.is_file():
             raise ToolkitError("VSD needs the image's depth", path=path)
         size = image_size(path)
-        depth = read_foreign_depth(path, size=size).values.astype(np.float32)
+        depth = foreign_files.read_foreign_depth(path, size=size).values.astype(np.float32)
         fx, fy, cx, cy = row.intrinsics
         return BopImage(Camera(*size, fx, fy, cx, cy), depth * np.float32(row.depth_scale_m))
 
@@ -140,16 +138,20 @@ class BopDataset:
             raise ToolkitError("the data set's models are missing", path=self.root / "models")
         mesh = load_mesh(folder / f"obj_{obj_id:06d}.ply", unit="mm")
         info_path = folder / "models_info.json"
-        infos = read_document(info_path, dict[str, ModelInfo]) if info_path.is_file() else {}
+        infos = (
+            read_document(info_path, dict[str, bop_documents.ModelInfo])
+            if info_path.is_file()
+            else {}
+        )
         info = infos.get(str(obj_id))
-        with named(info_path, str(obj_id)):
-            symmetry = symmetry_of(info, np.zeros(3)).symmetry()
+        with bop_documents.named(info_path, str(obj_id)):
+            symmetry = bop_objects.symmetry_of(info, np.zeros(3)).symmetry()
         given = None if info is None else info.diameter
         return BopModel(
             prepare_mesh(mesh),
             np.asarray(mesh.vertices, dtype=np.float64),
             hull_vertices(mesh),
-            mesh_diameter(mesh) if given is None else given * MM,
+            mesh_diameter(mesh) if given is None else given * bop_documents.MM,
             symmetry,
         )
 
@@ -177,7 +179,7 @@ def open_bop(root: Path | str, split: str = "test") -> BopDataset:
     folders = [f for f in folders if f.name.isdigit()]
     if not folders:
         raise ToolkitError("no scenes of a BOP data set here", path=root / split)
-    scenes = {int(f.name): read_bop_scene(f) for f in folders}
+    scenes = {int(f.name): bop_documents.read_bop_scene(f) for f in folders}
     visible = {number: _visibility(scene) for number, scene in scenes.items()}
     path = root / "test_targets_bop19.json"
     if split == "test" and path.is_file():
@@ -190,7 +192,7 @@ def open_bop(root: Path | str, split: str = "test") -> BopDataset:
     return BopDataset(root, split, tuple(targets), scenes, visible)
 
 
-def _visibility(scene: BopScene) -> dict[int, list[float]]:
+def _visibility(scene: bop_documents.BopScene) -> dict[int, list[float]]:
     path = scene.folder / "scene_gt_info.json"
     infos = read_document(path, dict[str, list[_Visibility]])
     shares = {int(k): [row.visib_fract for row in rows] for k, rows in infos.items()}
@@ -201,7 +203,7 @@ def _visibility(scene: BopScene) -> dict[int, list[float]]:
 
 
 def _all_visible(
-    scenes: dict[int, BopScene], visible: dict[int, dict[int, list[float]]]
+    scenes: dict[int, bop_documents.BopScene], visible: dict[int, dict[int, list[float]]]
 ) -> list[BopTarget]:
     counts: dict[tuple[int, int, int], int] = defaultdict(int)
     for number, scene in scenes.items():

@@ -9,10 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from benchmark.metrics.grasp.collision import Cloud, voxel_means
-from benchmark.metrics.grasp.force_closure import FRICTIONS, NO_CLOSURE, GraspedMesh, even_points
-from benchmark.metrics.grasp.grasp import Grasps, suppress_similar
-from benchmark.metrics.grasp.gripper import GRASPNET
+from benchmark.metrics.grasp import collision, force_closure, grasp, gripper
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 
@@ -44,17 +41,17 @@ class JudgedObject:
     @classmethod
     def of_mesh(cls, vertices: Floats, faces: NDArray[np.int64]) -> JudgedObject:
         """An object of any mesh, with points 4 mm apart."""
-        return cls(vertices, faces, even_points(vertices, faces, _SPACING_M))
+        return cls(vertices, faces, force_closure.even_points(vertices, faces, _SPACING_M))
 
     @cached_property
     def thinned(self) -> Floats:
         """The points, one for each cell of 8 mm."""
-        return voxel_means(self.points, VOXEL_M)
+        return collision.voxel_means(self.points, VOXEL_M)
 
     @cached_property
-    def mesh(self) -> GraspedMesh:
+    def mesh(self) -> force_closure.GraspedMesh:
         """What fingers close on."""
-        return GraspedMesh(self.vertices, self.faces)
+        return force_closure.GraspedMesh(self.vertices, self.faces)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,14 +66,14 @@ class Judged:
         friction: (N,) at which they hold, -1 for none, a collision or an empty grasp.
     """
 
-    grasps: Grasps
+    grasps: grasp.Grasps
     collided: NDArray[np.bool_]
     empty: NDArray[np.bool_]
     friction: Floats
 
 
 def judge_grasps(
-    grasps: Grasps,
+    grasps: grasp.Grasps,
     objects: Sequence[JudgedObject],
     poses: Sequence[SE3],
     T_cam_table: SE3 | None = None,
@@ -114,27 +111,29 @@ def judge_grasps(
     scene = np.concatenate(clouds if T_cam_table is None else [*clouds, T_cam_table @ _table()])
     count = len(counted)
     collided, empty = np.zeros(count, bool), np.zeros(count, bool)
-    friction = np.full(count, NO_CLOSURE)
+    friction = np.full(count, force_closure.NO_CLOSURE)
     for number, (obj, T, cloud) in enumerate(zip(objects, poses, clouds, strict=True)):
         mine = np.flatnonzero(counted.object_ids == number)
         if not len(mine):
             continue
         low, high = cloud.min(axis=0) - _AROUND_M, cloud.max(axis=0) + _AROUND_M
-        near = Cloud(scene[((scene > low) & (scene < high)).all(axis=1)])
+        near = collision.Cloud(scene[((scene > low) & (scene < high)).all(axis=1)])
         its = counted[mine]
-        collided[mine] = near.hit_by(its, GRASPNET)
-        empty[mine] = near.count_between(its, GRASPNET) < LEAST_BETWEEN
+        collided[mine] = near.hit_by(its, gripper.GRASPNET)
+        empty[mine] = near.count_between(its, gripper.GRASPNET) < LEAST_BETWEEN
         friction[mine] = obj.mesh.friction_scores(its.transformed(T.inverse()))
-    friction[collided | empty] = NO_CLOSURE
+    friction[collided | empty] = force_closure.NO_CLOSURE
     return Judged(counted, collided, empty, friction)
 
 
-def _counted(grasps: Grasps, objects: Sequence[JudgedObject], poses: Sequence[SE3]) -> Grasps:
+def _counted(
+    grasps: grasp.Grasps, objects: Sequence[JudgedObject], poses: Sequence[SE3]
+) -> grasp.Grasps:
     """Those that count, best first, with the place of their object."""
     from scipy.spatial import cKDTree
 
-    cut = grasps.replaced(widths=np.clip(grasps.widths, 0, GRASPNET.max_width))
-    kept = suppress_similar(cut)
+    cut = grasps.replaced(widths=np.clip(grasps.widths, 0, gripper.GRASPNET.max_width))
+    kept = grasp.suppress_similar(cut)
     if not len(kept):
         return kept
     clouds = [T @ o.thinned for o, T in zip(objects, poses, strict=True)]
@@ -155,7 +154,9 @@ def _table() -> Floats:
     return np.stack(grid, axis=-1).reshape(-1, 3)
 
 
-def precision_at(friction: ArrayLike, frictions: Sequence[float] = FRICTIONS) -> Floats:
+def precision_at(
+    friction: ArrayLike, frictions: Sequence[float] = force_closure.FRICTIONS
+) -> Floats:
     """Share of the best 1, 2, ... 50 grasps that hold at each friction.
 
     Where there are fewer grasps, those that lack count as failures.
@@ -213,5 +214,5 @@ def average_precision(tables: Iterable[Floats]) -> GraspPrecision:
     if not by_friction:
         raise ToolkitError("no image to take the average precision of")
     mean = 100 * np.mean(by_friction, axis=0)
-    at = dict(zip(FRICTIONS, mean.tolist(), strict=True))
+    at = dict(zip(force_closure.FRICTIONS, mean.tolist(), strict=True))
     return GraspPrecision(float(mean.mean()), at[0.8], at[0.4], len(by_friction))

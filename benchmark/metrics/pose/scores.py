@@ -8,9 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from benchmark.metrics.pose.matching import PoseMatches, match
-from benchmark.metrics.pose.pose_frames import PosePrediction, PoseTruth, flatten
-from benchmark.metrics.pose.pose_protocol import STRICT, PoseProtocol, PoseScoring
+from benchmark.metrics.pose import matching, pose_frames, pose_protocol
 from std_toolkit.errors import ToolkitError
 
 Floats = NDArray[np.float64]
@@ -97,7 +95,9 @@ def average_precision(
     return float((np.diff(found, prepend=0.0) * best_from_here).sum() / objects)
 
 
-def score_matches(matches: PoseMatches, frame_weights: ArrayLike | None = None) -> PoseScores:
+def score_matches(
+    matches: matching.PoseMatches, frame_weights: ArrayLike | None = None
+) -> PoseScores:
     """Figures of matches, of all frames or of a choice of them.
 
     Args:
@@ -131,7 +131,7 @@ def score_matches(matches: PoseMatches, frame_weights: ArrayLike | None = None) 
             pw = wp * matches.pred_enters[p, column]
             objects = float((wt * matches.true_enters[t, column]).sum())
             hit = matches.hits[p, column]
-            if protocol.score is PoseScoring.AP:
+            if protocol.score is pose_protocol.PoseScoring.AP:
                 figure = average_precision(matches.scores[p], hit, objects, pw)
             elif pw.sum() > 0:
                 figure = float((pw * hit).sum() / pw.sum())
@@ -146,9 +146,9 @@ def score_matches(matches: PoseMatches, frame_weights: ArrayLike | None = None) 
 
 
 def score_poses(
-    truths: Sequence[PoseTruth],
-    predictions: Sequence[PosePrediction],
-    protocol: PoseProtocol = STRICT,
+    truths: Sequence[pose_frames.PoseTruth],
+    predictions: Sequence[pose_frames.PosePrediction],
+    protocol: pose_protocol.PoseProtocol = pose_protocol.STRICT,
 ) -> PoseScores:
     """Figures of predictions of many frames.
 
@@ -172,10 +172,10 @@ def score_poses(
 
 
 def match_poses(
-    truths: Sequence[PoseTruth],
-    predictions: Sequence[PosePrediction],
-    protocol: PoseProtocol = STRICT,
-) -> PoseMatches:
+    truths: Sequence[pose_frames.PoseTruth],
+    predictions: Sequence[pose_frames.PosePrediction],
+    protocol: pose_protocol.PoseProtocol = pose_protocol.STRICT,
+) -> matching.PoseMatches:
     """Match the predictions of many frames: the slow part of `score_poses`.
 
     Args:
@@ -196,5 +196,5 @@ def match_poses(
     """
     n = len(protocol.classes.names)
     both = protocol.both_sides_only
-    true, pred = flatten(truths, predictions, classes=n, both_sides_only=both)
-    return match(true, pred, protocol, frames=len(truths))
+    true, pred = pose_frames.flatten(truths, predictions, classes=n, both_sides_only=both)
+    return matching.match(true, pred, protocol, frames=len(truths))

@@ -8,44 +8,10 @@ from pathlib import Path
 from benchmark.evaluation.depth_panels import PANELS, TRUST_PANEL
 from benchmark.evaluation.tasks.depth_pictures import FOLDER, INDEX_FILE, Gallery
 from benchmark.evaluation.tasks.depth_results import RunResult, read_results
-from benchmark.report.leaderboard import (
-    MEASURED,
-    PUBLISHED,
-    Board,
-    frames_of,
-    is_fragment,
-    make_board,
-    one_of_each,
-)
+from benchmark.report import leaderboard
 from benchmark.report.page import ReportPart, table_files, terminal_text
-from benchmark.report.parts.depth_plots import (
-    bars,
-    depth_curves,
-    method_colors,
-    radar,
-    speed_against_error,
-)
-from benchmark.report.parts.depth_tables import (
-    RMSE,
-    board_tables,
-    board_title,
-    breakdown_tables,
-    cost_table,
-    run_table,
-)
-from std_toolkit.html.page import (
-    Block,
-    Columns,
-    Details,
-    Figure,
-    Heading,
-    Legend,
-    LegendEntry,
-    Paragraph,
-    Picture,
-    Plot,
-    Section,
-)
+from benchmark.report.parts import depth_plots, depth_tables
+from std_toolkit.html import page
 from std_toolkit.html.page import Gallery as Pictures
 from std_toolkit.io.documents import read_document
 
@@ -59,8 +25,8 @@ def depth_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
     Raises:
         ToolkitError: a run is damaged, or no frame could be scored.
     """
-    board = make_board(read_results(folders), published=published)
-    tables = [table for where in board.boards for table in board_tables(board, *where)]
+    board = leaderboard.make_board(read_results(folders), published=published)
+    tables = [table for where in board.boards for table in depth_tables.board_tables(board, *where)]
     return ReportPart(
         title="Depth restoration",
         summary=_summary(board),
@@ -70,62 +36,71 @@ def depth_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
     )
 
 
-def board_sections(board: Board) -> list[Section]:
+def board_sections(board: leaderboard.Board) -> list[page.Section]:
     """The sections of a leaderboard."""
-    colors = method_colors(board)
+    colors = depth_plots.method_colors(board)
     found = []
     for i, (split, protocol) in enumerate(board.boards):
-        title = board_title(board, split, protocol)
-        found.append(Section(f"board-{i}", title, _leaderboard(board, split, protocol, colors)))
+        title = depth_tables.board_title(board, split, protocol)
+        found.append(
+            page.Section(f"board-{i}", title, _leaderboard(board, split, protocol, colors))
+        )
     for i, (split, protocol) in enumerate(board.boards):
-        title = f"In detail: {board_title(board, split, protocol)}"
-        found.append(Section(f"detail-{i}", title, _breakdown(board, split, protocol, colors)))
+        title = f"In detail: {depth_tables.board_title(board, split, protocol)}"
+        found.append(page.Section(f"detail-{i}", title, _breakdown(board, split, protocol, colors)))
     return [
         *found,
-        Section("speed", "Speed", _speed(board, colors)),
-        Section("gallery", "Gallery", gallery(board.results)),
-        Section("runs", "What ran", [run_table(board.results)]),
+        page.Section("speed", "Speed", _speed(board, colors)),
+        page.Section("gallery", "Gallery", gallery(board.results)),
+        page.Section("runs", "What ran", [depth_tables.run_table(board.results)]),
     ]
 
 
-def _leaderboard(board: Board, split: str, protocol: str, colors: dict[str, str]) -> list[Block]:
+def _leaderboard(
+    board: leaderboard.Board, split: str, protocol: str, colors: dict[str, str]
+) -> list[page.Block]:
     rows = board.main_rows(split, protocol)
-    figures = Columns(
+    figures = page.Columns(
         [
-            Plot(f"bars-{split}-{protocol}", bars(rows, colors)),
-            Plot(f"radar-{split}-{protocol}", radar(rows, colors)),
+            page.Plot(f"bars-{split}-{protocol}", depth_plots.bars(rows, colors)),
+            page.Plot(f"radar-{split}-{protocol}", depth_plots.radar(rows, colors)),
         ]
     )
-    return [*board_tables(board, split, protocol, all_published=True), figures]
+    return [*depth_tables.board_tables(board, split, protocol, all_published=True), figures]
 
 
-def _breakdown(board: Board, split: str, protocol: str, colors: dict[str, str]) -> list[Block]:
-    blocks: list[Block] = [*breakdown_tables(board, split, protocol)]
+def _breakdown(
+    board: leaderboard.Board, split: str, protocol: str, colors: dict[str, str]
+) -> list[page.Block]:
+    blocks: list[page.Block] = [*depth_tables.breakdown_tables(board, split, protocol)]
     rows = board.rows[(board.rows["split"] == split) & (board.rows["protocol"] == protocol)]
-    curve = depth_curves(rows, colors)
+    curve = depth_plots.depth_curves(rows, colors)
     if curve is not None:
-        of = frames_of(split, board.frames(split))
-        blocks += [Heading(f"Error against depth: {of}"), Plot(f"depth-{split}-{protocol}", curve)]
+        of = leaderboard.frames_of(split, board.frames(split))
+        blocks += [
+            page.Heading(f"Error against depth: {of}"),
+            page.Plot(f"depth-{split}-{protocol}", curve),
+        ]
     return blocks
 
 
-def _speed(board: Board, colors: dict[str, str]) -> list[Block]:
+def _speed(board: leaderboard.Board, colors: dict[str, str]) -> list[page.Block]:
     """Cost of each method, and accuracy against speed on the first board."""
     split, protocol = board.boards[0]
     rows = board.main_rows(split, protocol)
-    known = one_of_each(rows.dropna(subset=["frames_per_s"]))
-    if not (known["kind"] == MEASURED).any():
+    known = leaderboard.one_of_each(rows.dropna(subset=["frames_per_s"]))
+    if not (known["kind"] == leaderboard.MEASURED).any():
         return []
     drawn = known
-    if is_fragment(split, board.frames(split)):
-        drawn = known[known["kind"] != PUBLISHED]
-    figure = speed_against_error(drawn, colors)
-    return [cost_table(board, known, split, protocol), Plot("speed", figure)]
+    if leaderboard.is_fragment(split, board.frames(split)):
+        drawn = known[known["kind"] != leaderboard.PUBLISHED]
+    figure = depth_plots.speed_against_error(drawn, colors)
+    return [depth_tables.cost_table(board, known, split, protocol), page.Plot("speed", figure)]
 
 
-def gallery(results: Sequence[RunResult]) -> list[Block]:
+def gallery(results: Sequence[RunResult]) -> list[page.Block]:
     """The frames that all methods show, method by method; then each method's own extremes."""
-    blocks: list[Block] = []
+    blocks: list[page.Block] = []
     found = [(r, _gallery_of(r)) for r in results]
     common: dict[tuple[str, str, str, str], list[tuple[RunResult, str, float]]] = {}
     for result, pictures in found:
@@ -139,14 +114,14 @@ def gallery(results: Sequence[RunResult]) -> list[Block]:
             _strip(result, picture, f"{result.manifest.label}: {rmse * 1e3:.1f} mm")
             for result, picture, rmse in sorted(shown, key=lambda s: s[2])
         ]
-        blocks.append(Heading(f"{split} {scene}/{frame}, {protocol}"))
+        blocks.append(page.Heading(f"{split} {scene}/{frame}, {protocol}"))
         blocks.append(Pictures(strips, heads=PANELS))
     for result, pictures in found:
         own = [p for p in pictures.pictures if p.rank in _RANKS] if pictures else []
         if not own:
             continue
         setup = result.manifest.setup
-        of = frames_of(setup.split, setup.frames)
+        of = leaderboard.frames_of(setup.split, setup.frames)
         title = f"{result.manifest.label} on {setup.split}, {setup.protocol}: {of}"
         panels = (*PANELS, TRUST_PANEL) if all(p.trust for p in own) else PANELS
         strips = [
@@ -157,24 +132,26 @@ def gallery(results: Sequence[RunResult]) -> list[Block]:
             )
             for p in own
         ]
-        blocks.append(Details(title, [Pictures(strips, heads=panels)]))
+        blocks.append(page.Details(title, [Pictures(strips, heads=panels)]))
     if not blocks:
         return []
     about = "The first frames are the same for all methods, the best method first."
-    return [Paragraph(about), _LEGEND, *blocks]
+    return [page.Paragraph(about), _LEGEND, *blocks]
 
 
-_LEGEND = Legend(
+_LEGEND = page.Legend(
     [
-        LegendEntry(
+        page.LegendEntry(
             "linear-gradient(90deg,#fde725,#21918c,#440154)",
             "depth, near to far, over the range of the ground truth of the frame",
             180,
         ),
-        LegendEntry("linear-gradient(90deg,#000004,#bc3754,#fcffa4)", "error, 0 to 50 mm", 180),
-        LegendEntry("#963cc8", "no answer"),
-        LegendEntry("#1c1c20", "no ground truth, or no depth"),
-        LegendEntry(
+        page.LegendEntry(
+            "linear-gradient(90deg,#000004,#bc3754,#fcffa4)", "error, 0 to 50 mm", 180
+        ),
+        page.LegendEntry("#963cc8", "no answer"),
+        page.LegendEntry("#1c1c20", "no ground truth, or no depth"),
+        page.LegendEntry(
             "linear-gradient(90deg,#000,#54546f,#a9c5c5,#fff)", "trust in the sensor, 0 to 1", 180
         ),
     ]
@@ -186,17 +163,17 @@ def _gallery_of(result: RunResult) -> Gallery | None:
     return read_document(path, Gallery) if path.exists() else None
 
 
-def _strip(result: RunResult, picture: str, caption: str) -> Figure:
-    return Figure(Picture.read(result.folder / FOLDER / picture), caption)
+def _strip(result: RunResult, picture: str, caption: str) -> page.Figure:
+    return page.Figure(page.Picture.read(result.folder / FOLDER / picture), caption)
 
 
-def _summary(board: Board) -> str:
+def _summary(board: leaderboard.Board) -> str:
     """One sentence on who is best where."""
     found = []
     for split, protocol in board.boards:
         rows = board.main_rows(split, protocol)
-        best = rows[rows["kind"] == MEASURED].iloc[0]
-        of = frames_of(split, board.frames(split))
-        rmse = RMSE.text(best["rmse"])
+        best = rows[rows["kind"] == leaderboard.MEASURED].iloc[0]
+        of = leaderboard.frames_of(split, board.frames(split))
+        rmse = depth_tables.RMSE.text(best["rmse"])
         found.append(f"{best['method']} on {split} ({rmse} mm, {protocol}, {of})")
     return "Lowest RMSE: " + "; ".join(found) + "."

@@ -10,21 +10,10 @@ import pandas as pd
 
 from benchmark.evaluation.tasks.depth_results import RunResult
 from benchmark.metrics.protocols.protocol import get_protocol
-from benchmark.report.leaderboard import (
-    BOARD,
-    COSTS,
-    MEASURED,
-    METRICS,
-    PAPERS_PROTOCOL,
-    PUBLISHED,
-    SIGNIFICANT,
-    Board,
-    frames_of,
-    one_of_each,
-)
+from benchmark.report import leaderboard
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table
 
-RMSE = METRICS[0]
+RMSE = leaderboard.METRICS[0]
 # Of the subsets that were measured, those that have a table of their own.
 MAIN_SUBSETS = ("all", "specular+transparent")
 OBJECTS = {"all": "all objects", "specular+transparent": "specular and transparent objects"}
@@ -38,13 +27,13 @@ _COUNTS = (Column(heading="frames", digits=0), Column(heading="scenes", digits=0
 _METHOD = Column(heading="method", numeric=False)
 
 
-def board_title(board: Board, split: str, protocol: str) -> str:
+def board_title(board: leaderboard.Board, split: str, protocol: str) -> str:
     """What a table is about, and of how many frames."""
-    return f"{split}, protocol {protocol}: {frames_of(split, board.frames(split))}"
+    return f"{split}, protocol {protocol}: {leaderboard.frames_of(split, board.frames(split))}"
 
 
 def board_tables(
-    board: Board, split: str, protocol: str, *, all_published: bool = False
+    board: leaderboard.Board, split: str, protocol: str, *, all_published: bool = False
 ) -> list[Table]:
     """The tables of one split and protocol, one for each of the main subsets.
 
@@ -57,33 +46,40 @@ def board_tables(
     tables = []
     for subset in dict.fromkeys((first, *MAIN_SUBSETS)):
         rows = board.part(split, protocol, grid, subset)
-        measured = rows[rows["kind"] == MEASURED]
+        measured = rows[rows["kind"] == leaderboard.MEASURED]
         if measured.empty:
             continue
         notes = [f"Bold: best measured. {_certainty(int(measured['scenes'].max()), len(measured))}"]
-        if protocol != PAPERS_PROTOCOL and (rows["kind"] == PUBLISHED).any():
+        if (
+            protocol != leaderboard.PAPERS_PROTOCOL
+            and (rows["kind"] == leaderboard.PUBLISHED).any()
+        ):
             notes.append(CAUTION)
         title = f"{board_title(board, split, protocol)}, {OBJECTS.get(subset, subset)}"
-        chosen = rows if all_published else one_of_each(rows)
-        tables.append(_method_table(chosen, BOARD, title=title, notes=notes, counts=True))
+        chosen = rows if all_published else leaderboard.one_of_each(rows)
+        tables.append(
+            _method_table(chosen, leaderboard.BOARD, title=title, notes=notes, counts=True)
+        )
     return tables
 
 
-def cost_table(board: Board, rows: pd.DataFrame, split: str, protocol: str) -> Table:
+def cost_table(board: leaderboard.Board, rows: pd.DataFrame, split: str, protocol: str) -> Table:
     """What methods cost, beside their accuracy."""
     title = board_title(board, split, protocol)
     notes = ["Time of the method alone, without reading and scoring."]
-    return _method_table(rows, (RMSE, *COSTS), title=title, notes=notes, hardware=True)
+    return _method_table(rows, (RMSE, *leaderboard.COSTS), title=title, notes=notes, hardware=True)
 
 
-def breakdown_tables(board: Board, split: str, protocol: str) -> list[Table]:
+def breakdown_tables(board: leaderboard.Board, split: str, protocol: str) -> list[Table]:
     """RMSE by material, at edges, at native size, and by scene."""
     grid, first = get_protocol(protocol).main
     rows = board.rows[(board.rows["split"] == split) & (board.rows["protocol"] == protocol)]
-    rows = rows[(rows["kind"] == MEASURED) & ~rows["subset"].str.startswith(DEPTH_PREFIX)]
+    rows = rows[
+        (rows["kind"] == leaderboard.MEASURED) & ~rows["subset"].str.startswith(DEPTH_PREFIX)
+    ]
     order = board.part(split, protocol, grid, first)
-    methods = order.loc[order["kind"] == MEASURED, "method"].tolist()
-    of = frames_of(split, board.frames(split))
+    methods = order.loc[order["kind"] == leaderboard.MEASURED, "method"].tolist()
+    of = leaderboard.frames_of(split, board.frames(split))
     tables = []
     for name, block in rows.groupby("grid", sort=False):
         wide = block.pivot(index="method", columns="subset", values=RMSE.name)
@@ -147,7 +143,7 @@ def can_differ(scenes: int, methods: int) -> bool:
     """Whether the test of differences could tell two of the methods apart at all: over n scenes it
     gives no p below 2 / 2**n, and all pairs are corrected for."""
     pairs = methods * (methods - 1) / 2
-    return bool(pairs * 2.0 ** (1 - scenes) < SIGNIFICANT)
+    return bool(pairs * 2.0 ** (1 - scenes) < leaderboard.SIGNIFICANT)
 
 
 def interval_note(scenes: int) -> str:
@@ -180,13 +176,13 @@ def _method_table(
     hardware: bool = False,
 ) -> Table:
     best = _best_figures(rows, columns)
-    methods = int((rows["kind"] == MEASURED).sum())
+    methods = int((rows["kind"] == leaderboard.MEASURED).sum())
     made = []
     for row in rows.to_dict("records"):
-        published = row["kind"] == PUBLISHED
+        published = row["kind"] == leaderboard.PUBLISHED
         # Costs are not what the test is about.
         tested = counts and not published and can_differ(row["scenes"], methods)
-        alike = tested and row["p_best"] >= SIGNIFICANT
+        alike = tested and row["p_best"] >= leaderboard.SIGNIFICANT
         note = f"published; {source_of(row)}" if published else "≈" if alike else ""
         cells = [Cell(text=row["method"], note=note)]
         cells += [c.cell(row[c.heading]) for c in _COUNTS] if counts else []
@@ -219,7 +215,7 @@ def source_of(row: dict[str, object]) -> str:
 
 def _best_figures(rows: pd.DataFrame, columns: Sequence[Column]) -> dict[str, float]:
     """The best measured figure of each column that has a direction."""
-    measured = rows[rows["kind"] == MEASURED]
+    measured = rows[rows["kind"] == leaderboard.MEASURED]
     return {
         c.name: measured[c.name].min() if c.lower_is_better else measured[c.name].max()
         for c in columns

@@ -9,33 +9,13 @@ from pathlib import Path
 import pandas as pd
 
 from benchmark.evaluation.results import INDEX
+from benchmark.evaluation.tasks import grasp_results
 from benchmark.evaluation.tasks.grasp import ORACLE, RAW, STRIPS, TRUE
-from benchmark.evaluation.tasks.grasp_results import (
-    HEADINGS,
-    PLAN_HEADINGS,
-    GraspResult,
-    Rate,
-    cells,
-    completion_gain,
-    grasp_table,
-    plan_cells,
-    read_grasp_results,
-    share,
-)
 from benchmark.evaluation.tasks.grasp_table import ATTEMPT, KIND, scene_name
 from benchmark.published.load import published_rows
 from benchmark.report.page import ReportPart, table_files
 from benchmark.report.parts.depth_tables import machine
-from std_toolkit.html.page import (
-    Block,
-    Bullets,
-    Figure,
-    Gallery,
-    Heading,
-    Paragraph,
-    Picture,
-    Section,
-)
+from std_toolkit.html import page
 from std_toolkit.html.table import Cell, Column, Row, Table
 
 CSV, MARKDOWN, LATEX = "grasping.csv", "grasping.md", "grasping.tex"
@@ -71,7 +51,7 @@ def grasp_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
     Raises:
         ToolkitError: a run is damaged, or none is finished.
     """
-    results = read_grasp_results(folders)
+    results = grasp_results.read_grasp_results(folders)
     rounds = max(r.rates.rounds for r in results)
     planners = ", ".join(dict.fromkeys(r.manifest.planner_label for r in results))
     depths = ", ".join(dict.fromkeys(r.manifest.depth_label for r in results))
@@ -81,14 +61,14 @@ def grasp_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
         summary=f"{rounds} tables of 4 to 5 specular or transparent objects in simulation; "
         f"planners: {planners}; depth: {depths}",
         sections=[
-            Section("clearing", "Table clearing", [Paragraph(_DEFINITIONS), *tables]),
-            Section("clearing-plans", "Planned grasps", [_plan_table(results)]),
-            Section("clearing-causes", "How attempts ended", [_cause_table(results)]),
-            Section("clearing-strips", "Attempts in pictures", _pictures(results)),
-            Section("clearing-runs", "What ran: clearing", [_run_table(results)]),
+            page.Section("clearing", "Table clearing", [page.Paragraph(_DEFINITIONS), *tables]),
+            page.Section("clearing-plans", "Planned grasps", [_plan_table(results)]),
+            page.Section("clearing-causes", "How attempts ended", [_cause_table(results)]),
+            page.Section("clearing-strips", "Attempts in pictures", _pictures(results)),
+            page.Section("clearing-runs", "What ran: clearing", [_run_table(results)]),
         ],
         answer=_answer(results),
-        terminal=grasp_table(results),
+        terminal=grasp_results.grasp_table(results),
         files=table_files((CSV, MARKDOWN, LATEX), tables, board_of(results)),
     )
 
@@ -106,7 +86,7 @@ def printed_rows() -> list[list[str]]:
     return found
 
 
-def board_of(results: Sequence[GraspResult]) -> pd.DataFrame:
+def board_of(results: Sequence[grasp_results.GraspResult]) -> pd.DataFrame:
     """One row per run, rates as shares."""
     rows = []
     for result in results:
@@ -123,33 +103,35 @@ def board_of(results: Sequence[GraspResult]) -> pd.DataFrame:
 
 
 def _clearing_tables(
-    results: Sequence[GraspResult], printed: Sequence[Sequence[str]]
+    results: Sequence[grasp_results.GraspResult], printed: Sequence[Sequence[str]]
 ) -> list[Table]:
     notes = ["Published rows were measured with a real robot and other objects."] if printed else []
     tables = []
     for camera, seed in dict.fromkeys(r.name[:2] for r in results):
         mine = [r for r in results if r.name[:2] == (camera, seed)]
-        rows = [Row([_figure(cell) for cell in cells(r)]) for r in mine]
+        rows = [Row([_figure(cell) for cell in grasp_results.cells(r)]) for r in mine]
         rows += [Row([_figure(cell) for cell in row], "published") for row in printed]
         rounds = max(r.rates.rounds for r in mine)
         title = f"Table clearing, {camera} camera, seed {seed}: {rounds} tables"
-        tables.append(Table(columns=_columns(HEADINGS), rows=rows, title=title, notes=notes))
+        tables.append(
+            Table(columns=_columns(grasp_results.HEADINGS), rows=rows, title=title, notes=notes)
+        )
     return tables
 
 
-def _plan_table(results: Sequence[GraspResult]) -> Table:
-    rows = [_with_place(r, plan_cells(r)[2:]) for r in results]
-    return Table(columns=_columns(PLAN_HEADINGS), rows=rows, notes=[_PLANNED])
+def _plan_table(results: Sequence[grasp_results.GraspResult]) -> Table:
+    rows = [_with_place(r, grasp_results.plan_cells(r)[2:]) for r in results]
+    return Table(columns=_columns(grasp_results.PLAN_HEADINGS), rows=rows, notes=[_PLANNED])
 
 
-def _cause_table(results: Sequence[GraspResult]) -> Table:
+def _cause_table(results: Sequence[grasp_results.GraspResult]) -> Table:
     names = sorted({name for r in results for name in r.rates.outcomes})
     rows = [_with_place(r, [str(r.rates.outcomes.get(n, 0)) for n in names]) for r in results]
     heads = [*_columns(("planner", "depth")), *(Column(heading=n, unit="views") for n in names)]
     return Table(columns=heads, rows=rows)
 
 
-def _with_place(result: GraspResult, figures: Sequence[str]) -> Row:
+def _with_place(result: grasp_results.GraspResult, figures: Sequence[str]) -> Row:
     """A row of figures behind the planner and the depth, with camera and seed."""
     place = f"{result.name[0]} camera, seed {result.name[1]}"
     names = [
@@ -174,7 +156,7 @@ def _figure(text: str) -> Cell:
     return Cell(text=value, note=bracket.strip() + interval)
 
 
-def _run_table(results: Sequence[GraspResult]) -> Table:
+def _run_table(results: Sequence[grasp_results.GraspResult]) -> Table:
     """What ran, with what, on what."""
     rows = []
     for result in results:
@@ -193,8 +175,8 @@ def _run_table(results: Sequence[GraspResult]) -> Table:
     return Table(columns=columns, rows=rows)
 
 
-def _pictures(results: Sequence[GraspResult]) -> list[Block]:
-    blocks: list[Block] = []
+def _pictures(results: Sequence[grasp_results.GraspResult]) -> list[page.Block]:
+    blocks: list[page.Block] = []
     for result in results:
         views = result.table[result.table[KIND] == ATTEMPT]
         first = views.drop_duplicates("outcome").head(_MOST_STRIPS)
@@ -204,10 +186,12 @@ def _pictures(results: Sequence[GraspResult]) -> list[Block]:
         ):
             path = result.folder / STRIPS / strip_name(int(index), int(number))
             if path.is_file():
-                shown.append(Figure(Picture.read(path), f"{scene_name(int(index))}: {outcome}"))
+                shown.append(
+                    page.Figure(page.Picture.read(path), f"{scene_name(int(index))}: {outcome}")
+                )
         if shown:
             title = f"{result.manifest.planner_label} on {result.manifest.depth_label} depth"
-            blocks += [Heading(title), Gallery(shown)]
+            blocks += [page.Heading(title), page.Gallery(shown)]
     return blocks
 
 
@@ -216,7 +200,7 @@ def strip_name(index: int, attempt: int) -> str:
     return f"{scene_name(index)}-attempt-{attempt:02d}.png"
 
 
-def _answer(results: Sequence[GraspResult]) -> list[Block]:
+def _answer(results: Sequence[grasp_results.GraspResult]) -> list[page.Block]:
     """How much more of a table is cleared with each depth than with raw depth."""
     found = []
     for result in results:
@@ -224,22 +208,22 @@ def _answer(results: Sequence[GraspResult]) -> list[Block]:
         raw = next((r for r in results if r.name == (camera, seed, planner, RAW)), None)
         if raw is None or depth == RAW or planner == ORACLE:
             continue
-        gain = completion_gain(result.table, raw.table)
+        gain = grasp_results.completion_gain(result.table, raw.table)
         if not gain.total:
             continue
         what = "True depth" if depth == TRUE else f"Depth by {depth}"
         found.append(
-            Paragraph(
+            page.Paragraph(
                 f"{what} with {planner}: {points(gain)} of a table's objects removed than with raw "
                 f"depth, over the same {gain.total} tables "
-                f"({share(result.rates.completion_tables)} % against "
-                f"{share(raw.rates.completion_tables)} %); {verdict(gain)}."
+                f"({grasp_results.share(result.rates.completion_tables)} % against "
+                f"{grasp_results.share(raw.rates.completion_tables)} %); {verdict(gain)}."
             )
         )
-    return [Bullets(found)] if found else []
+    return [page.Bullets(found)] if found else []
 
 
-def points(gain: Rate) -> str:
+def points(gain: grasp_results.Rate) -> str:
     """A difference of shares in percentage points.
 
     >>> points(Rate(0.25, 0.1, 0.4, 2, 8))
@@ -251,7 +235,7 @@ def points(gain: Rate) -> str:
     )
 
 
-def verdict(gain: Rate) -> str:
+def verdict(gain: grasp_results.Rate) -> str:
     """What an interval allows to say."""
     if math.isnan(gain.low):
         return "one table is too few to say"

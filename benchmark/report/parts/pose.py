@@ -7,28 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmark.evaluation.tasks.bop import BopFigures, bop_table, read_bop_figures
-from benchmark.evaluation.tasks.pose_inputs import TRUE
-from benchmark.evaluation.tasks.pose_results import ALL, HARD, heading, read_pose_results
+from benchmark.evaluation.tasks import bop, pose_inputs, pose_results
 from benchmark.metrics.significance import holm
 from benchmark.report.leaderboard import MEASURED, SIGNIFICANT
 from benchmark.report.page import ReportPart, table_files, terminal_text
-from benchmark.report.parts.depth_tables import OBJECTS
-from benchmark.report.parts.pose_board import (
-    MAIN,
-    PROTOCOLS,
-    Compared,
-    PoseBoard,
-    make_pose_board,
-)
-from benchmark.report.parts.pose_sections import (
-    bar_blocks,
-    breakdown_tables,
-    pose_gallery,
-    pose_tables,
-    pose_title,
-    run_table,
-)
+from benchmark.report.parts import depth_tables, pose_board, pose_sections
 from std_toolkit.html.page import Block, Bullets, Paragraph, Section
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table, number
 
@@ -70,29 +53,36 @@ class Finding:
         return "helps" if self.gain > 0 else "hurts"
 
 
-def findings(board: PoseBoard, subset: str) -> list[Finding]:
+def findings(board: pose_board.PoseBoard, subset: str) -> list[Finding]:
     """What is found of every restored depth, split by split."""
     found = []
     for split in board.splits:
         restored = [c for c in board.compared.get((split, subset), ()) if not _is_true(c)]
         made = [c for c in restored if c.difference is not None]
-        values = [c.difference.of(MAIN) for c in made if c.difference is not None]
+        values = [c.difference.of(pose_board.MAIN) for c in made if c.difference is not None]
         p_values = holm([p for *_, p in values])
         for compared, (gain, low, high, _), p in zip(made, values, p_values, strict=True):
             method, depth, fit = compared.scored.result.name
-            after = 100 * compared.scored.scores.mean[MAIN]
+            after = 100 * compared.scored.scores.mean[pose_board.MAIN]
             points = after, 100 * gain, 100 * low, 100 * high
             scenes = compared.scored.scene_count
             found.append(Finding(split, subset, method, depth, fit, *points, float(p), scenes))
     return found
 
 
-def answer(board: PoseBoard) -> list[Block]:
+def answer(board: pose_board.PoseBoard) -> list[Block]:
     """A sentence for each restored depth, and the tables of all differences."""
-    sentences = [_sentence(f) for subset in (HARD, ALL) for f in findings(board, subset)]
+    sentences = [
+        _sentence(f)
+        for subset in (pose_results.HARD, pose_results.ALL)
+        for f in findings(board, subset)
+    ]
     tables = [
-        _difference_table(compared, f"{pose_title(board, split, PROTOCOLS[0])}, {OBJECTS[subset]}")
-        for subset in (HARD, ALL)
+        _difference_table(
+            compared,
+            f"{pose_sections.pose_title(board, split, pose_board.PROTOCOLS[0])}, {depth_tables.OBJECTS[subset]}",
+        )
+        for subset in (pose_results.HARD, pose_results.ALL)
         for split in board.splits
         if (compared := board.compared.get((split, subset)))
     ]
@@ -105,7 +95,7 @@ def answer(board: PoseBoard) -> list[Block]:
         "points, protocol strict, mean over classes. In brackets: the 95 % interval over scenes. "
         "The p-value is the probability of a difference at least as large if in each scene the two "
         "were swapped at random; in the sentences, which are about "
-        f"{heading(MAIN)}, it is corrected for all restored depths and methods of a split (Holm). "
+        f"{pose_results.heading(pose_board.MAIN)}, it is corrected for all restored depths and methods of a split (Holm). "
         "With five scenes or fewer no difference is significant."
     )
     return [Bullets(sentences), about, *tables]
@@ -126,14 +116,14 @@ def _sentence(finding: Finding) -> Paragraph:
     }[finding.verdict]
     before = finding.after - finding.gain
     text = (
-        f"Of {OBJECTS[finding.subset]}, {number(before)} % of the poses are within "
-        f"{heading(MAIN)} on raw depth and {number(finding.after)} % on depth restored by "
+        f"Of {depth_tables.OBJECTS[finding.subset]}, {number(before)} % of the poses are within "
+        f"{pose_results.heading(pose_board.MAIN)} on raw depth and {number(finding.after)} % on depth restored by "
         f"`{finding.depth}` ({about}{interval}{p})."
     )
     return Paragraph(text, lead, tone)
 
 
-def _difference_table(compared: Sequence[Compared], title: str) -> Table:
+def _difference_table(compared: Sequence[pose_board.Compared], title: str) -> Table:
     rows = []
     for each in compared:
         method, depth, fit = each.scored.result.name
@@ -145,7 +135,7 @@ def _difference_table(compared: Sequence[Compared], title: str) -> Table:
             cells += [_difference(*each.difference.of(column)) for column in SHOWN]
         rows.append(Row(cells))
     columns = [Column(heading=h, numeric=False) for h in ("method", "depth", "fit")]
-    columns += [Column(heading=heading(c), unit="points") for c in SHOWN]
+    columns += [Column(heading=pose_results.heading(c), unit="points") for c in SHOWN]
     return Table(columns=columns, rows=rows, title=title)
 
 
@@ -166,8 +156,8 @@ def _p(p: float) -> str:
     return "p\u00a0<\u00a00.001" if p < 0.001 else f"p\u00a0=\u00a0{p:.3f}"
 
 
-def _is_true(compared: Compared) -> bool:
-    return compared.scored.result.manifest.setup.depth == TRUE
+def _is_true(compared: pose_board.Compared) -> bool:
+    return compared.scored.result.manifest.setup.depth == pose_inputs.TRUE
 
 
 def pose_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart:
@@ -176,9 +166,9 @@ def pose_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart:
     Raises:
         ToolkitError: a run is damaged, or no frame has a true object.
     """
-    board = make_pose_board(read_pose_results(folders), published=published)
-    places = [(split, protocol) for split in board.splits for protocol in PROTOCOLS]
-    tables = [table for place in places for table in pose_tables(board, *place)]
+    board = pose_board.make_pose_board(pose_results.read_pose_results(folders), published=published)
+    places = [(split, protocol) for split in board.splits for protocol in pose_board.PROTOCOLS]
+    tables = [table for place in places for table in pose_sections.pose_tables(board, *place)]
     return ReportPart(
         title="Category-level pose",
         summary=_summary(board),
@@ -195,52 +185,61 @@ def bop_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart: 
     Raises:
         ToolkitError: a file is damaged.
     """
-    results = read_bop_figures(folders)
+    results = bop.read_bop_figures(folders)
     best = max(results, key=lambda r: r.ar)
     return ReportPart(
         title="Pose of known objects",
         summary=f"Highest AR: {best.results}, {100 * best.ar:.1f} % on {_data(best)}.",
         sections=[Section("bop", "Poses of known objects (BOP)", [_bop_table(results)])],
-        terminal=bop_table(results),
+        terminal=bop.bop_table(results),
     )
 
 
-def _sections(board: PoseBoard) -> list[Section]:
+def _sections(board: pose_board.PoseBoard) -> list[Section]:
     found = []
     for i, split in enumerate(board.splits):
-        for protocol in PROTOCOLS:
-            blocks = [*pose_tables(board, split, protocol), *bar_blocks(board, split, protocol)]
-            title = f"Poses: {pose_title(board, split, protocol)}"
+        for protocol in pose_board.PROTOCOLS:
+            blocks = [
+                *pose_sections.pose_tables(board, split, protocol),
+                *pose_sections.bar_blocks(board, split, protocol),
+            ]
+            title = f"Poses: {pose_sections.pose_title(board, split, protocol)}"
             found.append(Section(f"pose-{i}-{protocol}", title, blocks))
     for i, split in enumerate(board.splits):
-        title = f"Poses in detail: {pose_title(board, split, PROTOCOLS[0])}"
-        found.append(Section(f"pose-detail-{i}", title, breakdown_tables(board, split)))
+        title = (
+            f"Poses in detail: {pose_sections.pose_title(board, split, pose_board.PROTOCOLS[0])}"
+        )
+        found.append(
+            Section(f"pose-detail-{i}", title, pose_sections.breakdown_tables(board, split))
+        )
     return [
         *found,
-        Section("pose-gallery", "Boxes", pose_gallery(board)),
-        Section("pose-runs", "What ran: poses", [run_table(board.results)]),
+        Section("pose-gallery", "Boxes", pose_sections.pose_gallery(board)),
+        Section("pose-runs", "What ran: poses", [pose_sections.run_table(board.results)]),
     ]
 
 
-def _summary(board: PoseBoard) -> str:
+def _summary(board: pose_board.PoseBoard) -> str:
     """One sentence on what is right most often, true depth aside."""
     found = []
     for split in board.splits:
-        rows = board.part(split, PROTOCOLS[0], ALL)
-        rows = rows[(rows["kind"] == MEASURED) & (rows["depth"] != TRUE)].dropna(subset=[MAIN])
+        rows = board.part(split, pose_board.PROTOCOLS[0], pose_results.ALL)
+        rows = rows[(rows["kind"] == MEASURED) & (rows["depth"] != pose_inputs.TRUE)].dropna(
+            subset=[pose_board.MAIN]
+        )
         if not rows.empty:
-            best = rows.loc[rows[MAIN].idxmax()]
+            best = rows.loc[rows[pose_board.MAIN].idxmax()]
             found.append(
                 f"{best['method']} with {best['depth']} depth on "
-                f"{pose_title(board, split, PROTOCOLS[0])} "
-                f"({100 * best[MAIN]:.1f} % within {heading(MAIN)})"
+                f"{pose_sections.pose_title(board, split, pose_board.PROTOCOLS[0])} "
+                f"({100 * best[pose_board.MAIN]:.1f} % within {pose_results.heading(pose_board.MAIN)})"
             )
     if not found:
         return "Poses were fitted to true depth only."
     return "Most poses right: " + "; ".join(found) + "."
 
 
-def _bop_table(results: Sequence[BopFigures]) -> Table:
+def _bop_table(results: Sequence[bop.BopFigures]) -> Table:
     columns = [
         Column(heading="results", numeric=False),
         Column(heading="data", numeric=False),
@@ -266,5 +265,5 @@ def _bop_table(results: Sequence[BopFigures]) -> Table:
     return Table(columns=columns, rows=rows, notes=notes, sortable=True)
 
 
-def _data(result: BopFigures) -> str:
+def _data(result: bop.BopFigures) -> str:
     return f"{Path(result.data).resolve().name}, {result.split}"

@@ -17,19 +17,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from benchmark.evaluation.config import FITS
+from benchmark.evaluation.tasks import pose_results
 from benchmark.evaluation.tasks.pose_inputs import RAW, TRUE
-from benchmark.evaluation.tasks.pose_results import (
-    ALL,
-    HARD,
-    SAMPLES,
-    SUBSETS,
-    PoseResult,
-    Scored,
-    heading,
-    interval_of,
-    scene_draws,
-    score_run,
-)
 from benchmark.metrics.pose import PoseProtocol, get_pose_protocol
 from benchmark.metrics.pose.resampling import resampled_scores, scene_weights, side_by_side
 from benchmark.published.load import published_poses
@@ -46,7 +35,7 @@ FLIPS = 2000  # drawn ways above that
 # The protocols of the tables; comparisons are by the first.
 PROTOCOLS = ("strict", "paper")
 
-TABLES = (ALL, HARD)
+TABLES = (pose_results.ALL, pose_results.HARD)
 
 # What "right" means in comparisons, breakdowns and the answer.
 MAIN = "5deg5cm"
@@ -82,7 +71,11 @@ class PoseDifference:
 
 
 def compare_runs(
-    first: Scored, second: Scored, *, samples: int = SAMPLES, seed: int = 0
+    first: pose_results.Scored,
+    second: pose_results.Scored,
+    *,
+    samples: int = pose_results.SAMPLES,
+    seed: int = 0,
 ) -> PoseDifference:
     """Compare two runs.
 
@@ -118,9 +111,9 @@ def compare_runs(
     observed = differences(ones, zeros)[0]
     low = high = np.full(len(observed), np.nan)
     if scenes > 1:
-        draws = scene_draws(scenes, samples, seed=seed)
+        draws = pose_results.scene_draws(scenes, samples, seed=seed)
         drawn = differences(draws, np.zeros_like(draws))
-        low, high = interval_of(drawn)
+        low, high = pose_results.interval_of(drawn)
     swaps = _swaps(scenes, seed)
     swapped = differences(1.0 - swaps, swaps)
     # The same figures summed in another order differ in their last bits.
@@ -141,10 +134,12 @@ def _swaps(scenes: int, seed: int) -> Floats:
     return rng.integers(0, 2, (FLIPS, scenes)).astype(np.float64)
 
 
-DETAILS = tuple(name for name in SUBSETS if name not in TABLES)
+DETAILS = tuple(name for name in pose_results.SUBSETS if name not in TABLES)
 
 FIGURES = tuple(
-    Column(name=name, heading=heading(name), unit="%", factor=100, lower_is_better=False)
+    Column(
+        name=name, heading=pose_results.heading(name), unit="%", factor=100, lower_is_better=False
+    )
     for name in get_pose_protocol(PROTOCOLS[0]).columns
 )
 
@@ -166,7 +161,7 @@ class Compared:
         why_not: in that case why.
     """
 
-    scored: Scored
+    scored: pose_results.Scored
     difference: PoseDifference | None
     why_not: str = ""
 
@@ -184,9 +179,9 @@ class PoseBoard:
     """
 
     rows: pd.DataFrame
-    details: dict[str, list[Scored]]
+    details: dict[str, list[pose_results.Scored]]
     compared: dict[tuple[str, str], list[Compared]]
-    results: tuple[PoseResult, ...]
+    results: tuple[pose_results.PoseResult, ...]
 
     @property
     def splits(self) -> list[str]:
@@ -206,7 +201,10 @@ class PoseBoard:
 
 
 def make_pose_board(
-    results: Sequence[PoseResult], *, published: bool = True, samples: int = SAMPLES
+    results: Sequence[pose_results.PoseResult],
+    *,
+    published: bool = True,
+    samples: int = pose_results.SAMPLES,
 ) -> PoseBoard:
     """Score runs and compare them.
 
@@ -230,7 +228,9 @@ def make_pose_board(
                 if name == PROTOCOLS[0]:
                     compared[split, subset] = _against_raw(scored, samples)
         first = get_pose_protocol(PROTOCOLS[0])
-        details[split] = [s for subset in (ALL, *DETAILS) for s in _scored(mine, first, subset, 0)]
+        details[split] = [
+            s for subset in (pose_results.ALL, *DETAILS) for s in _scored(mine, first, subset, 0)
+        ]
     if not rows:
         raise ToolkitError(
             "no frame has a true object, there is nothing to report", path=results[0].folder
@@ -241,20 +241,22 @@ def make_pose_board(
     return PoseBoard(board.reindex(columns=list(COLUMNS)), details, compared, tuple(ordered))
 
 
-def _place(result: PoseResult) -> tuple[int, str]:
+def _place(result: pose_results.PoseResult) -> tuple[int, str]:
     """Raw depth before restored depth, true depth last."""
     depth = result.manifest.setup.depth
     return (0 if depth == RAW else 2 if depth == TRUE else 1, result.name[1])
 
 
 def _scored(
-    results: Sequence[PoseResult], protocol: PoseProtocol, subset: str, samples: int
-) -> list[Scored]:
-    scored = [score_run(result, protocol, subset, samples=samples) for result in results]
+    results: Sequence[pose_results.PoseResult], protocol: PoseProtocol, subset: str, samples: int
+) -> list[pose_results.Scored]:
+    scored = [
+        pose_results.score_run(result, protocol, subset, samples=samples) for result in results
+    ]
     return [each for each in scored if each.objects]
 
 
-def _row(scored: Scored, protocol: str) -> dict[str, object]:
+def _row(scored: pose_results.Scored, protocol: str) -> dict[str, object]:
     method, depth, fit = scored.result.name
     row: dict[str, object] = {
         "split": scored.result.split,
@@ -275,7 +277,7 @@ def _row(scored: Scored, protocol: str) -> dict[str, object]:
     return row
 
 
-def _against_raw(scored: Sequence[Scored], samples: int) -> list[Compared]:
+def _against_raw(scored: Sequence[pose_results.Scored], samples: int) -> list[Compared]:
     """Runs on other depths, each with the run of the same method and fit on raw depth."""
     raw = {(s.result.name[0], s.result.name[2]): s for s in scored if s.result.name[1] == RAW}
     found = []

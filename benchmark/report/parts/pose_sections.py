@@ -7,31 +7,11 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from benchmark.evaluation.tasks.pose_inputs import RAW, TRUE
-from benchmark.evaluation.tasks.pose_pictures import PICTURES_FILE, POSE_GALLERY, PosePictures
-from benchmark.evaluation.tasks.pose_results import PoseResult, RunName, heading
+from benchmark.evaluation.tasks import pose_inputs, pose_pictures, pose_results
 from benchmark.report.leaderboard import MEASURED, PAPERS_PROTOCOL, PUBLISHED, frames_of
-from benchmark.report.parts.depth_tables import (
-    OBJECTS,
-    counted,
-    interval_note,
-    machine,
-    run_columns,
-    source_of,
-)
+from benchmark.report.parts import depth_tables
 from benchmark.report.parts.pose_board import DETAILS, FIGURES, MAIN, TABLES, PoseBoard
-from std_toolkit.html.page import (
-    Block,
-    Details,
-    Figure,
-    Gallery,
-    Heading,
-    Legend,
-    LegendEntry,
-    Paragraph,
-    Picture,
-    Plot,
-)
+from std_toolkit.html import page
 from std_toolkit.html.plots import CAMERA, FAINT, OBJECT_COLORS, error_bars, figure
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table
 from std_toolkit.io.documents import read_document
@@ -59,11 +39,13 @@ def pose_tables(board: PoseBoard, split: str, protocol: str) -> list[Table]:
         measured = rows[rows["kind"] == MEASURED]
         if measured.empty:
             continue
-        title = f"{pose_title(board, split, protocol)}, {OBJECTS[subset]}, poses right"
-        notes = [f"Bold: best, true depth aside. {interval_note(int(measured['scenes'].max()))}"]
+        title = f"{pose_title(board, split, protocol)}, {depth_tables.OBJECTS[subset]}, poses right"
+        notes = [
+            f"Bold: best, true depth aside. {depth_tables.interval_note(int(measured['scenes'].max()))}"
+        ]
         if protocol != PAPERS_PROTOCOL and (rows["kind"] == PUBLISHED).any():
             notes.append(_CAUTION)
-        contest = measured[measured["depth"] != TRUE]
+        contest = measured[measured["depth"] != pose_inputs.TRUE]
         best = contest[[c.name for c in FIGURES]].max()
         made = [_row(row, best) for row in rows.to_dict("records")]
         columns = [*_RUN, *_COUNTS, *FIGURES]
@@ -73,8 +55,8 @@ def pose_tables(board: PoseBoard, split: str, protocol: str) -> list[Table]:
 
 def _row(row: dict[str, object], best: pd.Series) -> Row:
     published = row["kind"] == PUBLISHED
-    contends = not published and row["depth"] != TRUE
-    note = f"published; {source_of(row)}" if published else ""
+    contends = not published and row["depth"] != pose_inputs.TRUE
+    note = f"published; {depth_tables.source_of(row)}" if published else ""
     cells = [Cell(text=str(row["method"]), note=note)]
     cells += [Cell(text=str(row[name])) for name in ("depth", "fit")]
     cells += [c.cell(row[c.heading]) for c in _COUNTS]  # type: ignore[arg-type]
@@ -89,24 +71,26 @@ def _row(row: dict[str, object], best: pd.Series) -> Row:
     return Row(cells, "published" if published else "" if contends else "bound")
 
 
-def bar_blocks(board: PoseBoard, split: str, protocol: str) -> list[Block]:
+def bar_blocks(board: PoseBoard, split: str, protocol: str) -> list[page.Block]:
     """Bars of every method and fit by depth; none for the protocol of the paper."""
-    blocks: list[Block] = []
+    blocks: list[page.Block] = []
     for subset in TABLES if protocol != PAPERS_PROTOCOL else ():
         rows = board.part(split, protocol, subset)
         measured = rows[rows["kind"] == MEASURED]
         for method, fit in measured[["method", "fit"]].drop_duplicates().to_numpy().tolist():
             figure = columns_by_depth(rows, method, fit)
             if figure is not None:
-                blocks.append(Heading(f"{method}, fit {fit}, {OBJECTS[subset]}", 4))
-                blocks.append(Plot("-".join(("bars", split, subset, method, fit)), figure))
+                blocks.append(
+                    page.Heading(f"{method}, fit {fit}, {depth_tables.OBJECTS[subset]}", 4)
+                )
+                blocks.append(page.Plot("-".join(("bars", split, subset, method, fit)), figure))
     return blocks
 
 
 def breakdown_tables(board: PoseBoard, split: str) -> list[Table]:
     """The main figure by material and by class."""
-    materials: dict[RunName, dict[str, float]] = {}
-    classes: dict[RunName, dict[str, float]] = {}
+    materials: dict[pose_results.RunName, dict[str, float]] = {}
+    classes: dict[pose_results.RunName, dict[str, float]] = {}
     for each in board.details[split]:
         if each.subset in DETAILS:
             mine = materials.setdefault(each.result.name, {})
@@ -119,13 +103,16 @@ def breakdown_tables(board: PoseBoard, split: str) -> list[Table]:
                 if count
             }
     return [
-        _matrix(figures, f"{heading(MAIN)} by {what}, {pose_title(board, split, 'strict')} [%]")
+        _matrix(
+            figures,
+            f"{pose_results.heading(MAIN)} by {what}, {pose_title(board, split, 'strict')} [%]",
+        )
         for what, figures in (("material", materials), ("class", classes))
         if figures
     ]
 
 
-def _matrix(figures: dict[RunName, dict[str, float]], title: str) -> Table:
+def _matrix(figures: dict[pose_results.RunName, dict[str, float]], title: str) -> Table:
     """Shares, shaded from none (white) to all (green)."""
     names = list(dict.fromkeys(column for mine in figures.values() for column in mine))
     columns = [Column(heading=n, factor=100, lower_is_better=False) for n in names]
@@ -141,45 +128,49 @@ def _matrix(figures: dict[RunName, dict[str, float]], title: str) -> Table:
     return Table(columns=[*_RUN, *columns], rows=rows, title=title, notes=notes)
 
 
-def pose_gallery(board: PoseBoard) -> list[Block]:
+def pose_gallery(board: PoseBoard) -> list[page.Block]:
     """The same frames for all depths of a method, side by side."""
-    groups: dict[tuple[str, str, str], list[tuple[PoseResult, PosePictures]]] = {}
+    groups: dict[
+        tuple[str, str, str], list[tuple[pose_results.PoseResult, pose_pictures.PosePictures]]
+    ] = {}
     for result in board.results:
-        path = result.folder / POSE_GALLERY / PICTURES_FILE
+        path = result.folder / pose_pictures.POSE_GALLERY / pose_pictures.PICTURES_FILE
         if path.exists():
             method, _, fit = result.name
-            shown = (result, read_document(path, PosePictures))
+            shown = (result, read_document(path, pose_pictures.PosePictures))
             groups.setdefault((result.split, method, fit), []).append(shown)
     if not groups:
         return []
-    blocks: list[Block] = [
-        Paragraph("Frames evenly spaced over the split, the same for all runs."),
-        Legend(
+    blocks: list[page.Block] = [
+        page.Paragraph("Frames evenly spaced over the split, the same for all runs."),
+        page.Legend(
             [
-                LegendEntry("#14cd4b", "true box", 26),
-                LegendEntry("#eb2d28", "estimated box", 26),
-                LegendEntry("none", "from the centre the half axes; the thick one is y", 0),
+                page.LegendEntry("#14cd4b", "true box", 26),
+                page.LegendEntry("#eb2d28", "estimated box", 26),
+                page.LegendEntry("none", "from the centre the half axes; the thick one is y", 0),
             ]
         ),
     ]
     for number, ((split, method, fit), runs) in enumerate(groups.items()):
-        frames: dict[str, list[Figure]] = {}
+        frames: dict[str, list[page.Figure]] = {}
         for result, pictures in runs:
             for p in pictures.pictures:
                 found = f", {p.found} found" if p.found != p.objects else ""
                 caption = f"{result.name[1]} depth: {p.right} of {p.objects} within 10°5cm{found}"
-                picture = Picture.read(result.folder / POSE_GALLERY / p.picture, width=640)
-                frames.setdefault(f"{p.scene}/{p.frame}", []).append(Figure(picture, caption))
-        inside: list[Block] = []
+                picture = page.Picture.read(
+                    result.folder / pose_pictures.POSE_GALLERY / p.picture, width=640
+                )
+                frames.setdefault(f"{p.scene}/{p.frame}", []).append(page.Figure(picture, caption))
+        inside: list[page.Block] = []
         for name, figures in frames.items():
-            inside.append(Heading(name, 4))
-            inside.append(Gallery(figures, abreast=max(2, min(len(figures), _ABREAST))))
+            inside.append(page.Heading(name, 4))
+            inside.append(page.Gallery(figures, abreast=max(2, min(len(figures), _ABREAST))))
         of = frames_of(split, board.frames(split))
-        blocks.append(Details(f"{method}, fit {fit}, on {split}: {of}", inside, number == 0))
+        blocks.append(page.Details(f"{method}, fit {fit}, on {split}: {of}", inside, number == 0))
     return blocks
 
 
-def run_table(results: Sequence[PoseResult]) -> Table:
+def run_table(results: Sequence[pose_results.PoseResult]) -> Table:
     """What ran, with what, on what; and what failed."""
     rows = []
     for result in results:
@@ -190,20 +181,20 @@ def run_table(results: Sequence[PoseResult]) -> Table:
         weights = [w[:12] for w in (s.weights_sha256, s.depth_weights_sha256) if w]
         cells = [
             *(Cell(text=text) for text in (m.label, m.depth_label, m.fit, s.split)),
-            *counted(s.frames, result.missing, result.failed),
+            *depth_tables.counted(s.frames, result.missing, result.failed),
             Cell(text=", ".join([s.preset, *depth, *settings])),
-            *machine(" ".join(weights), m.hardware, m.version_of_tool),
+            *depth_tables.machine(" ".join(weights), m.hardware, m.version_of_tool),
         ]
         rows.append(Row(cells))
-    return Table(columns=run_columns("method", "depth", "fit", "split"), rows=rows)
+    return Table(columns=depth_tables.run_columns("method", "depth", "fit", "split"), rows=rows)
 
 
 def depth_colors(depths: list[str]) -> dict[str, str]:
     """The colour of each depth: raw grey, true green, restored ones of their own."""
-    restored = [d for d in dict.fromkeys(depths) if d not in (RAW, TRUE)]
+    restored = [d for d in dict.fromkeys(depths) if d not in (pose_inputs.RAW, pose_inputs.TRUE)]
     colors = [c for c in OBJECT_COLORS if c != _TRUE_COLOR]
     found = {depth: colors[i % len(colors)] for i, depth in enumerate(restored)}
-    return {RAW: _RAW_COLOR, **found, TRUE: _TRUE_COLOR}
+    return {pose_inputs.RAW: _RAW_COLOR, **found, pose_inputs.TRUE: _TRUE_COLOR}
 
 
 def columns_by_depth(rows: pd.DataFrame, method: str, fit: str) -> str | None:

@@ -15,18 +15,8 @@ from benchmark.evaluation.depth_panels import strip
 from benchmark.methods.depth.cleargrasp.cleargrasp import DepthOfMaps
 from benchmark.methods.depth.cleargrasp.cleargrasp_network import ClearGraspNetwork
 from benchmark.methods.depth.full_size import view_of
-from benchmark.training.config import seed_of
-from benchmark.training.depth.cleargrasp_losses import (
-    CONTACT,
-    NONE,
-    OCCLUSION,
-    ClearGraspAnswers,
-    ClearGraspLoss,
-    ClearGraspTarget,
-    outlines_of,
-)
-from benchmark.training.step import Batch, Loss, ModelInput, StepInfo, made_of, network_inputs
-from benchmark.training.validation import Context, Validator
+from benchmark.training import config, step, validation
+from benchmark.training.depth import cleargrasp_losses
 
 _NETWORKS = ("masks", "normals", "boundaries")
 
@@ -34,25 +24,29 @@ _NETWORKS = ("masks", "normals", "boundaries")
 def cleargrasp_step(
     network: nn.Module,
     loss: Any,
-    inputs: ModelInput,
-    step_info: StepInfo,  # noqa: ARG001
-) -> Loss:
+    inputs: step.ModelInput,
+    step_info: step.StepInfo,  # noqa: ARG001
+) -> step.Loss:
     """All networks learn whose loss has a weight."""
     answers = _answers(cast(ClearGraspNetwork, network), loss, inputs.color)
     with torch.autocast(inputs.color.device.type, enabled=False):
         return loss(answers, cleargrasp_target(inputs.batch, loss))
 
 
-def cleargrasp_target(batch: Batch, loss: ClearGraspLoss) -> ClearGraspTarget:
+def cleargrasp_target(
+    batch: step.Batch, loss: cleargrasp_losses.ClearGraspLoss
+) -> cleargrasp_losses.ClearGraspTarget:
     """What the networks should say of a batch."""
     dropped: tuple[Material, ...] = (Material.TRANSPARENT,)
     if loss.objects == "specular_transparent":
         dropped = (Material.TRANSPARENT, Material.SPECULAR)
-    outlines = outlines_of(batch["true"][:, None], batch["mask"], batch["K"], loss.gap)
-    return ClearGraspTarget(made_of(batch, *dropped).long(), outlines)
+    outlines = cleargrasp_losses.outlines_of(
+        batch["true"][:, None], batch["mask"], batch["K"], loss.gap
+    )
+    return cleargrasp_losses.ClearGraspTarget(step.made_of(batch, *dropped).long(), outlines)
 
 
-class ClearGraspValidator(Validator):
+class ClearGraspValidator(validation.Validator):
     """Masks and boundaries by their overlap, normals by their angle; ranked by the loss.
 
     The sums are pixels of both and of either for masks, occlusion boundaries and contact edges;
@@ -62,8 +56,10 @@ class ClearGraspValidator(Validator):
     def zeros(self, network: nn.Module) -> np.ndarray:  # noqa: ARG002
         return np.zeros(10)
 
-    def add(self, total: np.ndarray, network: nn.Module, batch: Batch, context: Context) -> None:
-        color = network_inputs(batch)[0]
+    def add(
+        self, total: np.ndarray, network: nn.Module, batch: step.Batch, context: validation.Context
+    ) -> None:
+        color = step.network_inputs(batch)[0]
         with context():
             answers = _answers(cast(ClearGraspNetwork, network), self.loss, color)
         target = cleargrasp_target(batch, self.loss)
@@ -79,11 +75,11 @@ class ClearGraspValidator(Validator):
         return "loss", scores["loss"]
 
     def pictures(
-        self, network: nn.Module, shown: Sequence[int], batch: Batch
+        self, network: nn.Module, shown: Sequence[int], batch: step.Batch
     ) -> Sequence[np.ndarray]:
         """The depth that the global optimisation makes of the maps."""
         own = cast(ClearGraspNetwork, network)
-        maps = own(network_inputs(batch)[0])
+        maps = own(step.network_inputs(batch)[0])
         frames = [self.frames.frame(i) for i in shown]
         with_mask = own.config.mask == "given"
         views = [view_of(frame, None, with_mask=with_mask) for frame in frames]
@@ -91,29 +87,33 @@ class ClearGraspValidator(Validator):
         return [strip(frame, depth) for frame, depth in zip(frames, found, strict=True)]
 
 
-def _answers(network: ClearGraspNetwork, loss: ClearGraspLoss, color: Tensor) -> ClearGraspAnswers:
+def _answers(
+    network: ClearGraspNetwork, loss: cleargrasp_losses.ClearGraspLoss, color: Tensor
+) -> cleargrasp_losses.ClearGraspAnswers:
     seed, asked = torch.initial_seed(), dict.fromkeys(_NETWORKS)
     for place, name in enumerate(_NETWORKS):
         if not getattr(loss, name):
             continue
         if network.training:
             # So that a network drops out the same whether others are trained with it or not.
-            torch.manual_seed(seed_of(seed, place))
+            torch.manual_seed(config.seed_of(seed, place))
         asked[name] = network.get_submodule(name)(color).float()
     if asked["normals"] is not None:
         asked["normals"] = normalize(asked["normals"], dim=1)
-    return ClearGraspAnswers(**asked)
+    return cleargrasp_losses.ClearGraspAnswers(**asked)
 
 
-def _sums(answers: ClearGraspAnswers, target: ClearGraspTarget) -> list[float]:
+def _sums(
+    answers: cleargrasp_losses.ClearGraspAnswers, target: cleargrasp_losses.ClearGraspTarget
+) -> list[float]:
     """The first eight sums of a state."""
     outlines, sums = target.outlines, [0.0] * 8
-    known = outlines.boundaries >= NONE
+    known = outlines.boundaries >= cleargrasp_losses.NONE
     if answers.masks is not None:
         sums[0:2] = _overlap(answers.masks.argmax(dim=1) == 1, target.masks == 1)
     if answers.boundaries is not None:
         said = answers.boundaries.argmax(dim=1)
-        for place, kind in ((2, OCCLUSION), (4, CONTACT)):
+        for place, kind in ((2, cleargrasp_losses.OCCLUSION), (4, cleargrasp_losses.CONTACT)):
             sums[place : place + 2] = _overlap((said == kind) & known, outlines.boundaries == kind)
     if answers.normals is not None:
         there = outlines.normals.square().sum(dim=1) > 0.5

@@ -18,16 +18,18 @@ from benchmark.methods.depth.swindrnet.swindrnet_network import PRESETS as SWIND
 from benchmark.methods.depth.swindrnet.swindrnet_network import SwinDRNetwork
 from benchmark.training.catalogue import Trainable
 from benchmark.training.config import Optimization
-from benchmark.training.depth import lidf_training
-from benchmark.training.depth.cleargrasp_losses import ClearGraspLoss
-from benchmark.training.depth.cleargrasp_training import ClearGraspValidator, cleargrasp_step
-from benchmark.training.depth.depth_losses import DFNetLoss, NLSPNLoss, SwinDRNetLoss
+from benchmark.training.depth import (
+    cleargrasp_losses,
+    cleargrasp_training,
+    depth_losses,
+    lidf_training,
+)
 from benchmark.training.validation import DepthValidator
 
 NLSPN_TRAINING = Trainable(
     presets=NLSPN,
     network=NLSPNetwork,
-    loss=NLSPNLoss(),
+    loss=depth_losses.NLSPNLoss(),
     optimization=Optimization(
         optimizer="adam",
         learning_rate=1e-3,
@@ -48,7 +50,7 @@ NLSPN_TRAINING = Trainable(
 DFNET_TRAINING = Trainable(
     presets=DFNET,
     network=DFNetwork,
-    loss=DFNetLoss(),
+    loss=depth_losses.DFNetLoss(),
     optimization=Optimization(
         learning_rate=1e-3,
         batch_size=32,
@@ -88,9 +90,9 @@ LIDF_TRAINING = Trainable(
 CLEARGRASP_TRAINING = Trainable(
     presets=CLEARGRASP,
     network=ClearGraspNetwork,
-    loss=ClearGraspLoss(),
-    step=cleargrasp_step,
-    validator=ClearGraspValidator,
+    loss=cleargrasp_losses.ClearGraspLoss(),
+    step=cleargrasp_training.cleargrasp_step,
+    validator=cleargrasp_training.ClearGraspValidator,
     optimization=Optimization(
         optimizer="adam",
         learning_rate=1e-4,
@@ -110,7 +112,7 @@ SWINDRNET_TRAINING = Trainable(
     # The preset is the network whose weights are published; trained is the paper's.
     settings={"published": {"fusion": "paper"}},
     network=SwinDRNetwork,
-    loss=SwinDRNetLoss(),
+    loss=depth_losses.SwinDRNetLoss(),
     optimization=Optimization(warmup_steps=500),
     colors=True,
     geometry=False,

@@ -12,24 +12,17 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from benchmark.methods.grasp.graspnet.cloud import PRESETS, gripper_rotations
-from benchmark.methods.grasp.graspnet.graspnet import best_of_seeds
-from benchmark.methods.grasp.graspnet.graspnet_network import GraspNetwork
-from benchmark.metrics.grasp.ap import Judged, JudgedObject, judge_grasps, precision_at
-from benchmark.metrics.grasp.force_closure import FRICTIONS
-from benchmark.metrics.grasp.grasp import Grasps
-from benchmark.training.catalogue import Trainable
-from benchmark.training.config import Optimization
+from benchmark.methods.grasp.graspnet import cloud, graspnet, graspnet_network
+from benchmark.metrics.grasp import ap, force_closure, grasp
+from benchmark.training import catalogue, config, step, validation
 from benchmark.training.grasp.grasp_step import GraspNetLoss, grasp_step
 from benchmark.training.grasp.packed_grasps import PackedGrasps
-from benchmark.training.step import Batch, StepInfo, model_input
-from benchmark.training.validation import Context, Validator
 from std_toolkit.geometry.camera import Camera
 
 _DRAWN = 12  # grasps of a frame in the gallery
 
 
-class GraspValidator(Validator):
+class GraspValidator(validation.Validator):
     """Validation: the loss, and GraspNet's average precision of the best grasps of each frame.
 
     No grasp is left out because it collides: what a planner does with the cloud is not the
@@ -40,35 +33,37 @@ class GraspValidator(Validator):
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
-        self._objects: dict[tuple[int, int], list[JudgedObject]] = {}
+        self._objects: dict[tuple[int, int], list[ap.JudgedObject]] = {}
 
     def zeros(self, network: nn.Module) -> np.ndarray:  # noqa: ARG002
-        return np.zeros(2 + len(FRICTIONS))
+        return np.zeros(2 + len(force_closure.FRICTIONS))
 
-    def add(self, total: np.ndarray, network: nn.Module, batch: Batch, context: Context) -> None:
+    def add(
+        self, total: np.ndarray, network: nn.Module, batch: step.Batch, context: validation.Context
+    ) -> None:
         count = len(batch["index"])
         with context():
-            lost = grasp_step(network, self.loss, model_input(batch), StepInfo())
+            lost = grasp_step(network, self.loss, step.model_input(batch), step.StepInfo())
             found = _best(network, batch["cloud"])
         total[:2] += count, count * float(lost.total)
         for index, grasps in zip(batch["index"].tolist(), found, strict=True):
-            total[2:] += precision_at(self.judged(index, grasps).friction).mean(axis=0)
+            total[2:] += ap.precision_at(self.judged(index, grasps).friction).mean(axis=0)
 
-    def judged(self, index: int, grasps: Grasps) -> Judged:
+    def judged(self, index: int, grasps: grasp.Grasps) -> ap.Judged:
         """Grasps of a frame, judged as GraspNet does."""
         frame = self.frames.frames[index]
         place = frame.pack, frame.number
         if place not in self._objects:
             self._objects[place] = [
-                JudgedObject.of_mesh(o.vertices, o.faces) for o in self.frames.objects(index)
+                ap.JudgedObject.of_mesh(o.vertices, o.faces) for o in self.frames.objects(index)
             ]
         table = self.frames.T_world_cam(index).inverse()
-        return judge_grasps(grasps, self._objects[place], self.frames.poses(index), table)
+        return ap.judge_grasps(grasps, self._objects[place], self.frames.poses(index), table)
 
     def scores(self, states: np.ndarray) -> dict[str, float]:
         frames = states[0]
         means = states[1:] / frames if frames else np.full(len(states) - 1, math.nan)
-        by_friction = dict(zip(FRICTIONS, means[1:].tolist(), strict=True))
+        by_friction = dict(zip(force_closure.FRICTIONS, means[1:].tolist(), strict=True))
         return {
             "loss": float(means[0]),
             "ap": float(means[1:].mean()),
@@ -81,7 +76,7 @@ class GraspValidator(Validator):
         return "1 - AP", math.inf if math.isnan(value) else value
 
     def pictures(
-        self, network: nn.Module, shown: Sequence[int], batch: Batch
+        self, network: nn.Module, shown: Sequence[int], batch: step.Batch
     ) -> Sequence[np.ndarray]:
         """Depth with the best grasps: green those that hold, red the others."""
         pictures = []
@@ -94,7 +89,7 @@ class GraspValidator(Validator):
 
 
 def picture(
-    depth: NDArray[np.float32], camera: Camera, grasps: Grasps, good: NDArray[np.bool_]
+    depth: NDArray[np.float32], camera: Camera, grasps: grasp.Grasps, good: NDArray[np.bool_]
 ) -> NDArray[np.uint8]:
     """(h, w, 3) depth with opened jaws drawn on it."""
     known = depth > 0
@@ -114,24 +109,24 @@ def picture(
     return image
 
 
-def _best(network: nn.Module, clouds: torch.Tensor) -> list[Grasps]:
+def _best(network: nn.Module, clouds: torch.Tensor) -> list[grasp.Grasps]:
     """The grasps of the seeds on objects, of each cloud."""
-    assert isinstance(network, GraspNetwork)
-    turned = gripper_rotations(network.config.views, network.config.angles)
+    assert isinstance(network, graspnet_network.GraspNetwork)
+    turned = cloud.gripper_rotations(network.config.views, network.config.angles)
     rotations = torch.from_numpy(turned).to(clouds.device, torch.float32)
-    found = best_of_seeds(network, clouds[:, : network.config.points], rotations)
+    found = graspnet.best_of_seeds(network, clouds[:, : network.config.points], rotations)
     return [f.grasps[f.on_object.numpy()] for f in found]
 
 
-GRASPNET_TRAINING = Trainable(
-    presets=PRESETS,
-    network=GraspNetwork,
+GRASPNET_TRAINING = catalogue.Trainable(
+    presets=cloud.PRESETS,
+    network=graspnet_network.GraspNetwork,
     loss=GraspNetLoss(),
     frames=PackedGrasps,
     images=False,
     step=grasp_step,
     validator=GraspValidator,
-    optimization=Optimization(
+    optimization=config.Optimization(
         optimizer="adam",
         learning_rate=1e-3,
         weight_decay=0.0,

@@ -18,14 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.methods.grasp.graspnet.cloud import gripper_rotations
-from benchmark.metrics.grasp.collision import hits_plane
-from benchmark.metrics.grasp.force_closure import (
-    FRICTIONS,
-    GraspedMesh,
-    even_points,
-    friction_scores,
-)
-from benchmark.metrics.grasp.grasp import Grasps
+from benchmark.metrics.grasp import collision, force_closure, grasp
 from benchmark.metrics.grasp.gripper import Gripper, get_gripper
 from benchmark.training.grasp.pack_files import GraspPackSetup
 from benchmark.training.grasp.tabletop import TableObject
@@ -111,7 +104,7 @@ class ObjectLabels:
     tolerances: NDArray[np.uint8]
     depths: tuple[float, ...]
 
-    def grasps(self, rows: NDArray[np.integer], flat: NDArray[np.integer]) -> Grasps:
+    def grasps(self, rows: NDArray[np.integer], flat: NDArray[np.integer]) -> grasp.Grasps:
         """Some of the grasps of some points.
 
         Args:
@@ -122,7 +115,7 @@ class ObjectLabels:
         row, view, turn, depth = np.unravel_index(flat, shape)
         rotations = gripper_rotations(shape[1], shape[2])[view, turn]
         widths = self.widths[rows[row], view, turn, depth] * UNIT
-        return Grasps.make(
+        return grasp.Grasps.make(
             rotations,
             self.points[rows[row]],
             widths=widths,
@@ -180,9 +173,9 @@ def object_labels(
     """
     from benchmark.training.grasp.hits import any_inside
 
-    mesh = GraspedMesh(vertices, faces)
-    points = even_points(vertices, faces, spacing)
-    surface = even_points(vertices, faces, _SURFACE)
+    mesh = force_closure.GraspedMesh(vertices, faces)
+    points = force_closure.even_points(vertices, faces, spacing)
+    surface = force_closure.even_points(vertices, faces, _SURFACE)
     rotations = gripper_rotations(views, angles)
     grid = (len(points), views, angles, len(depths))
     friction, widths = np.zeros(grid, np.uint8), np.zeros(grid, np.uint8)
@@ -192,7 +185,7 @@ def object_labels(
         reach = np.tile(depths, views * angles)
         tips = point + reach[:, None] * x
         contacts = mesh.contacts_of(tips, y, np.full(count, gripper.max_width))
-        scores = friction_scores(contacts)
+        scores = force_closure.friction_scores(contacts)
         good = np.flatnonzero(scores > 0)
         if not len(good):
             continue
@@ -206,10 +199,11 @@ def object_labels(
         free = ~any_inside(surface, R, places, boxes, margin=0.0)
         kept = good[free]
         friction[number].reshape(-1)[kept] = 1 + np.rint(
-            (scores[kept] - FRICTIONS[0]) / (FRICTIONS[1] - FRICTIONS[0])
+            (scores[kept] - force_closure.FRICTIONS[0])
+            / (force_closure.FRICTIONS[1] - force_closure.FRICTIONS[0])
         )
         widths[number].reshape(-1)[kept] = code[free]
-    robust = (friction > 0) & (friction < round(_ROBUST / FRICTIONS[0]))
+    robust = (friction > 0) & (friction < round(_ROBUST / force_closure.FRICTIONS[0]))
     found = tolerances(points, robust, MOST_TOLERANCE)
     return ObjectLabels(points, friction, widths, np.rint(found / UNIT).astype(np.uint8), depths)
 
@@ -247,7 +241,9 @@ def scene_labels(
         visible: numbers of each object's points that are, in rising order.
         gripper: what must not hit the table and the other objects.
     """
-    surfaces = [o.T_world_obj @ even_points(o.vertices, o.faces, _SPACING) for o in objects]
+    surfaces = [
+        o.T_world_obj @ force_closure.even_points(o.vertices, o.faces, _SPACING) for o in objects
+    ]
     numbers, points, friction, widths, tolerances = [], [], [], [], []
     for number, (thing, own, rows) in enumerate(zip(objects, labels, visible, strict=True)):
         if not len(rows):
@@ -286,7 +282,7 @@ def _hits(
     for begin in range(0, len(good), _AT_ONCE):
         part = good[begin : begin + _AT_ONCE]
         grasps = labels.grasps(rows, part).transformed(thing.T_world_obj)
-        wrong = hits_plane(grasps, gripper, SE3.identity())
+        wrong = collision.hits_plane(grasps, gripper, SE3.identity())
         free = np.flatnonzero(~wrong)
         boxes = gripper.boxes(grasps.widths[free], grasps.depths[free])
         wrong[free] = any_inside(

@@ -11,13 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from benchmark.methods.pose.deformation import Deformed
-from benchmark.training.pose.deformation_loss import (
-    Objects,
-    ObjectTruth,
-    about_y,
-    objects_of,
-    of_batches,
-)
+from benchmark.training.pose import deformation_loss
 from benchmark.training.step import Batch, Loss, ModelInput, StepInfo, model_input
 from benchmark.training.validation import Context, Validator
 
@@ -58,7 +52,7 @@ class DeformationValidator(Validator):
         found = _objects(network, model_input(batch), one_each=False)
         if found is None:
             return
-        for some in of_batches(found, self.batch):
+        for some in deformation_loss.of_batches(found, self.batch):
             with context():
                 answer = _answered(network, some)
             error = coordinate_errors(answer.coordinates.float(), some.truth)
@@ -105,7 +99,7 @@ class DeformationValidator(Validator):
         return list(rows.cpu().numpy())
 
 
-def coordinate_errors(found: Tensor, truth: ObjectTruth) -> Tensor:
+def coordinate_errors(found: Tensor, truth: deformation_loss.ObjectTruth) -> Tensor:
     """(b, n) distances between found and true coordinates; for round objects after the turn about y
     that makes their squares least."""
     a = torch.where(truth.known[..., None], found, 0.0)
@@ -113,13 +107,15 @@ def coordinate_errors(found: Tensor, truth: ObjectTruth) -> Tensor:
     sine = (a[..., 0] * b[..., 2] - a[..., 2] * b[..., 0]).sum(dim=1)
     cosine = (a[..., 0] * b[..., 0] + a[..., 2] * b[..., 2]).sum(dim=1)
     angle = torch.where(truth.turned, torch.atan2(-sine, cosine), 0.0)
-    return (found @ about_y(angle).transpose(1, 2) - b).norm(dim=2)
+    return (found @ deformation_loss.about_y(angle).transpose(1, 2) - b).norm(dim=2)
 
 
-def _objects(network: nn.Module, inputs: ModelInput, *, one_each: bool) -> Objects | None:
+def _objects(
+    network: nn.Module, inputs: ModelInput, *, one_each: bool
+) -> deformation_loss.Objects | None:
     config = _config(network)
     depth = inputs.depth[:, 0] if config.trained_on == "raw" else inputs.batch["true"]
-    return objects_of(
+    return deformation_loss.objects_of(
         inputs.color,
         depth,
         inputs.batch,
@@ -143,7 +139,7 @@ def _same() -> torch.Generator:
     return torch.Generator().manual_seed(0)
 
 
-def _answered(network: nn.Module, found: Objects) -> Deformed:
+def _answered(network: nn.Module, found: deformation_loss.Objects) -> Deformed:
     crop = found.crop
     return network(crop.color, crop.points, crop.pixels, found.category)
 
@@ -152,7 +148,7 @@ def _in_full_precision(answer: Deformed) -> Deformed:
     return Deformed(*(None if part is None else part.float() for part in answer))  # type: ignore[arg-type]
 
 
-def _painted(network: nn.Module, found: Objects, size: int) -> Any:
-    for some in of_batches(found, size):
+def _painted(network: nn.Module, found: deformation_loss.Objects, size: int) -> Any:
+    for some in deformation_loss.of_batches(found, size):
         answer = _answered(network, some)
         yield from zip(some.frames, some.crop.chosen, answer.coordinates.float(), strict=True)

@@ -23,13 +23,7 @@ from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs_network import (
     BACKGROUND_CLASS,
     SwinNOCSPrediction,
 )
-from benchmark.training.pose.nocs_losses import (
-    NOCSLoss,
-    NOCSTarget,
-    PoseTarget,
-    is_round,
-    nearest_turn,
-)
+from benchmark.training.pose import nocs_losses
 from benchmark.training.step import Batch, Loss, ModelInput, StepInfo, network_inputs
 from benchmark.training.validation import Context, Validator
 from std_toolkit.errors import ToolkitError
@@ -129,14 +123,16 @@ class PoseValidator(Validator):
         return [_strip(columns) for columns in zip(color, true, found, *kinds, strict=True)]
 
 
-def sums_of(predicted: PredictedPixels, target: PoseTarget) -> NDArray[np.float64]:
+def sums_of(predicted: PredictedPixels, target: nocs_losses.PoseTarget) -> NDArray[np.float64]:
     """(4,) the sums of a batch."""
     right = target.known & (predicted.classes == target.classes)
     found = (predicted.classes > 0) & (predicted.classes < BACKGROUND_CLASS)
     image = torch.arange(len(target.mask), device=target.mask.device)[:, None, None]
     group = image * _IDS + target.mask.long()
     nocs = predicted.nocs.float()
-    true = nearest_turn(nocs, target.nocs, group, is_round(target.classes) & right)
+    true = nocs_losses.nearest_turn(
+        nocs, target.nocs, group, nocs_losses.is_round(target.classes) & right
+    )
     error = (nocs - true).square().sum(dim=1).sqrt().clamp(max=MISSED)
     # Objects of a class whose coordinates nobody knows are neither right nor wrong.
     nothing = (target.classes == 0) | (target.classes == BACKGROUND_CLASS)
@@ -207,7 +203,7 @@ def nocs_step(network: nn.Module, loss: Any, inputs: ModelInput, step_info: Step
         return loss(prediction, target)
 
 
-def pose_target(batch: Batch) -> PoseTarget:
+def pose_target(batch: Batch) -> nocs_losses.PoseTarget:
     """Classes and coordinates of a batch's pixels.
 
     Raises:
@@ -221,10 +217,10 @@ def pose_target(batch: Batch) -> PoseTarget:
     nocs = batch["nocs"].permute(0, 3, 1, 2)
     # 0 0 0 is a corner of the cube, which no object reaches.
     known = (classes > 0) & (classes < BACKGROUND_CLASS) & (nocs > 0).any(dim=1)
-    return PoseTarget(classes, nocs.float() / 255, known, mask)
+    return nocs_losses.PoseTarget(classes, nocs.float() / 255, known, mask)
 
 
-def nocs_target(batch: Batch, loss: NOCSLoss) -> NOCSTarget:
+def nocs_target(batch: Batch, loss: nocs_losses.NOCSLoss) -> nocs_losses.NOCSTarget:
     """Objects, classes and coordinates of a batch."""
     target = pose_target(batch)
     boxes, counts = boxes_of_ids(target.mask)
@@ -233,7 +229,7 @@ def nocs_target(batch: Batch, loss: NOCSLoss) -> NOCSTarget:
     image, ids = there.nonzero(as_tuple=True)
     chosen = classes[there]
     scores = torch.ones(len(chosen), device=chosen.device)
-    return NOCSTarget(Regions(boxes[there], image, chosen, scores, ids), target)
+    return nocs_losses.NOCSTarget(Regions(boxes[there], image, chosen, scores, ids), target)
 
 
 def jittered(regions: Regions, share: float) -> Regions:

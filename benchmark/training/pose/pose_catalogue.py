@@ -19,17 +19,19 @@ from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs_network import SwinNOC
 from benchmark.training.catalogue import Trainable
 from benchmark.training.config import Optimization
 from benchmark.training.packed_frames import fitting_frames_with_nocs
-from benchmark.training.pose import nocs_training
-from benchmark.training.pose.deformation_loss import DeformationLoss
-from benchmark.training.pose.deformation_training import DeformationValidator, deformation_step
-from benchmark.training.pose.nocs_losses import NOCSLoss, SwinNOCSLoss
+from benchmark.training.pose import (
+    deformation_loss,
+    deformation_training,
+    nocs_losses,
+    nocs_training,
+)
 
 SPD_TRAINING = Trainable(
     presets=SPD,
     network=SPDNetwork,
-    loss=DeformationLoss(),
-    step=deformation_step,
-    validator=DeformationValidator,
+    loss=deformation_loss.DeformationLoss(),
+    step=deformation_training.deformation_step,
+    validator=deformation_training.DeformationValidator,
     # Whether and how the rate falls is not known: it stays.
     optimization=Optimization(
         optimizer="adam",
@@ -45,9 +47,9 @@ SPD_TRAINING = Trainable(
 SGPA_TRAINING = Trainable(
     presets=SGPA,
     network=SGPANetwork,
-    loss=DeformationLoss(),
-    step=deformation_step,
-    validator=DeformationValidator,
+    loss=deformation_loss.DeformationLoss(),
+    step=deformation_training.deformation_step,
+    validator=deformation_training.DeformationValidator,
     optimization=Optimization(
         optimizer="adam",
         learning_rate=1e-4,
@@ -76,7 +78,7 @@ SWINDRNET_NOCS_TRAINING = Trainable(
     settings={"published": {"fusion": "paper"}},
     network=SwinNOCSNetwork,
     frames=fitting_frames_with_nocs,
-    loss=SwinNOCSLoss(),
+    loss=nocs_losses.SwinNOCSLoss(),
     step=nocs_training.swin_nocs_step,
     validator=partial(nocs_training.PoseValidator, pixels_of=nocs_training.pixels_of_swin),
     # As SwinDRNet: what the paper says of both.
@@ -91,7 +93,7 @@ NOCS_TRAINING = Trainable(
     presets=NOCS,
     network=NOCSNetwork,
     frames=fitting_frames_with_nocs,
-    loss=NOCSLoss(),
+    loss=nocs_losses.NOCSLoss(),
     step=nocs_training.nocs_step,
     validator=partial(nocs_training.PoseValidator, pixels_of=nocs_training.pixels_of_nocs),
     # Own: what is published is for another detector, with parts of the network frozen by turns.

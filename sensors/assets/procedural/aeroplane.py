@@ -7,25 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.assets.procedural.solids import (
-    DARK,
-    GLASS,
-    GREY,
-    SILVER,
-    WHITE,
-    Paint,
-    Rgb,
-    box,
-    ellipsoid,
-    hsv,
-    loft,
-    one_of,
-    outline_of_turn,
-    rod,
-    rounded,
-    turned,
-    vivid,
-)
+from sensors.assets.procedural import solids
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -34,7 +16,7 @@ Array = NDArray[np.float64]
 PLANS = ("airliner", "jumbo", "business", "propeller", "biplane", "fighter")
 
 
-def aeroplane(rng: np.random.Generator, paint: Paint) -> Manifold:
+def aeroplane(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     """An aeroplane of a length of about 10."""
     plan = PLANS[int(rng.integers(len(PLANS)))]
     if plan in ("airliner", "jumbo", "business"):
@@ -44,15 +26,15 @@ def aeroplane(rng: np.random.Generator, paint: Paint) -> Manifold:
     return _propeller(rng, paint, biplane=plan == "biplane")
 
 
-def _jet(rng: np.random.Generator, paint: Paint, plan: str) -> Manifold:
+def _jet(rng: np.random.Generator, paint: solids.Paint, plan: str) -> Manifold:
     r = float({"airliner": 0.52, "jumbo": 0.62, "business": 0.5}[plan] * rng.uniform(0.94, 1.06))
-    body, accent = one_of(rng, WHITE, SILVER, WHITE), vivid(rng)
+    body, accent = solids.one_of(rng, solids.WHITE, solids.SILVER, solids.WHITE), solids.vivid(rng)
     spine = [(-5.0, 0.02, -0.2), (-4.9, 0.3, -0.16), (-4.55, 0.62, -0.08), (-4.0, 0.88, -0.02)]
     spine += [(-3.3, 1.0, 0.0), (2.2, 1.0, 0.0), (3.4, 0.8, 0.12), (4.4, 0.45, 0.3)]
     spine += [(5.0, 0.14, 0.42)]
     hull = _fuselage(spine, r)
     made = _with_glass(paint, hull, body, [
-        box((-1, 0.1 * r, -4.75), (1, 0.5 * r, -4.3)),
+        solids.box((-1, 0.1 * r, -4.75), (1, 0.5 * r, -4.3)),
         *([_row(r, -3.6, 3.0, 26)] if plan != "business" else [_row(r, -2.6, 0.6, 6)]),
     ])  # fmt: skip
     sweep = float(rng.uniform(1.6, 2.3))
@@ -67,7 +49,7 @@ def _jet(rng: np.random.Generator, paint: Paint, plan: str) -> Manifold:
             0.34 * chord,
             0.13,
         )
-        made = made + paint(wing, one_of(rng, body, SILVER))
+        made = made + paint(wing, solids.one_of(rng, body, solids.SILVER))
         if plan != "business":
             count = 2 if plan == "jumbo" else 1
             for k in range(count):
@@ -76,13 +58,13 @@ def _jet(rng: np.random.Generator, paint: Paint, plan: str) -> Manifold:
                 y = -0.5 * r + 0.09 * span * share - 0.36
                 z = wing_z + sweep * share - 0.15
                 made = made + _engine(paint, (x, y, z), 0.33 if count == 1 else 0.27, 1.25, accent)
-                pylon = box((x - 0.04, y + 0.1, z - 0.3), (x + 0.04, y + 0.42, z + 0.65))
-                made = made + paint(pylon, GREY)
+                pylon = solids.box((x - 0.04, y + 0.1, z - 0.3), (x + 0.04, y + 0.42, z + 0.65))
+                made = made + paint(pylon, solids.GREY)
         else:
             x = side * (r + 0.3)
             made = made + _engine(paint, (x, 0.35 * r, 2.2), 0.3, 1.5, accent)
             made = made + paint(
-                box((min(0, x), 0.3 * r - 0.05, 2.0), (max(0, x), 0.3 * r + 0.05, 2.8)), body
+                solids.box((min(0, x), 0.3 * r - 0.05, 2.0), (max(0, x), 0.3 * r + 0.05, 2.8)), body
             )
     t_tail = plan == "business" or rng.uniform() < 0.2
     height = float(rng.uniform(1.8, 2.2))
@@ -96,22 +78,25 @@ def _jet(rng: np.random.Generator, paint: Paint, plan: str) -> Manifold:
     return made
 
 
-def _propeller(rng: np.random.Generator, paint: Paint, *, biplane: bool) -> Manifold:
+def _propeller(rng: np.random.Generator, paint: solids.Paint, *, biplane: bool) -> Manifold:
     r = float(rng.uniform(0.62, 0.75))
-    body, accent = vivid(rng), one_of(rng, WHITE, vivid(rng), hsv(0.15, 0.8, 0.9))
+    body, accent = (
+        solids.vivid(rng),
+        solids.one_of(rng, solids.WHITE, solids.vivid(rng), solids.hsv(0.15, 0.8, 0.9)),
+    )
     spine = [(-4.2, 0.55, -0.05), (-4.0, 0.78, -0.04), (-3.4, 0.92, 0.0), (-2.2, 1.0, 0.02)]
     spine += [(-0.2, 1.0, 0.05), (2.0, 0.62, 0.1), (4.0, 0.26, 0.14), (4.6, 0.1, 0.15)]
     hull = _fuselage(spine, r)
     high_wing = not biplane and rng.uniform() < 0.5
-    cabin = ellipsoid((1.25 * r, 1.3 * r, 2.9), 28).translate([0, 0.8 * r, -0.8])
+    cabin = solids.ellipsoid((1.25 * r, 1.3 * r, 2.9), 28).translate([0, 0.8 * r, -0.8])
     if biplane:
-        pit = rod((0, 0.55 * r, 0.35), (0, 2 * r, 0.35), 0.45, None, 28)
-        made = paint(hull, body) - paint(pit, DARK)
-        screen = ellipsoid((0.8, 0.6, 0.12), 16).translate([0, 0.95 * r, -0.2])
-        made = made + paint(screen, GLASS)
+        pit = solids.rod((0, 0.55 * r, 0.35), (0, 2 * r, 0.35), 0.45, None, 28)
+        made = paint(hull, body) - paint(pit, solids.DARK)
+        screen = solids.ellipsoid((0.8, 0.6, 0.12), 16).translate([0, 0.95 * r, -0.2])
+        made = made + paint(screen, solids.GLASS)
     else:
-        made = paint(hull, body) + paint(cabin, GLASS)
-        frame = box((-0.72 * r, 0.5, -0.85), (0.72 * r, 1.52 * r, -0.72))
+        made = paint(hull, body) + paint(cabin, solids.GLASS)
+        frame = solids.box((-0.72 * r, 0.5, -0.85), (0.72 * r, 1.52 * r, -0.72))
         made = made + paint(frame ^ cabin.scale([1.02, 1.02, 1.0]), body)
     span, chord = float(rng.uniform(4.4, 5.2)), float(rng.uniform(1.5, 1.8))
     sweep = float(rng.uniform(-0.1, 0.35))
@@ -130,14 +115,18 @@ def _propeller(rng: np.random.Generator, paint: Paint, *, biplane: bool) -> Mani
         for side in (-1, 1):
             for z in (-1.5, -0.6):
                 x = side * 0.68 * span
-                strut = rod((x, levels[0], z + 0.2), (x, levels[1] + 0.05, z), 0.05, None, 10)
-                made = made + paint(strut, DARK)
-                brace = rod((side * 0.4, 0.5 * r, z), (side * 0.6, levels[1], z), 0.05, None, 10)
-                made = made + paint(brace, DARK)
+                strut = solids.rod(
+                    (x, levels[0], z + 0.2), (x, levels[1] + 0.05, z), 0.05, None, 10
+                )
+                made = made + paint(strut, solids.DARK)
+                brace = solids.rod(
+                    (side * 0.4, 0.5 * r, z), (side * 0.6, levels[1], z), 0.05, None, 10
+                )
+                made = made + paint(brace, solids.DARK)
     elif high_wing:
         for side in (-1, 1):
             foot, tip = (side * 0.6 * r, -0.4 * r, -1.1), (side * 0.5 * span, levels[0], -1.2)
-            made = made + paint(rod(foot, tip, 0.05, None, 10), GREY)
+            made = made + paint(solids.rod(foot, tip, 0.05, None, 10), solids.GREY)
     made = made + _nose(rng, paint)
     made = made + paint(_wing((0, 0, 3.2), (0, 1.6, 4.2), 1.5, 0.75, 0.1), accent)
     for side in (-1, 1):
@@ -146,51 +135,56 @@ def _propeller(rng: np.random.Generator, paint: Paint, *, biplane: bool) -> Mani
     return made + _undercarriage(paint, r)
 
 
-def _nose(rng: np.random.Generator, paint: Paint) -> Manifold:
+def _nose(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     """Spinner and blades."""
     z = -4.25
     blades = int(rng.integers(2, 5))
-    cone = turned(outline_of_turn([(0.3, 0), (0.27, 0.2), (0.17, 0.42), (0.03, 0.55)]), 32)
-    made = paint(cone.rotate([-90, 0, 0]).translate([0, -0.03, z + 0.08]), SILVER)
+    cone = solids.turned(
+        solids.outline_of_turn([(0.3, 0), (0.27, 0.2), (0.17, 0.42), (0.03, 0.55)]), 32
+    )
+    made = paint(cone.rotate([-90, 0, 0]).translate([0, -0.03, z + 0.08]), solids.SILVER)
     length = float(rng.uniform(1.2, 1.5))
-    blade = ellipsoid((0.2, length, 0.06), 20).rotate([0, 35, 0]).translate([0, length / 2, 0])
+    blade = (
+        solids.ellipsoid((0.2, length, 0.06), 20).rotate([0, 35, 0]).translate([0, length / 2, 0])
+    )
     for k in range(blades):
         part = blade.rotate([0, 0, 360 * k / blades + 20]).translate([0, -0.03, z])
-        made = made + paint(part, DARK)
+        made = made + paint(part, solids.DARK)
     return made
 
 
-def _undercarriage(paint: Paint, r: float) -> Manifold:
+def _undercarriage(paint: solids.Paint, r: float) -> Manifold:
     made = None
     for x, y, z, size in (
         (-0.95, -r - 0.75, -1.8, 0.34),
         (0.95, -r - 0.75, -1.8, 0.34),
         (0.0, -0.28, 4.1, 0.16),
     ):
-        wheel = rod((x - 0.1, y, z), (x + 0.1, y, z), size, None, 32)
-        leg = rod((x, y, z), (0.35 * x, y + (0.9 if x else 0.4), z), 0.06, None, 10)
-        for solid, color in ((wheel, DARK), (leg, GREY)):
+        wheel = solids.rod((x - 0.1, y, z), (x + 0.1, y, z), size, None, 32)
+        leg = solids.rod((x, y, z), (0.35 * x, y + (0.9 if x else 0.4), z), 0.06, None, 10)
+        for solid, color in ((wheel, solids.DARK), (leg, solids.GREY)):
             part = paint(solid, color)
             made = part if made is None else made + part
     return made
 
 
-def _fighter(rng: np.random.Generator, paint: Paint) -> Manifold:
+def _fighter(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     r = float(rng.uniform(0.55, 0.65))
-    body = one_of(rng, (122, 132, 140), (96, 104, 92), (150, 152, 150), (88, 110, 140))
-    darker: Rgb = tuple(int(0.75 * c) for c in body)  # type: ignore[assignment]
+    body = solids.one_of(rng, (122, 132, 140), (96, 104, 92), (150, 152, 150), (88, 110, 140))
+    darker: solids.Rgb = tuple(int(0.75 * c) for c in body)  # type: ignore[assignment]
     spine = [(-5.4, 0.03, -0.05), (-4.9, 0.22, -0.04), (-4.0, 0.5, 0.0), (-2.8, 0.8, 0.0)]
     spine += [(-1.0, 1.0, 0.0), (2.0, 1.02, 0.0), (4.2, 0.72, 0.0), (4.4, 0.68, 0.0)]
     hull = _fuselage(spine, r, flat=0.9)
     made = paint(hull, body)
     made = made + paint(
-        ellipsoid((0.72 * r, 1.05 * r, 2.3), 28).translate([0, 0.62 * r, -2.5]), GLASS
+        solids.ellipsoid((0.72 * r, 1.05 * r, 2.3), 28).translate([0, 0.62 * r, -2.5]), solids.GLASS
     )
     for side in (-1, 1):
-        intake = loft(_rounded_rings(side * 0.95 * r, -0.1 * r, 0.4, 0.52, (-1.6, 2.8)))
+        intake = solids.loft(_rounded_rings(side * 0.95 * r, -0.1 * r, 0.4, 0.52, (-1.6, 2.8)))
         made = made + paint(intake, body)
         made = made - paint(
-            loft(_rounded_rings(side * 0.97 * r, -0.1 * r, 0.3, 0.42, (-2.0, -1.1))), DARK
+            solids.loft(_rounded_rings(side * 0.97 * r, -0.1 * r, 0.3, 0.42, (-2.0, -1.1))),
+            solids.DARK,
         )
     delta = rng.uniform() < 0.5
     span = float(rng.uniform(2.9, 3.5))
@@ -207,24 +201,24 @@ def _fighter(rng: np.random.Generator, paint: Paint) -> Manifold:
         else:
             stab = _wing((0, 0, 3.2), (side * 1.9, -0.05, 4.3), 1.4, 0.6, 0.07)
             made = made + paint(stab, darker)
-        rail = rod(
+        rail = solids.rod(
             (side * span, -0.1 * r, front + root - 1.5),
             (side * span, -0.1 * r, front + root + 0.4),
             0.09,
             None,
             14,
         )
-        made = made + paint(rail, WHITE)
+        made = made + paint(rail, solids.WHITE)
     twin = rng.uniform() < 0.6
     for x in (-0.75 * r, 0.75 * r) if twin else (0.0,):
         fin = _wing((x, 0.4 * r, 2.6), (1.7 * x, 0.4 * r + 1.65, 4.1), 1.6, 0.7, 0.07)
         made = made + paint(fin, darker)
     for x in (-0.5 * r, 0.5 * r) if twin else (0.0,):
-        nozzle = turned(
-            outline_of_turn([(0.42, 0.0), (0.34, 0.7)])
-            - outline_of_turn([(0.3, 0.35), (0.26, 0.8)])
+        nozzle = solids.turned(
+            solids.outline_of_turn([(0.42, 0.0), (0.34, 0.7)])
+            - solids.outline_of_turn([(0.3, 0.35), (0.26, 0.8)])
         )
-        made = made + paint(nozzle.rotate([90, 0, 0]).translate([x, 0, 4.1]), DARK)
+        made = made + paint(nozzle.rotate([90, 0, 0]).translate([x, 0, 4.1]), solids.DARK)
     return made
 
 
@@ -239,7 +233,7 @@ def _fuselage(spine: list[tuple[float, float, float]], r: float, *, flat: float 
     turn = 2 * np.pi * np.arange(48) / 48
     x = radius[:, None] * np.cos(turn)
     y = flat * radius[:, None] * np.sin(turn) + middle[:, None]
-    return loft(np.stack([x, y, np.broadcast_to(fine[:, None], x.shape)], axis=-1))
+    return solids.loft(np.stack([x, y, np.broadcast_to(fine[:, None], x.shape)], axis=-1))
 
 
 def _rounded_rings(
@@ -287,21 +281,29 @@ def _wing(
         thick = chord if share < 0.97 else 0.6 * chord
         ring = a + share * span + chord * profile[:, :1] * [0, 0, 1.0]
         rings.append(ring + thick * profile[:, 1:] * normal)
-    return loft(np.stack(rings))
+    return solids.loft(np.stack(rings))
 
 
 def _engine(
-    paint: Paint, at: tuple[float, float, float], radius: float, length: float, color: Rgb
+    paint: solids.Paint,
+    at: tuple[float, float, float],
+    radius: float,
+    length: float,
+    color: solids.Rgb,
 ) -> Manifold:
     """A nacelle along z, its front at `at`, with fan and cone within."""
     keys = [(0.86, 0.0), (0.98, 0.08), (1.0, 0.35), (0.9, 0.75), (0.68, 1.0)]
-    outer = outline_of_turn([(radius * r, length * z) for r, z in keys])
-    duct = outline_of_turn([(0.76 * radius, -0.1), (0.74 * radius, 0.22 * length)])
-    jet = outline_of_turn([(0.4 * radius, 0.85 * length), (0.55 * radius, 1.1 * length)])
-    shell = paint(turned(rounded(outer, 0.02), 40), color)
-    made = shell - paint(turned(duct, 40), DARK) - paint(turned(jet, 40), DARK)
-    cone = outline_of_turn([(0.04, 0.06 * length), (0.26 * radius, 0.3 * length)])
-    made = made + paint(turned(cone, 24), SILVER)
+    outer = solids.outline_of_turn([(radius * r, length * z) for r, z in keys])
+    duct = solids.outline_of_turn([(0.76 * radius, -0.1), (0.74 * radius, 0.22 * length)])
+    jet = solids.outline_of_turn([(0.4 * radius, 0.85 * length), (0.55 * radius, 1.1 * length)])
+    shell = paint(solids.turned(solids.rounded(outer, 0.02), 40), color)
+    made = (
+        shell
+        - paint(solids.turned(duct, 40), solids.DARK)
+        - paint(solids.turned(jet, 40), solids.DARK)
+    )
+    cone = solids.outline_of_turn([(0.04, 0.06 * length), (0.26 * radius, 0.3 * length)])
+    made = made + paint(solids.turned(cone, 24), solids.SILVER)
     # Turned bodies stand on y; nacelles lie along z.
     return made.rotate([90, 0, 0]).translate(list(at))
 
@@ -311,13 +313,15 @@ def _row(r: float, start: float, end: float, count: int) -> Manifold:
     from manifold3d import Manifold
 
     step = (end - start) / count
-    window = box((-1, 0.12 * r, -0.28 * step), (1, 0.12 * r + 0.17, 0.28 * step))
+    window = solids.box((-1, 0.12 * r, -0.28 * step), (1, 0.12 * r + 0.17, 0.28 * step))
     return Manifold.compose([window.translate([0, 0, start + step * k]) for k in range(count)])
 
 
-def _with_glass(paint: Paint, hull: Manifold, color: Rgb, windows: list[Manifold]) -> Manifold:
+def _with_glass(
+    paint: solids.Paint, hull: Manifold, color: solids.Rgb, windows: list[Manifold]
+) -> Manifold:
     """The hull with windows let in: a thinner body of glass shows through the openings."""
     shell = paint(hull, color)
     for window in windows:
-        shell = shell - paint(window, DARK)
-    return shell + paint(hull.scale([0.965, 0.97, 0.993]), GLASS)
+        shell = shell - paint(window, solids.DARK)
+    return shell + paint(hull.scale([0.965, 0.97, 0.993]), solids.GLASS)

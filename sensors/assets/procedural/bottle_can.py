@@ -10,21 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.assets.procedural.solids import (
-    WHITE,
-    Paint,
-    Rgb,
-    hsv,
-    metal,
-    one_of,
-    outline_of_turn,
-    rectangle,
-    rounded,
-    smooth_profile,
-    turned,
-    vessel,
-    vivid,
-)
+from sensors.assets.procedural import solids
 
 if TYPE_CHECKING:
     from manifold3d import CrossSection, Manifold
@@ -36,29 +22,36 @@ BOTTLE_PLANS = ("bordeaux", "longneck", "soda", "sports", "milk", "lotion", "fla
 CAN_PLANS = ("drink", "sleek", "food", "flat", "spray")
 
 
-def bottle(rng: np.random.Generator, paint: Paint) -> Manifold:
+def bottle(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     """A bottle, height about 20, open with its neck's hole or closed by a cap."""
     plan = BOTTLE_PLANS[int(rng.integers(len(BOTTLE_PLANS)))]
     h = 20.0
     r, neck, shoulder, neck_base = _proportions(plan, rng)
     keys = _keys(plan, rng, h, r, neck, shoulder, neck_base)
     wall = float(rng.uniform(0.22, 0.34))
-    profile = smooth_profile(keys, samples=44)
+    profile = solids.smooth_profile(keys, samples=44)
     profile = np.concatenate([[(0.86 * r, 0.0)], profile[1:]])
     opening = neck - wall
-    section = vessel(profile, wall, base=float(rng.uniform(0.4, 0.8)))
+    section = solids.vessel(profile, wall, base=float(rng.uniform(0.4, 0.8)))
     # A ring below the mouth, as bottles have it to hold a cap or a crown cork.
     lip, at = neck * rng.uniform(1.1, 1.22), h - rng.uniform(0.5, 0.9)
     for side in (-1, 1):
-        ring = rectangle((side * opening, at - 0.35), (side * lip, at + 0.1))
-        section = section + rounded(ring, 0.12)
-    body = paint(turned(section), _glass(plan, rng))
+        ring = solids.rectangle((side * opening, at - 0.35), (side * lip, at + 0.1))
+        section = section + solids.rounded(ring, 0.12)
+    body = paint(solids.turned(section), _glass(plan, rng))
     parts = [body]
     if rng.uniform() < 0.6:
-        parts.append(paint(turned(_cap(plan, rng, h, neck, lip)), one_of(rng, WHITE, vivid(rng))))
+        parts.append(
+            paint(
+                solids.turned(_cap(plan, rng, h, neck, lip)),
+                solids.one_of(rng, solids.WHITE, solids.vivid(rng)),
+            )
+        )
     label = _label(profile, shoulder * h, rng)
     if label is not None:
-        parts.append(paint(turned(label), one_of(rng, WHITE, vivid(rng))))
+        parts.append(
+            paint(solids.turned(label), solids.one_of(rng, solids.WHITE, solids.vivid(rng)))
+        )
     made = parts[0]
     for part in parts[1:]:
         made = made + part
@@ -134,19 +127,21 @@ def _cap(plan: str, rng: np.random.Generator, h: float, neck: float, lip: float)
     radius = lip + 0.12
     if plan == "squeeze":
         tip = h + rng.uniform(1.8, 3.0)
-        return outline_of_turn(
+        return solids.outline_of_turn(
             [(1.3 * radius, h - 1.2), (1.25 * radius, h + 0.2), (0.32 * neck, h + 0.8), (0.2, tip)]
         )
     if plan in ("lotion", "sports"):
         broad, tall = rng.uniform(1.2, 1.5) * radius, rng.uniform(0.9, 1.6)
-        knob = rounded(rectangle((-0.45 * broad, h), (0.45 * broad, h + tall + 1.0)), 0.2)
-        return rounded(rectangle((-broad, h - 1.5), (broad, h + tall)), 0.3) + knob
+        knob = solids.rounded(
+            solids.rectangle((-0.45 * broad, h), (0.45 * broad, h + tall + 1.0)), 0.2
+        )
+        return solids.rounded(solids.rectangle((-broad, h - 1.5), (broad, h + tall)), 0.3) + knob
     if plan == "longneck":
-        return outline_of_turn(
+        return solids.outline_of_turn(
             [(1.12 * radius, h - 0.45), (radius, h + 0.1), (0.8 * radius, h + 0.3)]
         )
     down, up = rng.uniform(0.9, 1.6), rng.uniform(0.2, 0.4)
-    return rounded(rectangle((-radius, h - down), (radius, h + up)), 0.12)
+    return solids.rounded(solids.rectangle((-radius, h - down), (radius, h + up)), 0.12)
 
 
 def _label(profile: Array, top: float, rng: np.random.Generator) -> CrossSection | None:
@@ -168,18 +163,20 @@ def _label(profile: Array, top: float, rng: np.random.Generator) -> CrossSection
     )
     outer[:, 0] += 0.05
     # A ring, not a plug: the bottle stays hollow.
-    return outline_of_turn(outer) - outline_of_turn(outer - [0.2, 0.0])
+    return solids.outline_of_turn(outer) - solids.outline_of_turn(outer - [0.2, 0.0])
 
 
-def _glass(plan: str, rng: np.random.Generator) -> Rgb:
+def _glass(plan: str, rng: np.random.Generator) -> solids.Rgb:
     if plan in ("bordeaux", "longneck"):
-        return hsv(rng.uniform(0.05, 0.4), rng.uniform(0.5, 0.8), rng.uniform(0.25, 0.5))
+        return solids.hsv(rng.uniform(0.05, 0.4), rng.uniform(0.5, 0.8), rng.uniform(0.25, 0.5))
     if plan in ("lotion", "squeeze", "sports"):
-        return one_of(rng, vivid(rng), WHITE)
-    return one_of(rng, hsv(rng.uniform(0.3, 0.6), 0.25, 0.75), (206, 216, 214), vivid(rng))
+        return solids.one_of(rng, solids.vivid(rng), solids.WHITE)
+    return solids.one_of(
+        rng, solids.hsv(rng.uniform(0.3, 0.6), 0.25, 0.75), (206, 216, 214), solids.vivid(rng)
+    )
 
 
-def can(rng: np.random.Generator, paint: Paint) -> Manifold:
+def can(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     """A closed can of a radius of about 3.3. Its tab is left out: it turns without a change."""
     plan = CAN_PLANS[int(rng.integers(len(CAN_PLANS)))]
     r = 3.3
@@ -191,7 +188,7 @@ def can(rng: np.random.Generator, paint: Paint) -> Manifold:
     return _tin(rng, paint, r, height)
 
 
-def _drink(rng: np.random.Generator, paint: Paint, r: float, plan: str) -> Manifold:
+def _drink(rng: np.random.Generator, paint: solids.Paint, r: float, plan: str) -> Manifold:
     h = float(rng.uniform(11.2, 12.4) if plan == "drink" else rng.uniform(12.5, 14.0))
     neck = float(rng.uniform(0.76, 0.84)) * r
     taper = float(rng.uniform(1.1, 1.6))
@@ -205,58 +202,71 @@ def _drink(rng: np.random.Generator, paint: Paint, r: float, plan: str) -> Manif
         (neck + 0.05, h - 0.55),
         (neck, h - 0.4),
     ]
-    printed = paint(turned(outline_of_turn(side)), vivid(rng))
+    printed = paint(solids.turned(solids.outline_of_turn(side)), solids.vivid(rng))
     rim = [(neck - 0.1, h - 0.7), (neck, h - 0.4), (neck + 0.14, h - 0.15), (neck + 0.02, h)]
-    lid = turned(rounded(outline_of_turn(rim), 0.06))
-    dish = turned(outline_of_turn([(neck - 0.45, h - 0.5), (neck - 0.22, h + 0.1)]))
+    lid = solids.turned(solids.rounded(solids.outline_of_turn(rim), 0.06))
+    dish = solids.turned(solids.outline_of_turn([(neck - 0.45, h - 0.5), (neck - 0.22, h + 0.1)]))
     # The bottom is domed inwards.
-    dome = turned(
-        outline_of_turn([(0.66 * r, -0.1), (0.6 * r, 0.18), (0.4 * r, 0.5), (0.15 * r, 0.66)])
+    dome = solids.turned(
+        solids.outline_of_turn(
+            [(0.66 * r, -0.1), (0.6 * r, 0.18), (0.4 * r, 0.5), (0.15 * r, 0.66)]
+        )
     )
-    color = metal(rng)
-    base = turned(outline_of_turn([(0.73 * r, -0.02), (0.79 * r, 0.12), (0.93 * r, 0.6)]))
+    color = solids.metal(rng)
+    base = solids.turned(
+        solids.outline_of_turn([(0.73 * r, -0.02), (0.79 * r, 0.12), (0.93 * r, 0.6)])
+    )
     made = printed + paint(base, color) + paint(lid, color)
     return made - paint(dish, color) - paint(dome, color)
 
 
-def _tin(rng: np.random.Generator, paint: Paint, r: float, h: float) -> Manifold:
-    color = metal(rng)
+def _tin(rng: np.random.Generator, paint: solids.Paint, r: float, h: float) -> Manifold:
+    color = solids.metal(rng)
     heights = np.linspace(0.3, h - 0.3, 70)
     radius = np.full(70, r)
     beads = int(rng.integers(0, 4)) if h > 5 else 0
     if beads:
         inside = np.clip((heights - 0.28 * h) / (0.44 * h), 0, 1)
         radius -= 0.09 * np.sin(np.pi * inside * (2 * beads + 1)) ** 2
-    body = turned(outline_of_turn(np.stack([radius, heights], 1)))
+    body = solids.turned(solids.outline_of_turn(np.stack([radius, heights], 1)))
     labelled = rng.uniform() < 0.75
-    made = paint(body, vivid(rng) if labelled else color)
+    made = paint(body, solids.vivid(rng) if labelled else color)
     edge = float(rng.uniform(0.1, 0.2))
     for low in (0.0, h - 0.42):
         ring = [(r + edge, low), (r + edge, low + 0.42)]
-        made = made + paint(turned(rounded(outline_of_turn(ring), 0.12)), color)
+        made = made + paint(
+            solids.turned(solids.rounded(solids.outline_of_turn(ring), 0.12)), color
+        )
     depth = float(rng.uniform(0.2, 0.4))
     for low in (-0.1, h - depth):
-        dish = outline_of_turn([(0.92 * r, low), (0.94 * r, low + depth + 0.1)])
-        made = made - paint(turned(dish), color)
+        dish = solids.outline_of_turn([(0.92 * r, low), (0.94 * r, low + depth + 0.1)])
+        made = made - paint(solids.turned(dish), color)
     for level in (depth - 0.1, h - depth):
         # Rings pressed into the ends.
-        ring = outline_of_turn([(0.62 * r, level - 0.12), (0.58 * r, level + 0.12)])
-        made = made + paint(turned(ring), color)
+        ring = solids.outline_of_turn([(0.62 * r, level - 0.12), (0.58 * r, level + 0.12)])
+        made = made + paint(solids.turned(ring), color)
     return made
 
 
-def _spray(rng: np.random.Generator, paint: Paint, r: float) -> Manifold:
+def _spray(rng: np.random.Generator, paint: solids.Paint, r: float) -> Manifold:
     h = float(rng.uniform(12.5, 15.5))
-    color = metal(rng)
-    body = turned(outline_of_turn([(0.93 * r, 0.0), (r, 0.15), (r, h - 1.5), (0.96 * r, h - 1.35)]))
-    rim = turned(rounded(outline_of_turn([(1.04 * r, h - 1.75), (1.04 * r, h - 1.4)]), 0.1))
-    dome = turned(
-        outline_of_turn(
+    color = solids.metal(rng)
+    body = solids.turned(
+        solids.outline_of_turn([(0.93 * r, 0.0), (r, 0.15), (r, h - 1.5), (0.96 * r, h - 1.35)])
+    )
+    rim = solids.turned(
+        solids.rounded(solids.outline_of_turn([(1.04 * r, h - 1.75), (1.04 * r, h - 1.4)]), 0.1)
+    )
+    dome = solids.turned(
+        solids.outline_of_turn(
             [(0.96 * r, h - 1.5), (0.9 * r, h - 1.0), (0.7 * r, h - 0.4), (0.45 * r, h)]
         )
     )
-    cap = turned(
-        rounded(outline_of_turn([(0.42 * r, h - 0.3), (0.36 * r, h + rng.uniform(1.4, 2.4))]), 0.2)
+    cap = solids.turned(
+        solids.rounded(
+            solids.outline_of_turn([(0.42 * r, h - 0.3), (0.36 * r, h + rng.uniform(1.4, 2.4))]),
+            0.2,
+        )
     )
-    made = paint(body, vivid(rng)) + paint(rim, color) + paint(dome, color)
-    return made + paint(cap, one_of(rng, WHITE, vivid(rng)))
+    made = paint(body, solids.vivid(rng)) + paint(rim, color) + paint(dome, color)
+    return made + paint(cap, solids.one_of(rng, solids.WHITE, solids.vivid(rng)))

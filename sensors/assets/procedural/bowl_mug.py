@@ -10,20 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.assets.procedural.solids import (
-    WHITE,
-    Paint,
-    muted,
-    one_of,
-    outline_of_turn,
-    rectangle,
-    rounded,
-    smooth_profile,
-    tube,
-    turned,
-    vessel,
-    vivid,
-)
+from sensors.assets.procedural import solids
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -37,7 +24,7 @@ HANDLES = ("c", "ear", "square", "d")
 BOWL_PLANS = ("round", "conical", "straight", "wide_rim", "deep", "rolled")
 
 
-def mug(rng: np.random.Generator, paint: Paint) -> Manifold:
+def mug(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     """A mug of a radius of about 4."""
     plan = MUG_PLANS[int(rng.integers(len(MUG_PLANS)))]
     r, h = 4.0, float(rng.uniform(8.0, 10.5))
@@ -53,32 +40,37 @@ def mug(rng: np.random.Generator, paint: Paint) -> Manifold:
     if plan == "cup":
         h *= 0.78
         keys = [(a, 0.78 * b) for a, b in keys]
-    profile = smooth_profile(keys, samples=26)
+    profile = solids.smooth_profile(keys, samples=26)
     wall = float(rng.uniform(0.3, 0.45))
-    section = vessel(profile, wall, base=float(rng.uniform(0.45, 0.8)))
-    glaze = muted(rng)
-    cup = paint(turned(section), glaze)
+    section = solids.vessel(profile, wall, base=float(rng.uniform(0.45, 0.8)))
+    glaze = solids.muted(rng)
+    cup = paint(solids.turned(section), glaze)
     handle = paint(
-        _handle(rng, profile, h, wall), glaze if rng.uniform() < 0.6 else one_of(rng, vivid(rng))
+        _handle(rng, profile, h, wall),
+        glaze if rng.uniform() < 0.6 else solids.one_of(rng, solids.vivid(rng)),
     )
     # The handle's ends are sunk in the wall; what reaches the inside is cut away.
-    room = outline_of_turn(np.concatenate([profile, [(profile[-1, 0], 2 * h)]]) - [0.5 * wall, 0])
-    made = cup + (handle - turned(room))
+    room = solids.outline_of_turn(
+        np.concatenate([profile, [(profile[-1, 0], 2 * h)]]) - [0.5 * wall, 0]
+    )
+    made = cup + (handle - solids.turned(room))
     band = rng.uniform()
     if band < 0.45:
         at = float(rng.uniform(0.15, 0.7)) * h
         low, high = at, min(at + float(rng.uniform(0.08, 0.3)) * h, 0.93 * h)
         ring = profile[(profile[:, 1] > low) & (profile[:, 1] < high)]
         if len(ring) >= 2:
-            inner = outline_of_turn(ring - np.array([0.2 * wall, 0]))
-            strip = outline_of_turn(ring + np.array([0.03, 0])) - inner
-            made = made + paint(turned(strip), one_of(rng, vivid(rng), WHITE))
+            inner = solids.outline_of_turn(ring - np.array([0.2 * wall, 0]))
+            strip = solids.outline_of_turn(ring + np.array([0.03, 0])) - inner
+            made = made + paint(
+                solids.turned(strip), solids.one_of(rng, solids.vivid(rng), solids.WHITE)
+            )
     if plan in ("cup", "barrel") and rng.uniform() < 0.8:
         foot = 0.8 * float(profile[0, 0])
-        ring_section = rectangle((-foot, -0.35), (foot, 0.2)) - rectangle(
+        ring_section = solids.rectangle((-foot, -0.35), (foot, 0.2)) - solids.rectangle(
             (-foot + 0.5, -1), (foot - 0.5, -0.02)
         )
-        made = made + paint(turned(rounded(ring_section, 0.1)), glaze)
+        made = made + paint(solids.turned(solids.rounded(ring_section, 0.1)), glaze)
     return made
 
 
@@ -115,7 +107,7 @@ def _handle(rng: np.random.Generator, profile: Array, h: float, wall: float) -> 
     line[-1, 0] -= sunk
     path = np.column_stack([line, np.zeros(len(line))])
     thick = float(rng.uniform(0.32, 0.5))
-    return tube(path, thick * float(rng.uniform(1.1, 1.8)), thick)
+    return solids.tube(path, thick * float(rng.uniform(1.1, 1.8)), thick)
 
 
 def _smoothed(keys: Array, width: float) -> Array:
@@ -131,7 +123,7 @@ def _smoothed(keys: Array, width: float) -> Array:
     return line[np.linspace(0, 199, 40).round().astype(int)]
 
 
-def bowl(rng: np.random.Generator, paint: Paint) -> Manifold:
+def bowl(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     """A bowl with a rim radius of about 8."""
     plan = BOWL_PLANS[int(rng.integers(len(BOWL_PLANS)))]
     r = 8.0
@@ -159,26 +151,32 @@ def bowl(rng: np.random.Generator, paint: Paint) -> Manifold:
     else:
         round_ = (1 - (1 - u) ** 2) ** 0.5
         radius = bottom + (r - bottom) * round_ ** rng.uniform(0.9, 1.1)
-    profile = smooth_profile(np.stack([radius, h * u], 1), samples=30)
+    profile = solids.smooth_profile(np.stack([radius, h * u], 1), samples=30)
     wall = float(rng.uniform(0.28, 0.5))
-    section = vessel(profile, wall, base=1.25 * wall)
-    outside = paint(turned(section), muted(rng))
+    section = solids.vessel(profile, wall, base=1.25 * wall)
+    outside = paint(solids.turned(section), solids.muted(rng))
     parts = [outside]
     if rng.uniform() < 0.7 and plan != "straight":
         foot = float(rng.uniform(0.4, 0.9))
         for_ring = bottom * float(rng.uniform(0.92, 1.0))
-        ring = rectangle((-for_ring, -foot), (for_ring, 0.3 * wall)) - rectangle(
+        ring = solids.rectangle((-for_ring, -foot), (for_ring, 0.3 * wall)) - solids.rectangle(
             (-for_ring + 1.3 * wall, -foot - 1), (for_ring - 1.3 * wall, -0.02)
         )
-        parts.append(paint(turned(rounded(ring, 0.2 * wall)), one_of(rng, WHITE, muted(rng))))
+        parts.append(
+            paint(
+                solids.turned(solids.rounded(ring, 0.2 * wall)),
+                solids.one_of(rng, solids.WHITE, solids.muted(rng)),
+            )
+        )
     if plan == "rolled" or rng.uniform() < 0.3:
         edge = float(rng.uniform(0.6, 1.0)) * wall
         at = float(profile[-1, 0])
-        roll = rounded(
-            rectangle((at - wall, h - 1.2 * edge), (at + 0.8 * edge, h + 0.2 * edge)), 0.45 * edge
+        roll = solids.rounded(
+            solids.rectangle((at - wall, h - 1.2 * edge), (at + 0.8 * edge, h + 0.2 * edge)),
+            0.45 * edge,
         )
         lip = roll + roll.mirror([1, 0])
-        parts.append(paint(turned(lip), one_of(rng, vivid(rng), WHITE)))
+        parts.append(paint(solids.turned(lip), solids.one_of(rng, solids.vivid(rng), solids.WHITE)))
     made = parts[0]
     for part in parts[1:]:
         made = made + part

@@ -8,29 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.assets.procedural.solids import (
-    AMBER,
-    DARK,
-    GLASS,
-    RED,
-    SILVER,
-    WHITE,
-    Paint,
-    Rgb,
-    along_x,
-    box,
-    ellipsoid,
-    hsv,
-    one_of,
-    outline_of_turn,
-    polygon,
-    rectangle,
-    rod,
-    rounded,
-    rounded_box,
-    turned,
-    vivid,
-)
+from sensors.assets.procedural import solids
 
 if TYPE_CHECKING:
     from manifold3d import CrossSection, Manifold
@@ -102,27 +80,36 @@ def _shape(plan: str, rng: np.random.Generator) -> _Shape:
     )  # fmt: skip
 
 
-def car(rng: np.random.Generator, paint: Paint) -> Manifold:
+def car(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     """A car in metres, wheels on the ground at y = 0."""
     plan = PLANS[int(rng.integers(len(PLANS)))]
     s = _shape(plan, rng)
     lift = 0.55 * s.wheel + float(rng.uniform(0.0, 0.05))
-    color = one_of(rng, vivid(rng), vivid(rng), WHITE, SILVER, hsv(0.6, 0.25, 0.4))
+    color = solids.one_of(
+        rng,
+        solids.vivid(rng),
+        solids.vivid(rng),
+        solids.WHITE,
+        solids.SILVER,
+        solids.hsv(0.6, 0.25, 0.4),
+    )
     side = _side(s)
     belt = max(s.hood_h, s.tail_h if plan != "pickup" else 0.0) + 0.03
-    hull = _warped(along_x(side, s.width), s, belt)
-    shell = paint(hull, color) - paint(_window_cut(s, side, belt), DARK)
+    hull = _warped(solids.along_x(side, s.width), s, belt)
+    shell = paint(hull, color) - paint(_window_cut(s, side, belt), solids.DARK)
     if plan == "pickup":
         rear = s.tail_u * s.length + 0.08
-        bed = box((-0.42 * s.width, 0.45 * s.tail_h, rear), (0.42 * s.width, 2.0, 0.965 * s.length))
-        shell = shell - paint(bed, DARK)
+        bed = solids.box(
+            (-0.42 * s.width, 0.45 * s.tail_h, rear), (0.42 * s.width, 2.0, 0.965 * s.length)
+        )
+        shell = shell - paint(bed, solids.DARK)
     # Glass is the same body a little smaller: it shows where windows are cut out of the shell.
     middle = np.array([0.0, 0.5 * s.hood_h, 0.5 * s.length])
     inner = hull.translate((-middle).tolist()).scale([0.965, 0.975, 0.985])
     glass = inner.translate(middle.tolist())
     if plan == "pickup":
-        glass = glass ^ box((-2, 0.4 * s.tail_h, 0), (2, 3, s.tail_u * s.length))
-    made = shell + paint(glass, GLASS)
+        glass = glass ^ solids.box((-2, 0.4 * s.tail_h, 0), (2, 3, s.tail_u * s.length))
+    made = shell + paint(glass, solids.GLASS)
     made = made + _lower_trim(s, paint)
     made = _with_wheels(rng, made, s, paint)
     made = made + _lights(s, plan, paint, hull)
@@ -130,10 +117,10 @@ def car(rng: np.random.Generator, paint: Paint) -> Manifold:
         for x in (-0.33 * s.width, 0.33 * s.width):
             z0, z1 = (s.roof_u + 0.06) * s.length, (s.roof_end_u - 0.06) * s.length
             made = made + paint(
-                rounded_box((0.05, 0.08, z1 - z0), 0.02, 12).translate(
+                solids.rounded_box((0.05, 0.08, z1 - z0), 0.02, 12).translate(
                     [x, s.roof_h + 0.0, (z0 + z1) / 2]
                 ),
-                DARK,
+                solids.DARK,
             )
     if plan == "coupe" and rng.uniform() < 0.6:
         made = made + _spoiler(s, paint, color)
@@ -158,7 +145,7 @@ def _side(s: _Shape) -> CrossSection:
         (0.03, 0.0),
     ]
     points = np.array(top) * [s.length, 1.0]
-    section = rounded(polygon(points), 0.07, 24)
+    section = solids.rounded(solids.polygon(points), 0.07, 24)
     # Hollows, such as the one before the windscreen, are rounded from outside.
     return section.offset(0.06).offset(-0.06)
 
@@ -184,29 +171,35 @@ def _warped(solid: Manifold, s: _Shape, belt: float) -> Manifold:
 
 
 def _window_cut(s: _Shape, side: CrossSection, belt: float) -> Manifold:
-    room = side ^ rectangle((-1.0, belt), (s.length + 1, 3.0))
-    frame = room.offset(-0.09) ^ rectangle((-1.0, belt + 0.03), (s.length + 1, 3.0))
+    room = side ^ solids.rectangle((-1.0, belt), (s.length + 1, 3.0))
+    frame = room.offset(-0.09) ^ solids.rectangle((-1.0, belt + 0.03), (s.length + 1, 3.0))
     for u in s.pillars:
-        frame = frame - rectangle((u * s.length - 0.05, 0), (u * s.length + 0.05, 3.0))
-    cut = along_x(rounded(frame, 0.03, 12), 4.0)
+        frame = frame - solids.rectangle((u * s.length - 0.05, 0), (u * s.length + 0.05, 3.0))
+    cut = solids.along_x(solids.rounded(frame, 0.03, 12), 4.0)
     low, high = belt + 0.05, s.roof_h - 0.13
     half = 0.5 * 0.74 * s.width
-    front = box((-half, low, s.hood_u * s.length - 0.1), (half, high, s.roof_u * s.length + 0.05))
-    rear = box((-half, low, s.roof_end_u * s.length - 0.1), (half, high - 0.02, s.length + 0.1))
+    front = solids.box(
+        (-half, low, s.hood_u * s.length - 0.1), (half, high, s.roof_u * s.length + 0.05)
+    )
+    rear = solids.box(
+        (-half, low, s.roof_end_u * s.length - 0.1), (half, high - 0.02, s.length + 0.1)
+    )
     # The screens taper with the roof.
     return cut + front + rear
 
 
-def _lower_trim(s: _Shape, paint: Paint) -> Manifold:
-    front = rounded_box((0.5 * s.width, 0.22 * s.hood_h, 0.1), 0.03, 12)
-    made = paint(front.translate([0, 0.42 * s.hood_h, 0.035]), DARK)
+def _lower_trim(s: _Shape, paint: solids.Paint) -> Manifold:
+    front = solids.rounded_box((0.5 * s.width, 0.22 * s.hood_h, 0.1), 0.03, 12)
+    made = paint(front.translate([0, 0.42 * s.hood_h, 0.035]), solids.DARK)
     for z in (0.05, s.length - 0.05):
-        bar = rounded_box((0.84 * s.width, 0.16, 0.14), 0.05, 16).translate([0, 0.12, z])
-        made = made + paint(bar, DARK)
+        bar = solids.rounded_box((0.84 * s.width, 0.16, 0.14), 0.05, 16).translate([0, 0.12, z])
+        made = made + paint(bar, solids.DARK)
     return made
 
 
-def _with_wheels(rng: np.random.Generator, body: Manifold, s: _Shape, paint: Paint) -> Manifold:
+def _with_wheels(
+    rng: np.random.Generator, body: Manifold, s: _Shape, paint: solids.Paint
+) -> Manifold:
     radius, broad = s.wheel, float(rng.uniform(0.2, 0.26))
     axles = (float(rng.uniform(0.165, 0.19)), float(rng.uniform(0.79, 0.83)))
     height = 0.45 * radius
@@ -216,63 +209,71 @@ def _with_wheels(rng: np.random.Generator, body: Manifold, s: _Shape, paint: Pai
         z = u * s.length
         for side in (-1, 1):
             at = side * s.width / 2
-            arch = rod(
+            arch = solids.rod(
                 (at - side * 0.32, height, z), (at + side * 0.2, height, z), 1.17 * radius, None, 48
             )
-            made = made - paint(arch, DARK)
+            made = made - paint(arch, solids.DARK)
             turn = -90 if side > 0 else 90
             x = at - side * (broad / 2 + 0.04)
             made = made + wheel.rotate([0, 0, turn]).translate([x, height, z])
-            axle = rod((0, height, z), (x, height, z), 0.09, None, 16)
-            made = made + paint(axle, DARK)
+            axle = solids.rod((0, height, z), (x, height, z), 0.09, None, 16)
+            made = made + paint(axle, solids.DARK)
     return made
 
 
-def _wheel(rng: np.random.Generator, paint: Paint, radius: float, broad: float) -> Manifold:
+def _wheel(rng: np.random.Generator, paint: solids.Paint, radius: float, broad: float) -> Manifold:
     half = broad / 2
-    tyre = turned(rounded(outline_of_turn([(radius, -half), (radius, half)]), 0.05, 16), 48)
+    tyre = solids.turned(
+        solids.rounded(solids.outline_of_turn([(radius, -half), (radius, half)]), 0.05, 16), 48
+    )
     rim = 0.66 * radius
-    made = paint(tyre, DARK) - paint(
-        turned(outline_of_turn([(rim, half - 0.06), (rim, half + 0.1)]), 48), SILVER
+    made = paint(tyre, solids.DARK) - paint(
+        solids.turned(solids.outline_of_turn([(rim, half - 0.06), (rim, half + 0.1)]), 48),
+        solids.SILVER,
     )
     made = made + paint(
-        turned(outline_of_turn([(0.2 * radius, 0), (0.14 * radius, half)]), 24), SILVER
+        solids.turned(solids.outline_of_turn([(0.2 * radius, 0), (0.14 * radius, half)]), 24),
+        solids.SILVER,
     )
     spokes = int(rng.integers(5, 9))
     for k in range(spokes):
         angle = 2 * np.pi * k / spokes
         end = (0.97 * rim * np.cos(angle), half - 0.045, 0.97 * rim * np.sin(angle))
-        made = made + paint(rod((0, half - 0.035, 0), end, 0.035, None, 8), SILVER)
+        made = made + paint(solids.rod((0, half - 0.035, 0), end, 0.035, None, 8), solids.SILVER)
     return made
 
 
-def _lights(s: _Shape, plan: str, paint: Paint, hull: Manifold) -> Manifold:
-    lamp = ellipsoid((0.34, 0.17, 0.9), 28)
+def _lights(s: _Shape, plan: str, paint: solids.Paint, hull: Manifold) -> Manifold:
+    lamp = solids.ellipsoid((0.34, 0.17, 0.9), 28)
     skin = hull.scale([1.012, 1.012, 1.0]).translate([0, 0, -0.012])
-    tail = rounded_box((0.2, 0.2 if plan not in ("van", "suv") else 0.42, 0.16), 0.05, 12)
+    tail = solids.rounded_box((0.2, 0.2 if plan not in ("van", "suv") else 0.42, 0.16), 0.05, 12)
     made = None
     for x in (-0.36 * s.width, 0.36 * s.width):
         front = lamp.translate([x, 0.74 * s.hood_h, 0.1]) ^ skin
         back = tail.translate([x * 1.06, 0.78 * s.tail_h, s.length - 0.1])
-        for solid, color in ((front, (246, 244, 226)), (back, RED)):
+        for solid, color in ((front, (246, 244, 226)), (back, solids.RED)):
             part = paint(solid, color)
             made = part if made is None else made + part
-        mirror = ellipsoid((0.2, 0.14, 0.1), 16)
+        mirror = solids.ellipsoid((0.2, 0.14, 0.1), 16)
         at = s.hood_u * s.length + 0.28
         made = made + paint(
-            mirror.translate([np.sign(x) * (0.46 * s.width + 0.09), s.hood_h + 0.1, at]), DARK
+            mirror.translate([np.sign(x) * (0.46 * s.width + 0.09), s.hood_h + 0.1, at]),
+            solids.DARK,
         )
-        blink = ellipsoid((0.16, 0.08, 0.9), 16).translate([x, 0.52 * s.hood_h, 0.1])
-        made = made + paint(blink ^ skin, AMBER)
+        blink = solids.ellipsoid((0.16, 0.08, 0.9), 16).translate([x, 0.52 * s.hood_h, 0.1])
+        made = made + paint(blink ^ skin, solids.AMBER)
     return made
 
 
-def _spoiler(s: _Shape, paint: Paint, color: Rgb) -> Manifold:
+def _spoiler(s: _Shape, paint: solids.Paint, color: solids.Rgb) -> Manifold:
     z = 0.95 * s.length
-    wing = rounded_box((0.8 * s.width, 0.04, 0.26), 0.018, 12).translate([0, s.tail_h + 0.17, z])
+    wing = solids.rounded_box((0.8 * s.width, 0.04, 0.26), 0.018, 12).translate(
+        [0, s.tail_h + 0.17, z]
+    )
     made = paint(wing, color)
     for x in (-0.28 * s.width, 0.28 * s.width):
         made = made + paint(
-            box((x - 0.03, 0.8 * s.tail_h, z - 0.06), (x + 0.03, s.tail_h + 0.17, z + 0.06)), color
+            solids.box((x - 0.03, 0.8 * s.tail_h, z - 0.06), (x + 0.03, s.tail_h + 0.17, z + 0.06)),
+            color,
         )
     return made

@@ -21,10 +21,7 @@ from std_toolkit.geometry.camera import Camera, on_depth_step
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.support.plane import Plane
 from std_toolkit.labels.support.solid import PlacedObject
-from std_toolkit.rendering.maps import compose
-from std_toolkit.rendering.placements import frame_placements
-from std_toolkit.rendering.point_cloud import FARTHEST_M, sparse_points
-from std_toolkit.rendering.raycast import RaycastRenderer
+from std_toolkit.rendering import maps, placements, point_cloud, raycast
 from std_toolkit.rendering.renderer import PlacedMesh, image_window, normalised_rays
 from std_toolkit.scene.scene import Frame, Scene
 
@@ -91,7 +88,7 @@ def placed_objects(scene: Scene, camera_frame: int | None) -> list[PlacedObject]
     if camera_frame is None:
         poses = {o.id: scene.T_world_obj(o.id) for o in scene.objects.objects}
     else:
-        poses = {**frame_placements(scene, camera_frame)}
+        poses = {**placements.frame_placements(scene, camera_frame)}
     return [
         PlacedObject(o.name, scene.mesh(o.model), T)
         for o in scene.objects.objects
@@ -103,14 +100,14 @@ def depth_points(
     scene: Scene, views: Sequence[View], objects: Sequence[PlacedObject]
 ) -> Points | None:
     """Sensor depth outside the outlines of placed objects; None if there is none."""
-    renderer = RaycastRenderer(threads=0)
+    renderer = raycast.RaycastRenderer(threads=0)
     parts = []
     for index, view in enumerate(views):
         depth = scene.read_depth(view.frame)
         if depth is None:
             continue
         camera = scene.camera(view.frame)
-        usable = (depth > 0) & (depth < FARTHEST_M) & ~on_depth_step(depth)
+        usable = (depth > 0) & (depth < point_cloud.FARTHEST_M) & ~on_depth_step(depth)
         usable &= ~_object_pixels(renderer, camera, view, objects)
         parts.append(_readings(depth, usable, camera, view.T_frame_cam, index))
     return _joined(parts)
@@ -120,13 +117,13 @@ def reconstructed_points(
     scene: Scene, cameras: Array, objects: Sequence[PlacedObject]
 ) -> Points | None:
     """Points of the reconstruction that lie on no placed object, in the world; None if none."""
-    found = sparse_points(scene)
+    found = point_cloud.sparse_points(scene)
     if found is None:
         return None
     xyz = found[0]
     distance = np.linalg.norm(xyz[:, None] - cameras[None, :: max(1, len(cameras) // 8)], axis=2)
     near = distance.min(axis=1)
-    keep = near < FARTHEST_M
+    keep = near < point_cloud.FARTHEST_M
     for obj in objects:
         local = obj.T_frame_obj.inverse() @ xyz - obj.solid.centre
         # All of the object but what its foot shares with the table.
@@ -165,7 +162,7 @@ def _readings(
 
 
 def _object_pixels(
-    renderer: RaycastRenderer, camera: Camera, view: View, objects: Sequence[PlacedObject]
+    renderer: raycast.RaycastRenderer, camera: Camera, view: View, objects: Sequence[PlacedObject]
 ) -> NDArray[np.bool_]:
     """(H, W) pixels in and around the outlines of the objects."""
     covered = np.zeros((camera.height, camera.width), dtype=bool)
@@ -175,7 +172,7 @@ def _object_pixels(
     placed = [
         PlacedMesh(i + 1, obj.mesh, T_cam_frame @ obj.T_frame_obj) for i, obj in enumerate(objects)
     ]
-    for silhouette in compose(renderer, camera, placed).silhouettes:
+    for silhouette in maps.compose(renderer, camera, placed).silhouettes:
         covered |= silhouette.image_mask(camera)
     kernel = np.ones((2 * _OUTLINE_MARGIN_PX + 1,) * 2, np.uint8)
     return np.asarray(cv2.dilate(covered.view(np.uint8), kernel) > 0)

@@ -11,13 +11,7 @@ import numpy as np
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.plane_fit import PlaneFit, connected_patch, find_planes
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.labels.support import evidence
-from std_toolkit.labels.support.neighbours import (
-    Cameras,
-    SupportScore,
-    common_support,
-    score_support,
-)
+from std_toolkit.labels.support import evidence, neighbours
 from std_toolkit.labels.support.plane import (
     WORLD,
     Plane,
@@ -61,7 +55,7 @@ class _Place:
 
     scene: Scene
     views: list[evidence.View]
-    cameras: Cameras
+    cameras: neighbours.Cameras
     objects: Sequence[PlacedObject]
     frame: str
 
@@ -96,7 +90,9 @@ def search_table(
         views = [evidence.View(scene.frame(camera_frame), SE3.identity())]
         name = camera_frame_name(camera_frame)
     objects = evidence.placed_objects(scene, camera_frame) if objects is None else objects
-    place = _Place(scene, views, Cameras.of([v.T_frame_cam for v in views]), objects, name)
+    place = _Place(
+        scene, views, neighbours.Cameras.of([v.T_frame_cam for v in views]), objects, name
+    )
     reasons = []
     for look in (_from_depth, _from_reconstruction, _from_objects):
         found = look(place)
@@ -177,7 +173,7 @@ def _from_reconstruction(place: _Place) -> TablePlane | str:
 def _from_objects(place: _Place) -> TablePlane | str:
     if not place.objects:
         return "no object is placed yet"
-    found = common_support(place.objects, place.cameras)
+    found = neighbours.common_support(place.objects, place.cameras)
     if found is None:
         return "the cameras see no placed object from above"
     plane = Plane(found.normal, found.offset, place.frame)
@@ -206,7 +202,9 @@ def _from_objects(place: _Place) -> TablePlane | str:
     )
 
 
-def _support(points: evidence.Points, place: _Place) -> tuple[PlaneFit, SupportScore, str] | str:
+def _support(
+    points: evidence.Points, place: _Place
+) -> tuple[PlaneFit, neighbours.SupportScore, str] | str:
     """The best support among the planes in points, and a doubt about it; or what was seen."""
     if len(points.xyz) < _FEWEST_POINTS:
         return "too few points"
@@ -220,7 +218,7 @@ def _support(points: evidence.Points, place: _Place) -> tuple[PlaneFit, SupportS
         p = connected_patch(points.xyz, points.weight, whole, points.sigma, cell_m=cell)
         middle = points.xyz[p.inliers].mean(axis=0)
         args = (p.normal, p.offset, p.weight, middle, place.cameras, place.objects)
-        judged.append((p, score_support(*args)))
+        judged.append((p, neighbours.score_support(*args)))
     judged.sort(key=lambda pair: -pair[1].score)
     best, verdict = judged[0]
     if verdict.score == 0:
@@ -231,7 +229,11 @@ def _support(points: evidence.Points, place: _Place) -> tuple[PlaneFit, SupportS
 
 
 def _described(
-    points: evidence.Points, fit: PlaneFit, verdict: SupportScore, doubt: str, place: _Place
+    points: evidence.Points,
+    fit: PlaneFit,
+    verdict: neighbours.SupportScore,
+    doubt: str,
+    place: _Place,
 ) -> TablePlane:
     plane = Plane(verdict.normal, verdict.offset, place.frame)
     inside = points.xyz[fit.inliers]

@@ -16,21 +16,9 @@ from torch import Tensor
 from torch.nn.functional import interpolate, normalize
 
 from benchmark.data.frame import resize_nearest
-from benchmark.methods.depth.cleargrasp.cleargrasp_network import (
-    PRESETS,
-    ClearGraspConfig,
-    ClearGraspMaps,
-    ClearGraspNetwork,
-)
-from benchmark.methods.depth.cleargrasp.global_optimization import (
-    OptimizationOptions,
-    normals_to_opencv,
-    optimize_depth,
-)
+from benchmark.methods import protocol, registry, weights
+from benchmark.methods.depth.cleargrasp import cleargrasp_network, global_optimization
 from benchmark.methods.network import NetworkRestorer, torch_device
-from benchmark.methods.protocol import Restored, View
-from benchmark.methods.registry import MethodOptions, configured, preset_of
-from benchmark.methods.weights import load_weights, weights_for
 from std_toolkit.errors import ToolkitError
 
 _TRANSPARENT = 1  # class of the mask
@@ -48,18 +36,20 @@ class ClearGrasp(NetworkRestorer):
         ToolkitError: an unknown setting, no weights or those of another network, no such device.
     """
 
-    def __init__(self, options: MethodOptions) -> None:
-        self.config = configured(preset_of(PRESETS, options.preset), options.settings)
+    def __init__(self, options: registry.MethodOptions) -> None:
+        self.config = registry.configured(
+            registry.preset_of(cleargrasp_network.PRESETS, options.preset), options.settings
+        )
         torch_device(options.device)
         if self.config.grow_px < 0:
             raise ToolkitError("must not be negative", field="grow_px", value=self.config.grow_px)
-        network = ClearGraspNetwork(self.config)
-        load_weights(network, weights_for("cleargrasp", options))
+        network = cleargrasp_network.ClearGraspNetwork(self.config)
+        weights.load_weights(network, weights.weights_for("cleargrasp", options))
         super().__init__(network, options, None)
         self.needs_mask = self.config.mask == "given"
         self._depth = DepthOfMaps(self.config)
 
-    def inputs(self, views: Sequence[View]) -> tuple[Tensor, ...]:
+    def inputs(self, views: Sequence[protocol.View]) -> tuple[Tensor, ...]:
         """Colour at the networks' size."""
         w, h = self.config.input_size
         colors = []
@@ -70,9 +60,9 @@ class ClearGrasp(NetworkRestorer):
         color = torch.from_numpy(np.stack(colors)).to(self.device)
         return (color.permute(0, 3, 1, 2).float() / 255,)
 
-    def answers(self, outputs: Any, views: Sequence[View]) -> list[Restored]:
+    def answers(self, outputs: Any, views: Sequence[protocol.View]) -> list[protocol.Restored]:
         """Optimise the depth of each view with the networks' maps."""
-        return [Restored(depth) for depth in self._depth(outputs, views)]
+        return [protocol.Restored(depth) for depth in self._depth(outputs, views)]
 
 
 class DepthOfMaps:
@@ -82,12 +72,14 @@ class DepthOfMaps:
         config: which mask drops measurements, by how much it is widened, and the size.
     """
 
-    def __init__(self, config: ClearGraspConfig) -> None:
+    def __init__(self, config: cleargrasp_network.ClearGraspConfig) -> None:
         self.config = config
         # The mask is widened here, for what is kept of the view depends on it, too.
-        self._optimization = OptimizationOptions(grow_px=0)
+        self._optimization = global_optimization.OptimizationOptions(grow_px=0)
 
-    def __call__(self, maps: ClearGraspMaps, views: Sequence[View]) -> list[NDArray[np.float32]]:
+    def __call__(
+        self, maps: cleargrasp_network.ClearGraspMaps, views: Sequence[protocol.View]
+    ) -> list[NDArray[np.float32]]:
         """(h, w) metres of each view, whose maps may have any size.
 
         Raises:
@@ -113,7 +105,7 @@ class DepthOfMaps:
 
     def _optimized(
         self,
-        view: View,
+        view: protocol.View,
         normals: NDArray[np.float32],
         boundary: NDArray[np.float32],
         mask: NDArray[np.bool_],
@@ -123,9 +115,9 @@ class DepthOfMaps:
         doubted = cv2.dilate(mask.astype(np.uint8), np.ones((reach, reach), np.uint8)) > 0
         measured = np.isfinite(view.depth) & (view.depth >= self._optimization.nearest_m)
         depth = np.where(measured, view.depth, np.float32(0))
-        optimized = optimize_depth(
+        optimized = global_optimization.optimize_depth(
             resize_nearest(depth, size),
-            normals_to_opencv(normals),
+            global_optimization.normals_to_opencv(normals),
             boundary,
             doubted,
             view.camera.resized(*size),
@@ -136,7 +128,7 @@ class DepthOfMaps:
         return np.where(kept, depth, resize_nearest(optimized, own))
 
 
-def _given(view: View) -> NDArray[np.bool_]:
+def _given(view: protocol.View) -> NDArray[np.bool_]:
     if view.mask is None:
         raise ToolkitError(
             "method `cleargrasp` with mask=given needs to know the pixels of the objects, and this "

@@ -14,11 +14,7 @@ from pathlib import Path
 
 from torch import nn
 
-from benchmark.methods.depth.cleargrasp.cleargrasp_network import (
-    PRESETS,
-    ClearGraspConfig,
-    ClearGraspNetwork,
-)
+from benchmark.methods.depth.cleargrasp import cleargrasp_network
 from benchmark.methods.weights import check_keys, load_weights, read_weights, save_weights
 from std_toolkit.errors import ToolkitError
 
@@ -28,14 +24,14 @@ def join_weights(
     normals: Path,
     boundaries: Path,
     path: Path,
-    config: ClearGraspConfig | None = None,
+    config: cleargrasp_network.ClearGraspConfig | None = None,
 ) -> None:
     """Write one file of the weights of three.
 
     Raises:
         ToolkitError: one cannot be read, or is of another network.
     """
-    network = ClearGraspNetwork(config)
+    network = cleargrasp_network.ClearGraspNetwork(config)
     files = {"masks": masks, "normals": normals, "boundaries": boundaries}
     for name, file in files.items():
         _load(network.get_submodule(name), name, file)
@@ -59,10 +55,16 @@ def main() -> None:
     for name in ("masks", "normals", "boundaries"):
         parser.add_argument(name, type=Path, help=f"weights of the network for {name}")
     parser.add_argument("path", type=Path, help="file to write, .safetensors")
-    parser.add_argument("--preset", choices=list(PRESETS), default="published")
+    parser.add_argument("--preset", choices=list(cleargrasp_network.PRESETS), default="published")
     told = parser.parse_args()
     try:
-        join_weights(told.masks, told.normals, told.boundaries, told.path, PRESETS[told.preset])
+        join_weights(
+            told.masks,
+            told.normals,
+            told.boundaries,
+            told.path,
+            cleargrasp_network.PRESETS[told.preset],
+        )
     except ToolkitError as error:
         parser.exit(1, f"{error}\n")
 

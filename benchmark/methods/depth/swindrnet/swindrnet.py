@@ -21,9 +21,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import conv2d, interpolate, linear, relu
 
-from benchmark.methods.depth.swindrnet.fusion_decoder import ConvUnit, UPerHead, enlarged
-from benchmark.methods.depth.swindrnet.swin import Swin
-from benchmark.methods.depth.swindrnet.swindrnet_network import PRESETS, SwinDRNetwork
+from benchmark.methods.depth.swindrnet import fusion_decoder, swin, swindrnet_network
 from benchmark.methods.network import NetworkRestorer, Prediction, network_of, torch_device
 from benchmark.methods.registry import MethodOptions
 from benchmark.methods.weights import check_keys, read_weights
@@ -63,7 +61,9 @@ class SwinDRNet(NetworkRestorer):
     """
 
     def __init__(self, options: MethodOptions) -> None:
-        self.config, network = network_of("swindrnet", PRESETS, SwinDRNetwork, options)
+        self.config, network = network_of(
+            "swindrnet", swindrnet_network.PRESETS, swindrnet_network.SwinDRNetwork, options
+        )
         device = torch_device(options.device)
         plain = not options.compile and options.precision == "fp32"
         super().__init__(
@@ -74,13 +74,13 @@ class SwinDRNet(NetworkRestorer):
 
     def skeleton(self) -> nn.Module:
         with torch.device("meta"):
-            return SwinDRNetwork(self.config).eval()
+            return swindrnet_network.SwinDRNetwork(self.config).eval()
 
 
 class FastSwinDRNetwork(nn.Module):
     """The same function as a trained `SwinDRNetwork`, which it takes apart: use that no more."""
 
-    def __init__(self, network: SwinDRNetwork) -> None:
+    def __init__(self, network: swindrnet_network.SwinDRNetwork) -> None:
         super().__init__()
         network.eval().requires_grad_(False)
         self.depth_head = FastHead(network.decode_head_depth_restoration)
@@ -101,7 +101,7 @@ class FastSwinDRNetwork(nn.Module):
 class FastHead(nn.Module):
     """The same function as a trained `UPerHead`."""
 
-    def __init__(self, head: UPerHead) -> None:
+    def __init__(self, head: fusion_decoder.UPerHead) -> None:
         super().__init__()
         channels = head.conv_seg.in_channels
         self.pools = nn.ModuleList(module[0] for module in head.psp_modules)  # type: ignore[index]
@@ -121,7 +121,7 @@ class FastHead(nn.Module):
         features.append(self.bottleneck(top, means))
         for index in range(len(features) - 1, 0, -1):
             below = features[index - 1]
-            features[index - 1] = below + enlarged(features[index], below)
+            features[index - 1] = below + fusion_decoder.enlarged(features[index], below)
         for index, conv in enumerate(self.fpn_convs):
             features[index] = conv(features[index])
         return self.conv_seg(self.fpn_bottleneck(features[0], features[1:]))
@@ -158,7 +158,7 @@ class PyramidConv(nn.Module):
     weight: Tensor
     bias: Tensor
 
-    def __init__(self, unit: ConvUnit, channels: int, enlargements: int) -> None:
+    def __init__(self, unit: fusion_decoder.ConvUnit, channels: int, enlargements: int) -> None:
         super().__init__()
         weight, bias = folded(unit)
         whole = weight.shape[1] - enlargements * channels
@@ -214,7 +214,7 @@ class PointwiseLinear(nn.Module):
         return _pointwise(pixels, self.weight, self.bias).reshape(*tokens.shape[:-1], -1)
 
 
-def folded(unit: ConvUnit) -> tuple[Tensor, Tensor]:
+def folded(unit: fusion_decoder.ConvUnit) -> tuple[Tensor, Tensor]:
     """Weight and bias of the convolution that is a trained unit's convolution and normalisation."""
     bn = unit.bn
     mean, variance = bn.running_mean, bn.running_var
@@ -224,7 +224,9 @@ def folded(unit: ConvUnit) -> tuple[Tensor, Tensor]:
 
 
 def _folded_all(units: Iterable[nn.Module]) -> nn.ModuleList:
-    return nn.ModuleList(FoldedConv(*folded(u)) for u in units if isinstance(u, ConvUnit))
+    return nn.ModuleList(
+        FoldedConv(*folded(u)) for u in units if isinstance(u, fusion_decoder.ConvUnit)
+    )
 
 
 def _pointwise(pixels: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
@@ -255,7 +257,7 @@ def _convolve_linear_layers(module: nn.Module) -> None:
             _convolve_linear_layers(child)
 
 
-def load_imagenet(network: SwinDRNetwork, path: Path) -> None:
+def load_imagenet(network: swindrnet_network.SwinDRNetwork, path: Path) -> None:
     """Begin both streams with the weights of a Swin that was trained on ImageNet.
 
     Args:
@@ -271,7 +273,7 @@ def load_imagenet(network: SwinDRNetwork, path: Path) -> None:
         begin_streams([network.backbone_rgb_branch, network.backbone_xyz_branch], path)
 
 
-def begin_streams(streams: Iterable[Swin], path: Path) -> None:
+def begin_streams(streams: Iterable[swin.Swin], path: Path) -> None:
     """Begin Swin transformers with the weights of one that was trained on ImageNet.
 
     Args:
@@ -308,7 +310,7 @@ def _kept(key: str) -> bool:
     return bool(re.match(r"norm\d\.", key)) or key.endswith("relative_position_index")
 
 
-def _for_channels(state: dict[str, Tensor], stream: Swin) -> dict[str, Tensor]:
+def _for_channels(state: dict[str, Tensor], stream: swin.Swin) -> dict[str, Tensor]:
     """Weights for images of three channels as weights for those of the stream.
 
     A fourth channel begins with the mean of the three.

@@ -15,16 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from benchmark.methods import network
-from benchmark.methods.depth.swindrnet.fusion_decoder import (
-    BEFORE_TOKENS,
-    TOKEN_OF_DETAILS,
-    DetailDecoder,
-    DetailEncoder,
-    PaperFusion,
-    ReleasedFusion,
-    UPerHead,
-    enlarged,
-)
+from benchmark.methods.depth.swindrnet import fusion_decoder
 from benchmark.methods.depth.swindrnet.swin import PATCH, Swin
 
 _DEPTH_COPIES = 3  # depth goes into a network of three channels, which ImageNet weights fit
@@ -86,18 +77,20 @@ class SwinStreams(nn.Module):
         self._names = tuple(images)
         for name, channels in images.items():
             if settings.details:
-                self.add_module(f"{name}_details", DetailEncoder(channels))
-            self.add_module(name, self._stream(BEFORE_TOKENS if settings.details else channels))
+                self.add_module(f"{name}_details", fusion_decoder.DetailEncoder(channels))
+            self.add_module(
+                name, self._stream(fusion_decoder.BEFORE_TOKENS if settings.details else channels)
+            )
 
     def add_fusion(self, make: Callable[[int, int], nn.Module]) -> None:
         """Fuse the levels of two streams; `make` is called with each level and its channels."""
         for level, channels in enumerate(self.config.level_channels):
             self.add_module(f"cross_attention_{level}", make(level, channels))
 
-    def head(self, outputs: int) -> UPerHead:
+    def head(self, outputs: int) -> fusion_decoder.UPerHead:
         """A decoder of the levels; where details are kept it leads to those, not to the outputs."""
         settings = self.config
-        return UPerHead(
+        return fusion_decoder.UPerHead(
             settings.fused_channels,
             settings.head_channels,
             settings.head_channels if settings.details else outputs,
@@ -133,7 +126,7 @@ class SwinStreams(nn.Module):
             settings.window,
             in_channels,
             settings.drop_path,
-            TOKEN_OF_DETAILS if settings.details else PATCH,
+            fusion_decoder.TOKEN_OF_DETAILS if settings.details else PATCH,
         )
 
 
@@ -230,14 +223,22 @@ class SwinDRNetwork(SwinStreams):
         if config.confidence:
             self.decode_head_confidence = self.head(2)
         if config.details:
-            self.details_of_depth = DetailDecoder(config.head_channels, len(images), 1)
+            self.details_of_depth = fusion_decoder.DetailDecoder(
+                config.head_channels, len(images), 1
+            )
             if config.confidence:
-                self.details_of_confidence = DetailDecoder(config.head_channels, len(images), 2)
+                self.details_of_confidence = fusion_decoder.DetailDecoder(
+                    config.head_channels, len(images), 2
+                )
         if config.fusion == "released":
-            self.add_fusion(lambda _, channels: ReleasedFusion(channels, config.window))
+            self.add_fusion(
+                lambda _, channels: fusion_decoder.ReleasedFusion(channels, config.window)
+            )
         elif config.fusion == "paper":
             self.add_fusion(
-                lambda _, channels: PaperFusion(channels, config.fusion_heads, config.fusion_window)
+                lambda _, channels: fusion_decoder.PaperFusion(
+                    channels, config.fusion_heads, config.fusion_window
+                )
             )
 
     def forward(self, color: Tensor, depth: Tensor) -> network.Prediction:
@@ -277,14 +278,14 @@ class SwinDRNetwork(SwinStreams):
         config = self.config
         if config.details:
             initial = self.details_of_depth(initial, details)
-        initial = enlarged(initial, depth)
+        initial = fusion_decoder.enlarged(initial, depth)
         if config.relative:
             initial = network.in_metres(network.coarse_depth(depth), initial)
         if confidence is None:
             return network.Prediction(initial, initial)
         if config.details:
             confidence = self.details_of_confidence(confidence, details)
-        confidence = enlarged(confidence, depth)
+        confidence = fusion_decoder.enlarged(confidence, depth)
         if config.relative:
             nothing = torch.cat([depth == 0, torch.zeros_like(depth, dtype=torch.bool)], dim=1)
             confidence = confidence.masked_fill(nothing, -torch.inf)

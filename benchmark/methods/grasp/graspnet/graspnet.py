@@ -25,9 +25,7 @@ from benchmark.methods.grasp.graspnet.graspnet_network import GraspNetwork, Oper
 from benchmark.methods.network import network_of, torch_device
 from benchmark.methods.protocol import GraspView
 from benchmark.methods.registry import MethodOptions
-from benchmark.metrics.grasp.collision import filled_share, hits_plane
-from benchmark.metrics.grasp.grasp import Grasps, suppress_similar
-from benchmark.metrics.grasp.gripper import get_gripper
+from benchmark.metrics.grasp import collision, grasp, gripper
 
 _SEED = 0  # of the points that are looked at: the same view gives the same grasps
 
@@ -43,19 +41,19 @@ class GraspNet:
 
     def __init__(self, options: MethodOptions) -> None:
         self.config, network = network_of("graspnet", PRESETS, GraspNetwork, options)
-        self.gripper = get_gripper(self.config.gripper)
+        self.gripper = gripper.get_gripper(self.config.gripper)
         self.device = torch_device(options.device)
         self.network = network.to(self.device).eval().requires_grad_(False)
         turned = gripper_rotations(self.config.views, self.config.angles)
         self._rotations = torch.from_numpy(turned).to(self.device, torch.float32)
 
-    def plan(self, view: GraspView) -> Grasps:
+    def plan(self, view: GraspView) -> grasp.Grasps:
         """See `GraspPlanner.plan`."""
         cloud = scene_cloud(view)
         shown = cloud[workspace(view, cloud, self.config)]
         shown = shown[thinned(shown, self.config.voxel)]
         if not len(shown):
-            return Grasps.empty()
+            return grasp.Grasps.empty()
         chosen = sampled(len(shown), self.config.points, np.random.default_rng(_SEED))
         points = torch.from_numpy(shown[chosen]).to(self.device)[None]
         (found,) = best_of_seeds(self.network, points, self._rotations)
@@ -64,18 +62,20 @@ class GraspNet:
         grasps = grasps.replaced(widths=np.minimum(grasps.widths, widest))
         if self.config.collision:
             grasps = self._free(grasps, view, cloud)
-        kept = suppress_similar(
+        kept = grasp.suppress_similar(
             grasps,
             translation=self.config.nms_distance,
             rotation=math.radians(self.config.nms_angle),
         )
         return kept.top(self.config.most)
 
-    def _free(self, grasps: Grasps, view: GraspView, cloud: np.ndarray) -> Grasps:
+    def _free(self, grasps: grasp.Grasps, view: GraspView, cloud: np.ndarray) -> grasp.Grasps:
         """Those whose gripper hits neither the cloud nor the table."""
         if view.T_cam_table is not None:
-            grasps = grasps[~hits_plane(grasps, self.gripper, view.T_cam_table)]
-        taken = filled_share(grasps, self.gripper, cloud, voxel=self.config.collision_voxel)
+            grasps = grasps[~collision.hits_plane(grasps, self.gripper, view.T_cam_table)]
+        taken = collision.filled_share(
+            grasps, self.gripper, cloud, voxel=self.config.collision_voxel
+        )
         return grasps[taken <= self.config.collision_share]
 
 
@@ -88,7 +88,7 @@ class Decoded(NamedTuple):
     """
 
     on_object: Tensor
-    grasps: Grasps
+    grasps: grasp.Grasps
 
 
 @torch.inference_mode()
@@ -132,7 +132,7 @@ def _decoded(
     width = (config.width_margin * best(at_turn(widths))).clamp(0, config.max_width)
     score = best(at_turn(scores)) * best(at_turn(tolerances)) / config.max_tolerance
     reach = torch.tensor(config.depths)[depth[:, 0].cpu()]
-    grasps = Grasps.make(
+    grasps = grasp.Grasps.make(
         rotations[view, turn[:, 0].gather(1, depth)[:, 0]].double().cpu().numpy(),
         seeds.points[image].double().cpu().numpy(),
         widths=width.double().cpu().numpy(),

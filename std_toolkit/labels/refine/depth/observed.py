@@ -13,9 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.geometry.camera import on_depth_step
-from std_toolkit.geometry.plane_fit import find_planes
-from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry import camera, plane_fit, se3
 from std_toolkit.labels.refine.caster import LayerStore, WorldCaster
 from std_toolkit.labels.refine.object_surface import ObjectSurface
 from std_toolkit.labels.refine.problem import RefineObject, RefineView
@@ -101,7 +99,7 @@ class ObservedPixels:
         read_color: gives `color`.
     """
 
-    T_world_cam: SE3
+    T_world_cam: se3.SE3
     uv: Array
     directions: Array
     sensor: Array
@@ -182,7 +180,7 @@ def observe(
         if caster is not None:
             box = x0, y0, x1 - 1, y1 - 1
             nearest = caster.window(view.camera, view.T_world_cam, box)[0].depth
-        steady = (sensor > 0) & ~on_depth_step(sensor)
+        steady = (sensor > 0) & ~camera.on_depth_step(sensor)
         bare = ObservedView(view, x0, y0, sensor, steady, nearest, None)
         plane = _background(bare, obj, surface) if background else None
         found.append(ObservedView(view, x0, y0, sensor, steady, nearest, plane))
@@ -235,7 +233,7 @@ def fit_background(points: NDArray[np.floating], *, share: float = 0.35) -> Arra
         return None
     p = p[np.linspace(0, len(p) - 1, min(len(p), _MOST_POINTS)).round().astype(int)]
     sigma = _NOISE_M + _NOISE_PER_M * p[:, 2]
-    found = find_planes(p, sigma, np.ones(len(p)), count=1, smallest_weight=share)
+    found = plane_fit.find_planes(p, sigma, np.ones(len(p)), count=1, smallest_weight=share)
     if not found:
         return None
     plane = np.append(found[0].normal, -found[0].offset)
