@@ -18,8 +18,7 @@ from std_toolkit.geometry import SE3, Symmetry
 from std_toolkit.geometry.se3 import skew
 from std_toolkit.geometry.symmetry import nearest_variant
 from std_toolkit.labels.propagate import AnnotatedView, fuse_views
-from std_toolkit.scene import Label
-from std_toolkit.scene.model import LabelProvenance
+from std_toolkit.scene import Label, LabelProvenance
 
 # Frames through which a label goes to a world in which none of its annotated frames is registered.
 _SPREAD = 9

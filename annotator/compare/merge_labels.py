@@ -21,8 +21,7 @@ from annotator.options import CompareOptions, MergeOptions
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import Symmetry
 from std_toolkit.geometry.symmetry import common_symmetry
-from std_toolkit.scene import Label, Object, Scene
-from std_toolkit.scene.model import Annotation, ObjectAnnotation
+from std_toolkit.scene import Annotation, Label, Object, ObjectAnnotation, Scene
 
 Outcome = Literal["merged", "taken", "open"]
 

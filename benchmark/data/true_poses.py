@@ -32,8 +32,7 @@ from numpy.typing import NDArray
 from benchmark.data.frame import OTHER, DepthFrame, Instance
 from benchmark.data.splits import DepthSource
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.alignment import umeyama
-from std_toolkit.geometry.camera import unproject_depth
+from std_toolkit.geometry import umeyama, unproject_depth
 
 if TYPE_CHECKING:
     import trimesh

@@ -16,8 +16,7 @@ from benchmark.tabletop.arrange import Arrangement, TableObject, off_table
 from benchmark.tabletop.grasp import APPROACH_M, Execution, execute
 from benchmark.tabletop.sense import Observation, TableCamera
 from sensors.physics.rigid_bodies import World, come_to_rest
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.se3 import SE3, rotation_angle
+from std_toolkit.geometry import SE3, Camera, rotation_angle
 
 Array = NDArray[np.float64]
 

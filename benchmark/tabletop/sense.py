@@ -18,8 +18,7 @@ from benchmark.tabletop.arrange import Arrangement, TableObject
 from benchmark.tabletop.depth_model import degrade, draw_shares
 from sensors.physics import PhysicalObject
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry import SE3, Camera
 from std_toolkit.rendering import maps, mesh, raycast, renderer
 
 if TYPE_CHECKING:

@@ -24,8 +24,7 @@ from std_toolkit.io import atomic, documents, images
 from std_toolkit.scene.model import CameraModel, Material, SymmetryModel
 
 if TYPE_CHECKING:
-    from std_toolkit.geometry.camera import Camera
-    from std_toolkit.geometry.se3 import SE3
+    from std_toolkit.geometry import SE3, Camera
 
 DEPTH_SCALE = 0.001
 

@@ -10,8 +10,7 @@ from typing import Any, Literal
 from sensors.output.simulated_frame import SimulatedFrame, SimulatedScene
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry import SE3, Camera
 from std_toolkit.scene import model
 
 

@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry import SE3, Camera, Symmetry
 from std_toolkit.geometry.mesh import LARGEST_EXTENT_M, SMALLEST_EXTENT_M, nocs_frame
-from std_toolkit.geometry.se3 import SE3
-from std_toolkit.geometry.symmetry import Symmetry
 from std_toolkit.io.documents import document_bytes
 from std_toolkit.scene.document import check_name
 from std_toolkit.scene.model import CATEGORY_CLASS_IDS, MATERIAL_IDS, Material

@@ -23,8 +23,7 @@ import numpy as np
 from sensors.output.scene_record import ReceivedFrames, SceneRecord, scene_record
 from sensors.output.simulated_frame import Image8, SimulatedFrame, SimulatedObject, SimulatedScene
 from std_toolkit import __version__
-from std_toolkit.geometry.se3 import SE3
-from std_toolkit.geometry.symmetry import Symmetry
+from std_toolkit.geometry import SE3, Symmetry
 from std_toolkit.importers.foreign_files import mesh_suffix, model_of_mesh, write_mesh
 from std_toolkit.io import atomic, documents, exr, images
 from std_toolkit.rendering import ground_truth, maps, placements, raycast

@@ -18,8 +18,7 @@ from sensors.record.realsense import Stream, librealsense
 from sensors.record.recording_document import Calibration, DeviceInfo
 from sensors.specs import SensorSpec, load_sensor, names
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.se3 import SE3, rotation_angle
+from std_toolkit.geometry import SE3, Camera, rotation_angle
 from std_toolkit.scene.model import CameraModel
 
 Array = NDArray[np.float64]

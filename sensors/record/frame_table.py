@@ -19,8 +19,7 @@ import msgspec
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import sweep_temporaries
 from std_toolkit.io.documents import write_document
-from std_toolkit.scene.model import Frame, Frames
-from std_toolkit.scene.scene import Scene
+from std_toolkit.scene import Frame, Frames, Scene
 
 _SHARE = 0.1
 

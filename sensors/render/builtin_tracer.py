@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from sensors.render.sim_renderer import RenderOptions
 from sensors.render.sim_scene import Projector
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry import SE3, Camera
 
 mi: Any = mitsuba  # its types differ by variant
 

@@ -15,8 +15,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.rendering.renderer import check_no_distortion
 
 if TYPE_CHECKING:
-    from std_toolkit.geometry.camera import Camera
-    from std_toolkit.geometry.se3 import SE3
+    from std_toolkit.geometry import SE3, Camera
 
 _FEATURE_SAMPLES = 4
 _CLIP_FACTOR = 2.0

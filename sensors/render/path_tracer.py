@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from sensors.render import mitsuba_scene, sim_renderer, sim_scene
 from sensors.render.sky import Sky
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry import SE3, Camera
 
 mi: Any = mitsuba  # their types differ by variant
 dr: Any = drjit

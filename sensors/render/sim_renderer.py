@@ -18,8 +18,7 @@ from std_toolkit.plugins import Registry
 
 if TYPE_CHECKING:
     from sensors.render.sim_scene import Projector, SimScene
-    from std_toolkit.geometry.camera import Camera
-    from std_toolkit.geometry.se3 import SE3
+    from std_toolkit.geometry import SE3, Camera
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from sensors.lighting.environment import EnvironmentMap
 from sensors.materials.material_draw import DrawnMaterial
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry import SE3, Camera
 from std_toolkit.rendering.maps import compose, mask_of, surface_maps
 from std_toolkit.rendering.mesh import RenderMesh
 from std_toolkit.rendering.raycast import RaycastRenderer

@@ -10,8 +10,7 @@ from sensors.materials.material_library import MaterialClass
 from sensors.render.sim_renderer import RenderOptions
 from sensors.render.sim_scene import Projector, SceneObject, SimScene, SurfaceMesh
 from sensors.render.variant import DONE
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry import SE3, Camera
 
 
 def smallest_scene() -> SimScene:

@@ -22,8 +22,7 @@ from sensors.simulation.options import SimulationOptions
 from sensors.specs import SensorSpec, load_sensor
 from sensors.stereo import StereoMatcher, make_matcher
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry import SE3, Camera
 
 # Any of its objects may be made of anything, as vessels are.
 DRESSED_AS = "bottle"

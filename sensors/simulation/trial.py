@@ -26,8 +26,7 @@ from sensors.render import infrared_image, sim_renderer, sim_scene
 from sensors.simulation.simulator import PROJECTOR_POWER
 from sensors.specs import SensorSpec
 from sensors.stereo import disparity_to_depth, make_matcher
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry import SE3, Camera
 
 DISTANCE_M = 0.6
 

@@ -14,8 +14,7 @@ import msgspec
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry import SE3, Camera
 from std_toolkit.io.documents import DIALECT, InvalidDocument, read_document
 from std_toolkit.scene import document
 from std_toolkit.scene.pose_model import CameraModel

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.synthetic.raycast_world import World
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry import SE3, Camera
 
 BASELINE_M = 0.055
 

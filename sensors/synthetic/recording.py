@@ -17,8 +17,7 @@ from sensors.synthetic.camera_frames import render_frame, sensor_depth
 from sensors.synthetic.raycast_world import World
 from sensors.synthetic.shapes import Shape, default_shapes
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.se3 import SE3, so3_exp
+from std_toolkit.geometry import SE3, Camera, so3_exp
 from std_toolkit.io import atomic, documents, images
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.scene import model

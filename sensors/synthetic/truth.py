@@ -15,9 +15,8 @@ import numpy as np
 
 from sensors.output.recording_writer import Truth, read_truth
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3, mssd, rotation_error, so3_exp, translation_error
 from std_toolkit.geometry.mesh import hull_vertices, load_mesh, mesh_diameter, mesh_extents
-from std_toolkit.geometry.se3 import SE3, so3_exp
-from std_toolkit.geometry.symmetry import mssd, rotation_error, translation_error
 from std_toolkit.io.atomic import atomic_path
 from std_toolkit.scene import model
 from std_toolkit.scene.scene import Scene

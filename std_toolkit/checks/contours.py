@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.ray_caster import RayCaster
-from std_toolkit.geometry.se3 import SE3
 from std_toolkit.scene import Scene
 
 Array = NDArray[np.float64]

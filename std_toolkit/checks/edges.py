@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.checks.contours import Contour
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry import SE3, Camera
 
 Array = NDArray[np.float64]
 

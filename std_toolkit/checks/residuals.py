@@ -21,8 +21,7 @@ from std_toolkit.checks.edges import (
     smooth_image,
 )
 from std_toolkit.checks.sensor_depth import DepthResidual, ErrorTally, depth_residual
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry import SE3, Camera
 from std_toolkit.options import CheckOptions
 from std_toolkit.rendering import ground_truth
 from std_toolkit.rendering.placements import truth_is_current

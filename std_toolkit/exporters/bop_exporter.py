@@ -21,16 +21,14 @@ from std_toolkit.exporters.frame_maps import (
     read_color,
     read_sensor_depth,
 )
-from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.mesh import mesh_bounds, mesh_diameter, nocs_frame
-from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.images import read_png, write_png
 from std_toolkit.rendering.choose import choose_renderer, get_renderer
 from std_toolkit.rendering.ground_truth import ObjectTruth
 from std_toolkit.rendering.maps import mask_box, object_silhouette
-from std_toolkit.scene.model import Frame, SymmetryModel
-from std_toolkit.scene.scene import Scene
+from std_toolkit.scene import Frame, Scene, SymmetryModel
 from std_toolkit.scene.sidecar import ExportedModel
 
 MM = 1000.0

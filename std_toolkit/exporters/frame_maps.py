@@ -19,8 +19,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, undistort_image
 from std_toolkit.rendering import choose, ground_truth, maps, placements
 from std_toolkit.rendering.renderer import image_window
-from std_toolkit.scene.model import Frame
-from std_toolkit.scene.scene import Scene
+from std_toolkit.scene import Frame, Scene
 
 
 @dataclass(frozen=True, eq=False)

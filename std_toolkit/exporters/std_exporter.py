@@ -20,9 +20,8 @@ from std_toolkit.exporters.frame_maps import (
     read_sensor_depth,
 )
 from std_toolkit.exporters.mesh_export import obj_files, transformed, write_files
-from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.mesh import mesh_bounds, nocs_frame
-from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io import atomic, exr, images
 from std_toolkit.rendering.ground_truth import FrameTruth
 from std_toolkit.scene.model import MATERIAL_IDS, Frame

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry import SE3, Camera
 from std_toolkit.importers import bop_objects
 from std_toolkit.importers.bop_documents import BopScene, CameraRow, read_bop_scene
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame

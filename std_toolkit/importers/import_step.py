@@ -22,9 +22,8 @@ from std_toolkit.io import atomic, exr, images
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.log import logger
 from std_toolkit.options import ImportRequest, LinkMode
+from std_toolkit.scene import CameraModel, Frame, Frames, ObjectTable, Scene, SceneInfo
 from std_toolkit.scene.document import check_name, check_relative
-from std_toolkit.scene.model import CameraModel, Frame, Frames, ObjectTable, SceneInfo
-from std_toolkit.scene.scene import Scene
 
 # Below this many frames, starting worker processes costs more than it saves.
 _SERIAL_BELOW = 48

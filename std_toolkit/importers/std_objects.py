@@ -11,10 +11,8 @@ from typing import Any
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.alignment import ransac_similarity
-from std_toolkit.geometry.camera import Camera, unproject_depth
+from std_toolkit.geometry import SE3, Camera, ransac_similarity, unproject_depth
 from std_toolkit.geometry.mesh import load_mesh, nocs_frame
-from std_toolkit.geometry.se3 import SE3
 from std_toolkit.importers import foreign_files
 from std_toolkit.importers.importer import SourceModel
 from std_toolkit.io.images import image_size, read_png

@@ -12,9 +12,8 @@ from std_toolkit.geometry.mesh import load_mesh, mesh_bounds
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels import label, pnp, posefile, symmetry_argument
 from std_toolkit.options import LabelCommand
+from std_toolkit.scene import Frame, Scene, SymmetryModel
 from std_toolkit.scene.document import check_name, safe_name
-from std_toolkit.scene.model import Frame, SymmetryModel
-from std_toolkit.scene.scene import Scene
 
 
 def run_label_command(scene: Scene, command: LabelCommand) -> Iterator[str]:

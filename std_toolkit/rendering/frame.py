@@ -41,8 +41,7 @@ from std_toolkit.scene.model import DIFFUSE_MATERIALS
 from std_toolkit.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from std_toolkit.geometry.camera import Camera
-    from std_toolkit.geometry.se3 import SE3
+    from std_toolkit.geometry import SE3, Camera
 
 DEFAULT_DELTA_M = 0.015
 

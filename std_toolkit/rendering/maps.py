@@ -30,8 +30,7 @@ from std_toolkit.rendering.renderer import (
 if TYPE_CHECKING:
     import trimesh
 
-    from std_toolkit.geometry.camera import Camera
-    from std_toolkit.geometry.se3 import SE3
+    from std_toolkit.geometry import SE3, Camera
 
 Box = tuple[int, int, int, int]
 

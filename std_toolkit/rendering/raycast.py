@@ -17,8 +17,7 @@ from std_toolkit.rendering.mesh import RenderMesh
 from std_toolkit.rendering.renderer import NEAR_M, Raster, Window, normalised_rays
 
 if TYPE_CHECKING:
-    from std_toolkit.geometry.camera import Camera
-    from std_toolkit.geometry.se3 import SE3
+    from std_toolkit.geometry import SE3, Camera
 
 _KEPT_STRUCTURES = 64
 

@@ -26,8 +26,7 @@ from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
 if TYPE_CHECKING:
     import trimesh
 
-    from std_toolkit.geometry.camera import Camera
-    from std_toolkit.geometry.se3 import SE3
+    from std_toolkit.geometry import SE3, Camera
 
 NEAR_M = 0.01
 

@@ -13,8 +13,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.se3 import SE3
-from std_toolkit.geometry.symmetry import Symmetry
+from std_toolkit.geometry import SE3, Symmetry
 from std_toolkit.scene.document import (
     Count,
     Covariance36,

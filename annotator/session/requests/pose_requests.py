@@ -16,8 +16,7 @@ from annotator.session.edits import PoseChange, SetPoses
 from annotator.session.requests.mesh_requests import Outcome, Request, RequestCancelled, Watch
 from annotator.session.state import Snapshot
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry import SE3
-from std_toolkit.geometry.se3 import rotation_angle
+from std_toolkit.geometry import SE3, rotation_angle
 from std_toolkit.labels.pnp import solve_pnp
 from std_toolkit.scene.document import Count, Positive
 

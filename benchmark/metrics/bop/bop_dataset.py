@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters.bop_metadata import TARGET_VISIBLE
-from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry import SE3, Camera, Symmetry
 from std_toolkit.geometry.mesh import hull_vertices, load_mesh, mesh_diameter
-from std_toolkit.geometry.se3 import SE3
-from std_toolkit.geometry.symmetry import Symmetry
 from std_toolkit.importers import bop_documents, bop_objects, foreign_files
 from std_toolkit.io.documents import read_document
 from std_toolkit.io.images import image_size

@@ -15,9 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.se3 import SE3
-from std_toolkit.geometry.symmetry import Symmetry
+from std_toolkit.geometry import SE3, Camera, Symmetry
 from std_toolkit.rendering.mesh import RenderMesh
 from std_toolkit.rendering.renderer import (
     Renderer,

@@ -80,7 +80,8 @@ def answer(board: pose_board.PoseBoard) -> list[Block]:
     tables = [
         _difference_table(
             compared,
-            f"{pose_sections.pose_title(board, split, pose_board.PROTOCOLS[0])}, {depth_tables.OBJECTS[subset]}",
+            f"{pose_sections.pose_title(board, split, pose_board.PROTOCOLS[0])}, "
+            f"{depth_tables.OBJECTS[subset]}",
         )
         for subset in (pose_results.HARD, pose_results.ALL)
         for split in board.splits
@@ -95,8 +96,8 @@ def answer(board: pose_board.PoseBoard) -> list[Block]:
         "points, protocol strict, mean over classes. In brackets: the 95 % interval over scenes. "
         "The p-value is the probability of a difference at least as large if in each scene the two "
         "were swapped at random; in the sentences, which are about "
-        f"{pose_results.heading(pose_board.MAIN)}, it is corrected for all restored depths and methods of a split (Holm). "
-        "With five scenes or fewer no difference is significant."
+        f"{pose_results.heading(pose_board.MAIN)}, it is corrected for all restored depths and "
+        "methods of a split (Holm). With five scenes or fewer no difference is significant."
     )
     return [Bullets(sentences), about, *tables]
 
@@ -117,8 +118,8 @@ def _sentence(finding: Finding) -> Paragraph:
     before = finding.after - finding.gain
     text = (
         f"Of {depth_tables.OBJECTS[finding.subset]}, {number(before)} % of the poses are within "
-        f"{pose_results.heading(pose_board.MAIN)} on raw depth and {number(finding.after)} % on depth restored by "
-        f"`{finding.depth}` ({about}{interval}{p})."
+        f"{pose_results.heading(pose_board.MAIN)} on raw depth and {number(finding.after)} % on "
+        f"depth restored by `{finding.depth}` ({about}{interval}{p})."
     )
     return Paragraph(text, lead, tone)
 
@@ -232,7 +233,8 @@ def _summary(board: pose_board.PoseBoard) -> str:
             found.append(
                 f"{best['method']} with {best['depth']} depth on "
                 f"{pose_sections.pose_title(board, split, pose_board.PROTOCOLS[0])} "
-                f"({100 * best[pose_board.MAIN]:.1f} % within {pose_results.heading(pose_board.MAIN)})"
+                f"({100 * best[pose_board.MAIN]:.1f} % within "
+                f"{pose_results.heading(pose_board.MAIN)})"
             )
     if not found:
         return "Poses were fitted to true depth only."

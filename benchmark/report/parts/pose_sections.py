@@ -40,9 +40,8 @@ def pose_tables(board: PoseBoard, split: str, protocol: str) -> list[Table]:
         if measured.empty:
             continue
         title = f"{pose_title(board, split, protocol)}, {depth_tables.OBJECTS[subset]}, poses right"
-        notes = [
-            f"Bold: best, true depth aside. {depth_tables.interval_note(int(measured['scenes'].max()))}"
-        ]
+        scenes = int(measured["scenes"].max())
+        notes = [f"Bold: best, true depth aside. {depth_tables.interval_note(scenes)}"]
         if protocol != PAPERS_PROTOCOL and (rows["kind"] == PUBLISHED).any():
             notes.append(_CAUTION)
         contest = measured[measured["depth"] != pose_inputs.TRUE]

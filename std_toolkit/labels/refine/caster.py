@@ -16,8 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry import SE3, Camera
 from std_toolkit.labels.refine.object_surface import ObjectSurface, rotated, turned
 from std_toolkit.labels.refine.problem import RefineObject
 

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera, undistort_image
+from std_toolkit.geometry import Camera, Symmetry, undistort_image
 from std_toolkit.geometry.se3 import SE3, skew
-from std_toolkit.geometry.symmetry import Symmetry
 from std_toolkit.labels.refine.object_surface import ObjectSurface, SurfaceColors, surface_of
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from benchmark.methods.protocol import GraspView
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera, unproject_depth
-from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry import SE3, Camera, unproject_depth
 
 Floats = NDArray[np.float64]
 

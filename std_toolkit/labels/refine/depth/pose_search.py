@@ -18,8 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.geometry.se3 import SE3, so3_exp
-from std_toolkit.geometry.symmetry import rotation_error
+from std_toolkit.geometry import SE3, rotation_error, so3_exp
 from std_toolkit.labels.refine.depth.depth_steps import icp
 from std_toolkit.labels.refine.depth.observed import ObservedPixels, ObservedRays, ObservedView
 from std_toolkit.labels.refine.object_surface import ObjectSurface, color_agreement

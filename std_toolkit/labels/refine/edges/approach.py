@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.se3 import SE3, so3_exp
-from std_toolkit.geometry.symmetry import rotation_error
+from std_toolkit.geometry import SE3, rotation_error, so3_exp
 from std_toolkit.labels.refine import problem
 from std_toolkit.labels.refine.caster import LayerStore
 from std_toolkit.labels.refine.edges import edge_search

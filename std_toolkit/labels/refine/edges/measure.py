@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry import SE3, Camera
 from std_toolkit.labels.refine.caster import LayerStore, WorldCaster, cast_patch
 from std_toolkit.labels.refine.edges import system
 from std_toolkit.labels.refine.edges.contour import contour_image, trace_contour
