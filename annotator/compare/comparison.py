@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -22,9 +22,6 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Symmetry
 from std_toolkit.geometry.symmetry import common_symmetry
 from std_toolkit.scene import Scene
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Verdict = Literal["agree", "disagree", "not comparable"]
 

@@ -8,7 +8,7 @@ The VTK interactor of a plotter, without the habits of VTK and pyvista.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -20,10 +20,6 @@ from annotator.app.view_options import Mode
 from annotator.session import AddClick, ChangeClick, Click
 from annotator.views.overlay import ScreenPoints, pixels
 from annotator.views.scene_view import SceneView
-
-if TYPE_CHECKING:
-    from annotator.views.scene_view import SceneView
-
 
 REACH_PX = 10.0
 

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     import trimesh
 
     from annotator.session import Snapshot
-    from std_toolkit.scene import Model
 
 # Neutral, as the window: nothing tints the judgement of an image.
 PAPER = (38, 38, 38)

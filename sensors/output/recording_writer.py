@@ -24,7 +24,7 @@ from std_toolkit.io import atomic, documents, images
 from std_toolkit.scene.model import CameraModel, Material, SymmetryModel
 
 if TYPE_CHECKING:
-    from std_toolkit.geometry import SE3, Camera
+    from std_toolkit.geometry import Camera
 
 DEPTH_SCALE = 0.001
 

@@ -50,7 +50,6 @@ from std_toolkit.scene.scene import Scene
 if TYPE_CHECKING:
     import trimesh
 
-    from std_toolkit.geometry.se3 import SE3
 
 SOURCE = "simulated"
 

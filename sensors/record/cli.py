@@ -51,7 +51,7 @@ def _devices() -> Sequence[Any]:
 
 
 def _record(options: RecordCommand, scene: Path) -> None:
-    from sensors.record.device_source import open_file
+    from sensors.record.device_source import DeviceSource, open_file
     from sensors.record.live_view import stopped_by_signal
     from sensors.record.realsense import choose, recorded_streams, requested_streams
     from std_toolkit.io.atomic import check_vacant
@@ -78,7 +78,7 @@ def _record(options: RecordCommand, scene: Path) -> None:
         else:
             device = choose(_devices(), options.serial)
             streams = requested_streams(device, replace(options.streams, infrared=infrared))
-        with device_source.DeviceSource(
+        with DeviceSource(
             device,
             streams,
             playback=options.file is not None,

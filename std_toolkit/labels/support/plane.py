@@ -17,7 +17,6 @@ from std_toolkit.labels.support.solid import solid_of
 
 if TYPE_CHECKING:
     import trimesh
-    from numpy.typing import NDArray
 
     from std_toolkit.rendering.mesh import RenderMesh
 

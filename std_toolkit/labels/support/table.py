@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,10 +20,6 @@ from std_toolkit.labels.support.plane import (
 )
 from std_toolkit.labels.support.solid import PlacedObject
 from std_toolkit.scene.scene import Frame, Scene, require_metres
-
-if TYPE_CHECKING:
-    from std_toolkit.labels.support.solid import PlacedObject
-    from std_toolkit.scene.scene import Frame, Scene
 
 MOST_FRAMES = 12
 

@@ -241,8 +241,8 @@ def test_labels_that_never_meet_stay_open(tmp_path: Path) -> None:
         ({"prefer": "C"}, r"--prefer: no such annotator .*A to B"),
         ({"take": {"can": "Z"}}, r"--take can: no such annotator"),
         ({"take": {"spoon": "A"}}, r"no such labelled object .*known: can, tile, wedge"),
-        ({"threshold_mm": -1.0}, "must be a positive number"),
-        ({"threshold_mm": float("nan")}, "must be a positive number"),
+        ({"threshold_mm": -1.0}, r"threshold_mm: must be above 0"),
+        ({"threshold_mm": float("nan")}, r"threshold_mm: must be above 0"),
     ],
 )
 def test_options_that_name_nothing_are_refused(
