@@ -1,7 +1,9 @@
-"""The examples run as they are, without data, and stay short."""
+"""The examples run as they are, without data, and stay short; so do those of docstrings."""
 
 from __future__ import annotations
 
+import doctest
+import importlib
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +12,12 @@ import pytest
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 EXAMPLES = sorted((REPOSITORY / "examples").glob("*.py"))
+WITH_DOCTESTS = [
+    ".".join(path.relative_to(REPOSITORY).with_suffix("").parts)
+    for package in ("std_toolkit", "annotator", "benchmark", "sensors")
+    for path in sorted((REPOSITORY / package).rglob("*.py"))
+    if ">>> " in path.read_text(encoding="utf-8")
+]
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
@@ -55,3 +63,13 @@ def test_the_front_door_loads_no_heavy_library(tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.strip() == "[]", done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", WITH_DOCTESTS)
+def test_the_examples_of_docstrings_run(name: str) -> None:
+    if name.endswith("_torch") or name.startswith("benchmark.training."):
+        pytest.importorskip("torch")
+    module = importlib.import_module(name)
+    found = doctest.testmod(module, optionflags=doctest.NORMALIZE_WHITESPACE)
+    assert found.attempted and not found.failed

@@ -125,7 +125,7 @@ def write_rows(
 def describe_frames(piece: Sequence[Batch]) -> str:
     """A piece of work by its frames, for people.
 
-    >>> told_frames([(0, 1), (4, 5)])
+    >>> describe_frames([(0, 1), (4, 5)])
     'frames 0 to 5'
     """
     return f"frames {piece[0][0]} to {piece[-1][-1]}"

@@ -33,7 +33,7 @@ class BatchOrder:
         ToolkitError: fewer frames than a batch takes.
 
     >>> order = BatchOrder(4, 2, seed=0)
-    >>> sorted([*order.batch_of(0), *order.batch_of(1)])
+    >>> sorted(int(i) for i in [*order.batch_of(0), *order.batch_of(1)])
     [0, 1, 2, 3]
     """
 

@@ -98,10 +98,11 @@ def judge_grasps(
         ToolkitError: no objects, or another number of poses.
 
     >>> import trimesh
+    >>> from benchmark.metrics.grasp.grasp import Grasps
     >>> box = trimesh.creation.box((0.04, 0.04, 0.04))
     >>> target = JudgedObject.of_mesh(np.asarray(box.vertices), np.asarray(box.faces))
-    >>> grasp = Grasps.make(np.eye(3)[None], [[0, 0, 0]], widths=0.06, depths=0.02)
-    >>> judge_grasps(grasp, [target], [SE3.identity()]).friction.tolist()
+    >>> grasps = Grasps.make(np.eye(3)[None], [[0, 0, 0]], widths=0.06, depths=0.02)
+    >>> judge_grasps(grasps, [target], [SE3.identity()]).friction.tolist()
     [0.2]
     """
     if not objects or len(objects) != len(poses):

@@ -110,6 +110,7 @@ def score_matches(
     Raises:
         ToolkitError: weights that are not (frames,) or negative.
 
+    >>> from benchmark.metrics.pose.pose_frames import PosePrediction, PoseTruth
     >>> truth = PoseTruth([3], np.eye(4)[None], np.ones((1, 3)))
     >>> nothing = PosePrediction([], [], [], [])
     >>> score_poses([truth], [nothing]).mean["iou25"]
@@ -163,6 +164,7 @@ def score_poses(
     Raises:
         ToolkitError: unequal numbers of frames, or classes that are not there.
 
+    >>> from benchmark.metrics.pose.pose_frames import PosePrediction, PoseTruth
     >>> truth = PoseTruth([3], np.eye(4)[None], np.ones((1, 3)))
     >>> same = PosePrediction([3], truth.RT, truth.sizes, [1.0])
     >>> score_poses([truth, truth], [same, PosePrediction([], [], [], [])]).mean["5deg2cm"]
@@ -189,6 +191,7 @@ def match_poses(
     Raises:
         ToolkitError: unequal numbers of frames, or classes that are not there.
 
+    >>> from benchmark.metrics.pose.pose_frames import PosePrediction, PoseTruth
     >>> truth = PoseTruth([3], np.eye(4)[None], np.ones((1, 3)))
     >>> same = PosePrediction([3], truth.RT, truth.sizes, [1.0])
     >>> score_matches(match_poses([truth], [same]), [2.0]).true_objects.tolist()

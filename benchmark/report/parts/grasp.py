@@ -226,6 +226,7 @@ def _answer(results: Sequence[grasp_results.GraspResult]) -> list[page.Block]:
 def points(gain: grasp_results.Rate) -> str:
     """A difference of shares in percentage points.
 
+    >>> from benchmark.evaluation.tasks.grasp_results import Rate
     >>> points(Rate(0.25, 0.1, 0.4, 2, 8))
     '25.0 points [10.0, 40.0] more'
     """
