@@ -297,7 +297,7 @@ def exit_status(
             raise
         shown = ToolkitError(
             f"unexpected {type(error).__name__}: {error}",
-            hint=f"this is a bug in std-toolkit; `{program} --debug ...` prints the traceback",
+            hint=f"a defect of std-toolkit; `{program} --debug ...` prints the traceback",
         )
         print(f"error: {shown}", file=sys.stderr)
         return 1

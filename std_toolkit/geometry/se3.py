@@ -177,7 +177,7 @@ def nearest_rotation(R: ArrayLike) -> Array:
         raise ToolkitError(
             "this is not a rotation matrix",
             value=np.round(M, 6).tolist(),
-            hint="a rotation has orthonormal rows and determinant +1; is there a scale or reflection?",
+            hint="a rotation has orthonormal rows and determinant +1; scale or reflection inside?",
         )
     if np.abs(M @ M.T - np.eye(3)).max() < 1e-14:
         return M.copy()

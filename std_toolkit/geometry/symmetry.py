@@ -207,7 +207,7 @@ def nearest_variant(
         base = T @ D
         candidates = [base]
         if symmetry.is_spherical:
-            # Every orientation is equivalent: take that of the reference, about the sphere's centre.
+            # Every orientation is equivalent: take that of the reference.
             centre = np.asarray(symmetry.continuous[0][1], dtype=np.float64)
             candidates = [SE3(reference.R, base @ centre - reference.R @ centre)]
         else:

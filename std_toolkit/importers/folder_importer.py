@@ -89,7 +89,7 @@ class FolderImporter:
 
 
 def _same_folder(color: str, depth: str) -> bool:
-    # Patterns choose by themselves.
+    # A pattern already selects the files.
     return (
         not any(c in color + depth for c in "*?[")
         and Path(color).resolve() == Path(depth).resolve()
@@ -154,8 +154,8 @@ def list_images(
     else:
         paths = _listed(folder, role)
     paths = [p for p in paths if p.suffix.lower() in suffixes and not p.name.startswith(".")]
-    # Masks and previews next to the images have no place in a recording; only a shared folder
-    # makes the role word necessary.
+    # Masks and previews next to the images are skipped; the role word is needed only in a shared
+    # folder.
     if shared:
         wanted = _COLOR_WORDS if role == "color" else _DEPTH_WORDS
         paths = [p for p in paths if wanted & {w.lower() for w in _SEPARATORS.split(p.stem)}]
@@ -217,7 +217,7 @@ def pair(
             path=next(iter(color.values())).parent,
         )
     if no_depth or no_color:
-        log.logger.warning("skipped %d frames without a matching image", len(no_depth) + len(no_color))
+        log.logger.warning("skipped %d frames without a partner", len(no_depth) + len(no_color))
     return paired
 
 

@@ -24,7 +24,7 @@ LARGEST_PIXEL_COUNT = 64_000_000
 LARGEST_FILE_BYTES = 512 * 1024 * 1024
 # In the entropy-coded part, FF is followed by 00 (a stuffed byte), a restart marker, or the end.
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
-# Pillow does not compare the checksum of this last chunk; if it is wrong, OpenCV swaps red and blue.
+# Pillow does not compare the checksum of this last chunk; OpenCV then swaps red and blue.
 _PNG_END = b"\0\0\0\0IEND\xae\x42\x60\x82"
 # Exceptions of Pillow for damaged files.
 _DAMAGE = (OSError, SyntaxError, ValueError, LookupError, TypeError, struct.error)
