@@ -1,7 +1,7 @@
 """Curation of real RGB-D recordings of specular, transparent and diffuse objects.
 
-The names below are loaded when they are first used: `import std_toolkit` itself loads none of the
-libraries that the steps need.
+The names below are imported on first use: `import std_toolkit` loads none of the libraries that
+the steps need.
 """
 
 from importlib import import_module
@@ -69,7 +69,7 @@ __all__ = [
     "solve_pnp",
 ]
 
-# The module below this package that has each name.
+# Submodule that defines each name.
 _MODULES = {
     "SE3": "geometry.se3",
     "Camera": "geometry.camera",
@@ -103,7 +103,7 @@ _MODULES = {
 install()
 
 
-if not TYPE_CHECKING:  # else a misspelt name would pass for one that exists
+if not TYPE_CHECKING:  # otherwise type checkers would accept misspelt names
 
     def __getattr__(name: str) -> object:
         module = _MODULES.get(name)

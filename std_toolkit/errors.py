@@ -1,4 +1,4 @@
-"""The one error that a user meets: which file, which field, which value, and how to mend it."""
+"""The error type of the toolkit: which file, field and value is wrong, and how to fix it."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _BOUNDS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
 
 
 class ToolkitError(Exception):
-    """Bad input or a failed gate, told in one line.
+    """Invalid input or a failed gate, reported in one line.
 
     Args:
         problem: what is wrong, as a sentence without the location.
         path: the file or folder concerned.
-        field: the field inside the file, as `objects[2].material`.
-        value: the offending value; long values are cut.
-        hint: what to do about it.
+        field: the field inside the file, such as `objects[2].material`.
+        value: the invalid value; long values are cut.
+        hint: how to fix it.
     """
 
     def __init__(
@@ -50,13 +50,13 @@ class ToolkitError(Exception):
             text += f" (got {shown if len(shown) <= 120 else shown[:117] + '...'})"
         if self.hint:
             text += f"; {self.hint}"
-        # One line of printable text, whatever a library or a file name put into it: control
-        # characters could rewrite the terminal.
+        # One line of printable text: control characters in a library's message or a file name
+        # could rewrite the terminal.
         text = " ".join(text.split())
         return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
     def relocated(self, old: Path, new: Path) -> ToolkitError:
-        """The same error, about what is told as `new` where it was `old`: staging folders."""
+        """The same error with path `old` replaced by `new`, for staging folders."""
         return type(self)(
             self.problem,
             path=None if self.path is None else self.path.replace(str(old), str(new)),
@@ -66,19 +66,19 @@ class ToolkitError(Exception):
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Exceptions with keyword-only arguments do not survive pickling between worker
-        # processes without help.
+        # Exceptions with keyword-only arguments cannot be pickled between worker processes
+        # otherwise.
         return (_rebuild, (type(self), self.problem, self.path, self.field, self.value, self.hint))
 
 
 def check_options(options: Any) -> None:
-    """Refuse values of a dataclass or Struct outside what its annotations name as range or choices.
+    """Check the fields of a dataclass or Struct against the ranges and choices in its annotations.
 
-    A range is a `msgspec.Meta`, choices are a `Literal`; None has neither. Each value of a tuple is
-    checked, and nested dataclasses are.
+    A range is a `msgspec.Meta`, choices are a `Literal`; None is not checked. Each value of a
+    tuple and each nested dataclass is checked.
 
     Raises:
-        ToolkitError: the first such field and its value.
+        ToolkitError: a value is outside its range or choices; names the first such field.
     """
     for name, hint in get_type_hints(type(options), include_extras=True).items():
         value = getattr(options, name)
@@ -96,7 +96,7 @@ def check_options(options: Any) -> None:
 
 
 def _parts(hint: Any) -> Iterator[Any]:
-    """A type, those within it, and what annotates them."""
+    """A type, its type arguments, and their annotations."""
     yield hint
     if get_origin(hint) is not Literal:
         for part in (*get_args(hint), *getattr(hint, "__metadata__", ())):
@@ -104,7 +104,7 @@ def _parts(hint: Any) -> Iterator[Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Numbers and arrays of numpy as Python ones, whose text a user can read."""
+    """NumPy numbers and arrays as Python values, which print readably."""
     if hasattr(value, "tolist"):
         return value.tolist()
     if type(value) in (list, tuple):

@@ -1,4 +1,4 @@
-"""The toolkit's one logger. Libraries log to it; only the command line gives it a handler."""
+"""The toolkit's logger. Modules log to it; only the command line adds a handler."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def log_to_stderr(level: int = logging.INFO) -> None:
 
 
 class _StderrHandler(logging.StreamHandler):
-    """Writes to what `sys.stderr` is at that time, which may be another stream than before."""
+    """Writes to the current `sys.stderr`, which may have been replaced."""
 
     def __init__(self) -> None:
         logging.Handler.__init__(self)
@@ -34,9 +34,9 @@ class _StderrHandler(logging.StreamHandler):
 
 @contextmanager
 def collected_warnings() -> Iterator[list[str]]:
-    """A list of the warnings that this thread logs within the block: for those who see no stderr.
+    """A list of the warnings that this thread logs within the block, for callers without stderr.
 
-    They are logged as always, too.
+    The warnings are still logged.
     """
     said: list[str] = []
     here = threading.get_ident()

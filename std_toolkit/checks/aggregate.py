@@ -1,4 +1,4 @@
-"""From what single frames say to numbers per object, frame and material."""
+"""Aggregation of the measurements of single frames per object, frame and material."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from std_toolkit.checks.residuals import FrameObservation, ObjectObservation
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.scene import Object, Scene
 
-# Frames in which less of an object is seen say little about its pose.
+# Frames that show less of an object constrain its pose too weakly.
 _JUDGED_FRACTION = 0.2
 _SHOWN_BIN_M = 0.002
 _SHOWN_LIMIT_M = 0.1
@@ -30,7 +30,7 @@ def rounded(value: float | None, digits: int = 3) -> result.Number:
 
 
 def median(values: Sequence[float | None]) -> float | None:
-    """Median of those that are there."""
+    """Median of the values that are not None."""
     known = [v for v in values if v is not None]
     return float(np.median(known)) if known else None
 
@@ -38,8 +38,8 @@ def median(values: Sequence[float | None]) -> float | None:
 def common_depth_bias(scene: Scene, observed: Sequence[FrameObservation]) -> float | None:
     """Rendered over sensor depth minus 1, shared by the diffuse objects.
 
-    The median over objects of each object's median; None with fewer than two objects, because one
-    object's misplaced label looks the same as a bias of the sensor.
+    The median over objects of each object's median. None with fewer than two objects, because one
+    displaced label cannot be distinguished from a bias of the sensor.
     """
     per_object = []
     for item in scene.objects.objects:
@@ -108,7 +108,7 @@ def check_frames(
 def check_materials(
     scene: Scene, observed: Sequence[FrameObservation]
 ) -> list[result.MaterialDepth]:
-    """Raw depth against ground truth, per material that has any."""
+    """Raw depth against ground truth, for each material with measurements."""
     rows = []
     for material in MATERIAL_ORDER:
         ids = {o.id for o in scene.objects.objects if o.material == material}
@@ -227,8 +227,8 @@ def view_directions(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Azimuth and elevation (N,) in degrees from which frames see an object; None without any.
 
-    Azimuth 0 is the direction of the first registered frame's camera from the middle of the
-    labelled objects, the same for all objects.
+    Azimuth 0 is the direction from the centre of the labelled objects to the camera of the first
+    registered frame, the same for all objects.
     """
     T_world_obj = scene.T_world_obj(object_id)
     cameras = [T for f in frames if (T := scene.T_world_cam(f)) is not None]
@@ -306,7 +306,7 @@ def _merged(tallies: Sequence[sensor_depth.ErrorTally]) -> sensor_depth.ErrorTal
 
 
 def _shown_histogram(tally: sensor_depth.ErrorTally) -> tuple[list[float], list[float]]:
-    """2 mm bins over +-100 mm from the fine histogram; what lies beyond is in the outermost."""
+    """2 mm bins over +-100 mm from the fine histogram; the outermost bins include the rest."""
     if tally.histogram is None or not tally.measured_pixels:
         return [], []
     fine = (

@@ -1,4 +1,4 @@
-"""The check as a step: measure, judge, draw, write; skipped when nothing changed."""
+"""The check step: measures, evaluates gates, draws, writes; skipped if nothing changed."""
 
 from __future__ import annotations
 
@@ -46,16 +46,16 @@ def run_check(
 ) -> result.CheckReport:
     """Check the labels of a scene and write `check/report.html`, `.json`, `.csv`, `frames.csv`.
 
-    A gate that fails is told in the report, not raised. Whatever the scene lacks (poses, labels,
-    depth, ground truth) is named in `CheckReport.missing`.
+    A failed gate is reported, not raised. `CheckReport.missing` lists what the scene lacks (poses,
+    labels, depth, ground truth).
 
     Args:
-        scene: opened.
-        options: limits and amount of work.
-        jobs: where the work on frames runs.
+        scene: an open scene.
+        options: limits and number of frames.
+        jobs: where the frames are processed.
 
     Returns:
-        The report; read from disk if the inputs and the files are those of the last check.
+        The report; read from disk if inputs and files did not change since the last check.
 
     Raises:
         ToolkitError: a document of the scene is damaged, or another process writes to the scene.
@@ -91,9 +91,9 @@ def run_check(
 
 
 def report_is_current(scene: Scene) -> bool:
-    """Whether the last report is of the labels, camera poses and meshes that the scene has now.
+    """Whether the last report belongs to the current labels, camera poses and meshes.
 
-    Looks at no image. A report whose record was deleted counts as current.
+    Reads no image. A report whose record was deleted counts as current.
     """
     try:
         record = read_document(document.record_path(scene.root, STEP), document.Record)
@@ -103,12 +103,12 @@ def report_is_current(scene: Scene) -> bool:
 
 
 def report_path(root: Path) -> Path:
-    """Where the HTML report of a scene is."""
+    """Path of the HTML report of a scene."""
     return root / FOLDER / "report.html"
 
 
 def spread(frames: Sequence[Frame], count: int) -> list[Frame]:
-    """At most `count` frames, evenly spread, first and last among them; 0 means all."""
+    """At most `count` frames, evenly spaced, with the first and the last; 0 means all."""
     if count == 0 or len(frames) <= count:
         return list(frames)
     return [
@@ -206,26 +206,26 @@ def _missing(
 ) -> list[str]:
     found = []
     if scene.poses is None:
-        found.append("Camera poses: run `std-curate poses`. Without them no label can be checked.")
+        found.append("Camera poses: labels cannot be checked without them; run `std-curate poses`.")
     elif summary.registered == 0:
-        found.append("A registered frame: no camera pose was found, so no label can be checked.")
+        found.append("Registered frames: no frame has a camera pose, so no label can be checked.")
     if summary.objects == 0:
-        found.append("Objects: objects.json names none, so there is nothing to label.")
+        found.append("Objects: objects.json lists none.")
     elif summary.labelled == 0:
         found.append("Labels in the world: run `std-curate label`, then `std-curate propagate`.")
     if summary.depth_frames == 0:
         found.append("Sensor depth: no depth residuals and no comparison with ground truth.")
     if observed and summary.labelled and not any(o.truth != "none" for o in observed):
         found.append(
-            "Rendered ground truth (`std-curate render`): visible parts count the labelled objects "
-            "only, and depth is compared with the labels themselves."
+            "Rendered ground truth (`std-curate render`): visibility considers occlusion by "
+            "labelled objects only, and depth is compared with the labels."
         )
     if summary.labelled and summary.reprojection_px is None:
-        found.append("Reprojection errors: the camera poses came without them.")
+        found.append("Reprojection errors: the camera poses have none.")
     if observed and summary.looked_at < summary.registered:
         found.append(
             f"{summary.registered - summary.looked_at} registered frames: "
-            f"{summary.looked_at} spread ones were looked at (--max-frames 0 takes all)."
+            f"{summary.looked_at} evenly spaced ones were measured (--max-frames 0 measures all)."
         )
     return found
 
@@ -255,7 +255,7 @@ def _mesh_gate(scene: Scene) -> list[result.CheckGate]:
 def _drawing_orders(
     frames: list[Frame], objects: list[result.ObjectCheck], options: CheckOptions
 ) -> list[overlay.DrawingOrder]:
-    """Spread frames whole; of every object its annotated, its worst and some spread frames."""
+    """Whole spread frames; close-ups of every object in annotated, worst and spread frames."""
     whole = [f.id for f in spread(frames, max(options.overlay_frames, 1))]
     if options.overlay_frames == 0:
         whole = []
@@ -284,7 +284,7 @@ def _drawing_orders(
 
 
 def _drawing_jobs(jobs: JobOptions | None, count: int) -> JobOptions | None:
-    """A few pictures are drawn sooner than new worker processes have imported their libraries."""
+    """Draw few images in this process: starting worker processes takes longer."""
     jobs = jobs or JobOptions()
     if jobs.engine == "local" and count <= _DRAWN_HERE:
         return replace(jobs, engine="serial")
@@ -322,7 +322,7 @@ def _verdict(failed: list[result.CheckGate], summary: result.SceneSummary) -> st
 
 
 def _fingerprint(scene: Scene) -> str:
-    """Digest of the documents and meshes: what every frame's work depends on."""
+    """Digest of the documents and meshes, on which the work on every frame depends."""
     meshes = {m.id: _digest_or_none(scene.mesh_path(m)) for m in scene.objects.models}
     return document.digest_of(
         scene.info, scene.frame_table, scene.objects, scene.poses, scene.labels, meshes

@@ -1,10 +1,8 @@
-"""Outlines of labelled objects in an image, to a fraction of a pixel.
+"""Sub-pixel outlines of labelled objects in an image.
 
-Rays against the labelled objects where they stand in the world.
-
-The renderers draw pixel grids. A contour to a fraction of a pixel needs rays at any place in the
-image, and objects that do not move need their acceleration structure once per scene, not per
-frame. So this asks Embree (Open3D) directly.
+Sub-pixel contours need rays at arbitrary image positions, which the renderers cannot cast. The
+module therefore uses Embree (Open3D) directly. The objects do not move, so it builds the
+acceleration structure once per scene.
 """
 
 from __future__ import annotations
@@ -24,7 +22,7 @@ from std_toolkit.scene import Scene
 
 Array = NDArray[np.float64]
 
-# A chain of boundary pixels leaves its tangent uncertain by 45 degrees; over 7 pixels it is a few.
+# The tangent of a chain of boundary pixels is uncertain by 45 degrees, over 7 pixels by a few.
 _TANGENT_REACH = 3
 
 # Halvings of a 2-pixel interval: 1/64 px.
@@ -43,7 +41,7 @@ class Contour:
         loops: closed polygons (N, 2) in pixels, in drawing order.
         points: (P, 2) all points of the loops.
         normals: (P, 2) unit normals that point out of the object.
-        own: (P,) the object itself ends here: not the image border and nothing in front of it.
+        own: (P,) whether the object itself ends here: not the image border, not occluded.
         depth: (P,) z-depth in metres of the object just inside.
     """
 
@@ -69,13 +67,13 @@ def trace_contour(
     Args:
         caster: the labelled objects.
         camera, T_world_cam: the view.
-        object_id: whose outline.
-        mask: (h, w) pixels whose centre shows the object: part of the image from `origin` on.
+        object_id: id of the object.
+        mask: (h, w) pixels whose centre shows the object, a crop of the image at `origin`.
         origin: x, y of the mask's top-left pixel in the image.
-        shown: (h, w) pixels in which nothing outside the labels hides the object, if known.
+        shown: (h, w) pixels in which nothing but labelled objects hides the object, if known.
 
     Returns:
-        The contour, or None where too little of the object is visible.
+        The contour, or None if too little of the object is visible.
     """
     if int(mask.sum()) < SMALLEST_MASK_PX:
         return None
@@ -85,8 +83,8 @@ def trace_contour(
     pixels = [c.reshape(-1, 2).astype(np.float64) - 1 + origin for c in chains if len(c) >= 8]
     if not pixels:
         return None
-    # Outer loops and holes run in opposite senses, so that one rule gives outward normals; the
-    # sense itself is found from the first (outer) loop by asking the mask.
+    # Outer loops and holes have opposite orientations, so that one rule gives outward normals.
+    # The orientation of the first (outer) loop is found from the mask.
     normals = [_normals(p, _TANGENT_REACH) for p in pixels]
     inside = np.concatenate(pixels)
     direction = np.concatenate(normals)
@@ -129,7 +127,7 @@ def _refine(
     inside: Array,
     direction: Array,
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Points where the object ends along `direction`, and whether it does within 2 px."""
+    """Points where the object ends along `direction`, and whether it ends within 2 px."""
     low = np.zeros(len(inside))
     high = np.full(len(inside), 2.0)
     ends = caster.cast(camera, T_world_cam, inside + high[:, None] * direction)
@@ -140,7 +138,7 @@ def _refine(
         is_inside = hit.object_id == object_id
         low = np.where(is_inside, middle, low)
         high = np.where(is_inside, high, middle)
-    # Where the object goes on for 2 px the chain turns sharply: half a pixel is the best guess.
+    # If the object continues for 2 px, the chain turns sharply: half a pixel is the best estimate.
     along = np.where(found, (low + high) / 2, 0.5)
     return inside + along[:, None] * direction, found
 
@@ -154,7 +152,7 @@ def _normals(loop: Array, reach: int) -> Array:
 
 
 def _smooth(loop: Array) -> Array:
-    """Refined points jump to and fro along the outline where normals cross; even them out."""
+    """Smooth the points along the outline: they jump back and forth where normals cross."""
     return 0.25 * np.roll(loop, 1, axis=0) + 0.5 * loop + 0.25 * np.roll(loop, -1, axis=0)
 
 
@@ -173,7 +171,7 @@ def _outwardness(padded: NDArray[Any], pixels: Array, direction: Array) -> float
 
 
 def svg_path(loops: list[Array], *, scale: float = 1.0, offset: tuple[float, float]) -> str:
-    """Path data of closed loops for an SVG whose unit is a pixel of the drawn picture.
+    """SVG path data of closed loops, in pixels of the drawn picture.
 
     Args:
         loops: polygons in image pixels, centres at integers.
@@ -190,16 +188,16 @@ def svg_path(loops: list[Array], *, scale: float = 1.0, offset: tuple[float, flo
     return "".join(parts)
 
 
-"""Object id where a ray meets no object."""
+"""Object id of a ray that hits no object."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """What rays met.
+    """Hits of rays.
 
     Attributes:
-        object_id: (...,) int32, `NOTHING` where no object is.
-        depth: (...,) float32 z-depth in metres, 0 where no object is.
+        object_id: (...,) int32, `NOTHING` without a hit.
+        depth: (...,) float32 z-depth in metres, 0 without a hit.
     """
 
     object_id: NDArray[np.int32]
@@ -235,7 +233,7 @@ class LabelCaster:
 
     @staticmethod
     def of_scene(scene: Scene) -> LabelCaster:
-        """The objects of a scene that have a pose in the world and a mesh that can be read."""
+        """The objects of a scene that have a world pose and a readable mesh."""
         objects = {}
         for item in scene.objects.objects:
             T_world_obj = scene.T_world_obj(item.id)
@@ -256,12 +254,12 @@ class LabelCaster:
         """The nearest object behind pixels.
 
         Args:
-            camera: intrinsics; distortion is honoured.
+            camera: intrinsics with distortion.
             T_world_cam: pose of the camera.
-            uv: (..., 2) pixel coordinates, anywhere.
-            only: look at this object alone, as if the others were not there.
+            uv: (..., 2) pixel coordinates, also outside the image.
+            only: id of the one object to intersect; the others are ignored.
         """
-        # Directions with z = 1 in the camera frame make the distance that comes back the z-depth.
+        # Directions with z = 1 in the camera frame make the returned distance the z-depth.
         directions = camera.unproject(uv) @ T_world_cam.R.T
         rays = np.empty((*directions.shape[:-1], 6), dtype=np.float32)
         rays[..., :3] = T_world_cam.t
@@ -292,8 +290,8 @@ class LabelCaster:
             return None
         if (p[:, 2] <= 0.01).any():
             return 0, 0, camera.width, camera.height
-        # The corners' bounding box bounds the projection of a pinhole. A lens bends the lines
-        # between the corners too, by less than the margin.
+        # The bounding box of the corners bounds a pinhole projection. Lens distortion bends the
+        # lines between the corners by less than the margin.
         uv = camera.project(p)
         if not np.isfinite(uv).all():  # beyond what the lens model covers
             return 0, 0, camera.width, camera.height
@@ -310,7 +308,7 @@ class LabelCaster:
 
 
 def mesh_problem(scene: Scene, model_id: str) -> str | None:
-    """Why the mesh of a model cannot be used, in one line; None if it can."""
+    """Why the mesh of a model cannot be used, in one line; None if it is usable."""
     try:
         scene.mesh(model_id)
     except ToolkitError as error:

@@ -1,4 +1,4 @@
-"""From which directions an object was seen."""
+"""View directions from which an object was recorded."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from std_toolkit.geometry.se3 import SE3
 
 Array = NDArray[np.float64]
 
-# Below this angle between the two views farthest apart, depth along the view is poorly fixed: the
-# error along the view is 1 / tan(angle / 2) times the sideways one, 3.7 times at 30 degrees.
+# Below this largest angle between two views, depth is weakly determined: the error along the view
+# is 1 / tan(angle / 2) times the lateral error, 3.7 times at 30 degrees.
 NARROW_DEG = 30.0
 # An object counts as seen in a frame when at least this part of it is visible.
 SEEN_FRACTION = 0.3
@@ -39,16 +39,16 @@ class Coverage:
 
 
 def scene_up(poses: list[SE3], points: Array | None) -> Array:
-    """Unit vector (3,) that points up in the world, as well as a recording tells.
+    """Estimate the up direction of the world, a unit vector (3,).
 
-    The normal of the dominant plane of the points (a table) when it agrees with how the camera
-    was held, else the mean of the cameras' up directions.
+    The normal of the dominant plane of the points (a table) if it agrees with the orientation of
+    the cameras, otherwise the mean of the cameras' up directions.
     """
     if not poses:
         return np.array([0.0, -1.0, 0.0])
     held = np.mean([T.R @ [0.0, -1.0, 0.0] for T in poses], axis=0)
     held = held / max(float(np.linalg.norm(held)), 1e-9)
-    # The normal of a table seen from above lies between the cameras' up and backward directions.
+    # The normal of a table seen from above is between the cameras' up and backward directions.
     back = np.mean([T.R @ [0.0, 0.0, -1.0] for T in poses], axis=0)
     if points is None or len(points) < 100:
         return held
@@ -68,7 +68,7 @@ def directions(
 ) -> tuple[Array, Array]:
     """Azimuth and elevation (N,) in degrees of cameras (N, 3) seen from a point.
 
-    Azimuth is 0 towards `ahead` and rises counter-clockwise seen from above.
+    Azimuth is 0 towards `ahead` and increases counter-clockwise seen from above.
     """
     x_axis = ahead - (ahead @ up) * up
     if np.linalg.norm(x_axis) < 1e-9:
@@ -102,7 +102,7 @@ def measure_coverage(azimuth_deg: Array, elevation_deg: Array) -> Coverage | Non
 
 
 def _plane_normal(points: Array) -> Array | None:
-    """Normal of the plane that holds most points, if it holds at least a fifth of them."""
+    """Normal of the plane with most inliers, if these are at least a fifth of the points."""
     rng = np.random.default_rng(0)
     sample = points if len(points) <= 4000 else points[rng.choice(len(points), 4000, replace=False)]
     extent = float(np.median(np.linalg.norm(sample - np.median(sample, axis=0), axis=1)))

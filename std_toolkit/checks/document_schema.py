@@ -1,4 +1,4 @@
-"""JSON Schema of every document, generated from the structures that the code reads them with."""
+"""JSON Schema of every document, generated from the msgspec structures that read them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from std_toolkit.scene import document, model, sidecar
 
 
 def document_types() -> dict[str, type]:
-    """Name of every kind of document, to its structure."""
+    """The structure of each kind of document, by name."""
     return {
         "scene": model.SceneInfo,
         "frames": model.Frames,
@@ -34,9 +34,8 @@ def document_types() -> dict[str, type]:
 def document_schema(name: str) -> dict[str, Any]:
     """JSON Schema (2020-12) of one kind of document.
 
-    The schema says everything that a schema can: fields, types, ranges. Rules between values
-    (unique ids, rotations that are rotations, names that exist) are checked when a document is
-    read and told in data_spec.md.
+    The schema covers fields, types and ranges. Rules between values (unique ids, valid rotations,
+    existing names) are checked when a document is read; data_spec.md lists them.
 
     Raises:
         ToolkitError: no such kind of document.

@@ -1,15 +1,15 @@
-"""How far a label's contour lies from the edges of the image.
+"""Distance between the contour of a label and the edges of the image.
 
-Along the normal of every contour point the image is read as a profile; its edges are the peaks
-of the profile's slope. Two measures come out of the same profiles: the distance to the nearest
-edge (what a person sees, but any texture nearby makes it small), and the one shift of the whole
-contour that fits the edges best (which texture fools far less, as it has no single direction).
+The image is sampled as a profile along the normal of every contour point. Edges are the peaks of
+the profile's slope. The profiles give two measures:
 
-Does one pose of the object explain what all frames show?
+- the distance to the nearest edge, which any nearby texture makes small;
+- the shift of the whole contour that fits the edges best, which is less sensitive to texture,
+  because texture has no single direction.
 
-In every frame the best shift of the contour says where the image has the object, relative to its
-label. A label that is off gives shifts that one correction in the world explains: refine it. Wrong
-camera poses or a wrong scale give shifts that no correction explains: the label drifts.
+The shifts of all frames are then split into two parts. A wrong label gives shifts that one
+correction in the world explains; refinement fixes it. Wrong camera poses or a wrong scale give
+shifts that no correction explains: drift.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ STEP_PX = 0.5
 # Slope in grey levels per pixel below which a peak is noise in any 8-bit image.
 SMALLEST_SLOPE = 1.5
 
-# A peak below this part of the steepest slope of its profile is texture, not an outline.
+# A peak below this fraction of the steepest slope of its profile is texture, not an outline.
 RELATIVE_SLOPE = 0.2
 
 FEWEST_POINTS = 24
@@ -49,8 +49,8 @@ _FINE_PX = 0.4
 
 FEWEST_FRAMES = 3
 
-# How far labels are off at most, and how exact one shift is: keeps depth, which a narrow sweep
-# leaves open, from running away.
+# Largest expected label error, and the accuracy of one shift: they bound depth, which a narrow
+# sweep does not determine.
 _PRIOR_M = 0.02
 
 _SHIFT_PX = 0.5
@@ -62,7 +62,7 @@ class Profiles:
 
     Attributes:
         slope: (P, S) grey levels per pixel, at least 0.
-        offsets: (S,) positions along the normal in px, outwards positive.
+        offsets: (S,) positions along the normal in px, positive outwards.
         threshold: (P,) slope above which a peak counts as an edge.
         normals: (P, 2).
     """
@@ -78,10 +78,10 @@ class EdgeDistance:
     """Distances from contour points to the nearest image edge along their normals.
 
     Attributes:
-        median_px, p90_px: over the points that meet an edge; None if none does.
-        support: share of the points that meet an edge.
-        chance_px: median that contours at random places nearby would have.
-        points: number of contour points looked at.
+        median_px, p90_px: over the points with an edge; None if no point has one.
+        support: fraction of the points with an edge.
+        chance_px: median distance for contours at random places nearby.
+        points: number of contour points measured.
     """
 
     median_px: float | None
@@ -96,7 +96,7 @@ class Shift:
     """The shift of the whole contour that fits the image edges best.
 
     Attributes:
-        x_px, y_px: where the image is, relative to the label.
+        x_px, y_px: position of the image relative to the label.
         gain: score of the best shift over the mean score of all shifts, minus 1.
     """
 
@@ -106,7 +106,7 @@ class Shift:
 
 
 def smooth_image(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """(H, W, 3) float32 image without its pixel noise, as `read_profiles` wants it."""
+    """(H, W, 3) float32 image without its pixel noise, the input of `read_profiles`."""
     return cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.0)  # type: ignore[return-value]
 
 
@@ -129,12 +129,12 @@ def read_profiles(
 
     Args:
         smoothed: from `smooth_image`.
-        contour: of one object.
-        reach_px: how far to look on both sides.
+        contour: contour of one object.
+        reach_px: length of the profile on both sides.
         noise: from `noise_level`.
 
     Returns:
-        The profiles, or None if too few points are left.
+        The profiles, or None if too few points remain.
     """
     index = np.flatnonzero(contour.own)
     if len(index) < FEWEST_POINTS:
@@ -159,12 +159,12 @@ def read_profiles(
 
 
 def edge_distance(profiles: Profiles) -> EdgeDistance:
-    """Distance to the nearest edge, and what chance would give on the same profiles."""
+    """Distance to the nearest edge, and the distance by chance on the same profiles."""
     position = _peaks(profiles)
     reach = float(profiles.offsets[-1])
     nearest = np.min(np.abs(position), axis=1)
     met = np.isfinite(nearest)
-    # The same contour moved along its normals to where no label put it.
+    # The same contour, moved along its normals away from the label.
     moved = [np.min(np.abs(position - s), axis=1) for s in np.linspace(-reach / 2, reach / 2, 9)]
     if not met.any():
         return EdgeDistance(None, None, 0.0, None, len(nearest))
@@ -179,13 +179,13 @@ def edge_distance(profiles: Profiles) -> EdgeDistance:
 
 
 def best_shift(profiles: Profiles, *, largest_px: float) -> Shift | None:
-    """The shift within `largest_px` at which most of the contour lies on strong slopes.
+    """The shift within `largest_px` at which most of the contour is on strong slopes.
 
-    Slopes are saturated, so that one steep edge does not outvote many faint ones.
+    Slopes are saturated, so that one steep edge does not outweigh many faint ones.
 
     Returns:
         The shift to about 0.1 px, or None if no shift is much better than the others or the best
-        one lies at the limit of the search.
+        one is at the limit of the search.
     """
     strength = profiles.slope / (profiles.slope + 3 * profiles.threshold[:, None])
     grid = np.arange(-largest_px, largest_px + _COARSE_PX / 2, _COARSE_PX)
@@ -196,8 +196,8 @@ def best_shift(profiles: Profiles, *, largest_px: float) -> Shift | None:
     gain = float(score[y, x] / max(mean, 1e-9) - 1)
     if gain < SMALLEST_GAIN or not (0 < x < len(grid) - 1 and 0 < y < len(grid) - 1):
         return None
-    # A rim or a reflection that runs beside the outline fits as well somewhere else: then the
-    # frame does not tell which is right.
+    # A rim or a reflection parallel to the outline gives a second good fit: the frame is then
+    # ambiguous.
     elsewhere = score[np.hypot(dx - grid[x], dy - grid[y]) > RIVAL_PX]
     if elsewhere.max() - mean > LARGEST_RIVAL * (score[y, x] - mean):
         return None
@@ -215,7 +215,7 @@ def best_shift(profiles: Profiles, *, largest_px: float) -> Shift | None:
 
 def _score(profiles: Profiles, strength: Array, dx: Array, dy: Array) -> Array:
     """Mean strength under the contour at shifts dx, dy (h, w)."""
-    # Shifts along the contour are free: only the part along the normal moves a point off it.
+    # Only the component along the normal moves a point off the contour.
     along = profiles.normals @ np.stack([dx.ravel(), dy.ravel()])
     index = (along - profiles.offsets[0]) / STEP_PX
     outside = (index < 0) | (index > len(profiles.offsets) - 1)
@@ -229,7 +229,7 @@ def _score(profiles: Profiles, strength: Array, dx: Array, dy: Array) -> Array:
 
 
 def _peaks(profiles: Profiles) -> Array:
-    """(P, S-2) positions of the edges along the normals in px, infinite where there is none."""
+    """(P, S-2) positions of the edges along the normals in px, infinite without an edge."""
     left, middle, right = (profiles.slope[:, i : i + profiles.slope.shape[1] - 2] for i in range(3))
     is_peak = (middle > left) & (middle >= right) & (middle > profiles.threshold[:, None])
     bend = left - 2 * middle + right
@@ -239,7 +239,7 @@ def _peaks(profiles: Profiles) -> Array:
 
 
 def _vertex(left: float, middle: float, right: float) -> float:
-    """Where a parabola through three samples peaks, in samples from the middle one."""
+    """Peak of a parabola through three samples, in samples from the middle one."""
     bend = left - 2 * middle + right
     return 0.5 * (left - right) / bend if bend < 0 else 0.0
 
@@ -251,10 +251,10 @@ class Consistency:
     Attributes:
         frames: number of frames with a shift.
         spread_px: median distance of the shifts from their median.
-        offset_m: (3,) translation in the world that explains the shifts best; its length is how
-            far the label seems off.
-        drift_px, drift_m: median length of what remains of the shifts after that correction, in
-            the image and at the object.
+        offset_m: (3,) translation in the world that explains the shifts best; its length is the
+            estimated error of the label.
+        drift_px, drift_m: median length of the shifts that remain after that correction, in the
+            image and at the object.
     """
 
     frames: int
@@ -265,7 +265,7 @@ class Consistency:
 
 
 def shift_jacobian(camera: Camera, T_world_cam: SE3, point_world: Array) -> tuple[Array, float]:
-    """How the image of a point moves with the point: (2, 3) px per metre in the world; its z."""
+    """Jacobian of the projection of a world point, (2, 3) px per metre, and the point's z."""
     R = T_world_cam.R.T
     x, y, z = R @ (point_world - T_world_cam.t)
     J = np.array(
@@ -297,7 +297,7 @@ def fit_consistency(
     for _ in range(20):
         r = d - J @ offset
         length = np.linalg.norm(r, axis=1)
-        # Cauchy weights: a shift that caught another edge must not pull.
+        # Cauchy weights limit the influence of shifts to a wrong edge.
         scale = max(1.4826 * float(np.median(length)), _SHIFT_PX)
         w = 1 / (1 + (length / scale) ** 2)
         A = np.einsum("f,fij,fik->jk", w, J, J) / _SHIFT_PX**2 + np.eye(3) / _PRIOR_M**2

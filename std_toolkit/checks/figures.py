@@ -1,4 +1,4 @@
-"""Figures over frames, directions and materials, as Plotly JSON with one restrained style."""
+"""Figures over frames, directions and materials, as Plotly JSON in one style."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def frames_figure(
         return None
     values = [v for t in traces for v in t["y"] if v is not None]
     low, high = min([*values, *limits]), max([*values, *limits])
-    # A single frame gone wrong must not press all others flat.
+    # A single outlier must not compress the scale of all other frames.
     reach = 3 * float(np.percentile(np.abs(values), 90))
     high, low = min(high, max([reach, *limits])), max(low, min([-reach, *limits]))
     pad = 0.08 * max(high - min(low, 0), 1e-3)
@@ -150,7 +150,7 @@ def sky_figure(
     views: dict[int, tuple[NDArray[np.float64], NDArray[np.float64], list[ObjectFrameCheck]]],
     objects: Sequence[ObjectCheck],
 ) -> str | None:
-    """View directions of every object on a half sky: centre = from above, rim = level.
+    """View directions of every object on a hemisphere: centre = from above, rim = horizontal.
 
     Args:
         views: by object id: azimuth, elevation (N,) in degrees, and the frames they belong to.
@@ -248,7 +248,7 @@ def error_figure(materials: Sequence[MaterialDepth]) -> str | None:
             "mode": "lines",
             "name": m.material,
             "x": m.histogram_mm,
-            # A logarithmic axis has no 0: empty bins are gaps.
+            # A logarithmic axis has no 0: empty bins become gaps.
             "y": [100 * s or None for s in m.histogram_share],
             "line": {"color": plots.MATERIAL_COLORS[m.material], "width": 2, "shape": "hvh"},
             "hovertemplate": f"{m.material}<br>%{{x}} mm: %{{y:.2f}} % of the readings"
@@ -262,7 +262,7 @@ def error_figure(materials: Sequence[MaterialDepth]) -> str | None:
     return plots.figure(
         traces,
         height=340,
-        x="raw minus ground-truth depth (mm); outermost bins hold the rest",
+        x="raw minus ground-truth depth (mm); outermost bins include the rest",
         y="readings per 2 mm (%)",
         xaxis={"range": [-limit - 2, limit + 2]},
         yaxis={"type": "log", "range": [-2, 2], "tickvals": ticks, "ticktext": [*map(str, ticks)]},

@@ -1,4 +1,4 @@
-"""What a scene must reach, as gates with a value, a limit and advice; the verdict per object."""
+"""Gates of the check, each with a value, a limit and advice, and the verdict of each object."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from std_toolkit.options import CheckOptions
 from std_toolkit.scene import CameraPoses
 from std_toolkit.scene.model import ScaleReport
 
-# Sensors of this class are biased by 1 to 2 percent; a larger common residual is no sensor bias.
+# Sensors of this class are biased by 1 to 2 percent; a larger common residual has another cause.
 LARGEST_DEPTH_BIAS = 0.025
-# Fewer frames with a shift cannot tell drift from a mismatch.
+# With fewer frames that have a shift, drift cannot be distinguished from a mismatch.
 FEWEST_DRIFT_FRAMES = 5
-# Edge distances above this part of what chance gives say nothing.
+# Edge distances above this fraction of the distance by chance are not significant.
 CHANCE_PART = 0.6
-# A best shift in this share of the frames judges a label whatever the texture.
+# A best shift in this fraction of the frames is sufficient evidence despite texture.
 ENOUGH_SHIFTS = 0.5
 
 
 def scale_share(summary: SceneSummary) -> float:
-    """Part of a depth that the scale leaves open: errors of its sources and of the sensor.
+    """Relative depth uncertainty from the scale: errors of its sources and of the sensor.
 
     The largest of: the standard error of the scale, the disagreement of its sources, and the bias
-    that all diffuse objects share (if a sensor can have it).
+    that all diffuse objects share (if it is plausible for a sensor).
     """
     share = 0.0
     if summary.scale is not None:
@@ -38,19 +38,19 @@ def scale_share(summary: SceneSummary) -> float:
 
 
 def depth_excess_mm(item: ObjectCheck, share: float) -> Number:
-    """How much of an object's depth residual the scale does not explain, in mm."""
+    """Part of an object's depth residual that the scale does not explain, in mm."""
     if item.depth_mm is None or item.distance_m is None:
         return None
     return round(max(0.0, abs(item.depth_mm) - 1000 * share * item.distance_m), 2)
 
 
 def has_edges(item: ObjectCheck, options: CheckOptions) -> bool:
-    """Whether the image tells where the object's outline is."""
+    """Whether the object's outline has enough image edges."""
     return item.edge_px is not None and (item.edge_support or 0) >= options.min_edge_support
 
 
 def is_uninformative(item: ObjectCheck) -> bool:
-    """Whether a contour anywhere nearby would lie as close to image edges as the label does."""
+    """Whether random contours nearby are as close to image edges as the label."""
     return (
         item.edge_px is not None
         and item.edge_chance_px is not None
@@ -59,16 +59,16 @@ def is_uninformative(item: ObjectCheck) -> bool:
 
 
 def shift_px(item: ObjectCheck, options: CheckOptions) -> Number:
-    """The label's shift against the image, where the frames agree that there is one to tell."""
+    """The shift of the label against the image, if enough frames have a clear one."""
     told = has_edges(item, options) and (item.shift_share or 0) >= ENOUGH_SHIFTS
     return item.shift_px if told else None
 
 
 def is_confirmed(item: ObjectCheck, options: CheckOptions) -> bool:
-    """Whether the image supports the label: chance would not do as well, or a shift stands out.
+    """Whether the image supports the label: it is better than chance, or a shift is clear.
 
-    A label far off its object meets the edges of whatever is there instead. In a textured scene
-    those are never far, so a small edge distance alone confirms nothing.
+    A wrong label is close to edges of other surfaces, especially in a textured scene. A small
+    edge distance alone is therefore no evidence.
     """
     if not has_edges(item, options):
         return False
@@ -82,7 +82,7 @@ def evaluate_gates(
     poses: CameraPoses | None,
     options: CheckOptions,
 ) -> list[CheckGate]:
-    """All gates; those without a value are open."""
+    """All gates; gates without a value are open."""
     return [
         *_pose_gates(summary, poses, options),
         *_label_gates(summary, objects, options),
@@ -134,8 +134,8 @@ def _pose_gates(
             rule="at least",
             unit="%",
             detail=f"{summary.registered} of {summary.frames} frames",
-            advice="run `std-curate poses`; if it was run, record again with slower motion and "
-            "more texture in view",
+            advice="run `std-curate poses`; if that is not enough, record again with slower motion "
+            "and more texture in view",
         ),
         _gate(
             "reprojection",
@@ -152,8 +152,8 @@ def _pose_gates(
             100 * options.max_scale_disagreement,
             unit="%",
             detail=_scale_detail(scale),
-            advice="name the source to trust (`std-curate poses --scale ...`), or correct the "
-            "sensor's depth factor in scene.json",
+            advice="select the most reliable source (`std-curate poses --scale ...`), or correct "
+            "the depth factor of the sensor in scene.json",
         ),
     ]
     if scale is not None and scale.unit == "unknown":
@@ -193,7 +193,7 @@ def _label_gates(
     drift = {o.name: _drift(o, options) for o in seen}
     spread = {o.name: o.label_std_mm for o in labelled}
     shift = {o.name: shift_px(o, options) for o in seen}
-    # Clear glass may have no edge that an image shows; that is a warning, not a failure.
+    # Clear glass may have no visible edge; that is a warning, not a failure.
     blind = [o.name for o in seen if o.material != "transparent" and not is_confirmed(o, options)]
     return [
         _gate(
@@ -211,7 +211,7 @@ def _label_gates(
             options.max_edge_px,
             unit="px",
             detail=_worst_name(edges),
-            advice="look at the overlays; run `std-curate propagate --refine`, or annotate the "
+            advice="inspect the overlays; run `std-curate propagate --refine` or annotate the "
             "object again",
         ),
         _gate(
@@ -226,28 +226,28 @@ def _label_gates(
         ),
         _gate(
             "depth",
-            "depth residual beyond the scale's part, worst diffuse object",
+            "depth residual without the part due to scale, worst diffuse object",
             _worst(depth),
             options.max_depth_mm,
             unit="mm",
             detail=_worst_name(depth)
             + (
-                f"; scale's part {100 * share:.2f} % of depth"
+                f"; part due to scale: {100 * share:.2f} % of depth"
                 if share and _worst(depth) is not None
                 else ""
             ),
-            advice="the label is displaced along the view: refine it with depth, or annotate it "
-            "in a second frame from the side; check the mesh's size",
+            advice="the label is displaced along the viewing direction: refine it with depth, or "
+            "annotate it in a second frame from the side; check the size of the mesh",
         ),
         _gate(
             "drift",
-            "movement of the image against the label that no pose explains, worst object",
+            "image motion relative to the label that no pose explains, worst object",
             _worst(drift),
             options.max_drift_px,
             unit="px",
             detail=_worst_name(drift),
-            advice="the label fits some frames only: check the scale's sources and the camera "
-            "poses, and that the object was not moved",
+            advice="the label fits only some frames: check the scale sources, the camera poses, "
+            "and whether the object was moved",
         ),
         _gate(
             "covariance",
@@ -256,15 +256,16 @@ def _label_gates(
             options.max_label_std_mm,
             unit="mm",
             detail=_worst_name(spread),
-            advice="annotate it in a further frame from another side, or record a wider sweep",
+            advice="annotate it in another frame from a different side, or record a wider sweep",
         ),
         _gate(
             "evidence",
-            "labels that the images do not confirm",
+            "labels without support in the images",
             float(len(blind)) if seen else None,
             0.0,
             detail=_names(blind),
-            advice="look at their overlays: a label far off its object meets no edges, or any",
+            advice="inspect their overlays: a wrong label matches no edges, or those of other "
+            "surfaces",
         ),
     ]
 
@@ -282,7 +283,7 @@ def _gate(
 ) -> CheckGate:
     status: Literal["pass", "fail", "open"] = "open"
     if value is not None:
-        # Compare what is shown, so that "3.00 px, limit 3 px" is never a failure.
+        # Compare the rounded value that is shown, so that "3.00 px, limit 3 px" never fails.
         value = round(value, 3)
         met = value >= limit - 1e-9 if rule == "at least" else value <= limit + 1e-9
         status = "pass" if met else "fail"
@@ -321,7 +322,7 @@ def _names(names: Sequence[str]) -> str:
 
 def _scale_detail(scale: ScaleReport | None) -> str:
     if scale is None:
-        return "no scale source is reported"
+        return "no scale source"
     if len(scale.estimates) < 2:
-        return f"one source only ({scale.chosen}): nothing to compare with"
-    return f"used: {scale.chosen}; known: {', '.join(e.source for e in scale.estimates)}"
+        return f"only one source ({scale.chosen})"
+    return f"used: {scale.chosen}; available: {', '.join(e.source for e in scale.estimates)}"

@@ -1,4 +1,4 @@
-"""The sections of the report that judge labels: numbers, overlays, close-ups."""
+"""Report sections on labels: numbers, overlays, close-ups."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from std_toolkit.html.table import NONE, Cell, Column, Row, Table, number
 from std_toolkit.options import CheckOptions
 
 _MEANINGS = {
-    "edge distance": "from the contour of the label, along its normal, to the nearest edge of the "
-    "image; p90 is over the frames",
-    "by chance": "the same for contours put beside it: the label is confirmed only where it does "
-    "clearly better",
-    "shift": "the shift of the whole contour that fits the image best, where one stands out",
-    "depth residual": "label minus sensor on diffuse objects, positive where the label lies behind "
-    "the measured surface",
-    "without bias": "what is left of it after the part that all diffuse objects share",
-    "seems off by": "length of the one shift in the world that best moves the label onto the edges "
+    "edge distance": "distance from the contour of the label, along its normal, to the nearest "
+    "image edge; p90 is over the frames",
+    "by chance": "edge distance of displaced contours; the image supports a label only if its own "
+    "distance is clearly smaller",
+    "shift": "shift of the whole contour that fits the image best, if one is clear",
+    "depth residual": "label minus sensor depth on diffuse objects; positive if the label is "
+    "behind the measured surface",
+    "without bias": "depth residual without the part that all diffuse objects share",
+    "seems off by": "length of the translation in the world that fits the label best to the edges "
     "of all frames",
-    "drift": "what that shift leaves in the single frames and no pose of the object can repair: "
-    "camera poses, scale, or an object that moved",
+    "drift": "shift that remains in single frames after this translation; caused by camera poses, "
+    "scale, or an object that moved",
 }
 
 
@@ -66,7 +66,7 @@ def _label_figures(report: result.CheckReport, options: CheckOptions) -> list[pa
     bias = report.summary.depth_bias
     residual_title = "Depth residual over frames, diffuse objects"
     if bias is not None:
-        residual_title += f", common bias of {number(100 * bias, 2)} % taken out"
+        residual_title += f", common bias of {number(100 * bias, 2)} % removed"
     found = {
         "Edge distance over frames": figures.frames_figure(
             report.objects,
@@ -89,7 +89,7 @@ def _label_figures(report: result.CheckReport, options: CheckOptions) -> list[pa
             limits=[-options.max_depth_mm, options.max_depth_mm],
             from_zero=False,
         ),
-        "Visible part over frames": figures.visibility_figure(report.objects),
+        "Visible fraction over frames": figures.visibility_figure(report.objects),
     }
     blocks: list[page.Block] = []
     for place, (title, figure) in enumerate(found.items()):
@@ -102,7 +102,7 @@ def _label_row(
     report: result.CheckReport, item: result.ObjectCheck, share: float, options: CheckOptions
 ) -> Row:
     spread = "" if item.depth_mad_mm is None else f"± {item.depth_mad_mm:.1f}"
-    # Value, what is compared with the limit, the limit, and what is written behind the value.
+    # Value, the value compared with the limit, the limit, and the text after the value.
     figures_of: list[tuple[float | None, float | None, float, str]] = [
         (item.edge_px, item.edge_px, options.max_edge_px, ""),
         (item.edge_p90_px, None, 0, ""),
@@ -139,10 +139,10 @@ def overlay_blocks(
         return []
     labelled = [o for o in report.objects if o.label in ("propagated", "refined")]
     about = (
-        "Outlines of the labels over the image; where the label is right the line runs along the "
-        "object's edge. Click a picture to enlarge it; the key o hides the outlines."
+        "Outlines of the labels over the image; the outline of a correct label follows the edge of "
+        "the object. Click an image to enlarge it; press o to hide the outlines."
         if labelled
-        else "Frames spread over the recording; there are no labels to draw over them."
+        else "Frames spread over the recording; the scene has no labels to draw."
     )
     legend = page.Legend([page.LegendEntry(colors[o.object], o.name) for o in labelled])
     blocks: list[page.Block] = [page.Paragraph(about), legend, page.Gallery(whole, layout="wide")]
@@ -165,7 +165,7 @@ def overlay_blocks(
 
 
 def name_cell(report: result.CheckReport, item: result.ObjectCheck) -> Cell:
-    """An object's name in its colour, material and state of its label below."""
+    """The name of an object in its colour, with material and label state below."""
     note = f"{item.material}, {item.label}"
     return Cell(text=item.name, note=note, color=_colors(report)[item.object])
 

@@ -1,7 +1,6 @@
-"""Pictures of the report: the image as JPEG, the labels as vector outlines above it.
+"""Images of the report: the frame as JPEG, the labels as vector outlines above it.
 
-An outline kept apart from the pixels stays sharp however far a person zooms in, and can be
-switched off to look at what is underneath.
+Vector outlines stay sharp at any zoom and can be hidden.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ PANEL_WIDTH = 480
 ERROR_LIMIT_M = 0.02
 _MISSING_RGB = (58, 58, 64)
 _NOTHING_RGB = (246, 247, 249)
-# Blue - white - red after ColorBrewer's RdBu: in front of the truth, right, behind it.
+# Blue - white - red after ColorBrewer's RdBu: in front of the truth, correct, behind it.
 _DIVERGING = np.array(
     [[33, 102, 172], [146, 197, 222], [250, 250, 250], [244, 165, 130], [178, 24, 43]], float
 )
@@ -52,7 +51,7 @@ class FramePictures:
 
     Attributes:
         frame: frame id.
-        overview: the whole frame with all labels; None if only close-ups were asked for.
+        overview: the whole frame with all labels; None if only close-ups were requested.
         closeups: by object id.
         depth: None without sensor depth.
     """
@@ -65,7 +64,7 @@ class FramePictures:
 
 @dataclass(frozen=True)
 class DrawingOrder:
-    """Which pictures of a frame are wanted.
+    """Requested images of a frame.
 
     Attributes:
         frame: frame id.
@@ -83,7 +82,7 @@ class DrawingOrder:
 def draw_frame(
     order: DrawingOrder, *, root: Path, fingerprint: str, options: CheckOptions
 ) -> FramePictures:
-    """Draw what is ordered of one registered frame.
+    """Draw the requested images of one registered frame.
 
     Raises:
         ToolkitError: a file of the frame is missing or damaged.
@@ -154,7 +153,7 @@ def depth_panel(view: LabelledView, sensor: NDArray[np.float32]) -> DepthPanel:
     near, far = (0.0, 1.0)
     if len(reference):
         near, far = (float(x) for x in np.percentile(reference, [1, 99]))
-        # Room for the table around the objects.
+        # Margin for the table around the objects.
         near, far = near - 0.25 * (far - near) - 0.05, far + 0.25 * (far - near) + 0.05
     error = np.where(inside, sensor - truth, 0)
     error_image = _diverging(error / ERROR_LIMIT_M)
@@ -190,7 +189,7 @@ def _diverging(value: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 def _png(image: NDArray[np.uint8]) -> Picture:
     height, width = image.shape[:2]
-    # Nearest neighbour: a missing reading must not blend with a measured one.
+    # Nearest neighbour: missing depth must not blend with measured depth.
     small = _resized(
         image, PANEL_WIDTH, round(PANEL_WIDTH * height / width), method=cv2.INTER_NEAREST
     )

@@ -1,4 +1,4 @@
-"""The page: one HTML file that needs nothing but itself."""
+"""The report as one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from std_toolkit.options import CheckOptions
 
 @dataclass(frozen=True)
 class PageParts:
-    """What the page shows besides the numbers of the report.
+    """Figures and images of the page besides the numbers of the report.
 
     Attributes:
         view3d: figure JSON of the 3D view.
         sky: figure JSON of the view directions.
-        pictures: per frame, in order.
+        pictures: images of each frame, in order.
     """
 
     view3d: str | None
@@ -175,9 +175,9 @@ def _coverage(report: result.CheckReport, parts: PageParts) -> list[page.Block]:
         rows.append(Row(cells))
     return [
         page.Paragraph(
-            "Each dot is a frame that sees the object: the centre is straight from above, the rim "
-            "level with it, and the angle the side it was seen from, 0 degrees being the side of "
-            "the first frame. Paler dots see less of it; the star is the annotated frame."
+            "Each dot is a frame that shows the object. The centre is a view from above, the rim a "
+            "horizontal view; the angle is the azimuth, 0 degrees for the first frame. Paler dots "
+            "show less of the object; the star is the annotated frame."
         ),
         page.Plot("sky", parts.sky),
         Table(columns=columns, rows=rows),
@@ -210,9 +210,9 @@ def _depth(report: result.CheckReport, parts: PageParts) -> list[page.Block]:
         rows.append(Row([name, *_cells(columns[1:-1], values), bounds]))
     blocks: list[page.Block] = [
         page.Paragraph(
-            f"Raw sensor depth minus {source}: negative where the sensor reads in front of the "
-            "object, positive where it reads behind it, through glass for instance. Errors are "
-            "over the pixels that have a reading."
+            f"Raw sensor depth minus {source}: negative if the sensor measured in front of the "
+            "object, positive if behind it, for example through glass. Errors are over the pixels "
+            "with sensor depth."
         ),
         Table(columns=columns, rows=rows),
         page.Plot("errors", figures.error_figure(report.materials)),
@@ -221,7 +221,7 @@ def _depth(report: result.CheckReport, parts: PageParts) -> list[page.Block]:
     if panels:
         gradient = "linear-gradient(90deg,#2166ac,#92c5de,#fafafa,#f4a582,#b2182b)"
         blocks += [
-            page.Heading("Where it is missing or wrong"),
+            page.Heading("Missing and wrong sensor depth"),
             page.Legend(
                 [
                     page.LegendEntry(gradient, "raw minus truth, −20 to +20 mm", 180),
@@ -253,7 +253,7 @@ def _with_unit(gate: result.CheckGate, value: float | None) -> str:
 
 
 def _scale_fact(report: result.CheckReport) -> tuple[str, str]:
-    """Where the metric scale comes from, and how far its sources differ."""
+    """Source of the metric scale, and the difference between its sources."""
     scale = report.summary.scale
     if scale is None:
         return "given" if report.summary.registered else NONE, ""

@@ -1,4 +1,4 @@
-"""Warnings, ranked: what a person should look at, and what to do about it."""
+"""Warnings of the report, ranked by severity, each with advice."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from std_toolkit.options import CheckOptions
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 
 _ORDER: dict[result.Severity, int] = {"high": 0, "medium": 1, "low": 2}
-# Gates whose detail names the objects or frames concerned.
+# Gates whose detail lists the objects or frames concerned.
 _NAMING = (
     "labelled", "edges", "shift", "depth", "drift", "covariance", "evidence", "frames", "meshes",
 )  # fmt: skip
@@ -30,7 +30,7 @@ def find_warnings(
     materials: Sequence[result.MaterialDepth],
     options: CheckOptions,
 ) -> list[result.CheckWarning]:
-    """All warnings, the severest first; failed gates come before everything else."""
+    """All warnings, the most severe first; failed gates precede all others."""
     found = [
         result.CheckWarning(
             severity="high",
@@ -70,7 +70,7 @@ def _frame_warnings(frames: Sequence[result.FrameCheck]) -> list[result.CheckWar
                 severity="medium" if len(lost) > 0.05 * len(frames) else "low",
                 about=f"{len(lost)} frames",
                 problem=f"have no camera pose: {_ranges([f.frame for f in lost])}",
-                advice="they get no labels; record again there if they matter",
+                advice="they get no labels; record this part again if you need it",
             )
         )
     stale = [f for f in frames if f.truth == "stale"]
@@ -100,54 +100,54 @@ def _object_warnings(item: result.ObjectCheck, options: CheckOptions) -> list[re
     if item.label not in ("propagated", "refined"):
         return found
     if item.frames_seen == 0:
-        warn("high", "is in view in no frame looked at", "check its label and mesh")
+        warn("high", "is not visible in any measured frame", "check its label and mesh")
         return found
     if not has_edges(item, options):
         share = 100 * (item.edge_support or 0)
         warn(
             "medium",
-            f"only {share:.0f} % of its contour meets an image edge: the image hardly confirms "
+            f"only {share:.0f} % of its contour is near an image edge: the image weakly supports "
             "the label",
-            "look at its close-ups; annotate it in a frame with more contrast",
+            "inspect its close-ups; annotate it in a frame with more contrast",
         )
     elif not is_confirmed(item, options):
         warn(
             "medium",
-            f"its edge distance, {item.edge_px:.1f} px, is what chance gives here "
-            f"({item.edge_chance_px:.1f} px): the images do not confirm the label",
-            "look at its close-ups",
+            f"its edge distance, {item.edge_px:.1f} px, is no better than chance "
+            f"({item.edge_chance_px:.1f} px): the images do not support the label",
+            "inspect its close-ups",
         )
     if (item.offset_norm_mm or 0) > _LARGE_OFFSET_MM and has_edges(item, options):
         warn(
             "medium",
-            f"all frames together see it {item.offset_norm_mm:.1f} mm from its label",
+            f"all frames together place it {item.offset_norm_mm:.1f} mm from its label",
             "run `std-curate propagate --refine`",
         )
     if item.parallax_deg is not None and item.parallax_deg < NARROW_DEG:
         warn(
             "medium",
-            f"was seen over {item.parallax_deg:.0f} degrees only: its depth is weakly determined",
+            f"was seen over only {item.parallax_deg:.0f} degrees: its depth is weakly determined",
             "record a wider sweep around it",
         )
     if (item.largest_step_deg or 0) > _LARGE_STEP_DEG:
         warn(
             "low",
-            f"a gap of {item.largest_step_deg:.0f} degrees lies between its views",
-            "record the missing directions, or accept that they are not in the data",
+            f"its views have a gap of {item.largest_step_deg:.0f} degrees",
+            "record the missing directions if you need them",
         )
     if item.visible_fraction is not None and item.visible_fraction < _LOW_VISIBILITY:
         warn(
             "low",
-            f"is half hidden in most frames (visible {100 * item.visible_fraction:.0f} %)",
-            "move it or its neighbours if it matters in this scene",
+            f"is half occluded in most frames (visible {100 * item.visible_fraction:.0f} %)",
+            "rearrange the objects if it must be visible in this scene",
         )
     if item.weak_direction:
-        warn("low", item.weak_direction, "annotate it from a view across that direction")
+        warn("low", item.weak_direction, "annotate it in a view perpendicular to that direction")
     return found
 
 
 def _scale_warnings(summary: result.SceneSummary) -> list[result.CheckWarning]:
-    """Labels refined against biased depth fit it: no residual shows a wrong scale."""
+    """Labels refined with biased depth agree with it: no residual reveals a wrong scale."""
     scale = summary.scale
     if scale is None or {e.source for e in scale.estimates} != {"depth"}:
         return []
@@ -157,8 +157,8 @@ def _scale_warnings(summary: result.SceneSummary) -> list[result.CheckWarning]:
             about="scale",
             problem="the metric scale comes from sensor depth alone, which is 1 to 2 % off: labels "
             "may be off by 10 mm at 0.7 m although they fit the images and the depth",
-            advice="run `std-curate propagate --refine --refine-scale` (the known sizes of the "
-            "objects), or add a board or an object annotated in several frames",
+            advice="run `std-curate propagate --refine --refine-scale` (it uses the known sizes of "
+            "the objects), or add a board or an object annotated in several frames",
         )
     ]
 
@@ -168,13 +168,13 @@ def _depth_warnings(
 ) -> list[result.CheckWarning]:
     found = []
     if summary.depth_bias is not None and abs(summary.depth_bias) > _LARGE_BIAS:
-        word = "short" if summary.depth_bias > 0 else "long"
+        word = "smaller" if summary.depth_bias > 0 else "larger"
         found.append(
             result.CheckWarning(
                 severity="low",
                 about="sensor depth",
-                problem=f"reads {100 * abs(summary.depth_bias):.2f} % {word} of the labels on all "
-                "diffuse objects alike: a bias of the sensor, or of the scale",
+                problem=f"is {100 * abs(summary.depth_bias):.2f} % {word} than the labels on all "
+                "diffuse objects: a bias of the sensor or of the scale",
                 advice="if the scale comes from a CAD model or a board, multiply depth_correction "
                 f"in scene.json by {1 + summary.depth_bias:.4f}",
             )
@@ -190,8 +190,8 @@ def _depth_warnings(
         result.CheckWarning(
             severity="low",
             about="sensor depth",
-            problem=f"is missing on {share:.0f} % of the {material} objects, which a sensor should "
-            "measure",
+            problem=f"is missing on {share:.0f} % of the {material} surfaces, which the sensor "
+            "should measure",
             advice="check the distance, the exposure and the projector",
         )
         for material, share in holey.items()

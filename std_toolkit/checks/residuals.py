@@ -1,4 +1,4 @@
-"""What one frame says about the labels: the work of one job item."""
+"""Measurement of the labels in one frame, as one job item."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ class ObjectObservation:
     """One object in one frame.
 
     Attributes:
-        visible_px, silhouette_px: pixels seen, and pixels inside the image without occlusion.
-        visible_fraction: from the ground truth where there is some, else of these two.
-        edges, shift, residual: None where the frame does not tell.
+        visible_px, silhouette_px: visible pixels, and pixels in the image without occlusion.
+        visible_fraction: from the ground truth if present, otherwise the ratio of these two.
+        edges, shift, residual: None if the frame does not determine them.
         jacobian: (2, 3) px per metre in the world of the object's centre.
         metres_per_px: size of a pixel at the object.
     """
@@ -57,11 +57,11 @@ class FrameObservation:
 
     Attributes:
         frame: frame id.
-        objects: by object id, those in view.
+        objects: objects in view, by object id.
         tallies: raw depth against ground truth, by object id.
         has_depth: the frame has sensor depth.
         truth: "current" ground truth was used, "stale" is older than the labels, or "none".
-        depth_valid: share of pixels with a sensor reading.
+        depth_valid: fraction of pixels with sensor depth.
     """
 
     frame: int
@@ -74,7 +74,7 @@ class FrameObservation:
 
 @dataclass(frozen=True, eq=False)
 class LabelledView:
-    """A frame with its labels cast: what measuring and drawing both start from.
+    """A frame with its labels ray-cast, the input of measuring and drawing.
 
     Attributes:
         object_id: (H, W) nearest labelled object.
@@ -98,10 +98,10 @@ class LabelledView:
 
     @property
     def hides(self) -> bool:
-        """Whether the ground truth knows of things in front that no label covers.
+        """Whether the ground truth contains occluders without a label.
 
-        The policy "sensor" hides every part of a label that lies behind what the sensor measured,
-        which would spare a wrong label its residual.
+        Policy "sensor" does not count: it hides every part of a label behind the measured
+        surface, and a wrong label would have no residual.
         """
         return self.truth is not None and self.truth.info.policy != "sensor"
 
@@ -126,11 +126,11 @@ class LabelledView:
 
 @lru_cache(maxsize=2)
 def open_for_work(root: Path, fingerprint: str) -> tuple[Scene, LabelCaster]:
-    """The scene and its caster, made once per worker process.
+    """The scene and its caster, created once per worker process.
 
     Args:
-        root: of the scene.
-        fingerprint: of the documents, so that a changed scene is opened anew.
+        root: scene folder.
+        fingerprint: digest of the documents; a changed scene is opened again.
     """
     del fingerprint
     scene = Scene.open(root)
@@ -138,14 +138,14 @@ def open_for_work(root: Path, fingerprint: str) -> tuple[Scene, LabelCaster]:
 
 
 def render_view(scene: Scene, caster: LabelCaster, frame: Frame) -> LabelledView:
-    """Cast the labels into a registered frame.
+    """Ray-cast the labels into a registered frame.
 
     Raises:
         ToolkitError: damaged ground truth.
     """
     camera = scene.camera(frame)
     T_world_cam = scene.T_world_cam(frame.id)
-    assert T_world_cam is not None, "only registered frames are looked at"
+    assert T_world_cam is not None, "only registered frames can be checked"
     ids = np.zeros((camera.height, camera.width), np.int32)
     depth = np.zeros((camera.height, camera.width), np.float32)
     windows = [caster.window(i, camera, T_world_cam) for i in caster.object_ids]
@@ -179,7 +179,7 @@ def observe_frame(
     """Measure all labels of one frame.
 
     Args:
-        frame_id: of a registered frame.
+        frame_id: id of a registered frame.
         root, fingerprint: see `open_for_work`.
         options: search ranges.
 

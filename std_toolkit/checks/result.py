@@ -1,7 +1,4 @@
-"""check/report.json: everything the report shows, as numbers.
-
-report.csv and frames.csv: the report's numbers for a spreadsheet.
-"""
+"""Structure of check/report.json, and the tables report.csv and frames.csv."""
 
 from __future__ import annotations
 
@@ -28,13 +25,13 @@ class CheckGate(Document, frozen=True, kw_only=True):
     Attributes:
         key: stable name, such as "edges".
         title: what is measured, in words.
-        value: null when it could not be measured; then `status` is "open".
-        limit: in the same unit.
+        value: null if it could not be measured; `status` is then "open".
+        limit: limit in the same unit.
         rule: "at least" or "at most" the limit.
         unit: "", "px", "mm", "%" (value and limit are then in percent).
         status: "pass", "fail", or "open" (not measured; does not fail the check).
-        detail: where the value comes from.
-        advice: what to do when it fails.
+        detail: source of the value.
+        advice: how to fix a failure.
     """
 
     key: str
@@ -49,13 +46,13 @@ class CheckGate(Document, frozen=True, kw_only=True):
 
 
 class CheckWarning(Document, frozen=True, kw_only=True):
-    """Something a person should look at.
+    """A problem that needs inspection.
 
     Attributes:
-        severity: "high" spoils labels, "medium" may, "low" is good to know.
+        severity: "high" makes labels wrong, "medium" may do so, "low" is for information.
         about: object name, frame name or part of the scene.
         problem: what is wrong.
-        advice: what to do.
+        advice: how to fix it.
         gate: key of the gate that failed, or "".
     """
 
@@ -67,13 +64,13 @@ class CheckWarning(Document, frozen=True, kw_only=True):
 
 
 class ObjectFrameCheck(Document, frozen=True, kw_only=True):
-    """One object in one frame; null where the frame does not tell.
+    """One object in one frame; null if the frame does not determine a value.
 
     Attributes:
         frame: frame id.
         visible_fraction: 0..1.
         edge_px: median distance of the contour to the nearest image edge.
-        edge_support: share of the contour that meets an edge.
+        edge_support: fraction of the contour near an edge.
         shift_px: [x, y] from the label to the image.
         depth_mm: median of rendered minus sensor depth.
         depth_unscaled_mm: the same without the bias common to all diffuse objects.
@@ -89,7 +86,7 @@ class ObjectFrameCheck(Document, frozen=True, kw_only=True):
 
 
 class ObjectCheck(Document, frozen=True, kw_only=True):
-    """One object over all frames looked at. Lengths in mm where the name says so.
+    """One object over all measured frames.
 
     Attributes:
         object, name, model, category, material: from objects.json.
@@ -100,27 +97,27 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
         edge_px: median over frames of the frame's median edge distance.
         edge_p90_px: 90th percentile over frames of the frame's median.
         edge_tail_px: median over frames of the frame's 90th percentile along the contour.
-        edge_support: median share of the contour that meets an edge.
-        edge_chance_px: what contours at random places nearby would have.
+        edge_support: median fraction of the contour near an edge.
+        edge_chance_px: edge distance of contours at random places nearby.
         depth_mm, depth_mad_mm: rendered minus sensor depth, diffuse objects only: median over
             frames of the frame's median, and of its median absolute deviation.
-        depth_unscaled_mm: `depth_mm` after the bias common to all diffuse objects is taken out.
+        depth_unscaled_mm: `depth_mm` without the bias common to all diffuse objects.
         distance_m: median distance of the surface from the camera.
         shift_px: median length of the frames' best shifts of the contour.
-        shift_share: share of the frames that see it in which a best shift stands out.
+        shift_share: fraction of the frames that see it with a clear best shift.
         shift_spread_px: median distance of the frames' shifts from their median.
-        offset_mm: [x, y, z] in the world: the correction that explains the shifts best.
+        offset_mm: correction [x, y, z] in the world that explains the shifts best.
         offset_norm_mm: its length.
-        drift_px, drift_mm: what no correction explains, median over frames.
+        drift_px, drift_mm: part of the shifts that no correction explains, median over frames.
         drift_frames: number of frames with a shift.
         label_std_mm: standard deviation along the weakest direction, from the label's covariance.
         label_std_deg: the same for the rotation.
         weak_direction: sentence from the label.
         azimuth_span_deg, elevation_deg, parallax_deg, largest_step_deg: view directions.
-        completeness: share of the ground-truth pixels with a sensor reading.
+        completeness: fraction of the ground-truth pixels with sensor depth.
         raw_median_mm, raw_mae_mm, raw_rmse_mm: raw minus ground-truth depth.
-        verdict: "good", "doubtful", "bad" or "open" (nothing to judge by).
-        frames: the single frames.
+        verdict: "good", "doubtful", "bad" or "open" (no evidence).
+        frames: values of single frames.
     """
 
     object: ObjectId
@@ -170,10 +167,10 @@ class FrameCheck(Document, frozen=True, kw_only=True):
     Attributes:
         frame, name, status, reprojection_px, points: from the poses.
         pose_std_mm: standard deviation of the camera position along its weakest direction.
-        looked_at: the labels were measured in it.
-        objects_visible: number of objects that are visible.
+        looked_at: whether the labels were measured in it.
+        objects_visible: number of visible objects.
         edge_px: median over the objects.
-        depth_valid: share of pixels with a sensor reading.
+        depth_valid: fraction of pixels with sensor depth.
         truth: "current", "stale" or "none".
         problem: why the frame could not be checked, or "".
     """
@@ -198,12 +195,13 @@ class MaterialDepth(Document, frozen=True, kw_only=True):
     Attributes:
         material: from objects.json.
         objects: number of objects.
-        pixels: ground-truth pixels over the frames looked at.
-        completeness: share of them with a sensor reading.
-        median_mm, p05_mm, p95_mm, mae_mm, rmse_mm: of raw minus ground truth, over the readings.
-        within_10mm: share of the ground-truth pixels read to better than 10 mm.
-        histogram_mm, histogram_share: centres of 2 mm bins and the share of the readings in each;
-            the outermost bins hold everything beyond.
+        pixels: ground-truth pixels over the measured frames.
+        completeness: fraction of them with sensor depth.
+        median_mm, p05_mm, p95_mm, mae_mm, rmse_mm: of raw minus ground truth, over the pixels with
+            sensor depth.
+        within_10mm: fraction of the ground-truth pixels whose sensor depth is within 10 mm.
+        histogram_mm, histogram_share: centres of 2 mm bins and the fraction of the pixels with
+            sensor depth in each; the outermost bins include everything beyond.
     """
 
     material: str
@@ -228,9 +226,9 @@ class SceneSummary(Document, frozen=True, kw_only=True):
         reprojection_px: mean over the registered frames.
         objects, labelled: numbers of objects; labelled ones have a pose in the world.
         depth_frames: frames with sensor depth.
-        truth_frames: frames looked at with current ground truth.
-        truth_source: where ground-truth depth comes from: "rendered maps", "labels cast here"
-            or "none".
+        truth_frames: measured frames with current ground truth.
+        truth_source: source of ground-truth depth: "rendered maps", "labels cast here" (from the
+            labels by the check itself) or "none".
         depth_bias: rendered over sensor depth minus 1, common to all diffuse objects.
         scale: from the poses.
         poses_source: from the poses.
@@ -254,7 +252,7 @@ class CheckReport(Document, frozen=True, kw_only=True):
     """check/report.json.
 
     Attributes:
-        passed: no gate failed.
+        passed: whether no gate failed.
         verdict: one line.
         missing: what the scene lacks, one sentence each.
         limits: the options of the check.
@@ -305,6 +303,6 @@ def _flat(row: dict[str, Any]) -> dict[str, Any]:
 def _csv(rows: Sequence[dict[str, Any]], columns: list[str]) -> bytes:
     import pandas as pd
 
-    # dtype object: a column of whole numbers with a gap must not turn into floats.
+    # dtype object: integers in a column with missing values must not become floats.
     table = pd.DataFrame(list(rows), columns=columns, dtype=object)
     return str(table.to_csv(index=False, lineterminator="\n")).encode()

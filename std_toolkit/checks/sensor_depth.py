@@ -1,4 +1,4 @@
-"""Sensor depth against the labels: residuals that judge labels, errors that judge the sensor."""
+"""Sensor depth against labels: residuals of the labels, errors of the sensor."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class DepthResidual:
     """Rendered minus sensor depth on one object in one frame.
 
     Attributes:
-        median_m: positive where the label lies behind what the sensor measured.
+        median_m: positive if the label is behind the measured surface.
         mad_m: median absolute deviation from the median.
-        relative: median of rendered over sensor depth, minus 1: what a wrong scale would give.
+        relative: median of rendered over sensor depth, minus 1; nonzero for a wrong scale.
         depth_m: median rendered depth.
         pixels: number of pixels used.
     """
@@ -45,7 +45,7 @@ def depth_residual(
         mask: (H, W) pixels that show the object.
 
     Returns:
-        None where fewer than `FEWEST_PIXELS` pixels hold both.
+        None if fewer than `FEWEST_PIXELS` pixels have both.
     """
     size = 2 * EDGE_MARGIN_PX + 1
     inner = cv2.erode(
@@ -71,13 +71,13 @@ def depth_residual(
 
 @dataclass(eq=False)
 class ErrorTally:
-    """Errors of raw depth over many pixels, kept as sums and a histogram of 0.5 mm bins.
+    """Errors of raw depth over many pixels, as sums and a histogram of 0.5 mm bins.
 
     Attributes:
         truth_pixels: pixels with ground-truth depth.
-        measured_pixels: of these, pixels with a sensor reading.
+        measured_pixels: of these, pixels with sensor depth.
         sum_abs, sum_square: of raw minus truth, metres.
-        histogram: counts from -`HISTOGRAM_LIMIT_M` on; the first and last bin take the rest.
+        histogram: counts from -`HISTOGRAM_LIMIT_M`; the first and last bin include the rest.
     """
 
     truth_pixels: int = 0
@@ -99,7 +99,7 @@ class ErrorTally:
         self.histogram = counts if self.histogram is None else self.histogram + counts
 
     def merge(self, other: ErrorTally) -> None:
-        """Take the counts of another tally in."""
+        """Add the counts of another tally."""
         self.truth_pixels += other.truth_pixels
         self.measured_pixels += other.measured_pixels
         self.sum_abs += other.sum_abs
@@ -110,7 +110,7 @@ class ErrorTally:
 
     @property
     def completeness(self) -> float | None:
-        """Share of the ground-truth pixels that have a reading."""
+        """Fraction of the ground-truth pixels with sensor depth."""
         return self.measured_pixels / self.truth_pixels if self.truth_pixels else None
 
     @property
@@ -134,7 +134,7 @@ class ErrorTally:
         return float(-HISTOGRAM_LIMIT_M + (index + np.clip(part, 0, 1)) * HISTOGRAM_BIN_M)
 
     def share_within(self, limit_m: float) -> float | None:
-        """Share of the ground-truth pixels whose reading is off by less than `limit_m`."""
+        """Fraction of the ground-truth pixels with a depth error below `limit_m`."""
         if self.histogram is None or not self.truth_pixels:
             return None
         reach = round(limit_m / HISTOGRAM_BIN_M)

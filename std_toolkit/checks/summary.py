@@ -1,4 +1,4 @@
-"""What a scene holds, what it lacks, and the command that comes next."""
+"""Contents of a scene, what is missing, and the next command."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from std_toolkit.scene.scene import Scene
 
 @dataclass(frozen=True)
 class SceneSummary:
-    """Counts of everything in a scene.
+    """Counts of the contents of a scene.
 
     Attributes:
         cameras: one line per camera.
-        frames_with_depth, frames_with_color: of `frames`, those whose file is there.
-        missing_files: scene-relative paths of frames and meshes that are named but absent.
+        frames_with_depth, frames_with_color: number of `frames` whose file exists.
+        missing_files: scene-relative paths of frames and meshes that do not exist.
         scale: sentence on the unit of the poses; None without poses.
         registered: frames with a camera pose; None without poses.
         failed_gates: names.
         labelled, propagated, refined: object names.
-        ground_truth: frames whose ground truth is complete and belongs to the labels.
+        ground_truth: frames whose ground truth is complete and up to date.
         stale_ground_truth: frames whose ground truth is older than labels or camera poses.
-        report: the check report exists.
-        stale_report: it is of other labels, camera poses or meshes.
-        reference: kinds of maps that came with the import.
-        next_command: what to run next, or None when everything is there.
+        report: whether the check report exists.
+        stale_report: whether it belongs to other labels, camera poses or meshes.
+        reference: kinds of maps from the import.
+        next_command: what to run next, or None if the scene is complete.
     """
 
     root: Path
@@ -70,11 +70,11 @@ class SceneSummary:
             ("check", self._report()),
         ]
         if self.reference:
-            rows.append(("reference", f"came with the import: {', '.join(self.reference)}"))
+            rows.append(("reference", f"from the import: {', '.join(self.reference)}"))
         if self.missing_files:
             more = f" and {len(self.missing_files) - 3} more" if len(self.missing_files) > 3 else ""
             rows.append(("MISSING", ", ".join(self.missing_files[:3]) + more))
-        rows.append(("next", self.next_command or "complete: `std-curate export` as you need it"))
+        rows.append(("next", self.next_command or "complete; export with `std-curate export`"))
         return [f"{key:<13} {value}" for key, value in rows]
 
     def _poses(self) -> str:
@@ -105,7 +105,7 @@ class SceneSummary:
 
 
 def summarise(scene: Scene) -> SceneSummary:
-    """Look at a scene's documents and files; reads no pixels.
+    """Summarise the documents and files of a scene; reads no pixels.
 
     Raises:
         ToolkitError: a document breaks its schema.
@@ -149,12 +149,12 @@ def summarise(scene: Scene) -> SceneSummary:
 def _next_command(found: SceneSummary) -> str | None:
     scene = shlex.quote(str(found.root))
     if found.missing_files:
-        return f"put the missing files back, or import again: {found.missing_files[0]}"
+        return f"restore the missing files or import again: {found.missing_files[0]}"
     if found.registered is None:
-        alone = f" (the annotated frames alone need none: std-curate render {scene})"
+        alone = f" (not needed to render only the annotated frames: std-curate render {scene})"
         return f"std-curate poses {scene}{alone if found.labelled else ''}"
     if found.failed_gates:
-        return f"record again where the gates say so, then std-curate poses {scene}"
+        return f"fix the causes of the failed gates, then std-curate poses {scene}"
     if not found.objects or len(found.labelled) < len(found.objects):
         return f"std-curate label {scene} ..."
     if len(found.propagated) < len(found.labelled):

@@ -1,6 +1,6 @@
-"""The interactive 3D view: cameras, points and labelled objects, turned upright.
+"""The interactive 3D view of the report: cameras, points and labelled objects, upright.
 
-Geometry for the report's 3D view: few enough points and triangles for a web page.
+Points and triangles are reduced to a size that suits a web page.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 MOST_FRUSTA = 40
 
-# Points farther from the objects than this times the farthest camera are left out.
+# Points farther from the objects than this times the farthest camera are omitted.
 ROOM = 0.9
 
 MOST_POINTS = 12000
@@ -64,7 +64,7 @@ def scene_figure(scene: Scene, up: Array, sparse: Cloud | None, fused: Cloud | N
             )
         )
     if sparse is not None:
-        # With depth to look at, sparse points are for those who ask for them.
+        # With sensor depth, sparse points are hidden until selected in the legend.
         traces.append(
             _points(
                 near_points(sparse, centre, reach),
@@ -132,7 +132,7 @@ def scene_figure(scene: Scene, up: Array, sparse: Cloud | None, fused: Cloud | N
 
 
 def _cameras(scene: Scene, frames: list[Frame], turn: Array, centre: Array) -> list[dict[str, Any]]:
-    """The path through all cameras, and frusta of some spread ones as one line trace."""
+    """The path through all cameras, and frusta of evenly spaced ones as one line trace."""
     positions, names = [], []
     for frame in frames:
         T = scene.T_world_cam(frame.id)
@@ -217,7 +217,7 @@ def _middle(
     meshes: dict[int, tuple[NDArray[np.float32], NDArray[np.int32]]],
     cloud: Cloud | None,
 ) -> Array:
-    """The point the view turns about: the objects, else the points, else the cameras."""
+    """The centre of rotation: that of the objects, else of the points, else of the cameras."""
     if meshes:
         return np.mean([v.mean(axis=0) for v, _ in meshes.values()], axis=0).astype(np.float64)
     if cloud is not None:
@@ -253,9 +253,9 @@ def sparse_cloud(scene: Scene) -> Cloud | None:
 
 
 def fused_cloud(scene: Scene, frames: list[Frame]) -> Cloud | None:
-    """Sensor depth of some spread frames in the world; None without depth or metres."""
+    """World points of sensor depth in evenly spaced frames; None without depth or metric scale."""
     usable = [f for f in frames if f.depth is not None and scene.T_world_cam(f.id) is not None]
-    # Depth is in metres: it cannot be put into a world of unknown unit.
+    # Depth is in metres: it cannot be placed in a world of unknown unit.
     scale = None if scene.poses is None else scene.poses.scale
     if not usable or (scale is not None and scale.unit != "metre"):
         return None
@@ -269,7 +269,7 @@ def labelled_mesh(
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]] | None:
     """Vertices (V, 3) in the world and faces (F, 3) of an object, decimated.
 
-    None without a label, or without a mesh that can be read.
+    None without a label or a readable mesh.
     """
     T_world_obj = scene.T_world_obj(object_id)
     if T_world_obj is None or mesh_problem(scene, scene.objects.object(object_id).model):
@@ -297,7 +297,7 @@ def near_points(cloud: Cloud, centre: NDArray[np.floating], radius_m: float) -> 
 
 
 def _thinned(xyz: NDArray[np.floating], rgb: NDArray[np.uint8]) -> Cloud:
-    """At most `MOST_POINTS` points, far outliers left out, always the same ones."""
+    """At most `MOST_POINTS` points without far outliers, chosen deterministically."""
     middle = np.median(xyz, axis=0)
     distance = np.linalg.norm(xyz - middle, axis=1)
     near = distance <= 6 * max(float(np.median(distance)), 1e-6)

@@ -1,1 +1,1 @@
-"""The `std-curate` command: parses, calls a step, prints."""
+"""The `std-curate` command: parses options, runs a step, prints the result."""

@@ -1,18 +1,23 @@
-"""Command lines made from option dataclasses: parsing, help, exit status, one-line errors.
+"""Command lines generated from option dataclasses: parsing, help, exit status, one-line errors.
 
 A program is a table of commands. A command names a dataclass of options and a function that takes
-an instance of it, both by `module:name`, so that `PROGRAM --help` imports neither. `tyro` makes the
-command line from the dataclass: the help of an option is the docstring below its field, its range
-is a `msgspec.Meta` in its annotation, its choices are an enum or a `Literal`. A field without a
-default is a positional argument, a mapping takes `NAME=VALUE ...`. The help of a flag `--no-NAME`,
-which is on by default, is a noun: "pictures" becomes "without pictures". A nested `msgspec.Struct`
-serves as well as a dataclass. The field's metadata (of a Struct the `extra` of a `msgspec.Meta`)
-may say more:
+an instance of it, both as `module:name`, so that `PROGRAM --help` imports neither. `tyro` builds
+the command line from the dataclass:
 
-- `{"option": "set"}` makes it the option `--set`, `{"option": ""}` makes it positional, and
+- the help of an option is the docstring below its field;
+- its range is a `msgspec.Meta` in its annotation, its choices are an enum or a `Literal`;
+- a field without a default is a positional argument;
+- a mapping takes `NAME=VALUE ...`;
+- the help of a flag that is on by default is a noun: "pictures" becomes "without pictures" for
+  `--no-NAME`;
+- a nested dataclass or `msgspec.Struct` is flattened.
+
+The metadata of a field (for a Struct the `extra` of a `msgspec.Meta`) changes this:
+
+- `{"option": "set"}` names the option `--set`, `{"option": ""}` makes it positional, and
   `{"option": None}` keeps it off the command line;
-- `{"off": "flat-normals"}` makes a flag of this name that turns it off;
-- `{"repeat": True}` lets a tuple or mapping collect one value each time that the option is given;
+- `{"off": "flat-normals"}` makes a flag of this name that turns the field off;
+- `{"repeat": True}` lets a tuple or mapping collect one value each time the option is given;
 - `{"factor": 1000}` reads metres as millimetres;
 - `{"size": True}` reads two whole numbers as `1280x720`.
 
@@ -65,7 +70,7 @@ class Command:
 
     Attributes:
         name: the word that chooses it.
-        about: one line for the program's help.
+        about: one line for the help of the program.
         options: `module:Class` of its options, a dataclass.
         run: `module:function` that takes the options and returns the exit status (None is 0).
     """
@@ -83,10 +88,10 @@ class Program:
     Attributes:
         name: what the user types.
         about: one paragraph for `--help`.
-        commands: in the order of the work.
+        commands: in the order of use.
         default: name of the command that runs if the first word names none; "" to require one.
-        rewrite: turns the words of older command lines into today's.
-        on_interrupt: what Ctrl-C means for the work done so far.
+        rewrite: converts the words of older command lines.
+        on_interrupt: printed after Ctrl-C.
     """
 
     name: str
@@ -184,15 +189,15 @@ class _UsageError(Exception):
 
 
 def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[Any, Verbosity]:
-    """Options from words.
+    """Parse the words of a command line.
 
     Args:
         kind: a dataclass; nested ones are flattened, fields without a default are positional.
-        words: of the command line, without program and command.
-        program: its title in help and errors.
+        words: words of the command line, without program and command.
+        program: title of the program in help and errors.
 
     Returns:
-        An instance of `kind`, and how much to print.
+        An instance of `kind`, and the verbosity.
 
     Raises:
         SystemExit: after `--help`.
@@ -225,7 +230,7 @@ def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[
 
 
 def words_of(options: Any) -> list[str]:
-    """The words that `parse_options` makes equal options of; defaults are left out."""
+    """The words that `parse_options` parses to equal options; defaults are left out."""
     positional: list[str] = []
     named: list[str] = []
     kind = type(options)
@@ -250,7 +255,7 @@ def words_of(options: Any) -> list[str]:
 
 
 def print_json(value: Any) -> None:
-    """Print lists, dicts, dataclasses and Structs as JSON; what is not a finite number as null."""
+    """Print lists, dicts, dataclasses and Structs as JSON; NaN and infinity as null."""
     import msgspec
 
     print(msgspec.json.format(msgspec.json.encode(value)).decode())
@@ -261,14 +266,14 @@ def exit_status(
     *,
     program: str,
     debug: bool = False,
-    on_interrupt: str = "run the same command again to go on",
+    on_interrupt: str = "run the same command again to resume",
 ) -> int:
     """Run a command. Exit status: what it returns, 1 for an error, 130 if it was interrupted.
 
     Args:
-        program: name of the program, for the advice on a defect of ours.
-        debug: let errors through, with their traceback.
-        on_interrupt: what Ctrl-C means for the work done so far.
+        program: name of the program, for the hint of an unexpected error.
+        debug: let exceptions pass, with their traceback.
+        on_interrupt: printed after Ctrl-C.
     """
     try:
         return int(run())
@@ -278,7 +283,7 @@ def exit_status(
         print(f"error: {error}", file=sys.stderr)
         return 1
     except BrokenPipeError:
-        # `std-curate info SCENE | head` is no error.
+        # `std-curate info SCENE | head` is not an error.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
@@ -287,12 +292,12 @@ def exit_status(
         where = f"{error.filename}: " if error.filename else ""
         print(f"error: {where}{error.strerror or error}", file=sys.stderr)
         return 1
-    except Exception as error:  # a defect of ours: still one line, and how to tell us more
+    except Exception as error:  # a bug in the toolkit: still one line, and how to get the traceback
         if debug:
             raise
         shown = ToolkitError(
             f"unexpected {type(error).__name__}: {error}",
-            hint=f"a defect of std-toolkit; `{program} --debug ...` shows where",
+            hint=f"a defect of std-toolkit; `{program} --debug ...` prints the traceback",
         )
         print(f"error: {shown}", file=sys.stderr)
         return 1
@@ -302,7 +307,7 @@ def exit_status(
 
 
 def _tidy(page: str) -> str:
-    """A help page without rules, its paragraphs filled, `STR ...` for `[STR [STR ...]]`."""
+    """A help page without ruled lines, paragraphs filled, `STR ...` for `[STR [STR ...]]`."""
     page = _REPEATED.sub(lambda found: f"{found[1]} ...".ljust(len(found[0])), page)
     filled = (fill(x, 80) if x[:1].strip() and len(x) > 80 else x for x in page.splitlines())
     lines = (line.rstrip() for line in "\n".join(filled).splitlines())
@@ -347,7 +352,7 @@ class _Option:
 
 
 def _options(kind: type[Any], given: Any = dataclasses.MISSING) -> Iterator[_Option]:
-    """Options of a dataclass, in place those of nested ones; `given` holds other defaults."""
+    """Options of a dataclass, with those of nested ones; `given` holds other defaults."""
     from docstring_parser import parse_from_object
 
     texts = {
@@ -367,7 +372,7 @@ def _options(kind: type[Any], given: Any = dataclasses.MISSING) -> Iterator[_Opt
 def _fields(kind: type[Any], given: Any) -> Iterator[tuple[dataclasses.Field[Any], Any, Any]]:
     """Fields on the command line, their types and defaults.
 
-    Those of base classes come late, nested dataclasses last.
+    Those of base classes follow, nested dataclasses are last.
     """
     hints = get_type_hints(kind, include_extras=True)
     owners: dict[str, int] = {}
@@ -420,7 +425,7 @@ def _is_record(hint: Any) -> bool:
 
 
 def _struct_fields(kind: type[Any], hints: Mapping[str, Any]) -> Iterator[dataclasses.Field[Any]]:
-    """Fields of a Struct as those of a dataclass; their metadata are the `extra` of a `Meta`."""
+    """Fields of a Struct as dataclass fields; their metadata are the `extra` of a `Meta`."""
     from msgspec import NODEFAULT, structs
 
     for info in structs.fields(kind):
@@ -458,7 +463,7 @@ def _size(name: str, word: str) -> tuple[int, int]:
 
 
 def _with_verbosity(kind: type[Any]) -> type[Any]:
-    """A flat dataclass of all options for the parser."""
+    """A flat dataclass of all options, for the parser."""
     from tyro import conf
 
     fields: list[tuple[str, Any, Any]] = []
@@ -506,7 +511,7 @@ def _is_tuple(hint: Any) -> bool:
 
 
 def _refuse(program: str, event: Any) -> None:
-    """Raise the parser's complaint as one line."""
+    """Raise an error of the parser as one line."""
     kind = type(event).__name__
     argument = getattr(event, "argument", None)
     name = _flag(argument) if argument is not None else ""

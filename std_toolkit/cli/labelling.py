@@ -1,4 +1,4 @@
-"""Commands of `std-curate` from labels on: label, propagate, render, check, export, run."""
+"""Commands of `std-curate` from labelling on: label, propagate, render, check, export, run."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from std_toolkit.cli.recording import PosesCommand, asked, print_json, recover_p
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs.options import JobOptions
 
-# A step whose result the next ones build on ends the run when it fails; a frame that could not
-# be rendered does not: the check tells what is missing.
+# Failures of these steps end the run, because later steps need their results. A frame that could
+# not be rendered does not end it: the check reports missing frames.
 ENDS_THE_RUN = ("poses", "propagate")
 
 
@@ -27,7 +27,7 @@ class LabelArguments(options.LabelCommand):
 
 
 def label(command: LabelArguments) -> int:
-    """Enter an object and set its poses."""
+    """Add an object and set its poses."""
     from std_toolkit.io.atomic import sweep_temporaries
     from std_toolkit.labels.label_command import run_label_command
     from std_toolkit.scene.scene import Scene
@@ -38,10 +38,10 @@ def label(command: LabelArguments) -> int:
     shared = len(command.poses) == 1 and len(command.frames) > 0
     if files != len(command.frames) and not shared:
         raise ToolkitError(
-            "each --frame needs its own --pose or --correspondences",
+            "each --frame needs one --pose or --correspondences",
             value=f"{len(command.frames)} frames, {files} files",
         )
-    if shared:  # one file of many images (BOP, 6D-PAT) may serve several frames
+    if shared:  # a file of several images (BOP, 6D-PAT) may hold the poses of several frames
         command = replace(command, poses=command.poses * len(command.frames))
     scene = Scene.open(command.scene)
     with scene.lock():
@@ -53,7 +53,7 @@ def label(command: LabelArguments) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class PropagateCommand:
-    """Give every labelled object one pose in the world, and with it one in every frame."""
+    """Compute one world pose for each labelled object, and from it the pose in every frame."""
 
     scene: Path
     """scene folder"""
@@ -61,7 +61,7 @@ class PropagateCommand:
 
 
 def propagate(command: PropagateCommand) -> int:
-    """Carry labels over; 1 if an object got no pose."""
+    """Propagate labels; 1 if an object has no pose."""
     from std_toolkit.labels.propagate import label_lines, propagate_labels
     from std_toolkit.scene.scene import Scene
 
@@ -77,15 +77,16 @@ def propagate(command: PropagateCommand) -> int:
 class RenderCommand:
     """Render ground truth for every labelled frame into SCENE/gt.
 
-    Per frame z-depth, instance mask, NOCS map and surface normals, per object the visible fraction
-    and boxes. Frames that are finished and whose inputs did not change are kept.
+    Writes z-depth, instance mask, NOCS map and surface normals per frame, and the visible fraction
+    and bounding boxes per object. Frames that are complete and whose inputs did not change are
+    kept.
     """
 
     scene: Path
     """scene folder"""
     options: options.RenderOptions = field(default_factory=options.RenderOptions)
     frames: tuple[int, ...] | None = None
-    """ids of the frames to render (all that are labelled)"""
+    """ids of the frames to render (default: all labelled frames)"""
     jobs: JobOptions = field(default_factory=JobOptions)
 
 
@@ -109,7 +110,7 @@ def render(command: RenderCommand) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class CheckCommand:
-    """Measure the labels of a scene against its images and depth.
+    """Compare the labels of a scene with its images and depth.
 
     Writes check/report.html, report.json, report.csv and frames.csv. Exit status 1 if a gate
     fails.
@@ -141,7 +142,7 @@ def check(command: CheckCommand) -> int:
             f"{gate.limit:g}{unit}; {gate.advice}"
         )
     for warning in report.warnings:
-        # Failed gates are named above; what is of low weight is in the report.
+        # Failed gates are printed above; warnings of low severity are in the report only.
         if warning.severity != "low" and not warning.gate:
             print(f"warning: {warning.about}: {warning.problem}; {warning.advice}")
     print(report.verdict)
@@ -153,8 +154,8 @@ def check(command: CheckCommand) -> int:
 class ExportCommand:
     """Write every frame with ground truth in the layout of STD, BOP or NOCS.
 
-    std_toolkit.json beside it holds what the layout has no place for: camera poses, intrinsics,
-    object poses, where the metres come from.
+    The file std_toolkit.json holds what the layout cannot: camera poses, intrinsics, object poses
+    and the source of the metric scale.
     """
 
     scene: Path
@@ -162,7 +163,7 @@ class ExportCommand:
     format: str = field(metadata={"option": "format"})
     """std, bop, nocs or a plug-in"""
     out: Path = field(metadata={"option": "out"})
-    """new folder"""
+    """new output folder"""
     options: options.ExportOptions = field(default_factory=options.ExportOptions)
     jobs: JobOptions = field(default_factory=JobOptions)
 
@@ -184,50 +185,50 @@ def export(command: ExportCommand) -> int:
         f"{len(sidecar.files)} files in the layout of {sidecar.layout}"
     )
     if sidecar.left_out:
-        print(f"left out {len(sidecar.left_out)} frames without ground truth")
+        print(f"skipped {len(sidecar.left_out)} frames without ground truth")
     return 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunCommand:
-    """Run poses, propagate --refine, render and check on a scene whose objects are labelled.
+    """Run poses, propagate --refine, render and check on a scene with labelled objects.
 
-    Steps and frames that are done are kept, stale ones are redone; run it again after any
-    interruption. Poses that came with an import are kept.
+    Completed steps and frames are kept, outdated ones are repeated. Run the command again after an
+    interruption. Imported camera poses are kept.
     """
 
     scene: Path
     """scene folder"""
     refine: bool = True
-    """propagate the annotated poses as they are"""
+    """refinement: propagate the annotated poses unchanged"""
     refine_scale: bool = False
-    """let the known sizes of the objects correct the scale of the camera poses"""
+    """correct the scale of the camera poses from the known sizes of the objects"""
     poses: options.PoseBasics = field(default_factory=options.PoseBasics)
     render: options.RenderBasics = field(default_factory=options.RenderBasics)
     jobs: JobOptions = field(default_factory=JobOptions)
 
 
 def run(command: RunCommand) -> int:
-    """Run the steps as their own commands would; the first failure that matters ends it."""
+    """Run the steps as their own commands do; a failure of poses or propagate ends the run."""
     status = 0
     for name, step in _steps(command):
         print(f"\n== {name}", flush=True)
         outcome = step()
         status = max(status, outcome)
         if outcome and name in ENDS_THE_RUN:
-            print(f"the run ends here: `{name}` failed, see above", file=sys.stderr)
+            print(f"stopped: `{name}` failed, see above", file=sys.stderr)
             break
     return status
 
 
 def _steps(command: RunCommand) -> Iterator[tuple[str, Callable[[], int]]]:
-    """The steps, one by one, so that each is chosen by what the last one did."""
+    """The steps, generated lazily, because each depends on the result of the last."""
     from std_toolkit.log import logger
     from std_toolkit.scene.scene import Scene
 
     scene, jobs = Scene.open(command.scene), command.jobs
     if scene.poses is not None and scene.poses.source != "sfm":
-        logger.info("camera poses: kept as they came (%s)", scene.poses.source)
+        logger.info("camera poses: imported ones are kept (%s)", scene.poses.source)
     else:
         poses = options.PoseOptions(**vars(command.poses))
         asked_poses = PosesCommand(scene=command.scene, options=poses, jobs=jobs)
@@ -236,7 +237,7 @@ def _steps(command: RunCommand) -> Iterator[tuple[str, Callable[[], int]]]:
         raise ToolkitError(
             "no object is labelled yet",
             path=command.scene,
-            hint="the camera poses are done; label objects with `std-curate label`, then run again",
+            hint="camera poses are complete; label objects with `std-curate label`, then run again",
         )
     labels = options.PropagateOptions(refine=command.refine, refine_scale=command.refine_scale)
     yield "propagate", partial(propagate, PropagateCommand(scene=command.scene, options=labels))

@@ -41,14 +41,15 @@ PROGRAM = Program(
             "import", "make a scene from a recording", "recording", "ImportCommand", "import_scene"
         ),
         _command(
-            "info", "print what a scene holds and lacks", "recording", "InfoCommand", "print_info"
+            "info", "print the contents of a scene and the next step", "recording", "InfoCommand",
+            "print_info",
         ),
         _command(
             "poses", "recover camera poses in metres", "recording", "PosesCommand", "recover_poses"
         ),
         _command(
             "trajectory",
-            "write the camera poses for other tools",
+            "write the camera poses as CSV, TUM, COLMAP or NeRF files",
             "recording",
             "TrajectoryCommand",
             "write_path",
@@ -58,7 +59,7 @@ PROGRAM = Program(
             "label",
         ),
         _command(
-            "propagate", "carry annotated poses to every registered frame", "labelling",
+            "propagate", "propagate annotated poses to every registered frame", "labelling",
             "PropagateCommand", "propagate",
         ),
         _command(
@@ -66,7 +67,7 @@ PROGRAM = Program(
             "RenderCommand", "render",
         ),
         _command(
-            "check", "judge the labels: report with pictures and numbers, gates", "labelling",
+            "check", "measure the labels, test gates, write an HTML report", "labelling",
             "CheckCommand", "check",
         ),
         _command(
@@ -74,7 +75,7 @@ PROGRAM = Program(
             "ExportCommand", "export",
         ),
         _command(
-            "run", "poses, propagate --refine, render and check in one go", "labelling",
+            "run", "run poses, propagate --refine, render and check", "labelling",
             "RunCommand", "run",
         ),
         _command(
@@ -83,7 +84,7 @@ PROGRAM = Program(
         ),
     ),
     rewrite=with_link_mode,
-    on_interrupt="run the same command again to go on",
+    on_interrupt="run the same command again to resume",
 )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Commands of `std-curate` up to the camera poses: import, info, poses, trajectory, schema."""
+"""Commands of `std-curate` before labelling: import, info, poses, trajectory, schema."""
 
 from __future__ import annotations
 
@@ -16,35 +16,36 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ImportCommand:
-    """Make a scene from separate images, or from a recording in another format.
+    """Make a scene from a recording.
 
-    Separate images need --color DIR, --intrinsics and mostly --depth DIR; another format its
-    folder SRC.
+    Give the folder SOURCE of a known format, or separate images with --color, --intrinsics and
+    optionally --depth.
     """
 
     source: Path | None = field(default=None, metadata={"option": ""})
-    """folder of a known format"""
+    """folder of a recording in a known format"""
     out: Path = field(metadata={"option": "out"})
     """new scene folder"""
     name: str | None = None
-    """name of the scene (that of its folder)"""
+    """name of the scene (default: name of its folder)"""
     format: str | None = None
-    """folder, std, dreds, bop, nocs, cleargrasp or a plug-in (by SRC)"""
+    """folder, std, dreds, bop, nocs, cleargrasp or a plug-in (default: detected from SOURCE)"""
     options: ImportOptions = field(default_factory=ImportOptions)
     link: LinkMode = "copy"
-    """link images that need no conversion instead of copying them; --link alone is --link hard"""
+    """copy images that need no conversion, or make hard or symbolic links; --link alone means
+    --link hard"""
     jobs: JobOptions = field(default_factory=JobOptions)
 
 
 def import_scene(command: ImportCommand) -> int:
-    """Make the scene and print what it holds."""
+    """Make the scene and print its summary."""
     from std_toolkit.checks.summary import summarise
     from std_toolkit.importers.import_step import import_recording
     from std_toolkit.scene.document import check_name, safe_name
 
     source = command.source or command.options.color
     if source is None or (command.source and command.options.color):
-        raise ToolkitError("give either SRC or --color", hint="see `std-curate import --help`")
+        raise ToolkitError("give either SOURCE or --color", hint="see `std-curate import --help`")
     if command.name:
         name = check_name(command.name, field="--name")
     else:
@@ -62,18 +63,18 @@ def import_scene(command: ImportCommand) -> int:
 
 
 def asked(jobs: JobOptions) -> JobOptions | None:
-    """None where the step may choose: for short work, processes cost more than they gain."""
+    """None if no option was given: the step may then run short work without processes."""
     return None if jobs == JobOptions() else jobs
 
 
 @dataclass(frozen=True, kw_only=True)
 class InfoCommand:
-    """Print what a scene holds, what it lacks, and the command that comes next."""
+    """Print the contents of a scene, what is missing, and the next command."""
 
     scene: Path
     """scene folder"""
     json: bool = False
-    """print the same as JSON"""
+    """print JSON"""
 
 
 def print_info(command: InfoCommand) -> int:
@@ -100,8 +101,8 @@ def print_json(data: Any) -> None:
 class PosesCommand:
     """Recover the camera pose of every frame with structure from motion.
 
-    The metres come from every source that the scene has, and the result is judged. Exit status 1
-    if a quality gate fails; the poses are saved and marked.
+    The metric scale is estimated from every source that the scene has. If a quality gate fails,
+    the exit status is 1 and the poses are saved with the failed gate.
     """
 
     scene: Path
@@ -131,7 +132,7 @@ def recover_poses(command: PosesCommand) -> int:
 
 
 def pose_lines(poses: CameraPoses, names: list[str]) -> list[str]:
-    """What a person wants to know of camera poses, one line each."""
+    """Summary lines of the camera poses."""
     lost = [name for p, name in zip(poses.frames, names, strict=True) if p.status != "registered"]
     lines = [f"registered {len(names) - len(lost)} of {len(names)} frames"]
     if lost:
@@ -161,9 +162,9 @@ class TrajectoryCommand:
     scene: Path
     """scene folder"""
     out: Path = field(metadata={"option": "out"})
-    """file, or folder for colmap"""
+    """output file; for colmap, output folder"""
     format: Literal["csv", "tum", "colmap", "nerf"] = "csv"
-    """csv (a row per frame, T_world_cam row-major), tum, colmap (a text model) or nerf
+    """csv (one row per frame, T_world_cam row-major), tum, colmap (text model) or nerf
     (transforms.json, OpenGL axes)"""
 
 
@@ -181,10 +182,10 @@ def write_path(command: TrajectoryCommand) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class SchemaCommand:
-    """Print the JSON Schema of one document, write those of all, or list the documents."""
+    """Print the JSON Schema of one document, write all schemas, or list the documents."""
 
     document: str | None = field(default=None, metadata={"option": ""})
-    """such as scene or poses"""
+    """name of a document, such as scene or poses"""
     out: Path | None = None
     """write all schemas to this folder"""
 

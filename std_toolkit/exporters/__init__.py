@@ -1,4 +1,4 @@
-"""Writing labelled scenes in the layouts that other tools read."""
+"""Export of labelled scenes in the layouts of other tools."""
 
 from std_toolkit.exporters.export_step import export_scene
 from std_toolkit.exporters.exporter import EXPORTERS, Exporter

@@ -1,9 +1,9 @@
 """The BOP layout (bop_toolkit's docs/bop_datasets_format.md and its code).
 
-Millimetres everywhere; poses map the model into the camera (m2c) and the world into the camera
-(w2c); models have their origin in the middle of their bounding box. Masks, boxes and counts come
-from ground truth with pixel centres at integers, as K and the back-projection of depth have them;
-bop_toolkit's own renderer puts them at +0.5 with the same K.
+All lengths are in millimetres. Poses map model to camera (m2c) and world to camera (w2c). The
+origin of a model is the centre of its bounding box. Masks, boxes and counts come from ground truth
+with pixel centres at integers, consistent with K and the back-projection of depth. The renderer of
+bop_toolkit puts pixel centres at +0.5 with the same K.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _EVAL_EDGE = 0.1
 
 @dataclass(frozen=True)
 class DepthUnits:
-    """Depth as 16-bit units, and what one unit is in mm."""
+    """Depth as 16-bit units, and the size of one unit in mm."""
 
     values: NDArray[np.uint16]
     scale_mm: float
@@ -50,7 +50,7 @@ class BopExporter:
     """`OUT/<split>/000001/`, `OUT/models/`, and the documents of a data set."""
 
     def check(self, target: exporter.Target) -> None:
-        """Everything that a scene can hold fits."""
+        """Accept every scene: the layout has no limits."""
 
     def folder(self, target: exporter.Target) -> str:
         return f"{target.options.split}/{target.options.scene_number:06d}"
@@ -122,7 +122,7 @@ class BopExporter:
             )
             visible = maps.mask == row.object
             for kind, mask in (("mask", amodal), ("mask_visib", visible)):
-                # Also where nothing is to be seen: the suffix is the index in scene_gt.
+                # Also for invisible objects: the suffix is the index in scene_gt.
                 outputs.append(f"{kind}/{stem}_{index:06d}.png")
                 write_png(folder / outputs[-1], np.where(mask, np.uint8(255), np.uint8(0)))
             centre, _ = nocs_frame(mesh)
@@ -220,7 +220,7 @@ def model_info(
 
 def gt_info_row(row: ObjectTruth) -> dict[str, Any]:
     """An entry of scene_gt_info.json. Boxes are (x, y, max - min, max - min), no +1; all -1 for an
-    object of which nothing is visible."""
+    object that is not visible."""
     visible = row.px_visible > 0
     return {
         "bbox_obj": _box(row.bbox_amodal) if visible else [-1] * 4,
@@ -235,7 +235,7 @@ def gt_info_row(row: ObjectTruth) -> dict[str, Any]:
 def camera_row(
     scene: Scene, frame: Frame, camera: Camera, depth: DepthUnits | None
 ) -> dict[str, Any]:
-    """An entry of scene_camera.json; world to camera only where the frame has a pose."""
+    """An entry of scene_camera.json; world to camera only if the frame has a pose."""
     entry: dict[str, Any] = {
         "cam_K": _flat(camera.K),
         "depth_scale": 1.0 if depth is None else depth.scale_mm,
@@ -249,8 +249,8 @@ def camera_row(
 
 
 def depth_units(scene: Scene, frame: Frame) -> DepthUnits | None:
-    """Depth in 16-bit units. 16-bit images keep their numbers: the sensor's correction goes into
-    the scale, so that nothing is rounded twice."""
+    """Depth in 16-bit units. 16-bit images keep their values: the correction factor of the sensor
+    goes into the scale, which avoids rounding twice."""
     if frame.depth is None:
         return None
     path = scene.root / frame.depth

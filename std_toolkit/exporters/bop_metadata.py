@@ -45,7 +45,7 @@ def targets_19(target: Target, rows: list[FrameRow]) -> list[dict[str, int]]:
 
 
 def targets_24(target: Target, rows: list[FrameRow]) -> list[dict[str, int]]:
-    """test_targets_bop24.json: the images; what is in them is to be found out (6D detection)."""
+    """test_targets_bop24.json: the images only, because 6D detection must find the objects."""
     number = target.options.scene_number
     return [{"im_id": row.frame.id, "scene_id": number} for row in rows]
 
@@ -93,7 +93,7 @@ def coco_document(target: Target, rows: list[FrameRow], models: list[ExportedMod
 
 
 def dataset_info(target: Target, rows: list[FrameRow], models: list[ExportedModel]) -> bytes:
-    """dataset_info.json: names and materials behind the numbers, and how visibility was decided."""
+    """dataset_info.json: names and materials of the ids, and how visibility was computed."""
     scene = target.scene
     truths = {(r.truth.policy, r.truth.delta_m, r.truth.renderer) for r in rows}
     poses = scene.poses
@@ -130,7 +130,7 @@ def dataset_info(target: Target, rows: list[FrameRow], models: list[ExportedMode
 
 
 def dataset_text(target: Target, rows: list[FrameRow], models: list[ExportedModel]) -> bytes:
-    """dataset_info.md, for people."""
+    """dataset_info.md, a description for readers."""
     scene = target.scene
     policies = sorted({r.truth.policy for r in rows})
     lines = [
@@ -139,16 +139,16 @@ def dataset_text(target: Target, rows: list[FrameRow], models: list[ExportedMode
         f"{len(rows)} images, {len(models)} models, written by std-toolkit {__version__} in the "
         "layout of the BOP benchmark. Millimetres; model to camera; world to camera.",
         "",
-        "Pixel centres lie at integer coordinates in K, masks and depth alike. bop_toolkit's own "
-        "renderer puts them at +0.5 with the same K, so masks that it renders are shifted by half "
-        "a pixel against these.",
+        "Pixel centres are at integer coordinates in K, masks and depth. The renderer of "
+        "bop_toolkit puts them at +0.5 with the same K, so masks that it renders are shifted by "
+        "half a pixel relative to these.",
         "",
-        f"What hides objects besides each other: {', '.join(policies)} (models: nothing; sensor: "
-        "the frame's depth; fused: geometry fused from many frames). Sensor depth is wrong on "
-        "transparent and specular objects, so visibility must not be derived from it there.",
+        f"Occluders besides the labelled objects: {', '.join(policies)} (models: none; sensor: "
+        "depth of the frame; fused: geometry fused from many frames). Sensor depth is wrong on "
+        "transparent and specular objects: do not derive visibility from it there.",
         "",
-        "Model frames are those of the source meshes, moved to the middle of the bounding box; "
-        "they are not turned to z up.",
+        "Model frames are those of the source meshes, moved to the centre of the bounding box; "
+        "they are not rotated to z up.",
         "",
         "| obj_id | model | category | material |",
         "|---|---|---|---|",

@@ -1,4 +1,4 @@
-"""The export step: one layout of one scene, frame by frame, whole or not at all."""
+"""The export step: writes a scene in one layout, frame by frame, completely or not at all."""
 
 from __future__ import annotations
 
@@ -47,26 +47,26 @@ def export_scene(
     options: ExportOptions | None = None,
     jobs: JobOptions | None = None,
 ) -> Sidecar:
-    """Export every frame with finished ground truth.
+    """Export every frame with complete ground truth.
 
     Args:
-        format_name: exporter's name.
-        out: folder of the export; appears when everything is in it. The same export there
-            already is left alone; an interrupted one is resumed.
+        format_name: name of the exporter.
+        out: folder of the export, created when all files are written. An existing identical
+            export is kept; an interrupted one is resumed.
         options: see `ExportOptions`.
         jobs: where the frames are written.
 
     Returns:
-        What was exported, as its sidecar tells.
+        The sidecar, which describes what was exported.
 
     Raises:
-        ToolkitError: there is no ground truth or it is stale, the layout cannot hold the scene,
-            a frame failed, or something else is at `out`.
+        ToolkitError: there is no ground truth or it is outdated, the layout cannot represent the
+            scene, a frame failed, or `out` has other content.
     """
     options = options or ExportOptions()
     out = Path(out)
     if out.resolve().is_relative_to(scene.root.resolve()):
-        raise ToolkitError("an export cannot lie inside its scene", path=out, field="--out")
+        raise ToolkitError("an export cannot be inside its scene", path=out, field="--out")
     exporter = EXPORTERS.get(format_name)
     target = plan(scene, out, options)
     exporter.check(target)
@@ -74,7 +74,7 @@ def export_scene(
     digests = {f.id: _frame_digest(target, f, format_name, documents) for f in target.frames}
     digest = _export_digest(target, format_name, digests)
     if state_of(out, digest) == "same":
-        logger.info("%s: this export is there already", out)
+        logger.info("%s: this export already exists", out)
         from std_toolkit.io.documents import read_document
 
         return read_document(out / SIDECAR_NAME, Sidecar)
@@ -103,7 +103,7 @@ def export_scene(
 
 
 def plan(scene: Scene, root: Path, options: ExportOptions) -> Target:
-    """Which frames, objects and models an export holds.
+    """Frames, objects and models of an export.
 
     Raises:
         ToolkitError: no ground truth, or it is older than the labels.
@@ -229,10 +229,10 @@ def _objects(target: Target) -> model.ObjectTable:
 
 
 def _labels(target: Target, rows: list[FrameRow]) -> model.Labels:
-    """The labels of the exported objects, told in exported frames only.
+    """The labels of the exported objects, given in exported frames only.
 
-    One whose annotated frame stays behind moves to a further annotated view or, without one, to
-    the first exported frame with a pose of the object: labels of unknown frames are no labels.
+    A label whose annotated frame is not exported moves to another annotated view or, without one,
+    to the first exported frame with a pose of the object.
     """
     poses = {r.frame.id: {o.object: o.T_cam_obj for o in r.frame.objects} for r in rows}
     kept = []

@@ -1,7 +1,4 @@
-"""What an exporter is: it names a layout's files and fills them frame by frame.
-
-What every layout's frame row has in common.
-"""
+"""Protocol of exporters, which write a scene in one layout, and the frame row they share."""
 
 from __future__ import annotations
 
@@ -24,14 +21,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Target:
-    """Where an export goes and what of the scene is in it.
+    """Destination and contents of an export.
 
     Attributes:
-        scene: to export.
-        root: folder to write to (of the staging area while the export runs).
-        frames: with finished ground truth, in order.
-        object_ids: that appear in any frame, rising.
-        model_ids: of those objects, in the order of objects.json.
+        scene: scene to export.
+        root: folder to write to (in the staging area while the export runs).
+        frames: frames with complete ground truth, in order.
+        object_ids: ids of the objects that appear in any frame, ascending.
+        model_ids: models of those objects, in the order of objects.json.
     """
 
     scene: Scene
@@ -51,11 +48,11 @@ class Target:
 
 
 class FrameRow(msgspec.Struct, frozen=True, kw_only=True):
-    """What a frame contributes to the documents of the export.
+    """Contribution of a frame to the documents of the export.
 
     Attributes:
         outputs: files written, relative to the export.
-        extra: the layout's own entries, plain JSON values.
+        extra: layout-specific entries, plain JSON values.
     """
 
     frame: ExportedFrame
@@ -68,7 +65,7 @@ class Exporter(Protocol):
     """Writes one layout."""
 
     def check(self, target: Target) -> None:
-        """Refuse a scene that the layout cannot hold.
+        """Check that the layout can represent the scene.
 
         Raises:
             ToolkitError: it cannot.
@@ -118,7 +115,7 @@ def exported_frame(
     """The sidecar's entry of a frame.
 
     Args:
-        stem: what the layout's file names start with.
+        stem: prefix of the layout's file names.
         mask_ids: object id to its value (or index) in the layout.
     """
     T_world_cam = target.scene.T_world_cam(frame.id)

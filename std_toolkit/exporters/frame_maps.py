@@ -1,10 +1,10 @@
-"""The maps of one frame as a layout's camera sees them.
+"""The maps of one frame in the camera of a layout.
 
-The layouts know pinhole cameras only, and STD's labels have half the colour image's size. Where
-that camera is the scene's own, the rendered ground truth is taken as it is. Else it is rendered
-anew: picking pixels out of maps of another grid would shift depth and NOCS by up to half a pixel
-(0.4 mm at 0.7 m), while a new rendering is exact. What hides objects besides each other
-(policies "sensor" and "fused") is then taken over from the ground truth, to its pixel.
+The layouts support pinhole cameras only, and STD's labels have half the size of the colour image.
+If the camera equals that of the scene, the rendered ground truth is used unchanged. Otherwise it
+is rendered again: resampling the maps would shift depth and NOCS by up to half a pixel (0.4 mm at
+0.7 m), while a new rendering is exact. Occlusion by unlabelled surfaces (policies "sensor" and
+"fused") is then copied from the ground truth, to its pixel.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ def color_camera(scene: Scene, frame: Frame) -> Camera:
 
 
 def read_color(scene: Scene, frame: Frame) -> NDArray[np.uint8]:
-    """Colour (H, W, 3) as the pinhole sees it."""
+    """Colour (H, W, 3) in the pinhole camera."""
     return undistort_image(scene.read_color(frame), scene.camera(frame))  # type: ignore[return-value]
 
 
 def read_sensor_depth(scene: Scene, frame: Frame) -> NDArray[np.float32] | None:
-    """Sensor depth (H, W) metres as the pinhole sees it, the correction factor applied."""
+    """Sensor depth (H, W) in metres in the pinhole camera, with the correction factor applied."""
     depth = scene.read_depth(frame)
     if depth is None:
         return None
@@ -60,7 +60,7 @@ def read_sensor_depth(scene: Scene, frame: Frame) -> NDArray[np.float32] | None:
 
 
 def check_fresh(scene: Scene, truth: ground_truth.FrameTruth) -> None:
-    """Refuse ground truth that belongs to another state of the scene than today's.
+    """Check that ground truth belongs to the current state of the scene.
 
     Raises:
         ToolkitError: a label, camera, mesh or the scale of the depth changed after rendering, or
@@ -68,7 +68,7 @@ def check_fresh(scene: Scene, truth: ground_truth.FrameTruth) -> None:
     """
     frame = scene.frame(truth.frame)
     if scene.info.depth_scale is None and frame.depth is not None and frame.depth.endswith(".png"):
-        scene.read_depth(frame)  # a damaged scene, no stale one: this names the file and the mend
+        scene.read_depth(frame)  # a damaged scene, not an outdated one: names the file
     if not placements.truth_is_current(scene, truth):
         raise ToolkitError(
             "the ground truth is older than the labels, the camera or the meshes",
@@ -132,7 +132,7 @@ def _hidden(
     camera: Camera,
     mask: NDArray[np.uint8],
 ) -> NDArray[np.bool_]:
-    """Pixels whose object the ground truth shows nowhere in the 2x2 pixels around their place."""
+    """Pixels whose object is absent from the surrounding 2x2 pixels of the ground truth."""
     shown = np.array([*ids, 0], np.uint8)[composition.index]
     uv = source.project(camera.rays())
     column, row = np.floor(uv[..., 0]).astype(np.intp), np.floor(uv[..., 1]).astype(np.intp)

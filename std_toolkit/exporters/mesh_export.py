@@ -1,4 +1,4 @@
-"""Meshes as the layouts want them: PLY in millimetres for BOP, OBJ for STD and NOCS."""
+"""Meshes in the formats of the layouts: PLY in millimetres for BOP, OBJ for STD and NOCS."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def transformed(
     mesh: trimesh.Trimesh, *, centre: NDArray[np.float64], factor: float
 ) -> trimesh.Trimesh:
-    """A copy with vertices `(v - centre) * factor`; texture and colours stay."""
+    """A copy with vertices `(v - centre) * factor` and the same texture and colours."""
     copy = mesh.copy()
     normals = np.array(mesh.vertex_normals)
     copy.vertices = (np.asarray(mesh.vertices) - centre) * factor
@@ -28,13 +28,13 @@ def transformed(
 
 
 def ply_files(mesh: trimesh.Trimesh, name: str) -> dict[str, bytes]:
-    """An ASCII PLY with vertex normals, as BOP's toolkit reads it, and its texture.
+    """An ASCII PLY with vertex normals, as bop_toolkit reads it, and its texture.
 
-    Vertices carry texture coordinates (and the header names the texture file) or, without a
-    texture, colours where the mesh has any.
+    Vertices have texture coordinates (and the header names the texture file) or, without a
+    texture, the colours of the mesh, if any.
 
     Args:
-        name: of the PLY file.
+        name: name of the PLY file.
 
     Returns:
         File name to content; the PLY comes first.
@@ -62,7 +62,7 @@ def ply_files(mesh: trimesh.Trimesh, name: str) -> dict[str, bytes]:
     out = io.BytesIO()
     out.write(("\n".join(header) + "\n").encode())
     table = np.concatenate([np.asarray(c, dtype=np.float64) for c in columns], axis=1)
-    # Minus zero would make equal meshes differ in bytes.
+    # Negative zero would make the files of equal meshes differ.
     np.savetxt(out, np.where(np.abs(table) < 5e-8, 0.0, table), fmt=" ".join(formats))
     np.savetxt(out, np.insert(np.asarray(mesh.faces), 0, 3, axis=1), fmt="%d")
     files[name] = out.getvalue()
@@ -77,7 +77,7 @@ def obj_files(mesh: trimesh.Trimesh, name: str) -> dict[str, bytes]:
     mesh = mesh.copy()
     material = getattr(mesh.visual, "material", None)
     if material is not None:
-        # The material's name becomes a file name; the one in the source may be anything.
+        # The material name becomes a file name; that of the source may be invalid as one.
         material.name = f"{stem}_material"
     text, extra = obj.export_obj(
         mesh,
@@ -104,8 +104,8 @@ def write_files(folder: Path, files: dict[str, bytes]) -> list[Path]:
 def evenly_split(mesh: trimesh.Trimesh, *, largest_edge: float) -> trimesh.Trimesh:
     """The same surface with no edge longer than `largest_edge`, without texture.
 
-    Errors over vertices (ADD) depend on how vertices are spread; splitting edges evens them out
-    and, unlike resampling, moves no point of the surface.
+    Errors over vertices (ADD) depend on the distribution of the vertices. Splitting edges makes it
+    more uniform and, unlike resampling, keeps the surface.
     """
     import trimesh as tm
 
@@ -119,7 +119,7 @@ def evenly_split(mesh: trimesh.Trimesh, *, largest_edge: float) -> trimesh.Trime
 def _appearance(
     mesh: trimesh.Trimesh,
 ) -> tuple[bytes | None, NDArray[Any] | None, NDArray[Any] | None]:
-    """Texture PNG, (V, 2) texture coordinates, (V, 4) uint8 colours; None for what is not there."""
+    """Texture PNG, (V, 2) texture coordinates, (V, 4) uint8 colours; None for what is absent."""
     import trimesh as tm
 
     visual = mesh.visual

@@ -1,6 +1,6 @@
 """The layout of the NOCS data sets (Real275), as their public loader reads it.
 
-Facts from the public loader: the folder holds `NNNN_color.png`, `NNNN_depth.png` (16-bit
+The folder contains `NNNN_color.png`, `NNNN_depth.png` (16-bit
 millimetres), `NNNN_mask.png` (ids, 255 = background, at most 19 objects), `NNNN_coord.png` (z
 flipped) and `NNNN_meta.txt` with `id class model` lines; line i describes id i; a model's `.txt`
 holds its three extents, whose norm is its scale.
@@ -35,10 +35,10 @@ class NocsExporter:
     """`OUT/real/<split>/scene_N/NNNN_*`, meshes in `OUT/obj_models/real_<split>/`."""
 
     def check(self, target: exporter.Target) -> None:
-        """Refuse more objects than the loader holds."""
+        """Check that the scene has no more objects than the loader supports."""
         if len(target.object_ids) > MOST_OBJECTS:
             raise ToolkitError(
-                f"the NOCS layout holds at most {MOST_OBJECTS} objects",
+                f"the NOCS layout supports at most {MOST_OBJECTS} objects",
                 path=target.scene.root,
                 value=len(target.object_ids),
             )
@@ -92,7 +92,7 @@ class NocsExporter:
         if sensor is None:
             sensor = np.zeros((camera.height, camera.width), np.float32)
         units = np.rint(sensor.astype(np.float64) * _UNITS_PER_METRE)
-        # Beyond 65 m nothing was measured by a sensor of this field.
+        # No sensor of this kind measures beyond 65 m.
         units[units > _LARGEST] = 0
         write_png(folder / f"{stem}_depth.png", units.astype(np.uint16))
         write_png(folder / f"{stem}_mask.png", std_exporter.dense_mask(maps.mask, mask_ids))
@@ -111,7 +111,7 @@ class NocsExporter:
         rows: list[exporter.FrameRow],  # noqa: ARG002
         models: list[ExportedModel],  # noqa: ARG002
     ) -> list[str]:
-        """The layout has no documents over all frames."""
+        """Return no paths: the layout has no documents over all frames."""
         return []
 
     def _meta(self, target: exporter.Target) -> str:

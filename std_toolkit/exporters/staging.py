@@ -1,8 +1,8 @@
-"""The staging area of an export: beside its place, kept when a run is interrupted.
+"""The staging area of an export, which is kept if a run is interrupted.
 
-The export is written to `.NAME.partial` and renamed to `NAME` when it is whole. A run that was
-killed leaves `.NAME.partial`; the next run of the same export goes on there. A lock tells the
-staging area of a process that is at work from one that was left.
+The export is written to `.NAME.partial` and renamed to `NAME` when it is complete. A killed run
+leaves `.NAME.partial`, and the next run of the same export resumes there. A lock distinguishes an
+active staging area from an abandoned one.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Progress(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def state_of(out: Path, digest: str) -> Literal["vacant", "same", "other"]:
-    """What is at `out`: nothing, this very export complete, or something else."""
+    """Content of `out`: nothing, this export complete, or something else."""
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return "vacant"
     path = out / SIDECAR_NAME
@@ -57,23 +57,23 @@ def state_of(out: Path, digest: str) -> Literal["vacant", "same", "other"]:
 def staging_area(out: Path, *, overwrite: bool) -> Iterator[Path]:
     """The staging folder, moved to `out` when the block ends without an error.
 
-    When the block raises, it stays if a frame was finished: the next run goes on there.
+    If the block raises after a frame was written, the folder is kept and the next run resumes.
 
     Raises:
-        ToolkitError: something else is at `out`, or another process exports to it now.
+        ToolkitError: `out` has other content, or another process exports to it.
     """
     out = out.absolute()
     if out.is_symlink() or (out.exists() and not out.is_dir()):
-        raise ToolkitError("there is a file here already", path=out, hint="choose another --out")
+        raise ToolkitError("a file already exists here", path=out, hint="choose another --out")
     if out.is_dir() and any(out.iterdir()) and not overwrite:
         raise ToolkitError(
-            "the folder is not empty and no complete export of this scene",
+            "the folder is not empty and is not a complete export of this scene",
             path=out,
             hint="choose another --out, or give --overwrite to replace an earlier export",
         )
     if overwrite and out.is_dir() and any(out.iterdir()) and not (out / SIDECAR_NAME).is_file():
         raise ToolkitError(
-            "--overwrite replaces earlier exports only, and this is none",
+            "this is not an export; --overwrite replaces only exports",
             path=out,
             hint="choose another --out",
         )
@@ -87,7 +87,7 @@ def staging_area(out: Path, *, overwrite: bool) -> Iterator[Path]:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            raise ToolkitError("another process exports to this place", path=out) from error
+            raise ToolkitError("another process is exporting to this folder", path=out) from error
         sweep_temporaries(staging)
         try:
             yield staging
@@ -108,7 +108,7 @@ def finished_row(staging: Path, key: str, digest: str) -> FrameRow | None:
         return None
     try:
         progress = read_document(path, Progress)
-    except ToolkitError:  # of another version: the frame is written anew
+    except ToolkitError:  # of another version: the frame is written again
         return None
     whole = progress.digest == digest and all(
         (staging / name).is_file() and digest_file(staging / name) == content
@@ -118,7 +118,7 @@ def finished_row(staging: Path, key: str, digest: str) -> FrameRow | None:
 
 
 def record_row(staging: Path, key: str, digest: str, row: FrameRow) -> None:
-    """Remember a finished frame."""
+    """Record a finished frame."""
     outputs = {name: digest_file(staging / name) for name in row.outputs}
     write_document(
         staging / PROGRESS / f"{key}.json", Progress(digest=digest, outputs=outputs, row=row)
@@ -126,7 +126,7 @@ def record_row(staging: Path, key: str, digest: str, row: FrameRow) -> None:
 
 
 def drop_strangers(staging: Path, expected: set[str]) -> None:
-    """Remove files that an earlier run with other inputs left, and empty folders."""
+    """Remove files of an earlier run with other inputs, and empty folders."""
     for path in sorted(staging.rglob("*"), reverse=True):
         if path.is_dir() and not path.is_symlink():
             if not any(path.iterdir()):
@@ -136,7 +136,7 @@ def drop_strangers(staging: Path, expected: set[str]) -> None:
 
 
 def file_digests(staging: Path) -> dict[str, str]:
-    """Digest of every file below the staging area but its own records, by relative path."""
+    """Digest of every file in the staging area except its records, by relative path."""
     files = (p for p in staging.rglob("*") if p.is_file())
     names = sorted(p.relative_to(staging).as_posix() for p in files)
     return {
@@ -149,7 +149,7 @@ def file_digests(staging: Path) -> dict[str, str]:
 def _put_in_place(staging: Path, out: Path) -> None:
     shutil.rmtree(staging / PROGRESS, ignore_errors=True)
     old = out.with_name(f".{out.name}.replaced")
-    # Also what a run left that was killed between the two moves below.
+    # Also the remains of a run that was killed between the two moves below.
     shutil.rmtree(old, ignore_errors=True)
     if out.is_dir() and any(out.iterdir()):
         out.rename(old)

@@ -41,19 +41,22 @@ class StdExporter:
     """`OUT/<scene>/NNNN_*`, meshes in `OUT/cad_model/<category>/<model>/`."""
 
     def check(self, target: Target) -> None:
-        """Refuse more objects than the loaders hold, a scene named as the models' folder, and
-        a label size that no camera's image has in proportion.
+        """Check the limits of the loaders.
+
+        Raises:
+            ToolkitError: too many objects, a scene named like the model folder, or a label size
+                with another aspect ratio than the image of a camera.
         """
         if target.scene.info.name == "cad_model":
             raise ToolkitError(
-                "the STD layout keeps its models in a folder of this name",
+                "the STD layout uses this name for the folder of its models",
                 path=target.scene.root / "scene.json",
                 field="name",
                 value="cad_model",
             )
         if len(target.object_ids) > MOST_OBJECTS:
             raise ToolkitError(
-                f"the STD layout holds at most {MOST_OBJECTS} objects",
+                f"the STD layout supports at most {MOST_OBJECTS} objects",
                 path=target.scene.root,
                 value=len(target.object_ids),
             )
@@ -64,7 +67,7 @@ class StdExporter:
         return target.scene.info.name
 
     def label_camera(self, target: Target, camera: Camera) -> Camera:
-        """Half the size of a 1280x720 colour image, as in STD; else the colour image's."""
+        """Half the size of a 1280x720 colour image, as in STD; otherwise its full size."""
         size = target.options.label_size
         if size is None:
             size = (640, 360) if camera.size == _FULL_SIZE else camera.size
@@ -143,7 +146,7 @@ class StdExporter:
         rows: list[FrameRow],  # noqa: ARG002
         models: list[ExportedModel],  # noqa: ARG002
     ) -> list[str]:
-        """The layout has no documents over all frames."""
+        """Return no paths: the layout has no documents over all frames."""
         return []
 
     def _meta(self, target: Target, truth: FrameTruth, mask_ids: dict[int, int]) -> str:
@@ -165,7 +168,7 @@ class StdExporter:
 
 
 def write_depth_exr(path: Path, depth: NDArray[np.float32]) -> None:
-    """Depth in metres as three equal float32 channels, as the layout's files have it."""
+    """Depth in metres as three equal float32 channels, the format of the layout."""
     values = np.ascontiguousarray(depth, dtype=np.float32)
     exr.write_exr(path, {"R": values, "G": values, "B": values}, compression="zip")
 
@@ -180,7 +183,7 @@ def nocs_image(nocs: NDArray[np.float32], mask: NDArray[np.uint8]) -> NDArray[np
 
 
 def dense_mask(mask: NDArray[np.uint8], mask_ids: dict[int, int]) -> NDArray[np.uint8]:
-    """Mask of the layout's ids 1..N with background 255."""
+    """Mask of the layout's ids 1..N, background 255."""
     table = np.full(256, BACKGROUND, np.uint8)
     for object_id, mask_id in mask_ids.items():
         table[object_id] = mask_id

@@ -35,14 +35,14 @@ class Similarity:
         return Similarity(1 / self.scale, self.R.T, -self.R.T @ self.t / self.scale)
 
     def matrix(self) -> Array:
-        """(4, 4) with the scale inside, as NOCS-style evaluations store it."""
+        """(4, 4) matrix that includes the scale, as NOCS-style evaluations store it."""
         M = np.eye(4)
         M[:3, :3] = self.scale * self.R
         M[:3, 3] = self.t
         return M
 
     def transform_pose(self, T_b_cam: SE3) -> SE3:
-        """The pose of a camera known in frame b, in frame a: rotated, moved and scaled."""
+        """Convert a camera pose from frame b to frame a: rotated, translated and scaled."""
         return SE3(self.R @ T_b_cam.R, self @ T_b_cam.t)
 
 
@@ -60,12 +60,12 @@ def umeyama(
 
     Args:
         src, dst: corresponding points.
-        with_scale: estimate the scale; else it is 1 (a rigid fit).
+        with_scale: estimate the scale; otherwise it is 1 (a rigid fit).
         weights: (N,) non-negative weights.
 
     Raises:
-        ToolkitError: fewer than three points, values that are not finite, useless weights, or
-            points on a line (the rotation about it is then free).
+        ToolkitError: fewer than three points, values that are not finite, invalid weights, or
+            points on a line (the rotation about it is then undetermined).
     """
     p, q = _point_sets(src, dst)
     w = np.ones(len(p)) if weights is None else np.asarray(weights, dtype=np.float64)
@@ -75,10 +75,10 @@ def umeyama(
     mean_p, mean_q = w @ p, w @ q
     dp, dq = p - mean_p, q - mean_q
     U, S, Vt = np.linalg.svd((dq * w[:, None]).T @ dp)
-    # The rounding of far-away coordinates must not pass for an extent.
+    # Rounding errors of large coordinates must not count as extent.
     rounding = 1e-15 * float(np.abs(p).max() * np.abs(q).max())
     if S[1] <= max(1e-12 * S[0], rounding):
-        raise ToolkitError("points for a similarity lie on a line: the rotation about it is free")
+        raise ToolkitError("points for a similarity are on a line: the rotation is undetermined")
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
     R = (U * sign) @ Vt
     variance = float(w @ (dp**2).sum(axis=1))
@@ -98,9 +98,9 @@ def ransac_similarity(
 ) -> tuple[Similarity, NDArray[np.bool_]]:
     """Similarity from src to dst in the presence of outliers.
 
-    A correspondence is an inlier when its residual in the units of dst (metres) is below
-    `threshold_m`. The field's reference implementation (NOCS) derives its threshold from the
-    ratio of the mean norms of the two sets, which admits every point: it never rejects anything.
+    A correspondence is an inlier if its residual in the units of dst (metres) is below
+    `threshold_m`. The NOCS reference implementation derives its threshold from the ratio of the
+    mean norms of the two sets; this accepts every point and never rejects an outlier.
 
     Args:
         src, dst: (N, 3) corresponding points.
@@ -108,7 +108,7 @@ def ransac_similarity(
         with_scale: estimate the scale as well.
         confidence: stop when an outlier-free sample was drawn with this probability.
         max_iterations: upper bound on the samples drawn.
-        seed: of the random samples.
+        seed: seed of the random samples.
 
     Returns:
         The similarity refitted to all inliers, and the (N,) inlier mask.
@@ -161,7 +161,7 @@ def _point_sets(src: NDArray[np.floating], dst: NDArray[np.floating]) -> tuple[A
             value=(p.shape, q.shape),
         )
     if not (np.isfinite(p).all() and np.isfinite(q).all()):
-        raise ToolkitError("points for a similarity hold numbers that are not finite")
+        raise ToolkitError("points for a similarity contain numbers that are not finite")
     return p, q
 
 

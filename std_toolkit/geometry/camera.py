@@ -1,4 +1,4 @@
-"""Pinhole cameras with OpenCV distortion, and z-depth maps. Pixel centres lie at integers.
+"""Pinhole cameras with OpenCV distortion, and z-depth maps. Pixel centres are at integers.
 
 Depth maps: z-depth in metres, 0 = no measurement.
 """
@@ -18,15 +18,15 @@ from std_toolkit.errors import ToolkitError
 
 Array = NDArray[np.float64]
 
-# Smallest distance of the principal point from an edge, as a share of the image. Lenses keep it
-# within a few percent of the middle and the importers insist on that; this is for cropped images.
+# Smallest distance of the principal point from an edge, as a fraction of the image size, for
+# cropped images. In whole images it is within a few percent of the centre; importers check that.
 NEAREST_TO_EDGE = 0.27
 
 # Relative to the depth: a table seen at 15 degrees changes by less from pixel to pixel.
 LARGEST_DEPTH_STEP = 0.03
 
 
-# What a camera in front of a table or in a room can see.
+# Plausible range of depth for a camera in front of a table or in a room.
 SMALLEST_MEDIAN_DEPTH_M = 0.03
 
 
@@ -43,8 +43,8 @@ class Camera:
         distortion: OpenCV coefficients k1 k2 p1 p2 [k3 [k4 k5 k6]], or empty.
 
     Raises:
-        ToolkitError: a value that no camera has, such as a principal point outside the image
-            (the mark of intrinsics that belong to another image size).
+        ToolkitError: an impossible value, such as a principal point outside the image (typical
+            for intrinsics of another image size).
     """
 
     width: int
@@ -64,7 +64,7 @@ class Camera:
             # Intrinsics of an image of half or twice the size put it at a quarter or at the edge.
             if not NEAREST_TO_EDGE <= (value + 0.5) / extent <= 1 - NEAREST_TO_EDGE:
                 raise ToolkitError(
-                    f"lies far from the middle of a {size} image",
+                    f"is far from the centre of a {size} image",
                     field=name,
                     value=value,
                     hint=hint,
@@ -94,8 +94,8 @@ class Camera:
     def project(self, points: NDArray[np.floating]) -> Array:
         """Pixels (..., 2) of camera-frame points (..., 3).
 
-        Points with z <= 0 give NaN, and so do points so far outside the view that the distortion
-        polynomial has turned back: it would put them inside the image again.
+        Points with z <= 0 give NaN. So do points far outside the view where the distortion
+        polynomial is no longer monotonic and would project them into the image.
         """
         p = np.asarray(points, dtype=np.float64)
         z = np.where(p[..., 2] > 0, p[..., 2], np.nan)
@@ -108,7 +108,7 @@ class Camera:
     def unproject(self, uv: NDArray[np.floating], z: NDArray[np.floating] | float = 1.0) -> Array:
         """Camera-frame points (..., 3) at z-depth `z` metres behind the pixels uv (..., 2).
 
-        Pixels that no ray reaches through the lens (far outside the image) have x and y NaN.
+        Pixels far outside the image, where the distortion cannot be inverted, have x and y NaN.
         """
         xy = self._normalised(np.asarray(uv, dtype=np.float64))
         depth = np.broadcast_to(np.asarray(z, dtype=np.float64), xy.shape[:-1])
@@ -124,7 +124,7 @@ class Camera:
         return np.stack([u, v], axis=-1).astype(np.float64)
 
     def resized(self, width: int, height: int) -> Camera:
-        """The camera of the image resized to width x height (edges of the image stay edges)."""
+        """The camera of the image resized to width x height; image edges map to image edges."""
         sx, sy = width / self.width, height / self.height
         return replace(
             self,
@@ -151,7 +151,7 @@ class Camera:
         flat = np.ascontiguousarray(uv.reshape(-1, 1, 2))
         out = cv2.undistortPoints(flat, self.K, np.array(self.distortion), criteria=criteria)
         xy = np.asarray(out, dtype=np.float64).reshape(uv.shape)
-        # The iteration may end anywhere where there is no solution.
+        # Without a solution, the result of the iteration is arbitrary.
         x, y = self._distort(xy[..., 0], xy[..., 1])
         error = np.hypot(self.fx * x + self.cx - uv[..., 0], self.fy * y + self.cy - uv[..., 1])
         wrong = ~(error < 1e-6) | ((xy**2).sum(axis=-1) >= largest_radius2(self.distortion))
@@ -168,14 +168,14 @@ class Camera:
 
 
 class Crop(Camera):
-    """A window of a camera's image: its principal point may lie anywhere."""
+    """A window of a camera's image: its principal point may be anywhere."""
 
     def __post_init__(self) -> None:
         _check_numbers(self)
 
 
 def _check_numbers(camera: Camera) -> None:
-    """What holds for every camera, whole or cropped; numbers of numpy become Python's."""
+    """Check what holds for whole and cropped cameras; convert NumPy numbers to Python."""
     for name in ("width", "height"):
         value = getattr(camera, name)
         try:
@@ -204,7 +204,7 @@ def _check_numbers(camera: Camera) -> None:
 
 @lru_cache(maxsize=2)
 def pixel_rays(camera: Camera) -> Array:
-    """`camera.rays()`, read-only and kept: every frame of a recording needs the same."""
+    """`camera.rays()`, read-only and cached: every frame of a recording needs the same."""
     rays = camera.unproject(camera.pixel_grid())
     rays.flags.writeable = False
     return rays
@@ -212,10 +212,10 @@ def pixel_rays(camera: Camera) -> Array:
 
 @lru_cache(maxsize=64)
 def largest_radius2(distortion: tuple[float, ...]) -> float:
-    """Squared normalised radius below which the radial distortion rises, hence can be inverted.
+    """Squared normalised radius below which the radial distortion increases and is invertible.
 
-    r (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3) with s = r^2 rises until the first
-    zero of the numerator of its derivative, or until its denominator vanishes.
+    r (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3) with s = r^2 increases until the
+    first zero of the numerator of its derivative, or of its denominator.
     """
     k1, k2, _, _, k3, k4, k5, k6 = (*distortion, *([0.0] * (8 - len(distortion))))
     s = np.polynomial.Polynomial([0, 1])
@@ -230,9 +230,9 @@ def largest_radius2(distortion: tuple[float, ...]) -> float:
 def undistort_image(
     image: NDArray[np.generic], camera: Camera, *, interpolation: int = cv2.INTER_LINEAR
 ) -> NDArray[np.generic]:
-    """The image (H, W[, C]) as `camera.without_distortion()` would have seen it.
+    """The image (H, W[, C]) undistorted, as `camera.without_distortion()` would record it.
 
-    Use `cv2.INTER_NEAREST` for depth and masks, whose values must not be mixed.
+    Use `cv2.INTER_NEAREST` for depth and masks, whose values must not be interpolated.
 
     Raises:
         ToolkitError: the image has another size than the camera.
@@ -253,7 +253,7 @@ def undistort_image(
 
 @lru_cache(maxsize=4)
 def _undistortion_maps(camera: Camera) -> tuple[Array, Array]:
-    """Where each pixel comes from; kept: making them takes twice as long as using them."""
+    """The source position of each pixel; cached: computing takes twice the time of a remap."""
     # cv2.undistort keeps K and, like this module, puts pixel centres at integers.
     distortion = np.array(camera.distortion)
     return cv2.initUndistortRectifyMap(  # type: ignore[return-value]
@@ -262,7 +262,7 @@ def _undistortion_maps(camera: Camera) -> tuple[Array, Array]:
 
 
 def unproject_depth(depth: NDArray[np.floating], camera: Camera) -> NDArray[np.float64]:
-    """Camera-frame points (H, W, 3) in metres behind every pixel; (0, 0, 0) where depth is 0.
+    """Camera-frame points (H, W, 3) in metres of every pixel; (0, 0, 0) where depth is 0.
 
     Raises:
         ToolkitError: the map has another size than the camera.
@@ -282,7 +282,7 @@ def z_to_distance(depth: NDArray[np.floating], camera: Camera) -> NDArray[np.flo
 
 
 def on_depth_step(depth: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Pixels (H, W) beside a step in depth, where sensors report points in mid-air."""
+    """Pixels (H, W) at a depth discontinuity, where sensors report flying pixels."""
     measured = np.asarray(depth, dtype=np.float32)
     far = cv2.dilate(measured, np.ones((3, 3), np.uint8))
     filled = np.where(measured > 0, measured, np.float32(np.inf))
@@ -293,13 +293,13 @@ def on_depth_step(depth: NDArray[np.floating]) -> NDArray[np.bool_]:
 def _check_size(depth: NDArray[np.floating], camera: Camera) -> None:
     if np.shape(depth) != (camera.height, camera.width):
         raise ToolkitError(
-            f"the depth map is not of the camera's size {camera.width}x{camera.height}",
+            f"the size of the depth map is not that of the camera, {camera.width}x{camera.height}",
             value=np.shape(depth)[::-1],
         )
 
 
 def check_depth_unit(path: Path, depth: NDArray[np.float32], scale: float | None) -> None:
-    # A robust middle: sensors see single pixels at 60 m, a table-top scene is never there.
+    # The median is robust: sensors report single pixels at 60 m, where no table-top scene is.
     measured = depth[::4, ::4]
     measured = measured[measured > 0]
     if len(measured) < 100:

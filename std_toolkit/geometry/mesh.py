@@ -1,7 +1,4 @@
-"""Meshes in metres: loading, unit checks, extents, the axis of a turned shape.
-
-The axis that a mesh is turned about, as far as its shape tells.
-"""
+"""Meshes in metres: loading, unit checks, extents, the axis of a rotational shape."""
 
 from __future__ import annotations
 
@@ -18,8 +15,8 @@ if TYPE_CHECKING:
 
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
 
-# What a person can put on a table: 3 mm to 3 m. A mug in millimetres is 100 "metres" high,
-# a mug in metres taken for millimetres 0.1 mm.
+# Plausible size of table-top objects: 3 mm to 3 m. A mug in millimetres is 100 "metres" high, a
+# mug in metres read as millimetres 0.1 mm.
 SMALLEST_EXTENT_M = 0.003
 
 LARGEST_EXTENT_M = 3.0
@@ -28,14 +25,14 @@ UNITS_IN_M = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 Array = NDArray[np.float64]
 
-# A normal that points so well to the axis (sine) is that of a surface turned about it ...
+# A normal that points to the axis within this sine belongs to a surface of revolution ...
 _ALIGNED = 0.2
 
-# ... and so much of the sides has to be turned: the rest is handles and spouts.
+# ... which must cover this fraction of the sides; the rest is handles and spouts.
 _SHARE = 0.6
 
-# A bowl is part of a ball, which is turned about every axis: its rim is as wide as it is deep, up
-# to this ratio.
+# A bowl is part of a sphere, which is symmetric about every axis: the ratio of its width to its
+# depth is at most this.
 _RIM = 1.1
 
 _ROUNDS = 8
@@ -49,8 +46,8 @@ def load_mesh(path: Path | str, *, unit: str = "m") -> trimesh.Trimesh:
         unit: unit of the file, "m", "cm" or "mm".
 
     Raises:
-        ToolkitError: unreadable, without faces, with vertices that are not finite, or with a size
-            that no table-top object has (the mark of a wrong unit).
+        ToolkitError: the mesh is unreadable, has no faces, has vertices that are not finite, or
+            has an implausible size (typical for a wrong unit).
     """
     import trimesh
 
@@ -66,18 +63,18 @@ def load_mesh(path: Path | str, *, unit: str = "m") -> trimesh.Trimesh:
     try:
         loaded = trimesh.load(path, process=False, maintain_order=True)
         mesh = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
-    except Exception as error:  # trimesh's parsers raise whatever their file makes them raise
+    except Exception as error:  # the parsers of trimesh raise many kinds of errors
         raise ToolkitError(f"cannot read the mesh: {error}", path=path) from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise ToolkitError("the mesh holds no faces", path=path)
+        raise ToolkitError("the mesh has no faces", path=path)
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
         raise ToolkitError(
-            "the mesh has faces of vertices that do not exist",
+            "faces of the mesh refer to vertices that do not exist",
             path=path,
             value=int(mesh.faces.max()),
         )
     if not np.isfinite(mesh.vertices).all():
-        raise ToolkitError("the mesh holds vertices that are not finite", path=path)
+        raise ToolkitError("the mesh has vertices that are not finite", path=path)
     if unit != "m":
         mesh.apply_scale(UNITS_IN_M[unit])
     check_mesh_size(mesh, path=path)
@@ -85,7 +82,7 @@ def load_mesh(path: Path | str, *, unit: str = "m") -> trimesh.Trimesh:
 
 
 def check_mesh_size(mesh: trimesh.Trimesh, *, path: Path | str | None = None) -> None:
-    """Refuse a mesh whose size no table-top object has.
+    """Check that a mesh has a plausible size for a table-top object.
 
     Raises:
         ToolkitError: the largest extent is outside 3 mm to 3 m.
@@ -121,11 +118,11 @@ def mesh_extents(mesh: trimesh.Trimesh) -> NDArray[np.float64]:
 
 
 def hull_vertices(mesh: trimesh.Trimesh) -> NDArray[np.float64]:
-    """(H, 3) vertices of the convex hull; those of the outline where the mesh is flat."""
+    """(H, 3) vertices of the convex hull; of the outline if the mesh is flat."""
     from scipy.spatial import ConvexHull, QhullError
 
     used = np.asarray(mesh.vertices[np.unique(mesh.faces)], dtype=np.float64)
-    # A flat mesh (a board, a picture) has its hull in the plane or line that it fills.
+    # The hull of a flat mesh (a board, a picture) is in its plane or line.
     _, extent, axes = np.linalg.svd(used - used.mean(axis=0), full_matrices=False)
     rank = int((extent > 1e-9 * extent[0]).sum())
     along = (used - used.mean(axis=0)) @ axes[:rank].T
@@ -142,7 +139,7 @@ def mesh_diameter(mesh: trimesh.Trimesh) -> float:
     from scipy.spatial.distance import cdist
 
     hull = hull_vertices(mesh)
-    # In blocks: all pairs of a finely meshed ball, whose hull holds every vertex, fill the memory.
+    # In blocks: on a fine sphere mesh every vertex is on the hull, and all pairs exceed the memory.
     blocks = range(0, len(hull), 512)
     return max(float(cdist(hull[i : i + 512], hull[i:]).max()) for i in blocks)
 
@@ -154,10 +151,10 @@ def nocs_frame(mesh: trimesh.Trimesh) -> tuple[NDArray[np.float64], float]:
 
 
 def round_axis(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> int | None:
-    """The coordinate axis (0, 1, 2) about which most of a mesh is turned; None if there is none.
+    """The coordinate axis (0, 1, 2) about which most of a mesh is rotationally symmetric, or None.
 
-    Bottles, cans, bowls and mugs stand on it, whichever axis their data set calls up. Of several,
-    as of a ball, none is told apart: None.
+    For bottles, cans, bowls and mugs this is the vertical axis, whichever axis their data set
+    calls up. Shapes with several such axes, such as a sphere, give None.
     """
     corners = np.asarray(vertices, dtype=np.float64)[faces]
     middles = corners.mean(axis=1)
@@ -175,10 +172,10 @@ def round_axis(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> in
 
 
 def _turned_share(places: Array, normals: Array) -> float:
-    """Share of the sides whose normals meet in one point, seen along an axis.
+    """Fraction of the sides whose normals meet in one point, seen along an axis.
 
     Args:
-        places: (N, 2) middles of the faces.
+        places: (N, 2) centres of the faces.
         normals: (N, 2) their normals times their areas.
     """
     size = np.linalg.norm(normals, axis=1)
@@ -187,7 +184,8 @@ def _turned_share(places: Array, normals: Array) -> float:
         return 0.0
     places, size = places[sides], size[sides]
     across = np.stack([-normals[sides, 1], normals[sides, 0]], axis=1) / size[:, None]
-    # across . (place - centre) = 0 for every turned face: least absolute residuals.
+    # across . (place - centre) = 0 for every face of a surface of revolution: least absolute
+    # residuals.
     weight = size.copy()
     for _ in range(_ROUNDS):
         system = np.einsum("n,ni,nj->ij", weight, across, across)

@@ -1,6 +1,6 @@
-"""Planes in points with noise and clutter: RANSAC, then least squares that outliers do not pull.
+"""Plane fits in noisy points with clutter: RANSAC, then robust least squares.
 
-Arrays only: what a plane means in a scene is decided in `plane.py`.
+The module works on arrays; `plane.py` interprets the planes of a scene.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 _HYPOTHESES = 1200
 _VOTERS = 4000
-# An inlier lies within this many standard deviations.
+# An inlier is within this many standard deviations.
 _CUT = 2.5
 _MOST_CELLS = 2000
 
@@ -25,9 +25,9 @@ class PlaneFit:
     Attributes:
         normal: (3,) unit vector; its sign is arbitrary.
         offset: metres.
-        inliers: (N,) which of the points lie in it.
+        inliers: (N,) whether each point is in the plane.
         weight: sum of the inliers' weights over that of all points.
-        rms_m: of the inliers' distances.
+        rms_m: RMS of the inliers' distances.
     """
 
     normal: Array
@@ -51,9 +51,9 @@ def find_planes(
     Args:
         points: (N, 3) metres.
         sigma: (N,) standard deviation of each point across a plane, metres.
-        weights: (N,) how much each point counts in the vote.
-        count: most planes.
-        smallest_weight: share of the total weight below which a plane is none.
+        weights: (N,) weight of each point in the consensus.
+        count: largest number of planes.
+        smallest_weight: fraction of the total weight below which a plane is rejected.
     """
     rng = np.random.default_rng(seed)
     left = np.arange(len(points))
@@ -73,7 +73,7 @@ def find_planes(
         inliers[left[inside]] = True
         rms = float(np.sqrt(np.mean(distance[inside] ** 2)))
         found.append(PlaneFit(normal, offset, inliers, share, rms))
-        # A rim of noise around this plane would pass for a second one.
+        # Noise around this plane could otherwise form a second one.
         left = left[np.abs(distance) > 2 * _CUT * sigma[left]]
     return sorted(found, key=lambda f: -f.weight)
 
@@ -83,10 +83,10 @@ def connected_patch(
 ) -> PlaneFit:
     """The heaviest connected part of a plane, fitted by itself.
 
-    A plane goes on through whatever stands at the height of a table; the table is one piece.
+    A plane extends through all surfaces at the height of a table; the table is one connected part.
 
     Args:
-        cell_m: gaps up to about this size do not part it.
+        cell_m: gaps up to about this size do not split it.
     """
     import cv2
 
@@ -94,7 +94,7 @@ def connected_patch(
     side /= np.linalg.norm(side)
     inside = np.flatnonzero(fit.inliers)
     flat = points[inside] @ np.stack([side, np.cross(fit.normal, side)], axis=1)
-    # A few far points must not make the grid huge.
+    # Limit the grid size despite a few far points.
     cell = np.floor((flat - np.median(flat, axis=0)) / cell_m).astype(int)
     cell = np.clip(cell, -_MOST_CELLS // 2, _MOST_CELLS // 2)
     cell -= cell.min(axis=0)
@@ -118,7 +118,7 @@ def connected_patch(
 def refine_plane(
     points: Array, sigma: Array, weights: Array, normal: Array, offset: float, *, rounds: int = 12
 ) -> tuple[Array, float]:
-    """Weighted least squares from a start; far points fade out (Tukey's biweight, 5 sigma)."""
+    """Weighted least squares from a start, robust by Tukey's biweight (5 sigma)."""
     for _ in range(rounds):
         r = (points @ normal + offset) / (2 * _CUT * sigma)
         w = np.where(np.abs(r) < 1, (1 - r**2) ** 2, 0.0) * weights / sigma**2
@@ -139,12 +139,12 @@ def refine_plane(
 def _vote(
     points: Array, sigma: Array, weights: Array, rng: np.random.Generator
 ) -> tuple[Array, float] | None:
-    """The best of many planes through three points, by the weight of what lies in it."""
+    """The best of many planes through three points, by the weight of its inliers."""
     p = weights / weights.sum()
     corners = points[rng.choice(len(points), size=(_HYPOTHESES, 3), p=p)]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normals, axis=1)
-    # Three points close together or in a line fix no plane.
+    # Three points close together or on a line determine no plane.
     reach = np.linalg.norm(corners[:, 1:] - corners[:, :1], axis=2).max(axis=1)
     usable = (length > 0.1 * reach**2) & (length > 0)
     if not usable.any():

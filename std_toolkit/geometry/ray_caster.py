@@ -1,4 +1,4 @@
-"""Rays, distances and insides against triangles: the one place that calls Embree (Open3D)."""
+"""Ray casts, distances and inside tests on triangle meshes with Embree (Open3D)."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from numpy.typing import ArrayLike, NDArray
 
 
 class RayHits(NamedTuple):
-    """What rays meet first, each in the shape of the rays.
+    """First hits of rays, each array in the shape of the rays.
 
     Attributes:
-        distance: (...) float32 in lengths of the ray's direction, inf where nothing is met.
+        distance: (...) float32 in lengths of the ray's direction, inf without a hit.
         mesh: (...) uint32 number of the mesh, in the order of `RayCaster.add`.
         face: (...) uint32 index of the face in its mesh.
         uv: (..., 2) float32 barycentric weights of the face's second and third corner.
-        normal: (..., 3) float32 unit normal of the face, as its corners turn.
+        normal: (..., 3) float32 unit normal of the face, by the order of its corners.
     """
 
     distance: NDArray[np.float32]
@@ -29,12 +29,12 @@ class RayHits(NamedTuple):
 class RayCaster:
     """Triangle meshes in one frame.
 
-    Embree works in float32: coordinates near the origin of the frame keep their digits.
+    Embree works in float32: keep coordinates near the origin to preserve precision.
 
     Args:
-        vertices: (V, 3) metres of the first mesh; None to begin without any.
+        vertices: (V, 3) metres of the first mesh; None to start without a mesh.
         faces: (F, 3) indices of its corners.
-        threads: per question; 1 leaves the cores to other processes, 0 takes all.
+        threads: number of threads per query; 0 uses all cores.
     """
 
     def __init__(
@@ -61,17 +61,17 @@ class RayCaster:
         return RayHits(*(found[name].numpy() for name in names))
 
     def occluded(self, rays: ArrayLike) -> NDArray[np.bool_]:
-        """(...) whether rays (..., 6) meet anything."""
+        """(...) whether rays (..., 6) hit a triangle."""
         found = self._scene.test_occlusions(self._floats(rays), nthreads=self._threads)
         return np.asarray(found.numpy())
 
     def crossings(self, rays: ArrayLike) -> NDArray[np.int32]:
-        """(...) how many triangles rays (..., 6) cross."""
+        """(...) number of triangles that rays (..., 6) cross."""
         found = self._scene.count_intersections(self._floats(rays), nthreads=self._threads)
         return np.asarray(found.numpy())
 
     def distance(self, points: ArrayLike) -> NDArray[np.float32]:
-        """(...) metres from points (..., 3) to the nearest triangle, without sign."""
+        """(...) unsigned distance in metres from points (..., 3) to the nearest triangle."""
         found = self._scene.compute_distance(self._floats(points), nthreads=self._threads)
         return np.asarray(found.numpy())
 

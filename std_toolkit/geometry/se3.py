@@ -20,8 +20,8 @@ ROTATION_TOLERANCE = 1e-4
 class SE3:
     """A rigid transform: `p_a = T_a_b @ p_b` for points of shape (..., 3).
 
-    Numbers from outside come in through `from_matrix` or `from_quat`, which check that they are a
-    rotation; the constructor is for results of our own and checks the shapes only.
+    Use `from_matrix` or `from_quat` for external input: they check that it is a rotation. The
+    constructor is for computed values and checks only the shapes.
 
     Attributes:
         R: (3, 3) rotation, float64.
@@ -50,10 +50,11 @@ class SE3:
     def from_matrix(T: ArrayLike) -> SE3:
         """From a (4, 4) or (3, 4) matrix, or its 16 or 12 entries row-major.
 
-        The rotation is projected to the nearest exact one, so that printed digits do not add up.
+        The rotation is projected to the nearest exact one, so that rounding errors of printed
+        digits do not accumulate.
 
         Raises:
-            ToolkitError: the entries are not finite, the upper-left part is no rotation to 1e-4,
+            ToolkitError: the entries are not finite, the upper-left part is not a rotation to 1e-4,
                 or the last row is not 0 0 0 1.
         """
         M = _numbers(T)
@@ -61,7 +62,7 @@ class SE3:
             raise ToolkitError("a pose needs 16 (or 12) numbers, row-major", value=M.shape)
         M = M.reshape(-1, 4)
         if not np.isfinite(M).all():
-            raise ToolkitError("a pose holds a number that is not finite", value=M.tolist())
+            raise ToolkitError("a pose contains a number that is not finite", value=M.tolist())
         if len(M) == 4 and not np.allclose(M[3], [0, 0, 0, 1], atol=1e-6):
             raise ToolkitError(
                 "the last row of a pose must be 0 0 0 1",
@@ -74,7 +75,7 @@ class SE3:
 
     @staticmethod
     def from_quat(wxyz: ArrayLike, t: ArrayLike) -> SE3:
-        """From a quaternion (w, x, y, z), normalised here, and a translation in metres.
+        """From a quaternion (w, x, y, z), which is normalised, and a translation in metres.
 
         Raises:
             ToolkitError: a number is not finite or the quaternion is far from unit length.
@@ -100,7 +101,7 @@ class SE3:
         )
         if not np.isfinite(translation).all():
             raise ToolkitError("a translation is not finite", value=translation.tolist())
-        # Copied: a simulation's own numbers go on changing, a pose must not.
+        # Copied, because the arrays of a simulation change later.
         return SE3(R, translation.copy())
 
     @staticmethod
@@ -159,7 +160,7 @@ class SE3:
         return np.asarray(other) @ self.R.T + self.t
 
     def flat(self) -> list[float]:
-        """The 16 entries of the matrix, row-major: how poses are written to JSON."""
+        """The 16 entries of the matrix, row-major, as poses are written to JSON."""
         return [float(x) for x in self.matrix().ravel()]
 
 
@@ -176,7 +177,7 @@ def nearest_rotation(R: ArrayLike) -> Array:
         raise ToolkitError(
             "this is not a rotation matrix",
             value=np.round(M, 6).tolist(),
-            hint="a rotation has orthonormal rows and determinant +1; is a scale or flip inside?",
+            hint="a rotation has orthonormal rows and determinant +1; scale or reflection inside?",
         )
     if np.abs(M @ M.T - np.eye(3)).max() < 1e-14:
         return M.copy()
@@ -217,7 +218,7 @@ def rotation_angle(R: ArrayLike) -> float:
 def _left_jacobian(phi: Array) -> Array:
     angle = float(np.linalg.norm(phi))
     S = skew(phi)
-    # Near 0 a series: the closed form subtracts nearly equal numbers; the next term is < 1e-15.
+    # Series near 0: the closed form subtracts nearly equal numbers. The next term is < 1e-15.
     series = 1 / 6 - angle**2 / 120
     cubic = series if angle < 1e-3 else (angle - np.sin(angle)) / angle**3
     half = _one_minus_cos(angle) if angle > 1e-8 else 0.5

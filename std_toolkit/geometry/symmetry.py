@@ -1,9 +1,4 @@
-"""Symmetries of an object: equivalent poses, and pose errors that respect them.
-
-Differences between two poses of one object.
-
-Symmetric variants: which of the poses that look the same is nearest to another pose.
-"""
+"""Symmetries of an object: equivalent poses, symmetry-aware pose errors, nearest variants."""
 
 from __future__ import annotations
 
@@ -25,14 +20,14 @@ _GOLDEN = (np.sqrt(5) - 1) / 2
 
 @dataclass(frozen=True)
 class Symmetry:
-    """Transforms that leave an object looking the same (BOP's definition).
+    """Transforms that do not change the appearance of an object (BOP's definition).
 
-    The discrete transforms must be complete, as in BOP: no products of them are formed.
+    The discrete transforms must be complete, as in BOP: products are not generated.
 
     Attributes:
-        discrete: 4x4 transforms, row-major 16 numbers each, identity left out, metres.
+        discrete: 4x4 transforms, row-major 16 numbers each, without the identity, metres.
         continuous: (axis, offset) pairs: any rotation about `axis` through `offset` (metres).
-            The axes of a sphere go through its centre.
+            The axes of a sphere pass through its centre.
     """
 
     discrete: tuple[tuple[float, ...], ...] = ()
@@ -77,7 +72,7 @@ class Symmetry:
 
     @property
     def is_spherical(self) -> bool:
-        """Two axes of full turns that are not parallel: every rotation looks the same."""
+        """Whether two continuous axes are not parallel, so that every rotation is a symmetry."""
         axes = np.array([axis for axis, _ in self.continuous], dtype=np.float64)
         return len(axes) > 1 and bool(
             np.linalg.norm(np.cross(axes[0], axes[1:]), axis=1).max() > 1e-3
@@ -87,8 +82,8 @@ class Symmetry:
 def rotation_error(estimate: SE3, truth: SE3, symmetry: Symmetry | None = None) -> float:
     """Smallest rotation angle in radians between two poses over the object's symmetries.
 
-    Exact for continuous symmetries too: of the relative rotation, only what does not turn about
-    the axis counts.
+    Exact for continuous symmetries too: the part of the relative rotation about the axis is
+    ignored.
     """
     symmetry = symmetry or Symmetry()
     if symmetry.is_spherical:
@@ -128,7 +123,7 @@ def mssd(
     Args:
         estimate, truth: T_cam_obj or T_world_obj of both.
         vertices: (V, 3) mesh or hull vertices, object frame, metres.
-        symmetry: of the object; none means the identity alone.
+        symmetry: symmetry of the object; none means the identity alone.
         steps: samples of a full turn for continuous symmetries; the best one is refined, so
             that the result does not depend on the sampling.
     """
@@ -153,9 +148,9 @@ def _over_turns(
 ) -> float:
     """Smallest distance over all turns about one axis.
 
-    A point that turns runs on a circle, so its squared distance from a fixed one is a cosine of the
-    angle. The search works on these; the distance itself is then taken from the points, because
-    cosines that cancel lose digits. What is left is good to some nanometres.
+    A rotating point moves on a circle, so its squared distance from a fixed point is a cosine of
+    the angle. The search uses these cosines. The final distance is computed from the points,
+    because the cosines lose precision by cancellation; it is accurate to some nanometres.
     """
     axis, offset = (np.asarray(v, dtype=np.float64) for v in symmetry.continuous[index])
     axis = axis / np.linalg.norm(axis)
@@ -172,7 +167,7 @@ def _over_turns(
     step = 2 * np.pi / steps
     start = step * min(range(steps), key=lambda k: squared(step * k))
     low, high = start - step, start + step
-    # Golden section: two thirds of the interval stay in each round; 30 leave a millionth.
+    # Golden section: each round keeps two thirds of the interval; 30 rounds leave a millionth.
     a, b = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
     at_a, at_b = squared(a), squared(b)
     for _ in range(30):
@@ -194,16 +189,16 @@ def _farthest(p: Array, q: Array) -> float:
 def nearest_variant(
     T: SE3, reference: SE3, points: NDArray[np.floating], symmetry: Symmetry
 ) -> SE3:
-    """The pose `T @ S`, S a symmetry of the object, that lies nearest to `reference`.
+    """The pose `T @ S`, S a symmetry of the object, that is nearest to `reference`.
 
-    Nearest in the sum of squared distances of the points. For a continuous symmetry the best angle
-    is known in closed form: a point that turns about an axis moves on a circle, so the sum is
+    The distance is the sum of squared distances of the points. For a continuous symmetry the best
+    angle has a closed form: a point that rotates about an axis moves on a circle, so the sum is
     A cos + B sin + C of the angle.
 
     Args:
         T, reference: two poses of one object into the same frame.
         points: (P, 3) points on the object (hull vertices), mesh frame, metres.
-        symmetry: of the object, mesh frame.
+        symmetry: symmetry of the object, mesh frame.
     """
     X = np.asarray(points, dtype=np.float64)
     target = reference @ X
@@ -212,7 +207,7 @@ def nearest_variant(
         base = T @ D
         candidates = [base]
         if symmetry.is_spherical:
-            # Every orientation looks the same: take the reference's, about the sphere's centre.
+            # Every orientation is equivalent: take that of the reference.
             centre = np.asarray(symmetry.continuous[0][1], dtype=np.float64)
             candidates = [SE3(reference.R, base @ centre - reference.R @ centre)]
         else:
@@ -228,10 +223,10 @@ def nearest_variant(
 
 
 def fixed_point(symmetry: Symmetry, point: NDArray[np.floating]) -> Array:
-    """(3,) the place that no symmetry moves, nearest to `point`: the mean of its images.
+    """(3,) the fixed point of all symmetries nearest to `point`: the mean of its images.
 
-    For the centre of an object's bounding box this is nearly always the centre itself. A distance
-    between two poses measured there does not depend on which symmetric variants they are.
+    For the centre of the bounding box this is nearly always the centre itself. The distance
+    between two poses at this point is the same for all symmetric variants.
     """
     if symmetry.is_spherical:
         return np.asarray(symmetry.continuous[0][1], dtype=np.float64)
@@ -240,7 +235,7 @@ def fixed_point(symmetry: Symmetry, point: NDArray[np.floating]) -> Array:
 
 
 def common_symmetry(a: Symmetry, b: Symmetry, points: NDArray[np.floating]) -> Symmetry:
-    """The symmetries that both hold, to a thousandth of the object's size.
+    """The symmetries common to both, to a thousandth of the object's size.
 
     Args:
         points: (P, 3) points on the object, mesh frame, metres.
@@ -254,7 +249,7 @@ def common_symmetry(a: Symmetry, b: Symmetry, points: NDArray[np.floating]) -> S
         return mssd(S, SE3.identity(), X, symmetry, steps=72) < tolerance
 
     def turns(symmetry: Symmetry, index: int, other: Symmetry) -> bool:
-        # Two angles that no finite group of practical order holds together.
+        # Two angles that no finite group of practical order contains together.
         return all(holds(symmetry.turn(index, angle), other) for angle in (1.0, 2.4))
 
     identity = SE3.identity()

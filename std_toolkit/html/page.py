@@ -1,7 +1,7 @@
-"""One page for every report: a file that needs nothing but itself.
+"""The page of all reports: one self-contained HTML file.
 
-A page is data: sections of blocks, which the templates beside this module turn into HTML. No report
-writes HTML itself, so that every text is escaped in one place.
+A page is data: sections of blocks, which the templates render to HTML. Reports write no HTML
+themselves, so that every text is escaped in one place.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Block(Protocol):
 
 @dataclass(frozen=True)
 class Paragraph:
-    """A paragraph; `lead` is bold in front of it, `tone` "good" or "bad" colours the lead."""
+    """A paragraph with an optional bold `lead`; `tone` "good" or "bad" colours the lead."""
 
     text: str
     lead: str = ""
@@ -47,7 +47,7 @@ class Bullets:
 
 @dataclass(frozen=True)
 class Heading:
-    """A heading below that of the section, with a sample of a colour."""
+    """A subheading with a colour sample."""
 
     text: str
     level: int = 3
@@ -70,7 +70,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Terms:
-    """What the columns of a table mean."""
+    """Definitions of the columns of a table."""
 
     meanings: Mapping[str, str]
     kind: ClassVar[str] = "terms"
@@ -78,7 +78,7 @@ class Terms:
 
 @dataclass(frozen=True)
 class LegendEntry:
-    """A colour or a gradient (CSS), its width in pixels, and what it stands for."""
+    """A colour or a gradient (CSS), its width in pixels, and its meaning."""
 
     background: str
     text: str
@@ -87,7 +87,7 @@ class LegendEntry:
 
 @dataclass(frozen=True)
 class Legend:
-    """What colours stand for."""
+    """A legend of colours."""
 
     entries: Sequence[LegendEntry]
     kind: ClassVar[str] = "legend"
@@ -116,12 +116,12 @@ class Picture:
 
     @staticmethod
     def read(path: Path, *, width: int = 1200, quality: int = 75) -> Picture:
-        """A picture file as WebP, made smaller if it is wider.
+        """A picture file as WebP, reduced if it is wider than `width`.
 
         Args:
             path: an image file.
-            width: the widest that it may be, in pixels.
-            quality: of the compression, 0 to 100.
+            width: largest width in pixels.
+            quality: quality of the compression, 0 to 100.
 
         Raises:
             ToolkitError: it cannot be read.
@@ -155,7 +155,7 @@ class Gallery:
         figures: the pictures.
         layout: "wide", "small" (as many in a row as fit) or "fixed".
         abreast: pictures in a row of the layout "fixed".
-        heads: titles above the panels that every picture shows.
+        heads: titles above the panels of every picture.
     """
 
     figures: Sequence[Figure]
@@ -171,7 +171,7 @@ class Gallery:
 
 @dataclass(frozen=True)
 class Columns:
-    """Blocks side by side where there is room."""
+    """Blocks side by side if there is room."""
 
     blocks: Sequence[Block]
     kind: ClassVar[str] = "columns"
@@ -187,7 +187,7 @@ class Columns:
 
 @dataclass(frozen=True)
 class Details:
-    """Blocks that a click on the title shows."""
+    """Blocks that are hidden until a click on the title."""
 
     title: str
     blocks: Sequence[Block]
@@ -197,12 +197,12 @@ class Details:
 
 @dataclass(frozen=True)
 class Section:
-    """A section; one without anything to show is left out.
+    """A section; empty sections are omitted.
 
     Attributes:
         anchor: its element id, unique on the page.
         title: its heading, and its link in the navigation.
-        blocks: what it holds.
+        blocks: its content.
         mark: a small warning beside the heading.
     """
 
@@ -239,13 +239,13 @@ class Page:
     """A page; the same content gives the same bytes.
 
     Attributes:
-        kind: of report, such as "Label check".
+        kind: kind of report, such as "Label check".
         title: its heading.
         sections: its content.
-        footer: what made it.
-        tab_title: of the browser's tab; empty for `title`.
+        footer: program that made it.
+        tab_title: title of the browser tab; empty for `title`.
         verdicts, intro, facts: the head of the page.
-        outlines: with a switch that hides the outlines above the pictures.
+        outlines: whether the page has a switch that hides the outlines above the pictures.
     """
 
     kind: str
@@ -267,7 +267,7 @@ class Page:
 
 
 def shown(blocks: Sequence[Block]) -> list[Block]:
-    """Blocks without those that are empty."""
+    """The blocks that are not empty."""
     return [block for block in blocks if not getattr(block, "empty", False)]
 
 

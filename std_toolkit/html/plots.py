@@ -1,7 +1,7 @@
 """Colours and layout of plots: the same object has the same colour everywhere.
 
-Chosen from the palettes of Okabe and Ito and of Paul Tol, which people with colour-blindness can
-tell apart; the order puts the most distinct ones first. Materials have their own four.
+The colours are from the palettes of Okabe and Ito and of Paul Tol, which suit colour-blind
+readers, the most distinct ones first. Materials have four colours of their own.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, s
 
 
 def object_color(object_ids: Sequence[int], object_id: int) -> str:
-    """Colour of an object, by its place among the scene's ids."""
+    """Colour of an object, by its index among the scene's ids."""
     return OBJECT_COLORS[sorted(object_ids).index(object_id) % len(OBJECT_COLORS)]
 
 
 def object_dash(object_ids: Sequence[int], object_id: int) -> str:
-    """Line style that tells objects apart once the colours are used up."""
+    """Line style that distinguishes objects of the same colour."""
     place = sorted(object_ids).index(object_id) // len(OBJECT_COLORS)
     return DASHES[place % len(DASHES)]
 
@@ -88,7 +88,7 @@ def base_layout(*, height: int, **more: Any) -> dict[str, Any]:
 
 
 def error_bars(values: ArrayLike, low: ArrayLike, high: ArrayLike, *, color: str) -> dict[str, Any]:
-    """Intervals around values, all of one length; NaN where one is not known."""
+    """Intervals around values, lists of equal length; NaN for unknown bounds."""
     middle = np.asarray(values, float)
     ends = (np.asarray(high, float) - middle, middle - np.asarray(low, float))
     up, down = (np.maximum(np.nan_to_num(end), 0).tolist() for end in ends)
@@ -108,10 +108,10 @@ def figure(traces: Sequence[Any], *, height: int, x: str = "", y: str = "", **la
     """JSON of a figure in the shared style.
 
     Args:
-        traces: of Plotly; `line_color` is short for `{"line": {"color": ...}}`.
-        height: in pixels.
+        traces: Plotly traces; `line_color` is short for `{"line": {"color": ...}}`.
+        height: height in pixels.
         x, y: titles of the axes.
-        layout: more of it; mappings add to those of the shared style.
+        layout: further layout; mappings are merged into those of the shared style.
     """
     for axis, title in (("xaxis", x), ("yaxis", y)):
         if title:

@@ -1,7 +1,7 @@
-"""One table for the terminal, Markdown, LaTeX and HTML: columns, rows, and notes under the heading.
+"""Tables for the terminal, Markdown, LaTeX and HTML: columns, rows, and notes under the heading.
 
-The four forms have the same cells. What only one of them can show (colours, shades, sorting) adds
-to the text of a cell and never replaces it.
+The four formats have the same cells. Features of one format (colours, shades, sorting) supplement
+the text of a cell and never replace it.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ class Cell:
     """A cell.
 
     Attributes:
-        text: as it is read in every form.
+        text: text in every format.
         note: a smaller addition, such as an interval in brackets.
-        value: what an HTML table sorts by; NaN for none.
+        value: sort key in an HTML table; NaN for none.
         mark: "best" is bold, "bad" is over a limit, "none" is faint.
         tag: the text is a coloured word of this kind (HTML).
         color: CSS colour of a sample before the text (HTML).
@@ -55,14 +55,14 @@ class Column:
     """A column.
 
     Attributes:
-        heading, unit: as people read them.
-        name: of the figure in a table of results; empty where cells are made by hand.
-        numeric: numbers are set flush right and can be sorted by value.
-        factor: from the stored to the written unit.
-        digits: after the point.
-        published_digits: of figures that a paper prints, which has fewer; None for `digits`.
-        signed: a plus is written.
-        lower_is_better: None where neither direction is.
+        heading, unit: as printed.
+        name: name of the figure in a table of results; empty if the cells are made separately.
+        numeric: whether numbers are right-aligned and sorted by value.
+        factor: from the stored to the printed unit.
+        digits: decimal places.
+        published_digits: decimal places of figures from a paper; None for `digits`.
+        signed: whether a plus is printed.
+        lower_is_better: None if neither direction is better.
     """
 
     heading: str
@@ -85,7 +85,7 @@ class Column:
         return f"{self.heading} [{self.unit}]" if self.unit else self.heading
 
     def text(self, value: float | None, *, published: bool = False) -> str:
-        """A figure as it is written; empty where there is none."""
+        """A figure as text; empty if it is missing."""
         if value is None or math.isnan(value):
             return ""
         printed = published and self.published_digits is not None
@@ -101,7 +101,7 @@ class Column:
         mark: Literal["", "best", "bad", "none"] = "",
         missing: str = "",
     ) -> Cell:
-        """A figure with its interval in brackets; `missing` where there is none."""
+        """A figure with its interval in brackets; `missing` if there is none."""
         low, high = interval
         known = not (math.isnan(low) or math.isnan(high))
         return Cell(
@@ -118,8 +118,8 @@ class Row:
 
     Attributes:
         cells: one for each column.
-        kind: "published" rows stand below the measured ones and in italics; "bound" rows are no
-            candidates, such as results on true depth, and are faint.
+        kind: "published" rows are below the measured ones and in italics; "bound" rows do not
+            compete, such as results on true depth, and are faint.
     """
 
     cells: Sequence[Cell]
@@ -131,13 +131,14 @@ class Table:
     """A table.
 
     Attributes:
-        columns, rows: its content; measured rows come before published ones whatever the order.
+        columns, rows: its content; measured rows always precede published ones.
         title: its heading.
         notes: sentences under the heading.
-        sortable: a click on a heading sorts the HTML table, measured and published rows apart.
+        sortable: whether a click on a heading sorts the HTML table, measured and published rows
+            separately.
 
     Raises:
-        ValueError: a row has not one cell for each column.
+        ValueError: a row does not have one cell for each column.
     """
 
     columns: Sequence[Column]
@@ -157,17 +158,17 @@ class Table:
 
     @property
     def groups(self) -> list[list[Row]]:
-        """The measured rows, then the published ones; a group without rows is left out."""
+        """The measured rows, then the published ones; empty groups are omitted."""
         published = [row for row in self.rows if row.kind == "published"]
         measured = [row for row in self.rows if row.kind != "published"]
         return [group for group in (measured, published) if group]
 
     def terminal(self, *, notes: bool = True, star: str = "* ") -> str:
-        """Aligned text; published rows begin with a star.
+        """Aligned text; published rows start with a star.
 
         Args:
-            notes: with the notes of the cells.
-            star: what a published row begins with.
+            notes: include the notes of the cells.
+            star: prefix of a published row.
         """
         lines = [[column.title for column in self.columns]]
         for row in self._ordered():
@@ -220,13 +221,13 @@ class Table:
 def text_table(
     headings: Sequence[str], rows: Iterable[Sequence[str]], *, texts: int = 2, title: str = ""
 ) -> Table:
-    """A table of cells that are written already.
+    """A table of cells given as text.
 
     Args:
-        headings: of the columns.
-        rows: as many cells each.
-        texts: the first so many columns are texts, the others numbers.
-        title: of the table.
+        headings: headings of the columns.
+        rows: one cell per column.
+        texts: number of leading text columns; the others are numeric.
+        title: title of the table.
 
     >>> print(text_table(["name", "n"], [["a", "10"]], texts=1).terminal())
     name   n
@@ -252,7 +253,7 @@ def number(value: float | None, digits: int = 1, *, signed: bool = False) -> str
 
 
 def escape_latex(text: str) -> str:
-    r"""Text with the characters that mean something to LaTeX made plain.
+    r"""Text with the special characters of LaTeX escaped.
 
     >>> escape_latex("5 % of a_b")
     '5 \\% of a\\_b'

@@ -1,4 +1,4 @@
-"""The Jinja2 environment of reports: every text is escaped, every element id is made safe."""
+"""The Jinja2 environment of reports, which escapes every text and makes element ids safe."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def slug(name: str) -> str:
-    """An element id made from any name; names that differ in other characters stay apart.
+    """An element id for any name; different names give different ids.
 
     >>> slug("std-catknown")
     'std-catknown'
@@ -31,7 +31,7 @@ def environment() -> Environment:
     from markupsafe import Markup, escape
 
     def words(text: str) -> Markup:
-        """Escaped text in which commands between backticks look like commands."""
+        """Escaped text with commands between backticks marked up as code."""
         parts = str(escape(text)).split("`")
         return Markup("").join(
             Markup(f"<code>{part}</code>" if i % 2 else part) for i, part in enumerate(parts)

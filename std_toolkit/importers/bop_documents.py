@@ -23,7 +23,7 @@ Row = TypeVar("Row")
 
 
 class CameraRow(msgspec.Struct, frozen=True, kw_only=True):
-    """An image's entry in scene_camera.json. Fields that the scene has no use for are ignored."""
+    """An image's entry in scene_camera.json. Fields that the scene does not use are ignored."""
 
     cam_K: Nine
     depth_scale: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 1.0
@@ -91,7 +91,7 @@ def read_bop_scene(folder: Path) -> BopScene:
     """Read scene_camera.json and scene_gt.json (which test sets may lack).
 
     Raises:
-        ToolkitError: a document breaks the format, a rotation is none, or ids do not match.
+        ToolkitError: a document breaks the format, a rotation is invalid, or ids do not match.
     """
     camera_path, gt_path = folder / "scene_camera.json", folder / "scene_gt.json"
     raw = read_document(camera_path, dict[str, dict[str, msgspec.Raw]])
@@ -121,7 +121,7 @@ def pose_of(R: list[float], t_mm: list[float]) -> SE3:
     """A BOP pose in metres.
 
     Raises:
-        ToolkitError: no rotation, or not finite.
+        ToolkitError: the rotation is invalid or a number is not finite.
     """
     M = np.eye(4)
     M[:3, :3] = np.asarray(R, dtype=np.float64).reshape(3, 3)
@@ -147,7 +147,7 @@ def _plain_K(row: CameraRow) -> None:
 
 @contextmanager
 def named(path: Path, field: str) -> Iterator[None]:
-    """Errors of the block name the file and the field."""
+    """Add the file and the field to errors of the block."""
     try:
         yield
     except ToolkitError as error:

@@ -16,12 +16,12 @@ from std_toolkit.scene.sidecar import ExportedFrame, Sidecar, find_sidecar
 
 _COLOR_FOLDERS = ("rgb", "gray")
 _COLOR_SUFFIXES = (".png", ".jpg")
-# BOP does not tell what objects are made of; most of its sets are opaque.
+# BOP does not record materials; most of its data sets are opaque.
 _DEFAULT_MATERIAL: Material = "diffuse"
 
 
 class BopImporter:
-    """Reads one scene folder (`test/000001`), or a data set that holds one scene only."""
+    """Reads one scene folder (`test/000001`), or a data set with a single scene."""
 
     def recognises(self, source: Path) -> bool:
         return source.is_dir() and bool(_scene_folders(source))
@@ -67,7 +67,7 @@ class BopImporter:
             )
         notes = list(instances.notes)
         if sidecar is None and instances.objects and request.material is None:
-            notes.append("BOP tells no materials: objects are taken as diffuse (see --material)")
+            notes.append("BOP has no materials: objects are imported as diffuse (see --material)")
         return Recording(
             source="import:bop",
             cameras=cameras,
@@ -126,7 +126,7 @@ def _cameras(
     camera_of: dict[int, str] = {}
     for im_id, row in sorted(scene.cameras.items()):
         size = image_size(_color_path(scene.folder, im_id))
-        # Two cameras of the sidecar stay two, equal numbers or not.
+        # Two cameras of the sidecar remain separate, even with equal parameters.
         values = (named.get(im_id, ""), *size, *row.intrinsics)
         if values not in by_values:
             key = named.get(im_id) or ("color" if not by_values else f"color_{len(by_values)}")

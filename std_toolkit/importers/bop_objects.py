@@ -1,10 +1,10 @@
-"""Objects of a BOP data set: models in millimetres, and which poses are the same object.
+"""Objects of a BOP data set: models in millimetres, and the poses that belong to each object.
 
-BOP numbers kinds of objects, not objects: two cans have one obj_id, and the order in a frame need
-not be that of another frame. Where the camera poses are known, entries whose poses agree in the
-world are one object. Elsewhere entries count as one object when they are the k-th of their kind.
+BOP ids are ids of models, not of instances: two cans have one obj_id, and the order can differ
+between frames. With camera poses, entries whose world poses agree are one object. Without them,
+the k-th entries of a model are one object.
 
-Models of a BOP data set: PLY in millimetres, symmetries from models_info.json.
+The models are PLY in millimetres, with symmetries from models_info.json.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from std_toolkit.scene.model import (
 )
 from std_toolkit.scene.sidecar import Sidecar
 
-# Label noise of BOP's own sets is a few millimetres; two objects are farther apart.
+# Label noise of the BOP data sets is a few millimetres; two objects are farther apart.
 _SAME_PLACE_M = 0.02
 
 _MOST_OBJECTS = 254
@@ -48,14 +48,14 @@ class Instances:
 
 @dataclass
 class _Track:
-    """One object over the frames in which it was seen."""
+    """One object over the frames that show it."""
 
     obj_id: int
     T_cam_obj: dict[int, SE3] = field(default_factory=dict)
     T_world_obj: dict[int, SE3] = field(default_factory=dict)
 
     def typical(self) -> SE3:
-        """The world pose nearest to the median place: one that was really annotated."""
+        """The annotated world pose nearest to the median position."""
         frames = sorted(self.T_world_obj)
         places = np.array([self.T_world_obj[f].t for f in frames])
         off = np.linalg.norm(places - np.median(places, axis=0), axis=1)
@@ -68,15 +68,15 @@ def find_instances(
     model_ids: dict[int, str],
     material: Material,
 ) -> Instances:
-    """Objects of a data set that is not the toolkit's own.
+    """Objects of a data set that the toolkit did not export.
 
     Args:
         T_world_cam: camera poses by image id; images without one are missing.
         model_ids: by obj_id.
-        material: of all objects.
+        material: material of all objects.
 
     Raises:
-        ToolkitError: more objects than a mask can hold.
+        ToolkitError: more objects than a mask can represent.
     """
     if not scene.gt:
         return Instances()
@@ -100,7 +100,7 @@ def find_instances(
                 tracks[index].T_world_obj[im_id] = T_world_obj
     if len(tracks) > _MOST_OBJECTS:
         raise ToolkitError(
-            "more objects than a mask can hold; do they move?",
+            "more objects than a mask can represent; do they move?",
             path=scene.folder / "scene_gt.json",
             value=len(tracks),
         )
@@ -117,7 +117,7 @@ def find_instances(
         objects.append(thing)
         labels.append(_label(track, thing.id))
     if not T_world_cam:
-        notes.append("no camera poses (cam_R_w2c): labels stay in their frames, as views")
+        notes.append("no camera poses (cam_R_w2c): labels are imported as views of single frames")
     return Instances(tuple(objects), Labels(labels=labels), tuple(notes))
 
 
@@ -127,10 +127,10 @@ def instances_from_sidecar(
     T_world_cam: dict[int, SE3],
     centres: dict[int, NDArray[np.float64]],
 ) -> Instances:
-    """Objects of the toolkit's own export: identity from the sidecar, poses from BOP's files.
+    """Objects of a toolkit export: identity from the sidecar, poses from BOP's files.
 
     Raises:
-        ToolkitError: the sidecar and scene_gt.json do not fit each other.
+        ToolkitError: the sidecar and scene_gt.json are inconsistent.
     """
     seen: dict[int, dict[int, SE3]] = {}
     for frame in sidecar.frames:
@@ -138,7 +138,7 @@ def instances_from_sidecar(
         for entry in frame.objects:
             if not 0 <= entry.mask_id < len(rows):
                 raise ToolkitError(
-                    "scene_gt.json has fewer entries than std_toolkit.json tells",
+                    "scene_gt.json has fewer entries than std_toolkit.json lists",
                     path=scene.folder / "scene_gt.json",
                     field=str(frame.id),
                     value=len(rows),
@@ -155,7 +155,7 @@ def instances_from_sidecar(
         if label.T_world_obj is not None and registered:
             T_world_obj = (T_world_cam[registered[0]] @ poses[registered[0]]).flat()
         annotated = label.T_cam_obj
-        # A label was carried to its own frame only when it was propagated; the annotated pose
+        # A label has a pose in its own frame only if it was propagated; the annotated pose
         # and the refined one differ there, and the sidecar holds the former.
         if label.T_world_obj is None and label.frame in poses:
             annotated = poses[label.frame].flat()
@@ -198,13 +198,13 @@ def _label(track: _Track, object_id: int) -> Label:
 def read_models(
     top: Path, folder: Path, numbers: list[int], sidecar: Sidecar | None
 ) -> tuple[dict[int, importer.SourceModel], dict[int, NDArray[np.float64]]]:
-    """Models by obj_id, and where the scene's mesh origin lay before BOP's recentring.
+    """Models by obj_id, and the scene's mesh origin before BOP's recentring.
 
     Args:
-        top: of the data set, for error messages.
-        folder: of the models.
+        top: folder of the data set, for error messages.
+        folder: folder of the models.
         numbers: obj_ids that the scene needs.
-        sidecar: of the toolkit's own export: model ids, categories and mesh origins.
+        sidecar: of a toolkit export: model ids, categories and mesh origins.
 
     Returns:
         Models in metres, and per obj_id the (3,) offset in metres such that
@@ -218,7 +218,7 @@ def read_models(
     info_path = folder / "models_info.json"
     if not folder.is_dir():
         raise ToolkitError(
-            "the data set's models are missing", path=folder, hint="give --models DIR"
+            "the models of the data set are missing", path=folder, hint="give --models DIR"
         )
     infos = (
         read_document(info_path, dict[str, bop_documents.ModelInfo]) if info_path.is_file() else {}

@@ -1,8 +1,8 @@
 """Real captures of the ClearGrasp data set.
 
-Every capture was made twice: with transparent objects, and with opaque twins in the same place.
-The transparent capture becomes the scene's colour and sensor depth; colour and depth of the
-twins, the mask and the normals are kept below `reference/`.
+Every capture exists twice: with transparent objects, and with opaque replicas in the same pose.
+The transparent capture becomes the scene's colour and sensor depth. Colour and depth of the
+replicas, the mask and the normals are kept in `reference/`.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class ClearGraspImporter:
                 "no ClearGrasp captures here, or captures that lack colour or depth",
                 path=folder,
                 value=odd[:5] or None,
-                hint="give the folder that holds the *-transparent-depth-img.exr, such as real-val",
+                hint="give the folder with the *-transparent-depth-img.exr, such as real-val",
             )
         keys = sorted(color, key=foreign_files.natural_key)
         given = request.intrinsics or str(_intrinsics_file(folder))

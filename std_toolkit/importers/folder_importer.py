@@ -15,10 +15,10 @@ from std_toolkit.io.images import COLOR_SUFFIXES, image_size
 from std_toolkit.scene.document import safe_name
 from std_toolkit.scene.model import CameraModel
 
-# What RealSense, Kinect and most data sets write; `check_unit` finds out where it is wrong.
+# The unit of RealSense, Kinect and most data sets; `check_unit` detects other units.
 DEFAULT_DEPTH_SCALE = 0.001
 
-# Words that tell what an image shows, not which frame it is.
+# Words that describe the content of an image, not the frame.
 _ROLE_WORDS = (
     "color", "colour", "rgb", "image", "img", "depth", "aligned", "raw", "left", "z", "d",
 )  # fmt: skip
@@ -89,7 +89,7 @@ class FolderImporter:
 
 
 def _same_folder(color: str, depth: str) -> bool:
-    # Patterns choose by themselves.
+    # A pattern already selects the files.
     return (
         not any(c in color + depth for c in "*?[")
         and Path(color).resolve() == Path(depth).resolve()
@@ -121,7 +121,7 @@ FOLDER = FolderImporter()
 
 
 def frame_key(stem: str) -> str:
-    """The part of a file's stem that names the frame: "0007-color" and "depth_0007" give "0007"."""
+    """The part of a file stem that names the frame: "0007-color" and "depth_0007" give "0007"."""
     pieces = re.split(r"([-_. ]+)", stem)
     words, gaps = pieces[0::2], pieces[1::2]
     keep = [i for i, w in enumerate(words) if w and w.lower() not in _ROLE_WORDS]
@@ -142,7 +142,7 @@ def list_images(
         where: folder, or a pattern such as "rec/*-color.png".
         suffixes: accepted file suffixes, lower case.
         role: "color" or "depth".
-        shared: colour and depth lie in one folder: take only names that hold the role's word.
+        shared: colour and depth are in one folder: use only names that contain the role's word.
 
     Raises:
         ToolkitError: no such folder, no images in it, or two images of one frame.
@@ -154,8 +154,8 @@ def list_images(
     else:
         paths = _listed(folder, role)
     paths = [p for p in paths if p.suffix.lower() in suffixes and not p.name.startswith(".")]
-    # Masks and previews next to the images have no place in a recording; only a shared folder
-    # makes the role word necessary.
+    # Masks and previews next to the images are skipped; the role word is needed only in a shared
+    # folder.
     if shared:
         wanted = _COLOR_WORDS if role == "color" else _DEPTH_WORDS
         paths = [p for p in paths if wanted & {w.lower() for w in _SEPARATORS.split(p.stem)}]
@@ -208,16 +208,16 @@ def pair(
         raise errors.ToolkitError(
             "colour and depth do not pair by name: " + "; ".join(problems),
             path=next(iter(depth.values())).parent,
-            hint="mend the names, or give --skip-unpaired to leave these frames out",
+            hint="fix the names, or skip these frames with --skip-unpaired",
         )
     paired = {k: depth[k] for k in color if k in depth}
     if not paired:
         raise errors.ToolkitError(
-            "no colour image has a depth image of the same name",
+            "no colour image has a depth image with the same name",
             path=next(iter(color.values())).parent,
         )
     if no_depth or no_color:
-        log.logger.warning("left out %d frames without a partner", len(no_depth) + len(no_color))
+        log.logger.warning("skipped %d frames without a partner", len(no_depth) + len(no_color))
     return paired
 
 
@@ -233,7 +233,7 @@ def frame_names(keys: list[str]) -> dict[str, str]:
         name = safe_name(key)
         if name in seen:
             raise errors.ToolkitError(
-                f"frames {seen[name]!r} and {key!r} become one name", value=name
+                f"frames {seen[name]!r} and {key!r} map to the same name", value=name
             )
         seen[name] = key
         names[key] = name
@@ -241,7 +241,7 @@ def frame_names(keys: list[str]) -> dict[str, str]:
 
 
 def warn_about_gaps(keys: list[str]) -> None:
-    """Warn where a numbered sequence has holes (dropped or deleted frames)."""
+    """Warn about gaps in a numbered sequence (dropped or deleted frames)."""
     numbers = [int(m.group(1)) for k in keys if (m := re.search(r"(\d{1,12})$", k))]
     if len(numbers) != len(keys) or len(numbers) < 3:
         return

@@ -1,4 +1,4 @@
-"""Files of other layouts: depth images, instance masks and meshes become metres and ids."""
+"""Files of other layouts: converts depth images, instance masks and meshes to metres and ids."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 DEPTH_SUFFIXES = (".png", ".exr")
 
-# Sensors of this field measure about 0.1 to 10 m; beyond, the unit is wrong, not the scene unusual.
+# RGB-D sensors measure about 0.1 to 10 m; depth outside this range has a wrong unit.
 NEAREST_MEDIAN_M, FARTHEST_MEDIAN_M = 0.1, 10.0
 
 _SATURATED = 65535
@@ -32,7 +32,8 @@ class ForeignDepth:
 
     Attributes:
         values: (H, W) uint16 units, or float16/float32 metres; 0 = missing.
-        converted: foreign marks of missing depth became 0, so that the file cannot be copied.
+        converted: whether other encodings of missing depth became 0, so that the file cannot be
+            copied.
     """
 
     values: NDArray[np.generic]
@@ -43,10 +44,10 @@ def read_foreign_depth(path: Path, *, size: tuple[int, int]) -> ForeignDepth:
     """Depth of `size` (width, height) from a 16-bit PNG or an EXR.
 
     NaN, infinity and negative numbers (DREDS writes -0.001), and the saturated 65535 of 16-bit
-    images, mean "no measurement" and become 0. An EXR may hold one channel or equal ones.
+    images, mean "no measurement" and become 0. An EXR may have one channel or equal ones.
 
     Raises:
-        ToolkitError: unreadable, of another size, or no depth image.
+        ToolkitError: unreadable, of another size, or not a depth image.
     """
     if path.suffix.lower() == ".exr":
         check_aligned(path, exr.exr_size(path), size)
@@ -66,7 +67,7 @@ def read_foreign_depth(path: Path, *, size: tuple[int, int]) -> ForeignDepth:
             "depth must be a single-channel 16-bit PNG",
             path=path,
             value=f"{raw.dtype}, {1 if raw.ndim == 2 else raw.shape[2]} channels",
-            hint="a coloured or 8-bit picture of depth holds no metres",
+            hint="a colour-mapped or 8-bit depth image has no metric values",
         )
     saturated = raw == _SATURATED
     if not saturated.any():
@@ -75,7 +76,7 @@ def read_foreign_depth(path: Path, *, size: tuple[int, int]) -> ForeignDepth:
 
 
 def check_aligned(path: Path, actual: tuple[int, int], size: tuple[int, int]) -> None:
-    """Refuse depth of another size than its colour image.
+    """Check that depth has the size of its colour image.
 
     Raises:
         ToolkitError: the sizes differ.
@@ -91,12 +92,12 @@ def check_aligned(path: Path, actual: tuple[int, int], size: tuple[int, int]) ->
 def check_unit(
     median_m: float, *, path: Path | str, depth_scale: float | None, by_flag: bool = True
 ) -> None:
-    """Refuse depth whose median no table-top recording has.
+    """Check that the median depth is plausible for a table-top recording.
 
     Args:
-        median_m: of all measured pixels of the recording, metres.
-        depth_scale: metres per unit that were assumed; None for EXR.
-        by_flag: the scale can be given as --depth-scale.
+        median_m: median of all measured pixels of the recording, metres.
+        depth_scale: assumed metres per unit; None for EXR.
+        by_flag: whether --depth-scale can set the scale.
 
     Raises:
         ToolkitError: outside 10 cm to 10 m.
@@ -127,14 +128,14 @@ def _single_channel(path: Path) -> NDArray[np.floating]:
     else:
         if len(channels) != 1:
             raise ToolkitError(
-                "the EXR file holds no depth channel (Y, Z or R)", path=path, value=sorted(channels)
+                "the EXR file has no depth channel (Y, Z or R)", path=path, value=sorted(channels)
             )
         chosen = next(iter(channels.values()))
     if "R" in channels and any(
         not np.array_equal(channels[c], chosen, equal_nan=True) for c in "GB" if c in channels
     ):
         raise ToolkitError(
-            "the EXR file holds a colour picture, not depth: its channels differ", path=path
+            "the EXR file is a colour image, not depth: its channels differ", path=path
         )
     if chosen.dtype not in (np.float16, np.float32):
         raise ToolkitError("depth in an EXR must be float", path=path, value=str(chosen.dtype))
@@ -144,11 +145,12 @@ def _single_channel(path: Path) -> NDArray[np.floating]:
 def read_mask_source(path: Path, *, size: tuple[int, int] | None) -> np.ndarray:
     """Instance ids (H, W) uint8 or uint16 of a foreign mask.
 
-    A PNG holds the ids, in one channel or in equal ones; DREDS's EXR holds id/255 as float in
-    channel R. They are rounded: the public loader truncates, which half floats get wrong.
+    A PNG contains the ids, in one channel or in equal ones. An EXR of DREDS contains id/255 as
+    float in channel R. The ids are rounded; the public loader truncates, which gives wrong ids
+    for half floats.
 
     Raises:
-        ToolkitError: unreadable, of another size, or no mask.
+        ToolkitError: unreadable, of another size, or not a mask.
     """
     if path.suffix.lower() == ".exr":
         if size is not None:
@@ -156,18 +158,18 @@ def read_mask_source(path: Path, *, size: tuple[int, int] | None) -> np.ndarray:
         channels = exr.read_exr(path)
         values = channels.get("R", next(iter(channels.values()))).astype(np.float64) * 255
         if not np.isfinite(values).all() or values.min() < 0 or values.max() > 255.5:
-            raise ToolkitError("a mask in EXR holds id/255 between 0 and 1", path=path)
+            raise ToolkitError("a mask in EXR must contain id/255 between 0 and 1", path=path)
         return np.rint(values).astype(np.uint8)
     image = images.read_png(path, size=size)
     if image.ndim == 3:
         if not (image == image[..., :1]).all():
-            raise ToolkitError("a mask holds ids in one channel or in equal ones", path=path)
+            raise ToolkitError("a mask must have ids in one channel or in equal ones", path=path)
         image = np.ascontiguousarray(image[..., 0])
     return image
 
 
 def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
-    """Write a mesh in metres; the suffix (.ply or .glb) chooses the format.
+    """Write a mesh in metres; the suffix (.ply or .glb) selects the format.
 
     Raises:
         ToolkitError: its size is implausible in metres.
@@ -179,7 +181,7 @@ def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
 
 
 def mesh_suffix(mesh: trimesh.Trimesh) -> str:
-    """ ".glb" for a mesh with a texture, which PLY cannot hold; else ".ply"."""
+    """ ".glb" for a mesh with a texture, which PLY cannot store; otherwise ".ply"."""
     material = getattr(mesh.visual, "material", None)
     pictures = (getattr(material, key, None) for key in ("image", "baseColorTexture"))
     return ".glb" if any(picture is not None for picture in pictures) else ".ply"

@@ -1,7 +1,4 @@
-"""The import step: choose the importer, read, write the scene whole or not at all.
-
-The import step: choose the importer, read, write.
-"""
+"""The import step: selects the importer, reads, writes the scene completely or not at all."""
 
 from __future__ import annotations
 
@@ -25,16 +22,16 @@ from std_toolkit.options import ImportRequest, LinkMode
 from std_toolkit.scene import CameraModel, Frame, Frames, ObjectTable, Scene, SceneInfo
 from std_toolkit.scene.document import check_name, check_relative
 
-# Below this many frames, starting worker processes costs more than it saves.
+# Below this number of frames, starting worker processes costs more than it saves.
 _SERIAL_BELOW = 48
 
-# Beyond the reach of every sensor of this field.
+# Beyond the range of every RGB-D sensor.
 _FARTHEST_FRAME_M = 30.0
 
 
 @dataclass(frozen=True)
 class WrittenFrame:
-    """What became of one frame: its row, and the median of its measured depth in metres."""
+    """Result of one frame: its row, and the median of its measured depth in metres."""
 
     frame: Frame
     depth_median_m: float | None
@@ -52,13 +49,13 @@ def write_recording(
     """Make the scene `out` from a recording.
 
     Args:
-        name: of the scene.
+        name: name of the scene.
         link: "copy" images, or "hard"- or "sym"-link those that need no conversion.
-        options: where the frames are read and written.
+        options: where the frames are processed.
 
     Raises:
-        ToolkitError: an image is damaged or of the wrong size, depth is in another unit, or there
-            is something at `out`. Nothing is left behind.
+        ToolkitError: an image is damaged or has the wrong size, depth is in another unit, or
+            `out` exists. No files remain.
     """
     _check_frames(recording)
     info = SceneInfo(
@@ -84,7 +81,7 @@ def write_recording(
         report.raise_if_failed()
         _check_depth_unit(recording, list(report.results.values()))
         _write_models(recording, staging)
-        # An importer's poses and labels are validated against the tables by opening the scene.
+        # Opening the scene validates the importer's poses and labels against the tables.
         scene = Scene.create(
             staging,
             info,
@@ -105,13 +102,13 @@ def write_recording(
 
 
 def _check_frames(recording: importer.Recording) -> None:
-    """Before anything is written: names come from files of others.
+    """Check frames and names, which come from foreign files, before anything is written.
 
     Raises:
-        ToolkitError: no frames, a name or place outside the scene, or one that appears twice.
+        ToolkitError: no frames, a name or path outside the scene, or a duplicate.
     """
     if not recording.frames:
-        raise ToolkitError("the recording holds no frames")
+        raise ToolkitError("the recording has no frames")
     seen: set[str] = set()
     for i, frame in enumerate(recording.frames):
         check_name(frame.name, field=f"frames[{i}].name")
@@ -161,7 +158,7 @@ def _write_color(
         image = cv2.resize(images.read_color(file.source), size, interpolation=cv2.INTER_AREA)
         images.write_color(root / target, image)  # type: ignore[arg-type]
         return target
-    # Decoded once, so that a damaged image is found now and not in the middle of a later step.
+    # Decode once, so that a damaged image is found now and not in a later step.
     images.read_color(file.source, size=size)
     target = file.target + file.source.suffix.lower()
     _place(file.source, root / target, link)
@@ -193,7 +190,7 @@ def _write_depth(
         else:
             _place(file.source, root / target, link)
     else:
-        # Another unit than the scene's would have to be rounded to it; EXR keeps it.
+        # Another unit than the scene's would require rounding; EXR avoids it.
         target = file.target + ".exr"
         metres = values if unit == 1.0 else values.astype(np.float32) * np.float32(unit)
         exr.write_exr(root / target, {"Y": metres})
@@ -250,7 +247,7 @@ def _check_depth_unit(recording: importer.Recording, written: list[WrittenFrame]
     if not sources:
         return
     if not medians:
-        raise ToolkitError("no depth image holds a single measurement", path=sources[0].parent)
+        raise ToolkitError("no depth image has a measurement", path=sources[0].parent)
     foreign_files.check_unit(
         float(np.median(medians)),
         path=sources[0].parent,
@@ -260,7 +257,7 @@ def _check_depth_unit(recording: importer.Recording, written: list[WrittenFrame]
     for row in written:
         if row.depth_median_m is not None and row.depth_median_m > _FARTHEST_FRAME_M:
             raise ToolkitError(
-                "the median depth of one frame is implausible: is its unit another one?",
+                "the median depth of one frame is implausible: is it in another unit?",
                 field=f"frame {row.frame.name}",
                 value=f"{row.depth_median_m:.4g} m",
             )
@@ -285,15 +282,15 @@ def import_recording(
     """Import a recording as the new scene `out`.
 
     Args:
-        request: what to read.
-        out: scene folder; must not exist or be empty. It appears when everything is in it.
-        format_name: importer's name; None recognises it by the marks of the layout, and takes
-            separate colour images as "folder".
+        request: recording to read.
+        out: scene folder; must not exist or be empty. It is created when all files are written.
+        format_name: name of the importer; None detects it from the layout, and reads separate
+            colour images as "folder".
         link: see `write_recording`.
-        options: where the frames are read and written.
+        options: where the frames are processed.
 
     Raises:
-        ToolkitError: the recording or the flags are wrong; nothing is left behind.
+        ToolkitError: the recording or the flags are wrong; no files remain.
     """
     out = Path(out)
     atomic.check_vacant(out)
@@ -306,10 +303,10 @@ def import_recording(
         )
     if not 0.8 < request.depth_correction < 1.25:
         raise ToolkitError(
-            "must lie between 0.8 and 1.25",
+            "must be between 0.8 and 1.25",
             field="--depth-correction",
             value=request.depth_correction,
-            hint="a calibrated factor such as 0.98; units are --depth-scale",
+            hint="give a calibrated factor such as 0.98; --depth-scale sets the unit",
         )
     if format_name is None:
         format_name = "folder" if request.color else importer.detect_format(request.source)

@@ -1,7 +1,7 @@
-"""What an importer is: it reads a foreign layout and says what the scene will hold.
+"""Protocol of importers, which read a foreign layout and describe the scene to create.
 
-An importer writes nothing. It returns a `Recording`; one writer (`writer.py`) makes the scene of
-it, so that checks of images, conversions of depth and atomicity are the same for every format.
+An importer writes nothing. It returns a `Recording`, from which `import_step.py` writes the scene,
+so that image checks, depth conversion and atomicity are the same for every format.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ FileKind = Literal["color", "depth", "mask", "map"]
 
 @dataclass(frozen=True, kw_only=True)
 class SourceFile:
-    """One file to bring into the scene.
+    """One file to add to the scene.
 
     Attributes:
         source: the foreign file.
-        target: path in the scene without suffix; the writer adds the one of what it writes.
-        kind: "color" and "depth" must have the camera's size; "mask" holds ids (or 0/255), whose
-            `background` becomes 0; "map" is a PNG or EXR kept as it is.
-        depth_scale: metres per unit if it is a 16-bit PNG.
-        background: of a mask.
-        same_size: the file must have the camera's size.
-        binary: a mask of 0 and anything else, which becomes id 1.
-        resize: a colour image is brought to the camera's size by averaging areas.
+        target: path in the scene without suffix; the writer adds the suffix.
+        kind: "color" and "depth" must have the camera's size; "mask" contains ids (or 0/255),
+            whose `background` becomes 0; "map" is a PNG or EXR that is copied unchanged.
+        depth_scale: metres per unit of a 16-bit PNG.
+        background: background value of a mask.
+        same_size: whether the file must have the camera's size.
+        binary: whether every nonzero value of a mask becomes id 1.
+        resize: whether a colour image is resized to the camera's size by area averaging.
     """
 
     source: Path
@@ -47,12 +47,12 @@ class SourceFile:
 
 @dataclass(frozen=True, kw_only=True)
 class SourceFrame:
-    """One frame: its colour, its sensor depth if any, and maps that came with it.
+    """One frame: its colour, its sensor depth if any, and further maps of the recording.
 
     Attributes:
-        id: of the frame in the scene.
-        name: safe and unique.
-        reference: ground truth of the foreign recording, kept below `reference/`.
+        id: id of the frame in the scene.
+        name: safe and unique name.
+        reference: ground truth of the foreign recording, kept in `reference/`.
     """
 
     id: int
@@ -66,11 +66,11 @@ class SourceFrame:
 
 @dataclass(frozen=True, kw_only=True)
 class SourceModel:
-    """A mesh to bring into the scene.
+    """A mesh to add to the scene.
 
     Attributes:
-        model: its table row; the mesh path inside it is where it will be written.
-        mesh: vertices in metres, in the frame that the labels refer to.
+        model: its table row, with the mesh path to write.
+        mesh: vertices in metres, in the frame of the labels.
     """
 
     model: Model
@@ -102,14 +102,14 @@ class Importer(Protocol):
     """Reads one foreign format."""
 
     def recognises(self, source: Path) -> bool:
-        """Whether `source` is unmistakably of this format. Looks at names only."""
+        """Whether `source` is certainly of this format, from file names only."""
         ...
 
     def read(self, request: options.ImportRequest) -> Recording:
-        """Find and check what the recording holds.
+        """Find and check the contents of the recording.
 
         Raises:
-            ToolkitError: it is incomplete or breaks its format.
+            ToolkitError: it is incomplete or violates its format.
         """
         ...
 
@@ -128,10 +128,10 @@ IMPORTERS: plugins.Registry[Importer] = plugins.Registry(
 
 
 def detect_format(source: Path) -> str:
-    """The one format whose marks `source` bears.
+    """Detect the format of `source`.
 
     Raises:
-        ToolkitError: none or several recognise it.
+        ToolkitError: no importer or several recognise it.
     """
     if not source.exists():
         raise errors.ToolkitError("no such file or folder", path=source)
@@ -139,7 +139,7 @@ def detect_format(source: Path) -> str:
     if len(found) == 1:
         return found[0]
     raise errors.ToolkitError(
-        "cannot tell the format of the recording" if not found else "several formats fit",
+        "cannot detect the format of the recording" if not found else "several formats match",
         path=source,
         value=found or None,
         hint=f"give --format ({', '.join(IMPORTERS)}); colour images: --color DIR --intrinsics K",

@@ -1,4 +1,4 @@
-"""Intrinsics from flags and from the files that cameras and data sets come with."""
+"""Intrinsics from flags and from the files of cameras and data sets."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from std_toolkit.geometry.camera import Camera
 
 _LARGEST_FILE = 4 * 1024 * 1024
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-# How far the principal point of an uncropped image may lie from its middle, as a share of the
-# image. Half-size intrinsics put it at a quarter, those of a 4:3 image on 16:9 at two thirds.
+# Largest distance of the principal point of an uncropped image from its centre, as a fraction of
+# the image. Half-size intrinsics put it at a quarter, those of a 4:3 image on 16:9 at two thirds.
 _OFF_CENTRE = 0.15
 _MATRIX_KEYS = ("K", "cam_K", "camera_matrix", "intrinsic_matrix", "intrinsics", "INTRINSICS")
 _SCALAR_KEYS = {
@@ -35,7 +35,7 @@ class Intrinsics:
     """Intrinsics as read; pixels, centre of the top-left pixel at (0, 0).
 
     Attributes:
-        size: (width, height) if the source told it.
+        size: (width, height) if the source has it.
     """
 
     fx: float
@@ -46,7 +46,7 @@ class Intrinsics:
     size: tuple[int, int] | None = None
 
     def camera(self, size: tuple[int, int], *, path: str, off_centre: bool = False) -> Camera:
-        """The camera of images of `size`.
+        """The camera for images of `size`.
 
         Raises:
             ToolkitError: the intrinsics belong to another size.
@@ -56,7 +56,7 @@ class Intrinsics:
             raise ToolkitError(
                 f"intrinsics are for {self.size[0]}x{self.size[1]} images, these are {shown}",
                 path=path,
-                hint="give the intrinsics of the images' own size",
+                hint="give the intrinsics for this image size",
             )
         try:
             camera = Camera(*size, self.fx, self.fy, self.cx, self.cy, self.distortion)
@@ -67,7 +67,7 @@ class Intrinsics:
         for name, value, extent in (("cx", self.cx, size[0]), ("cy", self.cy, size[1])):
             if not off_centre and abs((value + 0.5) / extent - 0.5) > _OFF_CENTRE:
                 raise ToolkitError(
-                    f"does not fit {shown} images: the middle is at {(extent - 1) / 2:g}",
+                    f"does not fit {shown} images: the centre is at {(extent - 1) / 2:g}",
                     path=path,
                     field=name,
                     value=value,
@@ -85,8 +85,8 @@ def read_intrinsics(text: str, *, size: tuple[int, int] | None = None) -> Intrin
     `rs-enumerate-devices -c` (the colour stream of the images' size is taken).
 
     Args:
-        text: the flag's value.
-        size: of the images, to choose among several sets.
+        text: value of the flag.
+        size: image size, to select among several sets.
 
     Raises:
         ToolkitError: unreadable or incomplete.
@@ -154,7 +154,7 @@ def _from_mapping(data: dict[str, Any], path: Path) -> Intrinsics:
         if key in data:
             values = _flatten(data[key], path, key)
             if key == "intrinsic_matrix" and len(values) == 9 and values[2] == values[5] == 0:
-                # Open3D writes its matrix column by column.
+                # Open3D writes its matrix column-major.
                 values = [values[i] for i in (0, 3, 6, 1, 4, 7, 2, 5, 8)]
             found = _from_matrix(values, path, key)
             return Intrinsics(found.fx, found.fy, found.cx, found.cy, distortion, size)
@@ -199,7 +199,7 @@ def _distortion(data: dict[str, Any], path: Path) -> tuple[float, ...]:
     model = str(data.get("model", data.get("distortion_model", ""))).lower()
     if any(word in model for word in ("inverse", "fisheye", "equidistant", "kannala", "f-theta")):
         raise ToolkitError(
-            "this distortion model is not OpenCV's",
+            "this distortion model differs from that of OpenCV",
             path=path,
             value=model,
             hint="undistort the images first, or give --distortion k1,k2,p1,p2,k3",
@@ -239,7 +239,7 @@ def _number(value: Any, path: Path, field: str | None) -> float:
 
 def _parse_flat_yaml(content: str) -> dict[str, Any]:
     """`key: number`, `key: text` and `key: [numbers]` (also over several lines); a `data:` list
-    belongs to the key of the section it stands in, as in ROS's camera files."""
+    belongs to the key of its section, as in ROS camera files."""
     lines = [re.sub(r"\s#.*$|^#.*$", "", line) for line in content.splitlines()]
     text = "\n".join(lines)
     found: dict[str, Any] = {}
@@ -268,7 +268,7 @@ def _from_realsense_dump(content: str, path: Path, size: tuple[int, int] | None)
     chosen = [body for (w, h, body) in blocks if (int(w), int(h)) == size]
     if not chosen:
         raise ToolkitError(
-            "no intrinsics of the colour stream at the images' size",
+            "no intrinsics of the colour stream for this image size",
             path=path,
             value=None if size is None else f"{size[0]}x{size[1]}",
             hint="sizes in the file: " + ", ".join(f"{w}x{h}" for w, h in dict.fromkeys(sizes)),

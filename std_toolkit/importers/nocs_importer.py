@@ -1,4 +1,4 @@
-"""The layout of the NOCS data sets (CAMERA and Real275) and of the toolkit's NOCS exports."""
+"""The layout of the NOCS data sets (CAMERA and Real275) and of NOCS exports of the toolkit."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class NocsImporter:
             frames=frames,
             depth_scale=DEPTH_SCALE,
             depth_correction=request.depth_correction,
-            notes=["NOCS downloads hold no poses beside the images: objects left out"],
+            notes=["NOCS downloads contain no poses beside the images: objects are skipped"],
         )
 
 

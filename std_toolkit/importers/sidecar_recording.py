@@ -1,4 +1,4 @@
-"""Recordings whose export kept a sidecar: everything that the layout itself cannot tell."""
+"""Recordings exported with a sidecar, which has everything that the layout cannot represent."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def recording_from_sidecar(
         top: folder of the export.
         color, depth: files of a frame, by its stem.
         depth_scale: metres per unit of 16-bit depth files; None for EXR.
-        reference: of a frame: (kind of map, file) of "depth", "mask" and "nocs".
+        reference: pairs (kind of map, file) of a frame, for "depth", "mask" and "nocs".
 
     Raises:
         ToolkitError: the sidecar names files outside the export.
@@ -45,7 +45,7 @@ def recording_from_sidecar(
         source=f"import:{sidecar.layout}",
         cameras=sidecar.scene.cameras,
         frames=tuple(frames),
-        # The exported depth holds the correction factor already.
+        # The exported depth already includes the correction factor.
         depth_scale=depth_scale if has_depth else None,
         models=tuple(exported_model(sidecar, m, top) for m in sidecar.models),
         objects=tuple(sidecar.objects.objects),
@@ -55,7 +55,7 @@ def recording_from_sidecar(
 
 
 def exported_model(sidecar: Sidecar, row: ExportedModel, top: Path) -> SourceModel:
-    """A mesh of the export, back in the scene's mesh frame and in metres.
+    """A mesh of the export, converted to the scene's mesh frame and metres.
 
     Raises:
         ToolkitError: it is missing, damaged or outside the export.
@@ -65,12 +65,12 @@ def exported_model(sidecar: Sidecar, row: ExportedModel, top: Path) -> SourceMod
         known = sidecar.objects.model(row.model)
     except ToolkitError as error:
         raise ToolkitError(
-            "a model that the table of objects lacks",
+            "the table of objects has no such model",
             path=top / SIDECAR_NAME,
             field="models",
             value=row.model,
         ) from error
-    # load_mesh knows millimetres; STD's meshes have a unit diagonal.
+    # load_mesh converts millimetres; STD's meshes have a unit diagonal.
     mesh = load_mesh(top / relative, unit="mm" if row.metres_per_unit == 0.001 else "m")
     factor = 1.0 if row.metres_per_unit == 0.001 else row.metres_per_unit
     mesh.vertices = np.asarray(mesh.vertices) * factor + np.asarray(row.centre_m)
@@ -108,7 +108,7 @@ def _frame(
 
 
 def reference_files(name: str, files: tuple[tuple[str, Path], ...]) -> tuple[SourceFile, ...]:
-    """Ground truth that came with a recording, kept below `reference/`: (kind, file) pairs."""
+    """Ground truth of a recording, kept in `reference/`: (kind, file) pairs."""
     return tuple(
         SourceFile(
             source=path,

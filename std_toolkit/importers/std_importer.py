@@ -1,9 +1,10 @@
 """The STD and DREDS layouts.
 
-An STD or DREDS download holds images, ground-truth maps and one `_meta.txt` per frame, but neither
-intrinsics nor camera poses nor usable object poses. Intrinsics are the constants of the released
-code unless given; poses come from ground-truth depth and NOCS maps, as the authors advise; camera
-poses are left to `std-curate poses`. The toolkit's own STD exports carry all of it in a sidecar.
+An STD or DREDS download contains images, ground-truth maps and one `_meta.txt` per frame, but no
+intrinsics, camera poses or usable object poses. Intrinsics default to the constants of the
+released code. Object poses are computed from ground-truth depth and NOCS maps, as the authors
+advise. Camera poses are recovered by `std-curate poses`. STD exports of the toolkit have all of
+this in a sidecar.
 """
 
 from __future__ import annotations
@@ -29,11 +30,11 @@ from std_toolkit.scene.sidecar import find_sidecar
 
 @dataclass(frozen=True)
 class Layout:
-    """What a kind of download calls its files, and its camera.
+    """File names and camera of a kind of download.
 
     Attributes:
         raw: suffix of the raw depth.
-        ground_truth: suffixes of ground-truth depth, the first that exists counts.
+        ground_truth: suffixes of ground-truth depth; the first that exists is used.
         masks: suffixes of the mask.
         focal: fx and fy in pixels at `focal_size`.
     """

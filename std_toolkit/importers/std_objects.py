@@ -28,7 +28,7 @@ from std_toolkit.scene.model import (
 )
 
 MapsOf = Callable[[Path, str], tuple[tuple[str, Path], ...]]
-# Poses are fitted in this many frames, spread over the recording.
+# Number of frames, spread over the recording, in which poses are fitted.
 _FITTED_FRAMES = 5
 _FEWEST_PIXELS = 100
 # 8-bit NOCS is quantised to 0.4 % of the diagonal, 1.2 mm of 0.3 m.
@@ -61,8 +61,8 @@ def read_meta(path: Path, *, any_class: bool = False) -> list[MetaLine]:
     """Lines of a meta file: 13 fields, or 3 in the short form.
 
     Args:
-        any_class: take ids from 0 and class numbers that the layout does not know, as `class_id` 0:
-            category-novel sets may number their own.
+        any_class: accept ids from 0, and unknown class numbers as `class_id` 0: category-novel
+            sets may use their own numbers.
 
     Raises:
         ToolkitError: a line is malformed, or an id appears twice.
@@ -85,7 +85,7 @@ def read_meta(path: Path, *, any_class: bool = False) -> list[MetaLine]:
 def read_objects(
     request: ImportRequest, stems: list[str], layout: str, maps_of: MapsOf, camera: Camera
 ) -> FoundObjects:
-    """Objects with their meshes and poses, as far as the download holds them.
+    """Objects with their meshes and poses, as far as the download contains them.
 
     Raises:
         ToolkitError: a meta file or a mesh is damaged.
@@ -93,7 +93,7 @@ def read_objects(
     folder = request.source
     with_meta = [s for s in stems if (folder / f"{s}_meta.txt").is_file()]
     if not with_meta:
-        return FoundObjects(notes=["no meta files: objects left out"])
+        return FoundObjects(notes=["no meta files: objects are skipped"])
     metas = {s: read_meta(folder / f"{s}_meta.txt") for s in with_meta}
     meta_lines: dict[int, MetaLine] = {}
     for lines in metas.values():
@@ -102,7 +102,7 @@ def read_objects(
     cad = _cad_folder(request, meta_lines)
     if cad is None:
         return FoundObjects(
-            notes=["no CAD models found: objects left out; give their folder with --models"]
+            notes=["no CAD models found: objects are skipped; give their folder with --models"]
         )
     models: dict[str, SourceModel] = {}
     objects, labels = [], []
@@ -160,7 +160,7 @@ def _meta_line(words: list[str], path: Path, where: str, any_class: bool) -> Met
 
 
 def _cad_folder(request: ImportRequest, meta_lines: dict[int, MetaLine]) -> Path | None:
-    """The folder below which `<class>/<instance>/model.obj` of every object lies."""
+    """The folder that contains `<class>/<instance>/model.obj` of every object."""
     if any(x.instance_folder is None for x in meta_lines.values()):
         return None
     source = request.source.resolve()
@@ -183,7 +183,7 @@ def _mesh_path(cad: Path, line: MetaLine) -> Path:
 
 
 def _model(cad: Path, line: MetaLine) -> SourceModel:
-    """The mesh at the size that the meta line tells: centred, its diagonal `scale` metres long."""
+    """The mesh at the size of the meta line: centred, with a diagonal of `scale` metres."""
     assert line.scale is not None  # of the long form
     mesh = load_mesh(_mesh_path(cad, line))
     centre, diagonal = nocs_frame(mesh)
@@ -228,10 +228,10 @@ def _fit_label(
 def fit_pose(maps: dict[str, Path], mask_id: int, camera: Camera) -> SE3 | None:
     """T_cam_obj of the object `mask_id`, from its ground-truth depth, mask and NOCS picture.
 
-    The meta file's quaternion is not used: what it means differs between releases.
+    The quaternion of the meta file is not used, because its meaning differs between releases.
 
     Returns:
-        None where a map is missing, too little of the object is visible or nothing fits.
+        None if a map is missing, too little of the object is visible or no fit is found.
     """
     if not {"depth", "mask", "nocs"} <= set(maps):
         return None

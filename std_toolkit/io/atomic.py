@@ -1,8 +1,7 @@
-"""Atomic writes of files and folders, and locks: old or complete, one writer at a time.
+"""Atomic writes of files and folders, and locks.
 
-A folder that appears complete or not at all.
-
-One writer per scene at a time, and one annotator.
+A file or folder is either the old one or complete. A scene has one writer and one annotator at a
+time.
 """
 
 from __future__ import annotations
@@ -30,9 +29,9 @@ _LONGEST_STEM = 100
 def atomic_path(path: Path | str) -> Iterator[Path]:
     """A temporary path beside `path`, moved to `path` when the block ends without an error.
 
-    The temporary keeps the suffix, for libraries that choose the format by it. It is synced to
-    disk before the move and removed when the block raises. A symbolic link at `path` is
-    replaced, never written through.
+    The temporary file keeps the suffix, because libraries select the format by it. It is synced
+    to disk before the move and removed when the block raises. A symbolic link at `path` is
+    replaced, never followed.
 
     Raises:
         ToolkitError: the file cannot be written; the message names `path` and the reason.
@@ -52,7 +51,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         _remove(temporary)
         if error.filename not in (None, str(temporary), str(path), str(path.parent)):
             raise  # the block failed at another file
-        # Without a name (disk full) or with the temporary's the message would help nobody.
+        # Without a name (disk full), or with that of the temporary, the message is no help.
         raise ToolkitError(
             f"cannot write the file: {error.strerror or error}", path=path
         ) from error
@@ -68,7 +67,7 @@ def write_bytes_atomic(path: Path | str, data: bytes | memoryview) -> None:
 
 
 def sweep_temporaries(folder: Path | str) -> list[Path]:
-    """Remove what killed writers left below `folder`; call it while holding the scene's lock.
+    """Remove temporary files of killed writers in `folder`; call it while holding the scene lock.
 
     Returns:
         The removed files.
@@ -90,7 +89,7 @@ def _remove(temporary: Path) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Have a folder's entries on disk: a new or renamed file is durable only then."""
+    """Sync a folder to disk, which makes new and renamed files in it durable."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -102,12 +101,12 @@ def sync_folder(folder: Path) -> None:
 def new_folder(out: Path) -> Iterator[Path]:
     """A staging folder beside `out`, renamed to `out` when the block ends without an error.
 
-    When the block raises, the staging folder goes, and so do the parents made for it. What a
-    killed process left is removed by the next call for the same `out`; a lock on the folder tells
-    it from the staging folder of a process that is still at work.
+    When the block raises, the staging folder and the parents created for it are removed. The
+    staging folder of a killed process is removed by the next call for the same `out`; a lock
+    distinguishes it from that of a running process.
 
     Raises:
-        ToolkitError: there is something at `out` already, or it cannot be written.
+        ToolkitError: `out` has content, or it cannot be written.
     """
     out = out.absolute()
     check_vacant(out)
@@ -127,14 +126,14 @@ def new_folder(out: Path) -> Iterator[Path]:
             staging.rename(out)
         except OSError as error:
             raise ToolkitError(
-                f"cannot put the finished folder in place: {error.strerror}", path=out
+                f"cannot move the finished folder here: {error.strerror}", path=out
             ) from error
         sync_folder(out.parent)
     except BaseException as error:
         shutil.rmtree(staging, ignore_errors=True)
         _remove_parents(made)
         if isinstance(error, ToolkitError) and str(staging) in (error.path or ""):
-            # The user knows the place that was asked for, not where it was in the making.
+            # The user knows the requested path, not that of the staging folder.
             raise error.relocated(staging, out) from error
         raise
     finally:
@@ -142,17 +141,17 @@ def new_folder(out: Path) -> Iterator[Path]:
 
 
 def check_vacant(out: Path) -> None:
-    """Refuse an `out` that holds something.
+    """Check that `out` does not exist or is an empty folder.
 
     Raises:
-        ToolkitError: a scene, a file or a folder that is not empty is there.
+        ToolkitError: it is a scene, a file or a folder that is not empty.
     """
     if (out / "scene.json").exists():
         raise ToolkitError(
-            "there is a scene here already", path=out, hint="choose another --out or remove it"
+            "a scene already exists here", path=out, hint="choose another --out or remove it"
         )
     if out.is_symlink() or (out.exists() and not out.is_dir()):
-        raise ToolkitError("there is a file here already", path=out, hint="choose another --out")
+        raise ToolkitError("a file already exists here", path=out, hint="choose another --out")
     if out.is_dir() and any(out.iterdir()):
         raise ToolkitError("the folder is not empty", path=out, hint="choose another --out")
 
@@ -167,7 +166,7 @@ def _sweep(out: Path) -> None:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             shutil.rmtree(left, ignore_errors=True)
         except BlockingIOError:
-            continue  # another import to the same place is at work; the rename decides
+            continue  # another import to this path is running; the rename decides
         finally:
             os.close(descriptor)
 
@@ -190,7 +189,7 @@ def _remove_parents(made: list[Path]) -> None:
 
 @contextmanager
 def scene_lock(root: Path) -> Iterator[None]:
-    """Hold the scene's write lock; a killed holder frees it by dying.
+    """Hold the write lock of a scene; it is released when its process ends.
 
     Raises:
         ToolkitError: another process holds it (the message names the owner), or the folder is
@@ -202,11 +201,11 @@ def scene_lock(root: Path) -> Iterator[None]:
 
 @contextmanager
 def hold_lock(root: Path, name: str, *, doing: str, note: str = "") -> Iterator[None]:
-    """Hold one of a scene's locks; a killed holder frees it by dying.
+    """Hold one of the locks of a scene; it is released when its process ends.
 
     Args:
-        name: of the lock's file in `.std`.
-        doing: what the holder does to the scene, for the message to others: "writing to".
+        name: name of the lock file in `.std`.
+        doing: what the holder does to the scene, for the error message: "writing to".
         note: more about the holder, for the same message.
 
     Raises:
@@ -218,7 +217,7 @@ def hold_lock(root: Path, name: str, *, doing: str, note: str = "") -> Iterator[
         raise ToolkitError("the scene's .std folder must not be a symbolic link", path=root)
     try:
         path.parent.mkdir(exist_ok=True)
-        # The owner's name is written into the file: never through a link to another file.
+        # The owner's name is written into the file: never follow a link to another file.
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
     except OSError as error:
         raise ToolkitError(f"cannot write to the scene: {error.strerror}", path=root) from error

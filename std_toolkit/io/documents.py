@@ -30,7 +30,7 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 class InvalidDocument(ToolkitError, ValueError):
     """A `ToolkitError` of a document's own checks.
 
-    It is a ValueError too, because msgspec tells the place in the document only for those.
+    It is also a ValueError, because msgspec adds the place in the document only to those.
     """
 
 
@@ -100,33 +100,33 @@ def write_document(path: Path | str, document: Any) -> None:
 
 
 def begin_folder(path: Path, document: T, *, hint: str, beside: Sequence[str] = ()) -> T:
-    """The document that says what a folder of results was begun with; written if it is new.
+    """Read the document that identifies a folder of results, or write it in a new folder.
 
     Args:
-        path: of the document.
-        document: what the folder would be begun with.
-        hint: what to do where the folder is somebody else's.
-        beside: names of files that may be there already.
+        path: path of the document.
+        document: document for a new folder.
+        hint: hint for a folder that has other content.
+        beside: names of files that may already exist.
 
     Returns:
-        The document that is there now: for the caller to compare with its own.
+        The document in the folder, for the caller to compare with its own.
 
     Raises:
-        ToolkitError: the folder holds files, hidden ones aside, but not this document; or it
+        ToolkitError: the folder contains files, except hidden ones, but not this document; or it
             cannot be read or written.
     """
     if path.exists():
         return read_document(path, type(document))
     if any(p.name[0] != "." and p.name not in beside for p in path.parent.iterdir()):
         raise ToolkitError(
-            f"the folder holds files but no {path.name}", path=path.parent, hint=hint
+            f"the folder contains files but no {path.name}", path=path.parent, hint=hint
         )
     write_document(path, document)
     return document
 
 
 def _join_number_lists(text: str) -> str:
-    """Put lists of plain numbers on one line: a pose as 16 lines cannot be read."""
+    """Put lists of plain numbers on one line, so that a pose does not take 16 lines."""
     return _NUMBER_LIST.sub(lambda m: "[" + " ".join(m.group(1).split()) + "]", text)
 
 
@@ -138,7 +138,7 @@ def _refuse_twice(pairs: list[tuple[str, Any]]) -> None:
 
 
 def plain_number(value: Any) -> Any:
-    """For msgspec's `enc_hook`: a number of numpy as Python's; anything else is refused."""
+    """The `enc_hook` of msgspec: converts NumPy numbers, rejects other types."""
     if getattr(value, "shape", None) == ():  # a number of numpy
         return value.item()
     raise ToolkitError(

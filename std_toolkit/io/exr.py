@@ -1,9 +1,9 @@
 """OpenEXR files: headers checked before decoding, reading, writing.
 
-The header is parsed here, not by the OpenEXR binding: read alone (`header_only`) it accepts cropped
-images, gigapixels and files that end behind the header, and it gives neither the pixel types nor
-the position of the chunk table, without which nothing can be said about the chunks. The decoder
-itself prints to the terminal when it meets a damaged chunk, and some damage passes it.
+The module parses the header itself. The OpenEXR binding (`header_only`) accepts cropped images,
+gigapixels and files that end after the header, and gives neither the pixel types nor the position
+of the chunk table, which are needed to check the chunks. Its decoder prints to the terminal at a
+damaged chunk and does not detect some damage.
 
 Source: "OpenEXR File Layout", openexr.com.
 """
@@ -80,13 +80,13 @@ def read_exr_channel(
 ) -> NDArray[np.generic]:
     """One channel of an EXR, (H, W) in its stored type: for reading many files quickly.
 
-    The first of `names` that is there is taken, or the only channel. Chunks are inflated once, by
-    the decoder, which compares their checksums; `read_exr` inflates them beforehand as well,
-    because the decoder prints to the terminal what it finds wrong.
+    Returns the first of `names` that exists, or the only channel. The decoder inflates chunks once
+    and compares their checksums. `read_exr` also inflates them beforehand, because the decoder
+    prints errors to the terminal.
 
     Args:
-        names: of the channel, the best first.
-        require_equal: refuse a file whose R, G and B differ: a picture, not a map.
+        names: names of the channel, in order of preference.
+        require_equal: reject a file whose R, G and B differ (a picture, not a map).
 
     Raises:
         ToolkitError: unreadable, truncated or damaged, no such channel, or unequal ones.
@@ -99,7 +99,7 @@ def read_exr_channel(
     if name is None:
         if len(header.channels) != 1:
             raise ToolkitError(
-                f"the EXR file holds no channel {' or '.join(names)}",
+                f"the EXR file has no channel {' or '.join(names)}",
                 path=path,
                 value=header.channels,
             )
@@ -113,7 +113,7 @@ def read_exr_channel(
             others = [n for n in "RGB" if n != name and n in channels]
             if require_equal and not all(_same(pixels, channels[n].pixels) for n in others):
                 raise ToolkitError(
-                    "the EXR file holds a picture, not a map: its channels differ", path=path
+                    "the EXR file is a picture, not a map: its channels differ", path=path
                 )
             return pixels.copy()
     except ToolkitError:
@@ -127,12 +127,12 @@ def read_exr_channel(
 def read_exr_depth(path: Path | str) -> NDArray[np.float32]:
     """The depth channel of an EXR as stored, (H, W) float32.
 
-    It is the channel Y, Z or V, the only channel, or R where G and B hold the same (how tools
-    without single-channel EXR save depth).
+    It is the channel Y, Z or V, the only channel, or R if G and B are equal to it (tools without
+    single-channel EXR save depth this way).
 
     Raises:
         ToolkitError: unreadable, no channel that could be depth, R, G and B that differ (a
-            picture or normals), or integers (whose unit nobody knows).
+            picture or normals), or integers (of unknown unit).
     """
     channels = read_exr(path)
     name: str | None = next((n for n in ("Y", "Z", "V") if n in channels), None)
@@ -145,13 +145,13 @@ def read_exr_depth(path: Path | str) -> NDArray[np.float32]:
                 channels["R"], channels[other], equal_nan=True
             ):
                 raise ToolkitError(
-                    "depth has one channel, or three equal ones; here R, G and B differ",
+                    "depth must have one channel or three equal ones; R, G and B differ",
                     path=path,
                     hint="is this a picture or a normal map?",
                 )
     if name is None:
         raise ToolkitError(
-            "the EXR file holds no depth channel (Y, Z or R)", path=path, value=sorted(channels)
+            "the EXR file has no depth channel (Y, Z or R)", path=path, value=sorted(channels)
         )
     if channels[name].dtype == np.uint32:
         raise ToolkitError(
@@ -198,7 +198,7 @@ def write_exr(
 
 
 def _same(a: NDArray[np.generic], b: NDArray[np.generic]) -> bool:
-    """Whether all bits are the same, those of NaN included."""
+    """Whether all bits are equal, including those of NaN."""
     kinds = {2: np.uint16, 4: np.uint32}
     return a.dtype == b.dtype and np.array_equal(
         a.view(kinds[a.itemsize]), b.view(kinds[b.itemsize])
@@ -212,9 +212,9 @@ class ExrHeader:
     Attributes:
         width, height: pixels.
         channels: names.
-        row_bytes: of one uncompressed scan line, all channels.
-        compression: number of the file format.
-        tiled: stored in tiles instead of scan lines.
+        row_bytes: size of one uncompressed scan line, all channels.
+        compression: its number in the file format.
+        tiled: whether it is stored in tiles instead of scan lines.
         end: offset of the chunk table.
     """
 
@@ -231,8 +231,8 @@ def read_exr_header(path: Path) -> ExrHeader:
     """Parse the header.
 
     Raises:
-        ToolkitError: not found, not an EXR, of a kind that is no plain image (deep, several
-            parts, cropped, subsampled), or of an implausible size.
+        ToolkitError: not found, not an EXR, not a plain image (deep, several parts, cropped,
+            subsampled), or of an implausible size.
     """
     with open_regular(path) as file:
         data = file.read(_LARGEST_HEADER_BYTES)
@@ -245,7 +245,7 @@ def read_exr_header(path: Path) -> ExrHeader:
 
 
 def check_whole_exr(path: Path, header: ExrHeader, data: bytes, *, inflate: bool = True) -> None:
-    """Refuse a file with missing or damaged chunks.
+    """Check a file for missing or damaged chunks.
 
     Args:
         inflate: also compare the checksums of chunks that zlib compressed.
@@ -279,7 +279,7 @@ def _parse(path: Path, data: bytes) -> ExrHeader:
         raise ValueError("no EXR")
     if version & (_DEEP | _MULTIPART):
         raise ToolkitError(
-            "deep and multi-part EXR files are not read", path=path, hint="save a flat image"
+            "deep and multi-part EXR files are not supported", path=path, hint="save a flat image"
         )
     attributes: dict[str, bytes] = {}
     at = 8
@@ -297,12 +297,12 @@ def _parse(path: Path, data: bytes) -> ExrHeader:
     check_plausible_size(path, width, height)
     if struct.unpack("<4i", attributes["displayWindow"]) != (x0, y0, x1, y1):
         raise ToolkitError(
-            "the EXR file holds a window of its image only", path=path, hint="save it uncropped"
+            "the EXR file contains only a window of its image", path=path, hint="save it uncropped"
         )
     channels, row_bytes = _channels(path, attributes["channels"], width)
     if row_bytes * height > _LARGEST_PIXEL_BYTES:
         raise ToolkitError(
-            "the image claims an implausible size",
+            "the image has an implausible size",
             path=path,
             value=f"{width}x{height}, {len(channels)} channels",
         )
@@ -322,19 +322,20 @@ def _channels(path: Path, data: bytes, width: int) -> tuple[tuple[str, ...], int
         end = data.index(b"\0", at)
         kind, _, x_step, y_step = struct.unpack_from("<iIii", data, end + 1)
         if (x_step, y_step) != (1, 1):
-            raise ToolkitError("subsampled EXR channels are not read", path=path)
+            raise ToolkitError("subsampled EXR channels are not supported", path=path)
         row_bytes += _PIXEL_BYTES[kind] * width
         names.append(data[at:end].decode("latin-1"))
         at = end + 17
     if not names:
-        raise ToolkitError("the EXR file holds no channels", path=path)
+        raise ToolkitError("the EXR file has no channels", path=path)
     return tuple(names), row_bytes
 
 
 def _inflates_to(chunk: bytes, size: int) -> bool:
-    """Whether a zlib stream is whole, its checksum right, and `size` bytes long.
+    """Whether a zlib stream is complete, has the right checksum, and is `size` bytes long.
 
-    A chunk is shorter than its pixels and zlib expands 1032 times at most, so no bomb fits in.
+    A chunk is shorter than its pixels and zlib expands at most 1032 times, which excludes
+    decompression bombs.
     """
     try:
         return len(zlib.decompress(chunk, bufsize=size)) == size

@@ -1,8 +1,8 @@
-"""What a PNG or JPEG file says about itself, and whether it is whole, before pixels are decoded.
+"""Headers and completeness of PNG and JPEG files, checked before pixels are decoded.
 
-Pillow parses the headers and compares the checksums of a PNG; it decodes nothing for that. The end
-of a JPEG is looked for here: Pillow's `verify` does nothing for JPEG, and OpenCV fills the missing
-part of a truncated one with grey.
+Pillow parses the headers and compares the checksums of a PNG without decoding it. This module
+searches for the end of a JPEG, because Pillow's `verify` does nothing for JPEG and OpenCV fills
+the missing part of a truncated one with grey.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from PIL.PngImagePlugin import PngImageFile
 
 from std_toolkit.errors import ToolkitError
 
-# A compressed file of a few kilobytes can claim gigapixels; no camera of this field does.
+# A compressed file of a few kilobytes can claim gigapixels; no supported camera has as many.
 LARGEST_PIXEL_COUNT = 64_000_000
 LARGEST_FILE_BYTES = 512 * 1024 * 1024
 # In the entropy-coded part, FF is followed by 00 (a stuffed byte), a restart marker, or the end.
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
 # Pillow does not compare the checksum of this last chunk; OpenCV then swaps red and blue.
 _PNG_END = b"\0\0\0\0IEND\xae\x42\x60\x82"
-# What Pillow raises when it meets damage.
+# Exceptions of Pillow for damaged files.
 _DAMAGE = (OSError, SyntaxError, ValueError, LookupError, TypeError, struct.error)
 
 
@@ -35,10 +35,10 @@ class ImageHeader:
     """Header of an image file.
 
     Attributes:
-        format: by content, whatever the file's name says.
+        format: detected from the content, not from the file name.
         width, height: pixels.
-        bits: per channel.
-        channels: as decoded: a palette has 3, grey with alpha 2.
+        bits: bits per channel.
+        channels: number of decoded channels: 3 for a palette, 2 for grey with alpha.
     """
 
     format: Literal["png", "jpeg"]
@@ -49,7 +49,7 @@ class ImageHeader:
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Open a regular file; a pipe or device in its place could block or never end.
+    """Open a regular file; reading a pipe or device could block or never end.
 
     Raises:
         ToolkitError: not found, not a file, not readable or implausibly large.
@@ -69,7 +69,7 @@ def read_header(path: Path) -> ImageHeader:
     """Header of a PNG or JPEG file.
 
     Raises:
-        ToolkitError: not found, neither PNG nor JPEG, named as the other of the two, or of an
+        ToolkitError: not found, neither PNG nor JPEG, with the suffix of the other, or of an
             implausible size.
     """
     try:
@@ -82,7 +82,7 @@ def read_header(path: Path) -> ImageHeader:
     expected = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg"}.get(path.suffix.lower())
     if expected != header.format:
         raise ToolkitError(
-            f"the file is {header.format.upper()}, its name says otherwise",
+            f"the file is {header.format.upper()}, but its name has another suffix",
             path=path,
             value=path.suffix,
             hint="rename or convert it",
@@ -92,19 +92,19 @@ def read_header(path: Path) -> ImageHeader:
 
 
 def check_plausible_size(path: Path, width: int, height: int) -> None:
-    """Refuse a size that would only fill the memory.
+    """Check that the image size is plausible.
 
     Raises:
         ToolkitError: no pixels, or more than any camera has.
     """
     if width <= 0 or height <= 0 or width * height > LARGEST_PIXEL_COUNT:
         raise ToolkitError(
-            "the image claims an implausible size", path=path, value=f"{width}x{height}"
+            "the image has an implausible size", path=path, value=f"{width}x{height}"
         )
 
 
 def check_whole(path: Path, data: bytes, header: ImageHeader) -> None:
-    """Refuse a file that ends early, or (PNG) whose checksums are wrong.
+    """Check that a file is complete and, for PNG, that its checksums are right.
 
     Raises:
         ToolkitError: truncated or damaged.
@@ -128,9 +128,9 @@ def _header(file: BinaryIO) -> ImageHeader:
         jpeg = JpegImageFile(file)
         return ImageHeader("jpeg", *jpeg.size, jpeg.bits, jpeg.layers)
     png = PngImageFile(file)
-    # How pixels are stored, such as "L", "L;4", "RGB;16B", "P;2" or "1".
+    # Pixel format, such as "L", "L;4", "RGB;16B", "P;2" or "1".
     mode, _, bits = str(png.tile[0].args).partition(";")
-    if mode == "P":  # a palette's entries are 8-bit whatever the width of its indices
+    if mode == "P":  # palette entries are 8-bit for any width of the indices
         return ImageHeader("png", *png.size, 8, 3)
     return ImageHeader(
         "png", *png.size, int(bits.rstrip("B") or 8 if mode != "1" else 1), len(mode)
@@ -138,7 +138,7 @@ def _header(file: BinaryIO) -> ImageHeader:
 
 
 def _jpeg_ends(data: bytes) -> bool:
-    """Whether the end marker of the image follows its scans (an embedded thumbnail has its own)."""
+    """Whether the end marker of the image follows its scans; a thumbnail has its own marker."""
     at = 2
     while at + 4 <= len(data) or data[at : at + 2] == b"\xff\xd9":
         if data[at] != 0xFF:

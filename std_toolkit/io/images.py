@@ -1,6 +1,4 @@
-"""Image files: 8-bit colour, 16-bit depth, masks. Everything that can be refused by the header is
-refused before pixels are decoded.
-"""
+"""Image files: 8-bit colour, 16-bit depth, masks. Headers are checked before decoding pixels."""
 
 from __future__ import annotations
 
@@ -32,8 +30,8 @@ def image_size(path: Path | str) -> tuple[int, int]:
 def read_color(path: Path | str, *, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
     """RGB image (H, W, 3) uint8 from an 8-bit PNG or JPEG.
 
-    Grey is copied to three channels, a palette looked up and an alpha channel dropped. An
-    orientation in the file's metadata is ignored: intrinsics belong to the stored pixels.
+    Grey is copied to three channels, a palette is applied and an alpha channel is dropped. The
+    orientation in the metadata is ignored: intrinsics belong to the stored pixels.
 
     Args:
         size: expected (width, height).
@@ -57,7 +55,7 @@ def read_color(path: Path | str, *, size: tuple[int, int] | None = None) -> NDAr
 
 
 def write_color(path: Path | str, image: NDArray[np.uint8], *, quality: int = 95) -> None:
-    """Write an RGB image (H, W, 3) uint8; the suffix (.png, .jpg) chooses the format."""
+    """Write an RGB image (H, W, 3) uint8; the suffix (.png, .jpg) selects the format."""
     bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     if Path(path).suffix.lower() == ".png":
         _encode(path, bgr, [cv2.IMWRITE_PNG_COMPRESSION, 3])
@@ -75,8 +73,8 @@ def read_depth(
         size: expected (width, height).
 
     Raises:
-        ToolkitError: unreadable, not single-channel 16-bit, of another size, or holding values
-            that are not finite or negative (import converts a foreign encoding of "missing").
+        ToolkitError: unreadable, not single-channel 16-bit, of another size, or with values that
+            are not finite or negative (import converts other encodings of missing depth).
     """
     path = Path(path)
     if path.suffix.lower() == ".exr":
@@ -84,9 +82,9 @@ def read_depth(
         depth = exr.read_exr_depth(path)
         if not np.isfinite(depth).all() or (depth < 0).any():
             raise ToolkitError(
-                "depth holds NaN, infinite or negative values",
+                "depth contains NaN, infinite or negative values",
                 path=path,
-                hint="missing depth is 0; import the recording again",
+                hint="missing depth must be 0; import the recording again",
             )
         return depth
     header = _png_header(path, "depth must be a single-channel 16-bit PNG or an EXR")
@@ -155,7 +153,7 @@ def write_png(path: Path | str, image: NDArray[np.generic], *, compression: int 
     """Write (H, W) or RGB (H, W, 3), uint8 or uint16, losslessly and byte-deterministically."""
     if image.dtype not in (np.uint8, np.uint16) or image.shape[2:] not in ((), (3,)):
         raise ToolkitError(
-            "a PNG holds (H, W) or (H, W, 3) of uint8 or uint16",
+            "a PNG must be (H, W) or (H, W, 3) of uint8 or uint16",
             path=path,
             value=f"{image.dtype} {image.shape}",
         )
@@ -189,7 +187,7 @@ def _decode(
 def _check_size(path: Path, actual: tuple[int, int], expected: tuple[int, int] | None) -> None:
     if expected is not None and actual != tuple(expected):
         raise ToolkitError(
-            f"image size is not the camera's {expected[0]}x{expected[1]}",
+            f"image size differs from that of the camera, {expected[0]}x{expected[1]}",
             path=path,
             value=f"{actual[0]}x{actual[1]}",
             hint="intrinsics belong to one image size; depth must be aligned to colour",
@@ -200,7 +198,7 @@ def _encode(path: Path | str, image: NDArray[np.generic], parameters: list[int])
     suffix = Path(path).suffix.lower()
     if suffix not in COLOR_SUFFIXES:
         raise ToolkitError(
-            "not an image format that is written", path=path, hint=f"one of {COLOR_SUFFIXES}"
+            "unsupported image format for writing", path=path, hint=f"one of {COLOR_SUFFIXES}"
         )
     done, data = cv2.imencode(suffix, image, parameters)  # type: ignore[arg-type]
     if not done:

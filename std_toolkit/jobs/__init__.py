@@ -1,4 +1,4 @@
-"""Long work over many items."""
+"""Parallel jobs over many items."""
 
 from std_toolkit.jobs.options import JobOptions
 from std_toolkit.jobs.runner import JobReport, run_jobs

@@ -1,4 +1,4 @@
-"""What every engine of the job layer shares: options, the outcome of an item, its errors."""
+"""Options, item outcomes and errors shared by all job engines."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ Engine = Literal["local", "serial", "ray"]
 ENGINES: tuple[Engine, ...] = ("local", "serial", "ray")
 
 
-# An item whose worker dies (killed, out of memory, abort in a library) is tried this often.
+# Attempts for an item whose worker dies (killed, out of memory, abort in a library).
 ATTEMPTS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class JobOptions:
-    """Where and how widely work runs."""
+    """Where work runs and how much of it in parallel."""
 
     engine: Engine = "local"
-    """local processes, serial in this process, or ray (extra `cluster`)"""
+    """local (processes on this machine), serial (this process) or ray (needs extra `cluster`)"""
     workers: Annotated[int, msgspec.Meta(ge=1)] | None = None
-    """processes or Ray tasks at a time (the usable cores)"""
+    """number of parallel processes or Ray tasks (default: the usable cores)"""
     ray_address: str | None = None
-    """of a running Ray cluster (one is started on this machine)"""
+    """host:port of a running Ray cluster (default: start one on this machine)"""
     gpus: Annotated[float, msgspec.Meta(ge=0)] = field(default=0.0, metadata={"option": None})
-    """GPUs that Ray reserves for each task, which then sees no others; may be a share"""
+    """GPUs that Ray reserves for each task, which sees only these; may be fractional"""
     progress: bool = field(default=True, metadata={"option": None})
-    """a progress bar when stderr is a terminal"""
+    """show a progress bar if stderr is a terminal"""
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -51,7 +51,7 @@ class JobOptions:
 
 @dataclass(frozen=True)
 class Outcome(Generic[Result]):
-    """What became of one item: a result, or the error as one line."""
+    """Outcome of one item: a result, or the error as one line."""
 
     result: Result | None = None
     error: str | None = None

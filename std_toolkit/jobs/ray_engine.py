@@ -18,7 +18,7 @@ _CONNECT_SECONDS = 5.0
 def run_on_ray(
     call: Callable[[Any], Outcome[Any]], items: Sequence[Any], options: JobOptions
 ) -> Generator[tuple[int, Outcome[Any]]]:
-    """See `runner.EngineRunner`. Scene folders must lie on a file system that all nodes share.
+    """See `runner.EngineRunner`. Scene folders must be on a file system that all nodes share.
 
     Raises:
         ToolkitError: Ray is not installed, or there is no cluster at the address.
@@ -29,13 +29,13 @@ def run_on_ray(
 
 @contextmanager
 def ray_cluster(options: JobOptions, *, tell: bool = False) -> Iterator[None]:
-    """A connection to a cluster, which is started on this machine if no address is given.
+    """A connection to a Ray cluster; without an address, one is started on this machine.
 
-    A process that is connected already stays so.
+    An existing connection of the process is kept.
 
     Args:
-        options: address and width.
-        tell: show what the cluster's processes write to stdout and stderr.
+        options: address and number of workers.
+        tell: show the stdout and stderr of the cluster's processes.
 
     Raises:
         ToolkitError: Ray is not installed, or there is no cluster at the address.
@@ -72,7 +72,7 @@ def _run(
         width = options.workers or int(ray.cluster_resources().get("CPU", 1))
         queue = iter(range(len(items)))
         while True:
-            # A few more than what runs, so that no node waits for the next item to be sent.
+            # A few more than what runs, so that no node waits for its next item.
             while len(running) < 2 * width and (index := next(queue, None)) is not None:
                 running[remote.remote(shared, items[index])] = index
             if not running:
@@ -97,7 +97,7 @@ def _run(
 def _connect(options: JobOptions, tell: bool) -> None:
     import ray
 
-    # A cluster that we start on the user's behalf reports to nobody.
+    # A cluster that we start sends no usage statistics.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     address = options.ray_address
     if address is not None:
@@ -129,7 +129,7 @@ def _check_reachable(address: str) -> None:
             pass
     except (OSError, ValueError, OverflowError) as error:
         raise ToolkitError(
-            f"no Ray cluster answers there: {error}",
+            f"no Ray cluster answers at this address: {error}",
             field="--ray-address",
             value=address,
             hint="start one with `ray start --head` and give its host:port",
@@ -137,7 +137,7 @@ def _check_reachable(address: str) -> None:
 
 
 def _last_line(error: Exception) -> str:
-    # The text is a coloured traceback from the node; its last line tells the cause.
+    # The text is a coloured traceback from the node; its last line is the cause.
     return f"{str(error).splitlines()[-1].strip()} (is the same version installed on every node?)"
 
 

@@ -1,12 +1,12 @@
 """A typed function over a list of items: progress, failures collected, crashed workers retried.
 
-Steps make their items idempotent (skip what is done, write atomically), so that running a job
-again after any interruption goes on where it stopped.
+Items are idempotent: they skip finished work and write atomically. A job that is run again after
+an interruption therefore resumes.
 
-Items over processes of this machine. A worker that dies takes down no more than its item. The pool
-is Python's own, made again after a crash: pebble, which replaces single workers, waits for ever
-for an item that ends its process with status 0, and for all items after one worker was killed
-while it sent its result.
+The local engine runs items in processes of this machine. A worker that dies fails only its item.
+The pool is Python's `ProcessPoolExecutor`, recreated after a crash. pebble, which replaces single
+workers, hangs on an item that ends its process with status 0, and on all items after a worker was
+killed while it sent its result.
 """
 
 from __future__ import annotations
@@ -82,17 +82,17 @@ def run_jobs(
     key: Callable[[Item], str] = str,
     options: JobOptions | None = None,
 ) -> JobReport[Result]:
-    """Run `fn` on every item; one bad item never ends the run.
+    """Run `fn` on every item; an item that fails does not stop the run.
 
-    A script that calls this at its top level needs Python's usual
-    `if __name__ == "__main__":`, because worker processes import the script.
+    A script that calls this at its top level needs `if __name__ == "__main__":`, because worker
+    processes import the script.
 
     Args:
         fn: picklable: a top-level function or a `functools.partial` of one.
         items: picklable work items.
         name: shown in the progress bar and in errors.
         key: name of an item in the report; must be unique.
-        options: engine and width.
+        options: engine and number of workers.
 
     Returns:
         Results in item order, and the failures. The caller decides whether failures are fatal.
@@ -132,7 +132,7 @@ def run_jobs(
 
 
 class _Guarded(Generic[Item, Result]):
-    """`fn` with its exceptions turned into outcomes, so that they cross process borders."""
+    """`fn` with its exceptions turned into outcomes, which can be sent between processes."""
 
     def __init__(self, fn: Callable[[Item], Result]) -> None:
         self.fn = fn
@@ -143,8 +143,7 @@ class _Guarded(Generic[Item, Result]):
         except (KeyboardInterrupt, GeneratorExit):
             raise
         except BaseException as error:
-            # The job layer is where one item's failure is handled; a library that calls exit()
-            # or panics fails its item, not the run.
+            # A library that calls exit() or panics fails its item, not the run.
             logger.debug("failed item", exc_info=True)
             return error_of(error)
 
@@ -154,7 +153,7 @@ def _engine(options: JobOptions, count: int) -> EngineRunner:
         from std_toolkit.jobs.ray_engine import run_on_ray
 
         return run_on_ray
-    if options.engine == "serial" or count <= 1:  # one item has no neighbours to protect
+    if options.engine == "serial" or count <= 1:  # one item cannot harm others
         return _run_serially
 
     return run_locally
@@ -174,8 +173,8 @@ def run_locally(
 ) -> Generator[tuple[int, Outcome[Any]]]:
     """See `runner.EngineRunner`.
 
-    After a crash, the few items that were running are suspects: each is tried again alone, which
-    tells the item that kills from its neighbours; then the work goes on at full width.
+    After a crash, each item that was running is tried again alone, which identifies the item that
+    kills its worker. The work then continues in parallel.
     """
     width = min(options.worker_count, len(items))
     queue = iter(range(len(items)))
@@ -221,7 +220,8 @@ def _pool(
     try:
         broken = False
         while True:
-            # Submit only what runs: lists may be long, and a crash then has few suspects.
+            # Submit only what runs: lists may be long, and few items are then retried after a
+            # crash.
             while not broken and len(running) < width:
                 index = next(queue, None)
                 if index is None:
@@ -256,7 +256,7 @@ def _pool(
 
 def _prepare_worker(width: int) -> None:
     """Runs first in every worker process, before any heavy library is imported there."""
-    # Ctrl-C goes to the whole process group; the parent decides what becomes of its workers.
+    # Ctrl-C goes to the whole process group; the parent ends its workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Every library would start as many threads as there are cores, in every worker.
     threads = str(max(1, len(os.sched_getaffinity(0)) // width))
@@ -266,7 +266,7 @@ def _prepare_worker(width: int) -> None:
 
 
 def _die_with_parent() -> None:
-    # A worker of a killed parent would otherwise wait for work until the machine is restarted.
+    # A worker of a killed parent would otherwise wait for work forever.
     parent = multiprocessing.parent_process()
     if parent is not None:
         connection.wait([parent.sentinel])

@@ -1,8 +1,8 @@
-"""One entry point for refining labelled objects, whatever the scene has to offer.
+"""Entry point for refining labelled objects with the data that the scene has.
 
-Opaque objects with sensor depth are brought into place by it and finished with the edges. Glass
-and metal, on which sensors err, and scenes without depth go by contours in several views; in a
-single view those leave the distance weak, which is said.
+Opaque objects are aligned with sensor depth, then refined with image edges. Glass and metal, on
+which sensors err, and scenes without depth are refined with contours in several views. In a single
+view contours determine the distance weakly; a warning reports this.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from std_toolkit.scene.scene import Scene
 
 Method = Literal["auto", "depth", "multiview"]
 
-# Fewer views do not tell the factor of the sensor depth from the distance.
+# With fewer views, the sensor depth factor cannot be separated from the distance.
 _VIEWS_AROUND = 3
-# How far from the contour edges are looked for, pixels: placed by depth, or by hand.
+# Search radius around the contour for edges, pixels: after alignment by depth, or by hand.
 _NEAR_PX, _FAR_PX = 24.0, 48.0
-# What an object without depth takes, in units of one with depth.
+# Time for an object without depth, in units of one with depth.
 _SEARCHED = 2.5
 
 
@@ -47,17 +47,18 @@ class RefinedPose:
     Attributes:
         object: its id.
         name: its name.
-        pose: refined, in the coordinate frame of the poses given.
+        pose: refined pose, in the coordinate frame of the input poses.
         method: sentence for the label's provenance, such as
             "depth and edges, 7 views, edges 0.6 px, depth 1.1 mm".
         covariance: (6, 6) of a right perturbation `pose @ SE3.exp(xi)`.
         weak_direction: sentence on the least determined direction.
         edge_rms_px: robust standard deviation of the edges around the contour, or None.
-        depth_m: typical distance of sensor depth and surface, metres; None if it took no part.
-        explained: share of the readings on the visible surface that agree with it, or None.
-        views: number of views that took part.
+        depth_m: typical distance between sensor depth and surface, metres; None if depth was not
+            used.
+        explained: fraction of the sensor depth on the visible surface that agrees with it, or None.
+        views: number of views used.
         frames: their ids.
-        warnings: sentences on what to look at.
+        warnings: sentences on what to inspect.
     """
 
     object: int
@@ -79,9 +80,9 @@ class RefineOutcome:
     """Outcome of `refine_objects`.
 
     Attributes:
-        objects: by id, those that were refined.
-        failures: by id, why an object was not: it keeps its pose.
-        posed: the poses are in the world; else in the camera of the only frame.
+        objects: refined objects, by id.
+        failures: reasons by id of objects that were not refined; they keep their poses.
+        posed: whether the poses are in the world; otherwise in the camera of the only frame.
     """
 
     objects: dict[int, RefinedPose]
@@ -90,7 +91,7 @@ class RefineOutcome:
 
 
 class RefineCancelled(Exception):
-    """The caller's `cancelled` asked to stop."""
+    """`cancelled` of the caller returned True."""
 
 
 def refine_objects(
@@ -106,30 +107,30 @@ def refine_objects(
     progress: Callable[[float], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> RefineOutcome:
-    """Refine the poses of objects; nothing is written, and the scene's labels play no part.
+    """Refine the poses of objects. Writes nothing and ignores the labels of the scene.
 
     Args:
-        poses: by object id, of all placed objects: those that are not chosen hide what is behind
-            them. T_world_obj, or T_cam_obj of the one frame in `frames` if the scene has no
+        poses: poses of all placed objects by object id; objects that are not chosen act as
+            occluders. T_world_obj, or T_cam_obj of the one frame in `frames` if the scene has no
             camera poses in metres or that frame has none.
         chosen: ids of the objects to refine; default: all.
-        frames: ids of the frames to look at; those without a camera pose are left out. Default:
+        frames: ids of the frames to use; those without a camera pose are skipped. Default:
             keyframes spread over the viewpoints.
-        method: "auto" decides by the materials; "depth" trusts the sensor on any material;
+        method: "auto" selects by material; "depth" uses sensor depth on any material;
             "multiview" uses no depth.
-        keyframes: number of frames where none are named.
-        always: frames to take in any case, if they have a camera pose, such as the annotated one.
-        mesh: model id to mesh in metres, where they are at hand; default: read from the scene.
-        progress: told the fraction done, 0 to 1.
-        cancelled: asked now and then.
+        keyframes: number of frames if `frames` is not given.
+        always: frames to use in any case, if they have a camera pose, such as the annotated one.
+        mesh: model id to mesh in metres, if loaded; default: read from the scene.
+        progress: called with the completed fraction, 0 to 1.
+        cancelled: called repeatedly; True stops the refinement.
 
     Raises:
-        ToolkitError: no object or frame to work on, or no object could be refined.
-        RefineCancelled: `cancelled` said so.
+        ToolkitError: no object or frame to refine, or no object could be refined.
+        RefineCancelled: `cancelled` returned True.
     """
     chosen = list(dict.fromkeys(poses if chosen is None else chosen))
     if not chosen:
-        raise ToolkitError("there is no object to refine", path=scene.root)
+        raise ToolkitError("no object to refine", path=scene.root)
     problem = refine_inputs.auto_problem(
         scene, poses, chosen, frames=frames, keyframes=keyframes, always=always, mesh=mesh
     )
@@ -141,7 +142,7 @@ def refine_objects(
 
 
 class _Run:
-    """One call of `refine_objects`: depth first, since what it places hides what edges look at."""
+    """One call of `refine_objects`: depth first, because aligned objects occlude others."""
 
     def __init__(
         self,
@@ -163,7 +164,7 @@ class _Run:
         by_depth = [i for i in chosen if self._uses_depth(i)]
         around = len(self._problem.views) >= _VIEWS_AROUND
         left = [i for i in chosen if i not in by_depth]
-        # Depth takes about as long as following the edges, and a search much longer.
+        # Depth takes about as long as the edges, and a search much longer.
         each = 1.0 if not around else 0.5
         whole = len(by_depth) + _SEARCHED * len(left)
         share = each * len(by_depth) / whole
@@ -195,7 +196,7 @@ class _Run:
         self._progress(self._told)
 
     def _fit_depth(self, i: int, *, finish: bool, progress: Progress) -> bool:
-        """Place an object by depth; False where its edges must do alone."""
+        """Align an object with depth; False if only its edges can be used."""
         objects = self._placed()
         others = [o for k, o in objects.items() if k != i]
         options = icp.DepthFitOptions(use_edges=finish)
@@ -220,7 +221,7 @@ class _Run:
         return True
 
     def _turn_about(self) -> None:
-        """Turn what is nearly round: its depth fits at any turn, and edges nearby follow it."""
+        """Rotate a nearly round object: its depth fits at any rotation, as do edges nearby."""
         options = RefineOptions(use_depth=False)
         for i, fit in list(self._fits.items()):
             objects = self._placed()
@@ -229,13 +230,13 @@ class _Run:
             self._fits[i] = replace(fit, T_world_obj=T)
 
     def _fit_edges(self, chosen: Sequence[int], progress: Progress) -> None:
-        """Finish objects together with the edges (and depth, where it is trusted) of all views."""
+        """Refine objects jointly with the edges (and usable depth) of all views."""
         objects = self._placed()
         prepared = []
         for k, obj in objects.items():
             trusted = self._method == "depth" and k in self._fits
             material = "diffuse" if trusted else obj.material
-            # What the depth has placed is near its edges; what a hand has placed may be far.
+            # Objects aligned with depth are near their edges; manual poses may be far.
             rough = k not in self._fits
             prepared.append(replace(obj, material=material, fixed=k not in chosen, rough=rough))
         near = all(k in self._fits for k in chosen)
@@ -254,7 +255,7 @@ class _Run:
             if k not in chosen:
                 continue
             if refined.views == 0:
-                hidden = f"{refined.name} cannot be seen well enough in the frames looked at"
+                hidden = f"{refined.name} is not visible enough in the selected frames"
                 self._fall_back(k, ToolkitError(hidden, hint="move it onto its image first"))
             elif k in self._fits and icp.moved_too_far(obj, refined.T_world_obj):
                 self._fall_back(k, ToolkitError("the edges contradict the sensor depth"))
@@ -262,7 +263,7 @@ class _Run:
                 self.found[k] = self._of_edges(k, prepared, refined, result.depth_factor)
 
     def _fall_back(self, i: int, error: ToolkitError) -> None:
-        """Without its edges an object has the pose that the depth gave, if any."""
+        """Without edges, use the pose from depth, if any."""
         if i in self._fits:
             self._notes[i] = [f"{error.problem}, so only sensor depth was used"]
             self.found[i] = self._of_depth(i, self._fits[i])

@@ -1,4 +1,4 @@
-"""Metres from CAD models whose poses were annotated in two or more frames."""
+"""Metric scale from CAD models whose poses were annotated in two or more frames."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from std_toolkit.scene.model import Label, Object, ScaleEstimate, pose_from_list
 MIN_ANGLE_DEG = 15.0
 GOOD_ANGLE_DEG = 60.0
 _POINTS = 60
-# Annotations are off by 1-2 % along the line of sight; edges that say more follow something else.
+# Annotations are off by 1-2 % along the line of sight; a larger correction means wrong edges.
 MAX_EDGE_CORRECTION = 0.03
 
 
 class CadScale:
-    """The size of annotated objects.
+    """Scale from the size of annotated objects.
 
-    Every annotation says where the mesh appears in its image. Its hull's vertices, projected with
-    the annotated pose, are pixels of points of known metric position; one pose and one scale must
-    explain them in all annotated frames. Frames far apart are what makes this well determined:
-    the scale is the ratio of the size seen to the distance triangulated. The images' edges then
-    sharpen what was annotated.
+    An annotation defines where the mesh appears in its image. The hull vertices, projected with
+    the annotated pose, are pixels of points of known metric position. One pose and one scale must
+    explain them in all annotated frames. Frames far apart make this well determined: the scale is
+    the ratio of the observed size to the triangulated distance. Image edges then refine the
+    result.
     """
 
     name = "cad"
@@ -61,14 +61,14 @@ class CadScale:
         if angle < MIN_ANGLE_DEG:
             raise ToolkitError(
                 f"object {thing.name!r}: its annotated frames are {angle:.0f} degrees apart, "
-                "too near to each other to tell the scale",
+                "too close to determine the scale",
                 path=scene.root / "labels.json",
                 hint=f"annotate it in frames at least {GOOD_ANGLE_DEG:.0f} degrees apart",
             )
         if angle < GOOD_ANGLE_DEG:
             logger.warning(
                 "object %r is annotated in frames only %.0f degrees apart; the scale from its "
-                "size gets better from %.0f degrees",
+                "size is more accurate from %.0f degrees",
                 thing.name,
                 angle,
                 GOOD_ANGLE_DEG,
@@ -104,11 +104,11 @@ def _sharpen(
     annotated: ScaleEstimate,
     threshold_m: float,
 ) -> ScaleEstimate:
-    """Adjust the object's one pose and the scale to the edges in all annotated images.
+    """Refine the object's pose and the scale with the edges in all annotated images.
 
-    A person's pixel along the outline is nearly one per cent of the distance; edges in several
-    images at once are several times better. If they lead away from what was annotated, the
-    annotation stands.
+    One pixel of annotation error along the outline is nearly one per cent of the distance; edges
+    in several images are several times better. If they contradict the annotation, the annotation
+    is kept.
     """
     from std_toolkit.labels.refine.edges.solver import refine_poses
     from std_toolkit.labels.refine.problem import RefineObject, RefineOptions, RefineView
@@ -138,8 +138,8 @@ def _sharpen(
         return annotated
     if abs(refined.scale - 1) > MAX_EDGE_CORRECTION:
         logger.warning(
-            "object %r: its edges say %.1f %% other than its annotations, which are used; check "
-            "the annotations and the mesh",
+            "object %r: scale from edges and from annotations differ by %.1f %%; the annotations "
+            "are used; check the annotations and the mesh",
             thing.name,
             100 * (refined.scale - 1),
         )
@@ -148,7 +148,7 @@ def _sharpen(
         annotated,
         factor=fit.scale * refined.scale,
         standard_error=refined.scale_std / refined.scale,
-        note=f"{annotated.note}; edges moved the annotations' scale by "
+        note=f"{annotated.note}; edges changed the scale by "
         f"{100 * (refined.scale - 1):+.2f} %",
     )
 
@@ -162,8 +162,8 @@ def annotated_poses(context: ScaleContext, label: Label) -> dict[int, SE3]:
 def _combine(name: str, estimates: list[ScaleEstimate]) -> ScaleEstimate:
     if len(estimates) == 1:
         return estimates[0]
-    # Objects of one size and annotator are equally good to first order; the floor keeps one
-    # lucky object from silencing the others.
+    # Objects of one size and annotator are equally good to first order; the floor keeps one object
+    # from dominating by chance.
     weight = np.array([1 / max(e.standard_error, 1e-3) ** 2 for e in estimates])
     total = float(weight.sum())
     weight /= total
@@ -180,7 +180,7 @@ def _combine(name: str, estimates: list[ScaleEstimate]) -> ScaleEstimate:
 
 
 def _largest_angle(poses: dict[int, SE3]) -> float:
-    """Largest angle in degrees under which the object sees two of the cameras."""
+    """Largest angle in degrees between two cameras, seen from the object."""
     directions = []
     for T_cam_obj in poses.values():
         centre = T_cam_obj.inverse().t

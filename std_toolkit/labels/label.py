@@ -1,4 +1,4 @@
-"""Objects of a scene and their annotated poses: what the command line and a GUI both call."""
+"""Adding objects and annotated poses to a scene, for the command line and the GUI."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def add_model(
     symmetry: SymmetryModel | None = None,
     model_id: str | None = None,
 ) -> Model:
-    """Copy a mesh with its textures into the scene and enter it in objects.json.
+    """Copy a mesh with its textures into the scene and add it to objects.json.
 
     The caller holds the scene's lock. Arguments and errors are those of `copy_model`.
     """
@@ -74,24 +74,25 @@ def copy_model(
     model_id: str | None = None,
     number: bool = False,
 ) -> Model:
-    """Copy a mesh with its textures into a scene folder; objects.json stays as it is.
+    """Copy a mesh with its textures into a scene folder; objects.json is not changed.
 
     The caller holds the scene's lock.
 
     Args:
         root: the scene folder.
-        objects: the models that the scene has.
+        objects: existing models of the scene.
         mesh: file to copy to `models/<id>/`; stored in metres.
         mesh_unit: unit of the file: "m", "cm" or "mm".
-        category: such as "mug"; default: that of the known model, else "other".
-        symmetry: in the mesh frame, metres; default: that of the known model, else none.
-        model_id: default: from the file's name.
-        number: where another mesh has this id already, the next of `mug_2`, `mug_3`, ... is taken
-            that is free or of this mesh.
+        category: category such as "mug"; default: that of the existing model, else "other".
+        symmetry: symmetry in the mesh frame, metres; default: that of the existing model, else
+            none.
+        model_id: id of the model; default: from the file name.
+        number: if another mesh already has this id, use the next of `mug_2`, `mug_3`, ... that is
+            free or belongs to this mesh.
 
     Returns:
-        The model, with its size and diameter. A model of the same id is returned as it is when
-        its mesh is the same; a category and a symmetry that are given replace its own.
+        The model, with its size and diameter. An existing model with this id and mesh is returned
+        unchanged, except for a given category and symmetry.
 
     Raises:
         ToolkitError: an unreadable mesh, one of implausible size (a wrong unit), or a model of
@@ -108,10 +109,10 @@ def copy_model(
     known = next((m for m in objects.models if m.id == model_id), None)
     if known is not None and not _same_mesh(root, known, relative, files):
         raise ToolkitError(
-            "there is a model of this id with another mesh",
+            "a model with this id has another mesh",
             path=source,
             value=model_id,
-            hint="name this one yourself, such as --model mug_2",
+            hint="choose another id, such as --model mug_2",
         )
     path = write_mesh_copy(root / "models" / model_id, files)
     loaded = load_mesh(path)
@@ -124,7 +125,7 @@ def copy_model(
         mesh=relative,
         category=category or "other",
         class_id=class_id,
-        # A flat mesh (a printed sheet) has an extent of zero; the document asks for a size.
+        # A flat mesh (a printed sheet) has an extent of zero; the document requires a size.
         size_m=[float(max(x, 1e-9)) for x in high - low],
         diameter_m=mesh_diameter(loaded),
         symmetry=symmetry or (known.symmetry if known is not None else SymmetryModel()),
@@ -139,20 +140,19 @@ def add_object(
     material: str = "diffuse",
     object_id: int | None = None,
 ) -> Object:
-    """Enter a physical object in objects.json, or change the material of one that is there.
+    """Add a physical object to objects.json, or change the material of an existing one.
 
     The caller holds the scene's lock.
 
     Args:
-        name: unique in the scene.
+        name: name, unique in the scene.
         model: id of a model of the scene.
-        material: decides which evidence may be trusted: "raw", "diffuse", "specular",
-            "transparent".
+        material: "raw", "diffuse", "specular" or "transparent"; selects the evidence for
+            refinement.
         object_id: 1..254; default: the smallest free one.
 
     Raises:
-        ToolkitError: unknown model or material, or the name belongs to an object of another
-            model.
+        ToolkitError: unknown model or material, or an object with this name has another model.
     """
     check_name(name, field="object")
     scene.objects.model(model)
@@ -164,7 +164,7 @@ def add_object(
     known = next((o for o in table if o.name == name), None)
     if known is not None and known.model != model:
         raise ToolkitError(
-            f"this object is of model {known.model}",
+            f"this object has model {known.model}",
             field="object",
             value=name,
             hint="choose another name",
@@ -197,18 +197,17 @@ def set_pose(
 ) -> Label:
     """Annotate an object's pose in one frame.
 
-    What was derived from an earlier annotation (world pose, refinement, covariance) is dropped:
-    propagate again. The same annotation once more changes nothing. The caller holds the scene's
-    lock.
+    Results of an earlier annotation (world pose, refinement, covariance) are removed: propagate
+    again. An identical annotation changes nothing. The caller holds the scene's lock.
 
     Args:
         object_name: name of an object of the scene.
         frame: id of the annotated frame; it need not be registered (yet).
         T_cam_obj: mesh frame to that frame's camera, metres.
-        method: how it was found: "file", "pnp", "import:bop", "gui".
-        annotator: who did it.
-        as_view: keep the label's frame and add this one as a further annotated view. Without it
-            the annotation replaces all of the object's earlier ones.
+        method: source of the pose: "file", "pnp", "import:bop", "gui".
+        annotator: name of the annotator.
+        as_view: keep the label's frame and add this one as another annotated view. Otherwise the
+            annotation replaces all earlier ones of the object.
 
     Raises:
         ToolkitError: unknown object or frame, or a pose behind the camera or out of reach.
@@ -246,11 +245,11 @@ def annotated_label(
     annotator: str = "",
     provenance: LabelProvenance | msgspec.UnsetType = msgspec.UNSET,
 ) -> Label:
-    """A label that was just annotated: nothing is derived from it yet.
+    """A new label from annotations, without derived results.
 
     Args:
         poses: T_cam_obj by frame id, 16 numbers each.
-        frame: the one of them that the label is told in; the others become its views.
+        frame: frame of the label; the others become its views.
     """
     return Label(
         object=object_id,
@@ -264,13 +263,13 @@ def annotated_label(
 
 
 def remove_label(scene: Scene, object_name: str) -> None:
-    """Drop an object's label; the object stays. The caller holds the scene's lock."""
+    """Remove the label of an object; the object is kept. The caller holds the scene's lock."""
     target = scene.objects.object_named(object_name)
     scene.save_labels(Labels(labels=[x for x in scene.labels.labels if x.object != target.id]))
 
 
 def _free_id(root: Path, objects: ObjectTable, wanted: str, files: dict[str, bytes]) -> str:
-    """`wanted`, or with a number where that is a model of another mesh."""
+    """`wanted`, with a number if this is a model with another mesh."""
     table = {m.id: m for m in objects.models}
     for i in chain([wanted], (f"{wanted}_{k}" for k in count(2))):
         if i not in table or _same_mesh(root, table[i], f"models/{i}/{next(iter(files))}", files):

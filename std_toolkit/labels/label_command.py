@@ -1,4 +1,4 @@
-"""One labelling command as data: checked completely before anything is written."""
+"""The label command, which checks all inputs before it writes anything."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from std_toolkit.scene.document import check_name, safe_name
 
 
 def run_label_command(scene: Scene, command: LabelCommand) -> Iterator[str]:
-    """Carry the command out; yields lines for people. The caller holds the scene's lock.
+    """Run the command and yield output lines. The caller holds the scene's lock.
 
-    All inputs are read before the first write, so that a bad pose file leaves the scene as it
-    was.
+    All inputs are read before the first write, so that an invalid pose file does not change the
+    scene.
 
     Raises:
-        ToolkitError: any bad input.
+        ToolkitError: an input is invalid.
     """
     check_name(command.object, field="--object")
     known = next((o for o in scene.objects.objects if o.name == command.object), None)
@@ -32,18 +32,18 @@ def run_label_command(scene: Scene, command: LabelCommand) -> Iterator[str]:
             "no such object in the scene",
             field="--object",
             value=command.object,
-            hint="give --mesh FILE (or --model ID of one that is there) to enter it",
+            hint="give --mesh FILE (or --model ID of an existing model) to add it",
         )
     wanted = command.model or (safe_name(command.mesh.stem) if command.mesh is not None else None)
     if known is not None and wanted not in (None, known.model):
         raise ToolkitError(
-            f"object {known.name} is of model {known.model}",
+            f"object {known.name} has model {known.model}",
             field="--model",
             value=wanted,
             hint=f"give --model {known.model}, or another name for --object",
         )
     if len(set(command.frames)) != len(command.frames):
-        raise ToolkitError("a frame is named twice", field="--frame", value=command.frames)
+        raise ToolkitError("a frame is given twice", field="--frame", value=command.frames)
     annotations = [_pose_of(scene, command, i) for i in range(len(command.frames))]
     symmetry = _symmetry(scene, command, known.model if known is not None else None)
     yield from _enter_object(scene, command, symmetry)
@@ -84,7 +84,7 @@ def _enter_object(
         yield f"model {model.id}: {size} mm, diameter {model.diameter_m * 1000:.1f} mm"
     elif command.category is not None or symmetry is not None:
         raise ToolkitError(
-            "category and symmetry belong to a model", hint="give them together with --mesh"
+            "category and symmetry are properties of a model", hint="give them together with --mesh"
         )
     assert model_id is not None
     if known is None or command.material is not None or command.mesh is not None:
@@ -142,7 +142,7 @@ def _check_pixels(scene: Scene, frame: Frame, pixels: np.ndarray, path: Path) ->
     outside = (pixels < -0.5).any(axis=1) | (pixels > [width - 0.5, height - 0.5]).any(axis=1)
     if outside.any():
         raise ToolkitError(
-            f"a pixel lies outside the {width}x{height} image",
+            f"a pixel is outside the {width}x{height} image",
             path=path,
             value=pixels[outside][0].tolist(),
             hint="are these pixels of another image size?",

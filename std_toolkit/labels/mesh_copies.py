@@ -19,13 +19,13 @@ _VERTEX = re.compile(rf"^(v\s+)({_NUMBER})(\s+)({_NUMBER})(\s+)({_NUMBER})")
 def plan_mesh_copy(source: Path, *, unit: str) -> dict[str, bytes]:
     """The files that a scene stores for a mesh, by name; the first one is the mesh.
 
-    OBJ files keep their text (only vertices are scaled and references renamed), so that texture
-    coordinates and vertex order survive; their materials and textures come along. Other formats
-    are copied as they are, or written anew where the unit is not metres.
+    OBJ files keep their text (only vertices are scaled and references renamed), which preserves
+    texture coordinates and vertex order; their materials and textures are copied too. Other
+    formats are copied unchanged, or rewritten if the unit is not metres.
 
     Raises:
-        ToolkitError: the mesh is refused by `load_mesh`, or refers to a file outside its folder
-            or to one that is no image.
+        ToolkitError: `load_mesh` rejects the mesh, or the mesh refers to a file outside its folder
+            or to a file that is not an image.
     """
     mesh = load_mesh(source, unit=unit)
     name = safe_name(source.name)
@@ -33,7 +33,7 @@ def plan_mesh_copy(source: Path, *, unit: str) -> dict[str, bytes]:
         return _obj_files(source, name, UNITS_IN_M[unit])
     if unit == "m" and source.suffix.lower() != ".gltf":
         return {name: source.read_bytes()}
-    # GLB keeps textures inside itself; trimesh writes it deterministically.
+    # GLB embeds its textures; trimesh writes it deterministically.
     data = mesh.export(file_type="glb")
     assert isinstance(data, bytes)
     return {f"{safe_name(source.stem)}.glb": data}
@@ -91,7 +91,7 @@ def _material(path: Path) -> tuple[dict[str, bytes], bytes]:
         keyword = words[0].lower() if words else ""
         if keyword.startswith("map_") or keyword in ("bump", "disp", "decal", "norm"):
             value = words[1].strip() if len(words) > 1 else ""
-            # Options such as "-s 1 1 1" stand before the file name.
+            # Options such as "-s 1 1 1" precede the file name.
             candidate = value if not value.startswith("-") else value.split()[-1]
             texture = _referenced(path, candidate)
             if texture is None:
@@ -105,21 +105,22 @@ def _material(path: Path) -> tuple[dict[str, bytes], bytes]:
 
 
 def _referenced(source: Path, text: str) -> Path | None:
-    """The file that a line of `source` names; None where it is missing.
+    """The file that a line of `source` names; None if it is missing.
 
-    A mesh from elsewhere must not make us copy files that it has no business with.
+    Files outside the folder of the mesh are rejected, because an untrusted mesh could refer to any
+    file.
     """
     name = text.strip().strip('"').replace("\\", "/")
     folder = source.parent.resolve()
     path = (folder / name).resolve()
     if not name or not path.is_relative_to(folder):
         raise ToolkitError(
-            "the mesh refers to a file outside its own folder",
+            "the mesh refers to a file outside its folder",
             path=source,
             value=text,
-            hint="put materials and textures beside the mesh",
+            hint="put materials and textures in the folder of the mesh",
         )
     if not path.is_file():
-        logger.warning("%s: %s is missing; the mesh is kept without it", source, text)
+        logger.warning("%s: %s is missing; the mesh is copied without it", source, text)
         return None
     return path

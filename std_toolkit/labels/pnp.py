@@ -24,13 +24,13 @@ from std_toolkit.io.documents import read_document
 
 Array = NDArray[np.float64]
 
-# A click is rarely better than this, so residuals below it say nothing about the noise.
+# Clicks are rarely more accurate than this; smaller residuals do not measure the noise.
 CLICK_NOISE_PX = 0.5
 
-# Beyond this the correspondences leave a direction of the pose open.
+# Above this the correspondences do not determine a direction of the pose.
 LARGEST_ANGLE_STD = np.deg2rad(20)
 
-# Two poses are different answers, and not one answer with noise, from here on.
+# Two poses that differ by more than this are different solutions, not noise.
 DISTINCT_ANGLE = np.deg2rad(5)
 
 COLUMNS = ("u", "v", "x", "y", "z")
@@ -46,8 +46,8 @@ class PnPResult:
         residuals_px: (N,) distance in pixels between clicked and projected point; inf behind the
             camera.
         rmse_px: root mean square of the inliers' residuals.
-        covariance: (6, 6) of a right perturbation `T_cam_obj @ SE3.exp(xi)`, for the noise seen
-            in the residuals but at least `CLICK_NOISE_PX`.
+        covariance: (6, 6) of a right perturbation `T_cam_obj @ SE3.exp(xi)`, for the noise of the
+            residuals but at least `CLICK_NOISE_PX`.
     """
 
     T_cam_obj: SE3
@@ -66,23 +66,23 @@ def solve_pnp(
     max_samples: int = 500,
     seed: int = 0,
 ) -> PnPResult:
-    """Pose of an object from clicked points, sub-pixel, with outliers tolerated.
+    """Pose of an object from clicked points, sub-pixel, robust to outliers.
 
     Args:
         points_obj: (N, 3) points in the mesh frame, metres.
         pixels: (N, 2) their pixels (u, v), pixel centres at integers, lens distortion included.
         camera: intrinsics.
         threshold_px: largest residual of an inlier.
-        max_samples: triples tried; all of them are, where there are not more.
-        seed: of the random triples.
+        max_samples: largest number of triples to try; if there are fewer, all are tried.
+        seed: seed of the random triples.
 
     Returns:
         The pose refitted to all inliers.
 
     Raises:
-        ToolkitError: fewer than four points, points on a line or all at one place, fewer than
-            four (or half of the) points that agree on a pose, or two different poses that
-            explain the points equally well.
+        ToolkitError: fewer than four points, points on a line or at one position, fewer than four
+            (or half of the) points that agree on a pose, or two different poses that explain the
+            points equally well.
     """
     X, uv = _checked(points_obj, pixels)
     order = _ranked_hypotheses(X, uv, camera, threshold_px, max_samples, seed)
@@ -105,7 +105,7 @@ def solve_pnp(
             "check the order of the points, their unit, and the intrinsics",
         )
     rmse = float(np.sqrt((residuals[inliers] ** 2).mean()))
-    # The noise that the fit itself shows; a rival this close is as likely as the winner.
+    # The noise of the fit; an alternative within it is as likely as the best solution.
     freedom = max(2 * int(inliers.sum()) - 6, 1)
     variance = max(float((residuals[inliers] ** 2).sum() / freedom), CLICK_NOISE_PX**2)
     for rival_cost, rival, _ in refined[1:]:
@@ -113,7 +113,7 @@ def solve_pnp(
             raise ToolkitError(
                 "two different poses explain the correspondences equally well",
                 value=f"{np.rad2deg(rotation_angle(pose.R.T @ rival.R)):.0f} degrees apart",
-                hint="add points that are off the plane of the others or further apart",
+                hint="add points that are outside the plane of the others or further apart",
             )
     J = _jacobian(pose, X[inliers], camera)
     information = J.T @ J / variance
@@ -130,7 +130,7 @@ def _checked(points_obj: NDArray[np.floating], pixels: NDArray[np.floating]) -> 
         )
     if len(X) < 4:
         raise ToolkitError(
-            "a pose needs at least 4 correspondences (3 leave up to four answers)", value=len(X)
+            "a pose needs at least 4 correspondences (3 give up to four solutions)", value=len(X)
         )
     if not (np.isfinite(X).all() and np.isfinite(uv).all()):
         raise ToolkitError("a correspondence holds a number that is not finite")
@@ -138,7 +138,7 @@ def _checked(points_obj: NDArray[np.floating], pixels: NDArray[np.floating]) -> 
         spread = np.linalg.svd(values - values.mean(axis=0), compute_uv=False)
         if spread[1] <= 0.02 * max(spread[0], 1e-12):
             raise ToolkitError(
-                f"the {what} lie on a line or at one place: the pose is not determined",
+                f"the {what} are on a line or at one position: the pose is not determined",
                 hint="choose points that are spread over the object",
             )
     return X, uv
@@ -191,7 +191,7 @@ def _refit(
     pose: SE3, X: Array, uv: Array, camera: Camera, threshold_px: float
 ) -> tuple[SE3, NDArray[np.bool_]]:
     """Least squares over the inliers until their set is stable."""
-    # Hypotheses from three noisy clicks are rough: the first inlier set is a generous one.
+    # Hypotheses from three noisy clicks are rough: the first inlier threshold is large.
     inliers = _distances(pose, X, uv, camera) < 3 * threshold_px
     for _ in range(10):
         if inliers.sum() < 4:
@@ -232,7 +232,7 @@ def _levenberg_marquardt(pose: SE3, X: Array, uv: Array, camera: Camera) -> SE3:
 def _jacobian(pose: SE3, X: Array, camera: Camera) -> Array:
     """(2N, 6) derivative of the pixels by a right perturbation of the pose."""
     p = pose @ X
-    # The distortion model's own derivative is taken numerically: exact to 1e-7 px here.
+    # The derivative of the distortion model is numerical, accurate to 1e-7 px.
     h = 1e-6
     d_pixel = np.stack(
         [(camera.project(p + e) - camera.project(p - e)) / (2 * h) for e in np.eye(3) * h],
@@ -247,7 +247,7 @@ def _inverse_or_refuse(information: Array) -> Array:
     if values[0] <= 0 or 1 / np.sqrt(values[0]) > LARGEST_ANGLE_STD:
         axis = np.round(vectors[:, 0], 2).tolist()
         raise ToolkitError(
-            "the correspondences leave the rotation open",
+            "the correspondences do not determine the rotation",
             value=f"about object axis {axis}",
             hint="choose points that are spread over the object, also in depth",
         )
@@ -270,7 +270,7 @@ def read_correspondences(
     those keys.
 
     Args:
-        unit: of x, y, z: "m", "cm" or "mm".
+        unit: unit of x, y, z: "m", "cm" or "mm".
 
     Raises:
         ToolkitError: unreadable, a column missing, or a value that is not a finite number.
@@ -280,7 +280,7 @@ def read_correspondences(
         raise ToolkitError("unknown unit", path=path, value=unit, hint="one of m, cm, mm")
     rows = _json_rows(path) if path.suffix.lower() == ".json" else _csv_rows(path)
     if not rows:
-        raise ToolkitError("the file holds no correspondences", path=path)
+        raise ToolkitError("the file has no correspondences", path=path)
     table = np.array(rows, dtype=np.float64)
     if not np.isfinite(table).all():
         raise ToolkitError("a correspondence holds a number that is not finite", path=path)
@@ -302,7 +302,7 @@ def _csv_rows(path: Path) -> list[list[float]]:
         order, first = list(range(5)), 1
     else:
         raise ToolkitError(
-            "a correspondence file has the columns u, v, x, y, z", path=path, value=columns
+            "a correspondence file needs the columns u, v, x, y, z", path=path, value=columns
         )
     return [
         _numbers([row[i] for i in order] if len(row) > max(order) else row, path, f"row {n}")
@@ -326,7 +326,7 @@ def _json_rows(path: Path) -> list[list[float]]:
 def _numbers(row: list, path: Path, field: str) -> list[float]:
     if len(row) != len(COLUMNS) or not all(_is_number(x) for x in row):
         raise ToolkitError(
-            "a correspondence is five numbers: u, v, x, y, z", path=path, field=field, value=row
+            "a correspondence needs five numbers: u, v, x, y, z", path=path, field=field, value=row
         )
     return [float(x) for x in row]
 

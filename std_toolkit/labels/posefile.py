@@ -1,11 +1,11 @@
-"""Poses from files: plain ones, and those that other annotation tools write.
+"""Poses from plain files and from files of other annotation tools.
 
-Formats (each is detected from the file, or named):
+Formats (detected from the file, or given):
 
 matrix      4x4 or 3x4 numbers: text, .npy, or JSON (bare, or under `T_cam_obj`, `pose`,
             `transformation`, `transform` or `matrix`)
 quaternion  JSON {"quaternion_wxyz" | "quaternion_xyzw": [4], "translation_m" | "translation_mm":
-            [3]}: the order and the unit are part of the key, because both exist in the field
+            [3]}: the key includes the order and the unit, because both conventions are in use
 bop         scene_gt.json: {"frame": [{"obj_id", "cam_R_m2c", "cam_t_m2c" in mm}]}
 6dpat       6D-PAT's poses.json: {"image": [{"obj", "R": [9], "t": [3], "id"}]}, t in units of the
             mesh
@@ -51,17 +51,17 @@ def read_pose(
     Args:
         path: the file; see the module's table of formats.
         format: one of `FORMATS`.
-        unit: unit of the translation where the format leaves it open ("m", "cm", "mm"; default
-            metres); it may not contradict a format that fixes its unit.
+        unit: unit of the translation if the format does not define it ("m", "cm", "mm"; default
+            metres); it must not contradict the unit of the format.
         convention: camera axes of the file: "opencv" (x right, y down, z forward) or "opengl"
             (x right, y up, z backward).
-        frame: which image, for files of many: BOP's image id, 6D-PAT's file name or its stem.
-        item: which object, for files of several: BOP's obj_id or "#index", 6D-PAT's obj or id,
-            LabelFusion's name. Not needed where the file holds one.
+        frame: image, for files of several: BOP's image id, 6D-PAT's file name or its stem.
+        item: object, for files of several: BOP's obj_id or "#index", 6D-PAT's obj or id,
+            LabelFusion's name. Not needed if the file has one object.
 
     Raises:
-        ToolkitError: unreadable, not a pose, ambiguous, or an object that cannot be seen (behind
-            the camera, nearer than 1 cm or further than 20 m: the mark of a wrong unit).
+        ToolkitError: unreadable, not a pose, ambiguous, or an object that cannot be visible
+            (behind the camera, nearer than 1 cm or further than 20 m: typical for a wrong unit).
     """
     path = Path(path)
     _check_choices(path, format, unit, convention)
@@ -102,7 +102,7 @@ def _read(
     open_unit = UNITS_IN_M[unit or "m"]
     suffix = path.suffix.lower()
     if suffix in (".pkl", ".pickle"):
-        raise ToolkitError("pickled files are never read", path=path, hint="save the pose as .npy")
+        raise ToolkitError("pickled files are not read", path=path, hint="save the pose as .npy")
     if suffix == ".npy":
         return _npy(path), open_unit
     if suffix in (".yaml", ".yml"):
@@ -124,7 +124,7 @@ def _read(
 
 def _fixed_unit(path: Path, given: str | None, fixed: str) -> float:
     if given not in (None, fixed):
-        raise ToolkitError(f"this format is in {fixed}", path=path, field="unit", value=given)
+        raise ToolkitError(f"this format uses {fixed}", path=path, field="unit", value=given)
     return UNITS_IN_M[fixed]
 
 
@@ -143,7 +143,7 @@ def _detect(path: Path, document: Any) -> str:
             return "6dpat"
         if any(isinstance(v, Mapping) and "pose" in v for v in document.values()):
             return "labelfusion"
-    raise ToolkitError("not a pose file of a known form", path=path, hint=f"known: {FORMATS[1:]}")
+    raise ToolkitError("not a pose file of a known format", path=path, hint=f"known: {FORMATS[1:]}")
 
 
 def _npy(path: Path) -> NDArray[np.float64]:
@@ -183,10 +183,10 @@ def _shaped(path: Path, value: Any) -> NDArray[np.float64]:
         raise ToolkitError("not a matrix of numbers", path=path) from error
     if M.shape not in ((4, 4), (3, 4), (16,), (12,)):
         raise ToolkitError(
-            "a pose has 4x4 (or 3x4) numbers",
+            "a pose needs 4x4 (or 3x4) numbers",
             path=path,
             value=f"{M.size} numbers",
-            hint="a quaternion goes into JSON that names its order: "
+            hint="give a quaternion as JSON that names its order: "
             '{"quaternion_wxyz": [4], "translation_m": [3]}'
             if M.size == 7
             else "a 4x4 matrix, row by row",
@@ -208,7 +208,7 @@ def _quaternion(path: Path, document: Any, unit: str | None) -> tuple[NDArray[np
     units = [k for k in ("translation_m", "translation_cm", "translation_mm") if k in document]
     if len(orders) != 1 or len(units) != 1:
         raise ToolkitError(
-            "the order of the quaternion and the unit of the translation must be named",
+            "the order of the quaternion and the unit of the translation must be given",
             path=path,
             value=sorted(document),
             hint="keys: quaternion_wxyz or quaternion_xyzw, translation_m or translation_mm",
@@ -273,10 +273,10 @@ def _choose_frame(path: Path, document: Any, frame: str | None, same: Any) -> li
     keys = [k for k in document if frame is None or same(k, frame)]
     if len(keys) != 1:
         raise ToolkitError(
-            "no poses for this image" if frame is not None else "the file holds several images",
+            "no poses for this image" if frame is not None else "the file has several images",
             path=path,
             value=frame if frame is not None else len(document),
-            hint="name the image with --pose-frame",
+            hint="select the image with --pose-frame",
         )
     return list(document[keys[0]])
 
@@ -286,10 +286,10 @@ def _single(
 ) -> Mapping[str, Any]:
     if len(matches) != 1:
         raise ToolkitError(
-            "no such object in the file" if not matches else "the file holds several such objects",
+            "no such object in the file" if not matches else "the file has several such objects",
             path=path,
             value=item,
-            hint=f"choose with --pose-item {also}: {', '.join(map(str, known)) or 'none'}",
+            hint=f"select with --pose-item {also}: {', '.join(map(str, known)) or 'none'}",
         )
     return matches[0]
 

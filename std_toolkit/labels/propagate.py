@@ -1,8 +1,6 @@
-"""From annotated frames to every registered frame: one world pose per object.
+"""Propagation of annotations in one or more frames to every registered frame.
 
-One world pose from an object's annotations in one or several frames.
-
-What a person wants to read about labels after a propagation.
+Computes one world pose per object, and the summary lines of a propagation.
 """
 
 from __future__ import annotations
@@ -36,15 +34,15 @@ Array = NDArray[np.float64]
 def propagate_labels(scene: Scene, options: PropagateOptions | None = None) -> Labels:
     """Set `T_world_obj` of every label: T_world_cam(annotated frame) @ T_cam_obj.
 
-    Frames get their poses from it through `Scene.T_cam_obj`, which is None for a frame that is
-    not registered. An object annotated in several registered frames gets the pose that agrees
-    best with all of them, in pixels. With `refine` the poses are adjusted to the images (see
-    `labels.refine`). Writes labels.json while holding the scene's lock; a step already done with
-    the same inputs is skipped.
+    `Scene.T_cam_obj` derives the poses in frames from it and is None for a frame that is not
+    registered. An object annotated in several registered frames gets the pose that agrees best
+    with all of them, in pixels. With `refine` the poses are refined with the images (see
+    `labels.refine`). Writes labels.json while holding the scene's lock. If the inputs did not
+    change, the step is skipped.
 
     Raises:
         ToolkitError: no camera poses, poses of unknown unit, no labels, an unknown object, or no
-            label that was annotated in a registered frame.
+            label annotated in a registered frame.
     """
     options = options or PropagateOptions()
     with scene.lock():
@@ -59,12 +57,12 @@ def propagate_labels(scene: Scene, options: PropagateOptions | None = None) -> L
         lost = [x.object for x in placed.values() if x.T_world_obj is None]
         for object_id in lost:
             logger.warning(
-                "object %s: none of its annotated frames is registered, so it gets no labels",
+                "object %s: none of its annotated frames is registered, so it is not propagated",
                 scene.objects.object(object_id).name,
             )
         if len(lost) == len(placed):
             raise ToolkitError(
-                "no label was annotated in a registered frame",
+                "no label is annotated in a registered frame",
                 path=scene.root,
                 hint="annotate in a frame that `std-curate trajectory` lists as registered",
             )
@@ -98,7 +96,7 @@ def propagate_labels(scene: Scene, options: PropagateOptions | None = None) -> L
 
 
 def place_label(scene: Scene, label: Label) -> Label:
-    """The label with `T_world_obj` from its annotations; None where no such frame is registered."""
+    """The label with `T_world_obj` from its annotations; None if no such frame is registered."""
     model = scene.objects.model_of(label.object)
     views = []
     for frame, T_cam_obj in annotated_views(label).items():
@@ -147,7 +145,7 @@ def _chosen_labels(scene: Scene, options: PropagateOptions) -> list[Label]:
 def _digest(scene: Scene, chosen: list[Label], options: PropagateOptions) -> str:
     images: list[str] = []
     if options.refine:
-        # All of them: which ones become keyframes is part of what is computed from them.
+        # All frames: the selection of keyframes depends on them.
         for frame in scene.registered_frames():
             images.append(digest_file(scene.color_path(frame)))
             if frame.depth is not None and options.use_depth:
@@ -171,12 +169,12 @@ def _parameters(options: PropagateOptions) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class AnnotatedView:
-    """One annotation with the camera it was made in.
+    """One annotation with its camera.
 
     Attributes:
         camera: intrinsics of the frame.
         T_world_cam: pose of the frame, metres.
-        T_cam_obj: the annotation.
+        T_cam_obj: the annotated pose.
     """
 
     camera: Camera
@@ -193,12 +191,12 @@ def fuse_views(
 ) -> SE3:
     """T_world_obj that agrees best with all annotations, in pixels.
 
-    An annotation made in one image is good sideways and weak along the viewing ray. Comparing
-    pixels weighs it accordingly: views from different sides fix each other's depth, which a mean
-    of the poses would not do.
+    An annotation in one image is accurate laterally and weak along the viewing ray. Pixel errors
+    weight it accordingly: views from different sides determine each other's depth, unlike a mean
+    of the poses.
 
     Args:
-        views: at least one. The first one's symmetric variant is kept.
+        views: at least one. The symmetric variant of the first is kept.
         points: (P, 3) points on the object (hull vertices, bounding-box corners), mesh frame.
         symmetry: a later view may show any symmetric variant of the first.
 
@@ -207,7 +205,7 @@ def fuse_views(
             object's size.
     """
     if not views:
-        raise ToolkitError("no annotated view to start from")
+        raise ToolkitError("no annotated view")
     first = views[0].T_world_obj
     if len(views) == 1:
         return first
@@ -221,7 +219,7 @@ def fuse_views(
             raise ToolkitError(
                 "two annotations of one object contradict each other",
                 value=f"{apart * 1000:.0f} mm apart in the world",
-                hint="is one of them of another object, or a camera pose wrong?",
+                hint="is one of them for another object, or a camera pose wrong?",
             )
         aligned.append((view, view.T_world_cam.inverse() @ T))
     pose = first
@@ -230,7 +228,7 @@ def fuse_views(
         A, b = np.zeros((6, 6)), np.zeros(6)
         for view, pixels in targets:
             error, J = _projection(view, pose, X, pixels)
-            # Huber: one careless view among several must not drag the rest.
+            # Huber loss limits the influence of one inaccurate view.
             weight = np.minimum(1, 5 / np.maximum(np.linalg.norm(error, axis=1), 1e-9))
             A += np.einsum("n,nij,nik->jk", weight, J, J)
             b += np.einsum("n,nij,ni->j", weight, J, error)
@@ -264,7 +262,7 @@ def _projection(view: AnnotatedView, pose: SE3, X: Array, pixels: Array) -> tupl
 
 
 def label_lines(scene: Scene, labels: Labels) -> Iterator[str]:
-    """One line per label, and one about its uncertainty where it is known."""
+    """One line per label, and one on its uncertainty if it is known."""
     registered = len(scene.registered_frames())
     for label in labels.labels:
         name = scene.objects.object(label.object).name

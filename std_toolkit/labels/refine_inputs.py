@@ -1,7 +1,4 @@
-"""What `refine_objects` works on (frames, objects, coordinate frame), and its sentences.
-
-Sentences on a refinement: how it was done, and what to doubt.
-"""
+"""Inputs of `refine_objects` (frames, objects, coordinate frame), and its report sentences."""
 
 from __future__ import annotations
 
@@ -27,11 +24,11 @@ if TYPE_CHECKING:
 MeshSource = Callable[[str], "trimesh.Trimesh"]
 
 NOT_CONVERGED = (
-    "the refinement did not settle: its last step still moved it; refine again, and look"
+    "the refinement did not converge: its last step still moved the object; refine again and check"
 )
 
 
-# A contour that fits scatters by one or two pixels.
+# Edges scatter by one or two pixels around a correct contour.
 _LOOSE_PX = 4.0
 
 _LITTLE_EXPLAINED = 0.5
@@ -42,9 +39,9 @@ class AutoProblem:
     """Views and objects in one coordinate frame.
 
     Attributes:
-        views: images; the only one has the identity as camera pose where the scene has none.
-        objects: by id, at their start poses; the chosen ones with the colours of their meshes.
-        posed: the coordinate frame is the world; else it is the camera of the only view.
+        views: images; a single view has the identity as camera pose if the scene has none.
+        objects: objects by id, at their start poses; chosen ones with the colours of their meshes.
+        posed: whether the coordinate frame is the world; otherwise the camera of the only view.
     """
 
     views: list[RefineView]
@@ -56,7 +53,7 @@ class AutoProblem:
         return any(v.depth is not None for v in self.views)
 
     def placed(self, poses: Mapping[int, SE3]) -> dict[int, RefineObject]:
-        """All objects, some of them at other poses."""
+        """All objects, with the given poses replaced."""
         return {
             i: replace(o, T_world_obj=poses[i]) if i in poses else o
             for i, o in self.objects.items()
@@ -76,14 +73,14 @@ def auto_problem(
     """Read the views and the objects; see `auto.refine_objects` for the arguments.
 
     Raises:
-        ToolkitError: no pose of a chosen object, no frame to look at, or unreadable files.
+        ToolkitError: a chosen object has no pose, no frame can be used, or files are unreadable.
     """
     for object_id in chosen:
         if object_id not in poses:
             raise ToolkitError(
-                "this object has no pose to start from",
+                "this object has no initial pose",
                 field=scene.objects.object(object_id).name,
-                hint="place it near its image first",
+                hint="align it with its image first",
             )
     views, posed = _views(scene, poses, chosen, frames, keyframes, always)
     objects = {
@@ -105,7 +102,7 @@ def _views(
     if frames is None:
         if not metric:
             raise ToolkitError(
-                "the scene has no camera poses in metres, so one frame must be named",
+                "the scene has no camera poses in metres, so one frame must be given",
                 path=scene.root,
                 field="frames",
             )
@@ -116,7 +113,7 @@ def _views(
             raise ToolkitError(
                 "no frame with a camera pose shows the object",
                 path=scene.root,
-                hint="move the object onto its image first",
+                hint="align the object with its image first",
             )
         return load_views(scene, picked), True
     named = [scene.frame(i) for i in dict.fromkeys(frames)]
@@ -125,7 +122,7 @@ def _views(
         return load_views(scene, registered), True
     if len(named) != 1:
         raise ToolkitError(
-            "without camera poses in metres a refinement works in one frame",
+            "without camera poses in metres, refinement needs exactly one frame",
             path=scene.root,
             field="frames",
             value=list(frames),
@@ -162,7 +159,7 @@ def _object(
 
 
 def method_sentence(edge_rms_px: float | None, depth_m: float | None, views: int) -> str:
-    """What a label's provenance says, such as "depth and edges, 7 views, edges 0.6 px"."""
+    """Provenance of a label, such as "depth and edges, 7 views, edges 0.6 px"."""
     means = [
         name for name, value in (("depth", depth_m), ("edges", edge_rms_px)) if value is not None
     ]
@@ -182,10 +179,10 @@ def quality_warnings(
     depth_m: float | None,
     explained: float | None,
 ) -> list[str]:
-    """What a person should look at, as sentences.
+    """Warnings as sentences.
 
     Args:
-        obj: at its refined pose.
+        obj: the object at its refined pose.
         covariance: (6, 6) of a right perturbation.
     """
     found = []
@@ -197,8 +194,8 @@ def quality_warnings(
         )
     if edge_rms_px is not None and edge_rms_px > _LOOSE_PX:
         found.append(
-            f"the edges scatter by {edge_rms_px:.1f} px around the contour; is the mesh the right "
-            "one, and the start near enough?"
+            f"the edges scatter by {edge_rms_px:.1f} px around the contour; are the mesh and "
+            "the initial pose right?"
         )
     if explained is not None and explained < _LITTLE_EXPLAINED:
         found.append(

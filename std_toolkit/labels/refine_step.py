@@ -1,6 +1,6 @@
-"""The refinement of a scene's labels: reads the keyframes, refines, writes what it found.
+"""Refinement of the labels of a scene, and the selection of its keyframes.
 
-Which frames a refinement looks at: spread over the viewpoints, sharp, showing the objects.
+Keyframes are spread over the viewpoints, are sharp and show the objects.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from std_toolkit.scene.scene import Scene
 if TYPE_CHECKING:
     import trimesh
 
-# Frames about one viewpoint from which the sharpest is taken.
+# Number of frames around a viewpoint from which the sharpest is used.
 _CANDIDATES = 3
 
-# An object ought to be seen in so many keyframes, if the recording shows it as often.
+# Number of keyframes that should show each object, if the recording has as many.
 _VIEWS_PER_OBJECT = 4
 
 
 @dataclass(frozen=True)
 class RefinedLabels:
-    """Refined labels and the scale they were found in.
+    """Refined labels and the scale of the camera poses.
 
     Attributes:
-        labels: by object id.
-        scale: factor on the positions of the camera poses; 1 unless asked for.
+        labels: labels by object id.
+        scale: factor on the positions of the camera poses; 1 unless requested.
         scale_std: standard deviation of the factor.
     """
 
@@ -56,11 +56,12 @@ def refine_labels(
 ) -> RefinedLabels:
     """Labels with refined world poses; the caller saves them while holding the scene's lock.
 
-    Labels of the scene that are not among `labels` take part as occluders and keep their poses.
-    With `refine_scale` they fit camera poses multiplied by `RefinedLabels.scale`.
+    Labels of the scene that are not in `labels` act as occluders and keep their poses. With
+    `refine_scale` the result is for camera poses multiplied by `RefinedLabels.scale`.
 
     Args:
-        labels: by object id, placed in the world; those without a world pose are passed through.
+        labels: labels by object id, placed in the world; those without a world pose are returned
+            unchanged.
     """
     placed = {i: x for i, x in labels.items() if x.T_world_obj is not None}
     others = {
@@ -80,7 +81,7 @@ def refine_labels(
     objects = [
         replace(
             scene_object(scene, i, start[i], fixed=i not in placed),
-            # What was refined in the annotator is in place; what a hand has placed may be far.
+            # Objects refined in the annotator are aligned; manual poses may be far off.
             rough=everything[i].method != "refine",
         )
         for i in sorted(everything)
@@ -96,10 +97,10 @@ def refine_labels(
         if i not in placed:
             continue
         if found.views == 0:
-            logger.warning("%s: visible in no keyframe, so it is not refined", found.name)
+            logger.warning("%s: not visible in any keyframe, so it is not refined", found.name)
             continue
         if not found.converged:
-            logger.warning("%s: the refinement did not settle; check its label", found.name)
+            logger.warning("%s: the refinement did not converge; check its label", found.name)
         refined[i] = msgspec.structs.replace(
             placed[i],
             T_world_obj=found.T_world_obj.flat(),
@@ -113,7 +114,7 @@ def refine_labels(
 def load_views(
     scene: Scene, frames: list[Frame], *, use_depth: bool = True
 ) -> list[problem.RefineView]:
-    """The frames as a refinement wants them; all must be registered."""
+    """The frames as inputs of a refinement; all must be registered."""
     views = []
     for frame in frames:
         T_world_cam = scene.T_world_cam(frame.id)
@@ -135,10 +136,10 @@ def scene_object(
     fixed: bool = False,
     mesh: trimesh.Trimesh | None = None,
 ) -> problem.RefineObject:
-    """An object of the scene at a pose, as a refinement wants it.
+    """An object of the scene at a pose, as input of a refinement.
 
     Args:
-        mesh: its mesh, where it is at hand; else it is read.
+        mesh: its mesh, if loaded; otherwise it is read.
     """
     obj = scene.objects.object(object_id)
     model = scene.objects.model(obj.model)
@@ -184,10 +185,10 @@ def choose_keyframes(
     """Registered frames from viewpoints far apart, in recording order.
 
     Args:
-        objects: T_world_obj by object id: frames that show none of them are left out, and frames
-            are added until each object is in view in four of them, where the recording allows.
-        count: how many.
-        always: ids of frames to take in any case, if they are registered.
+        objects: T_world_obj by object id: frames that show none of them are skipped, and frames
+            are added until each object is in view in four of them, if the recording allows it.
+        count: number of frames.
+        always: ids of frames to use in any case, if they are registered.
     """
     frames = scene.registered_frames()
     centres = [T @ _centre(scene, i) for i, T in objects.items()]
@@ -225,7 +226,7 @@ def choose_keyframes(
 
 
 def _viewpoint(scene: Scene, frame: Frame, target: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Direction from the objects to the camera, with distance in it: far and near differ too."""
+    """Direction from the objects to the camera, including distance."""
     T = scene.T_world_cam(frame.id)
     assert T is not None
     ray = T.t - target
@@ -234,7 +235,7 @@ def _viewpoint(scene: Scene, frame: Frame, target: NDArray[np.float64]) -> NDArr
 
 
 def _in_view(scene: Scene, frame: Frame, centres: Sequence[NDArray[np.float64]]) -> list[bool]:
-    """Which of the points in the world the frame shows."""
+    """Whether the frame shows each of the world points."""
     camera, T_world_cam = scene.camera(frame).without_distortion(), scene.T_world_cam(frame.id)
     assert T_world_cam is not None
     T_cam_world = T_world_cam.inverse()

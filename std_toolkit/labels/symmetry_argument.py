@@ -1,4 +1,4 @@
-"""Symmetries as people write them on a command line, or as a JSON file."""
+"""Symmetries from command-line arguments or a JSON file."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ def parse_symmetry(arguments: Sequence[str], *, centre: Sequence[float]) -> Symm
     """The symmetry that the arguments describe together.
 
     Args:
-        arguments: each as in `SYNTAX`. A JSON file holds either {"discrete", "continuous"} in
+        arguments: each as in `SYNTAX`. A JSON file contains either {"discrete", "continuous"} in
             metres, as in objects.json, or BOP's {"symmetries_discrete", "symmetries_continuous"}
             in millimetres.
         centre: (3,) centre of the mesh's bounding box, metres.
 
     Raises:
-        ToolkitError: an argument of another form, `none` beside others, or a file that holds no
+        ToolkitError: an invalid argument, `none` together with others, or a file without a
             symmetry.
     """
     discrete: list[list[float]] = []
@@ -40,7 +40,7 @@ def parse_symmetry(arguments: Sequence[str], *, centre: Sequence[float]) -> Symm
             "'none' contradicts the other symmetries",
             field="--symmetry",
             value=" ".join(arguments),
-            hint="leave one of them out",
+            hint="remove one of them",
         )
     for text in arguments:
         if text == "none":
@@ -80,7 +80,7 @@ def read_symmetry_file(path: Path) -> SymmetryModel:
         )
     if not set(document) & {"discrete", "continuous"}:
         raise ToolkitError(
-            "the file holds no symmetry",
+            "the file has no symmetry",
             path=path,
             value=sorted(document),
             hint='expected {"discrete": [...], "continuous": [...]} or BOP\'s keys',
@@ -102,7 +102,7 @@ def _named(text: str, centre: np.ndarray) -> SymmetryModel:
         raise ToolkitError("unknown symmetry", field="--symmetry", value=text, hint=SYNTAX)
     axis = np.array(AXES[axis_name])
     point = np.zeros(3) if through == "origin" else centre
-    # The point on the axis nearest to the origin: round numbers for centred meshes.
+    # The point on the axis nearest to the origin gives round numbers for centred meshes.
     point = point - axis * (axis @ point)
     if kind == "axis":
         offset = [float(x) for x in point]
@@ -119,7 +119,7 @@ def _named(text: str, centre: np.ndarray) -> SymmetryModel:
 def _closed(discrete: list[list[float]]) -> list[list[float]]:
     """The group that the transforms generate, without the identity.
 
-    Two half turns about x and y imply the one about z; leaving it out would call a right pose
+    Two half turns about x and y imply the one about z; without it, a correct pose would count as
     wrong.
     """
     group = [SE3.identity()]

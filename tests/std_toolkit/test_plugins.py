@@ -62,7 +62,7 @@ def test_a_file_is_a_plug_in(tmp_path: Path) -> None:
     registry: Registry[Any] = Registry("none", {})
     assert registry.get(f"{file}:Part") is registry.get(f"{file}:Part")
     assert registry.get(f"{file}:COUNT") == [1]
-    with pytest.raises(ToolkitError, match="there is no file"):
+    with pytest.raises(ToolkitError, match="no such file"):
         registry.get(f"{tmp_path}/absent.py:Part")
     file = tmp_path / "broken.py"
     file.write_text("1 / 0\n")

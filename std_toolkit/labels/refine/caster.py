@@ -1,10 +1,8 @@
-"""All objects of a scene as one ray-traced world: contours end where a nearer object begins.
+"""Ray casting of all objects of a scene: contours end where a nearer object begins.
 
-One object alone in one image, cast once and kept as long as neither it nor the camera moves.
-
-A contour ends where another object begins, so every object's surroundings hold its neighbours. In
-most steps only one of them has moved, and each lies in the surroundings of several others: layers
-that are put together on top of each other save most of the rays.
+The surroundings of every object include its neighbours, because they occlude its contour. A layer
+is the rendering of one object in one image. It is cached until the object or the camera moves. In
+most steps only one object moves, so composing cached layers saves most rays.
 """
 
 from __future__ import annotations
@@ -24,7 +22,7 @@ NONE = -1
 
 Array32 = NDArray[np.float32]
 
-# Nearer than this the box around an object has no image.
+# The bounding box of an object has no projection if it is nearer than this.
 _NEAREST_M = 0.02
 
 # Six objects in ten images at 1280x720 take about 60 MB.
@@ -33,10 +31,10 @@ _MOST_BYTES = 128 * 2**20
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """What rays meet, in the shape of the rays.
+    """Hits of rays, in the shape of the rays.
 
     Attributes:
-        object: index of the object met, `NONE` for none.
+        object: index of the object, `NONE` without a hit.
         depth: z-depth in metres, inf for none.
         normal: (..., 3) unit normal of the surface in the world, facing the camera.
     """
@@ -49,12 +47,12 @@ class Hits:
 class WorldCaster:
     """Rays against all objects at their current poses.
 
-    The acceleration structures belong to the meshes and stay: moving an object costs nothing.
+    The acceleration structures belong to the meshes, so moving an object costs nothing.
 
     Args:
         objects: meshes.
         poses: T_world_obj of each.
-        layers: of earlier casters, so that what did not move since need not be cast again.
+        layers: layers of earlier casters, reused for objects that did not move.
     """
 
     def __init__(
@@ -76,7 +74,7 @@ class WorldCaster:
         """Rays through pixels (..., 2) of an undistorted camera.
 
         Args:
-            among: indices of the objects that the rays may meet; default: all.
+            among: indices of the objects to intersect; default: all.
         """
         uv = np.asarray(pixels)
         rays = np.ones((uv.size // 2, 3), np.float32)
@@ -109,7 +107,7 @@ class WorldCaster:
     def window(
         self, camera: Camera, T_world_cam: SE3, box: tuple[int, int, int, int]
     ) -> tuple[Hits, tuple[int, ...]]:
-        """All pixels of a box x0, y0, x1, y1 (inclusive), and which objects reach into it."""
+        """All pixels of a box x0, y0, x1, y1 (inclusive), and the objects that reach into it."""
         x0, y0, x1, y1 = box
         shape = y1 + 1 - y0, x1 + 1 - x0
         nearest = np.full(shape, np.inf, np.float32)
@@ -143,7 +141,7 @@ class Patch:
 
     Attributes:
         x, y: pixel of the top-left corner.
-        hits: for the (h, w) pixels of the patch.
+        hits: hits of the (h, w) pixels of the patch.
         among: indices of the objects that reach into it.
     """
 
@@ -162,7 +160,7 @@ def cast_patch(
     *,
     margin: int,
 ) -> Patch | None:
-    """All pixels around an object, `margin` wide; None where the object is out of view."""
+    """All pixels around an object, `margin` wide; None if the object is out of view."""
     around = image_box(obj.surface, T_world_cam.inverse() @ T_world_obj, camera)
     if around is None:
         return None
@@ -181,7 +179,7 @@ class Layer:
 
     Attributes:
         x, y: top-left pixel.
-        depth: (h, w) z-depth in metres, inf where it is not met.
+        depth: (h, w) z-depth in metres, inf without a hit.
         normal: (3, h, w) unit normal in the world, facing the camera.
     """
 
@@ -194,9 +192,9 @@ class Layer:
 def image_box(
     surface: ObjectSurface, T_cam_obj: SE3, camera: Camera
 ) -> tuple[int, int, int, int] | None:
-    """x0, y0, x1, y1 (inclusive) around an object's image, not clipped to the camera's.
+    """x0, y0, x1, y1 (inclusive) around the image of an object, not clipped to the camera image.
 
-    None where a part of the object is beside or behind the camera.
+    None if a part of the object is beside or behind the camera.
     """
     p = T_cam_obj @ surface.outer
     nearest = float(p[:, 2].min()) - surface.slack
@@ -210,7 +208,7 @@ def image_box(
 
 
 class LayerStore:
-    """Layers by object, pose, and camera; the ones that were not used for longest are dropped."""
+    """Cache of layers by object, pose, and camera; the least recently used are removed."""
 
     def __init__(self) -> None:
         self._layers: OrderedDict[tuple[object, ...], Layer | None] = OrderedDict()
@@ -219,12 +217,12 @@ class LayerStore:
     def layer(
         self, surface: ObjectSurface, T_world_obj: SE3, camera: Camera, T_world_cam: SE3
     ) -> Layer | None:
-        """The object in the camera's image; None where it is out of view.
+        """The object in the camera image; None if it is out of view.
 
         An object that reaches beside the camera is cast in the whole image.
         """
         poses = (T_world_obj.R, T_world_obj.t, T_world_cam.R, T_world_cam.t)
-        # The surface itself is in the key: its id may be another's when it is gone.
+        # The surface itself is in the key: its id() may be reused after it is deleted.
         key = (surface, camera, *(a.tobytes() for a in poses))
         if key in self._layers:
             self._layers.move_to_end(key)

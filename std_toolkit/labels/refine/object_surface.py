@@ -1,12 +1,9 @@
-"""One object's surface in its own frame: what rays meet, nearest points, colours.
+"""The surface of one object in its own frame: ray hits, nearest points, colours.
 
-The world of all objects must be built anew for every pose that is tried. Here the rays move
-instead of the mesh, so that hundreds of poses cost one acceleration structure.
+The rays move instead of the mesh, so that hundreds of poses need only one acceleration structure.
 
-The colours of a mesh's surface, to tell apart poses whose shapes agree.
-
-A box turned by half a turn, or a can about its axis, fits sensor depth as well as the right pose:
-only its print decides.
+The colours of the surface distinguish poses of equal shape: a box rotated by half a turn, or a can
+about its axis, fits sensor depth as well as the right pose; only the texture differs.
 """
 
 from __future__ import annotations
@@ -30,14 +27,14 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-# Of the radius: a sphere bulges so far beyond the hull of its points in `_directions`.
+# Fraction of the radius by which a sphere exceeds the hull of its points in `_directions`.
 _SLACK = 0.02
 
-# A print that is larger than this in the file is finer than the images that it is compared with.
+# A larger texture is finer than the images that it is compared with.
 _LARGEST_TEXTURE = 512
 
 # A surface whose colours vary by less than the first figure (standard deviation, grey levels)
-# shows nothing but noise and shading, one by more than the second a print.
+# shows only noise and shading, one that varies by more than the second has a texture.
 _PLAIN, _PRINTED = 10.0, 25.0
 
 _SMOOTHING_PX = 1.0
@@ -53,12 +50,12 @@ def _directions() -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SurfaceHits:
-    """Where N rays meet the surface.
+    """Hits of N rays on the surface.
 
     Attributes:
-        depth: (N,) float32 z-depth in metres, inf where a ray meets nothing.
+        depth: (N,) float32 z-depth in metres, inf without a hit.
         normal: (N, 3) float32 unit normal, object frame, towards the camera.
-        face: (N,) uint32 index of the face, where a face is met.
+        face: (N,) uint32 index of the face, if hit.
         corners: (N, 2) float32 barycentric weights of the face's second and third corner.
     """
 
@@ -69,18 +66,18 @@ class SurfaceHits:
 
 
 class ObjectSurface:
-    """A mesh for ray casting and closest points; `surface_of` keeps those of objects in use.
+    """A mesh for ray casting and closest points; `surface_of` caches those of objects in use.
 
     Args:
         vertices: (V, 3) metres.
         faces: (F, 3) triangles.
 
     Attributes:
-        centre: (3,) of the bounding box.
+        centre: (3,) centre of the bounding box.
         radius: largest distance of a vertex from it, metres.
         thickness: smallest extent of the bounding box, metres.
-        outer: (K, 3) vertices that lie outermost in directions all around: what of the surface
-            lies outside their convex hull does so by less than `slack`, metres.
+        outer: (K, 3) outermost vertices in directions all around; the surface exceeds their convex
+            hull by less than `slack`, metres.
     """
 
     def __init__(self, vertices: Array, faces: NDArray[np.integer]) -> None:
@@ -97,7 +94,7 @@ class ObjectSurface:
         """Rays of a camera against the object at a pose.
 
         Args:
-            directions: (N, 3) in the camera frame, z = 1: what comes back is the z-depth.
+            directions: (N, 3) in the camera frame, z = 1, so that the result is z-depth.
         """
         return self.cast_from(np.zeros(3), directions, T_cam_obj)
 
@@ -121,16 +118,16 @@ class ObjectSurface:
         return SurfaceHits(found.distance, normal, found.face, found.uv)
 
     def meet(self, rays: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Ray parameter (...) of what rays meet, inf for nothing, and its normal (..., 3), unit.
+        """Ray parameter (...) of hits, inf without one, and the unit normal (..., 3).
 
         Args:
-            rays: (..., 6) origin and direction in the object frame, the origin less `centre`.
+            rays: (..., 6) origin and direction in the object frame, the origin minus `centre`.
         """
         found = self._caster.cast(rays)
         return found.distance, found.normal
 
     def may_meet(self, directions: NDArray[np.floating], T_cam_obj: SE3) -> NDArray[np.bool_]:
-        """(N,) whether rays come near the object: the others need not be cast."""
+        """(N,) whether rays pass near the object; the others need not be cast."""
         c = T_cam_obj @ self.centre
         outside = float(c @ c) - 1.001 * self.radius**2
         if outside <= 0:
@@ -173,7 +170,7 @@ _lock = threading.Lock()
 
 
 def surface_of(vertices: Array, faces: NDArray[np.int64]) -> ObjectSurface:
-    """The surface of a mesh, made once for its arrays and kept as long as they live."""
+    """The surface of a mesh, created once for its arrays and cached as long as they exist."""
     key = id(vertices), id(faces)
     with _lock:
         known = _kept.get(key)
@@ -191,11 +188,11 @@ def surface_of(vertices: Array, faces: NDArray[np.int64]) -> ObjectSurface:
 
 @dataclass(frozen=True, eq=False)
 class SurfaceColors:
-    """Colours by place on a mesh.
+    """Colours of a mesh surface.
 
     Attributes:
         corners: (F, 3, 2) texture coordinates of the faces' corners, or (F, 3, 3) their colours.
-        texture: (h, w, 3) float32 RGB, or None where the corners have colours.
+        texture: (h, w, 3) float32 RGB, or None if the corners have colours.
     """
 
     corners: NDArray[np.float32]
@@ -203,7 +200,7 @@ class SurfaceColors:
 
     @staticmethod
     def of(mesh: trimesh.Trimesh) -> SurfaceColors | None:
-        """From the mesh's texture or vertex colours; None if it has one colour at most."""
+        """From the mesh's texture or vertex colours; None if it has at most one colour."""
         visual: Any = mesh.visual
         if visual.kind == "texture":
             material = visual.material
@@ -252,15 +249,15 @@ def color_agreement(
 ) -> float:
     """Correlation -1 to 1 of rendered and photographed colours over several views.
 
-    The light of each view shifts and scales its colours: means are taken off view by view. Both
-    are smoothed within the mask, so that a pose that is off by a pixel still agrees.
+    The light of each view shifts and scales its colours, so the mean is subtracted per view. Both
+    images are smoothed within the mask, so that a pose that is off by a pixel still agrees.
 
     Args:
         rendered, observed: per view (h, w, 3) RGB.
-        masks: per view (h, w) where the object shows.
+        masks: per view (h, w) pixels that show the object.
 
     Returns:
-        The correlation, drawn towards 0 where the surface shows too little print to tell.
+        The correlation, reduced towards 0 if the surface shows too little texture.
     """
     shared = rendered_power = seen_power = 0.0
     count = 0

@@ -1,9 +1,4 @@
-"""Input and result of a refinement: views, objects, options, progress, the weakest direction.
-
-How much of a computation is done, told while it is under way.
-
-Says in words which direction of a pose is least determined.
-"""
+"""Input and result of a refinement: views, objects, options, progress, the weakest direction."""
 
 from __future__ import annotations
 
@@ -20,8 +15,8 @@ from std_toolkit.geometry.se3 import SE3, skew
 from std_toolkit.labels.refine.object_surface import ObjectSurface, SurfaceColors, surface_of
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 
-# Told the fraction done, 0 to 1, never less than before. What it raises ends the computation: so
-# a computation is cancelled.
+# Called with the completed fraction, 0 to 1, never decreasing. To cancel the computation, raise an
+# exception.
 Progress = Callable[[float], None]
 
 Array = NDArray[np.float64]
@@ -29,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class RefineView:
-    """One image with its camera pose; make it with `RefineView.of`, which undistorts.
+    """One image with its camera pose; create it with `RefineView.of`, which undistorts.
 
     Attributes:
         camera: intrinsics without distortion.
@@ -62,7 +57,7 @@ class RefineView:
         for image in (color, depth):
             if image is not None and image.shape[:2] != (camera.height, camera.width):
                 raise ToolkitError(
-                    f"image size is not the camera's {camera.width}x{camera.height}",
+                    f"image size differs from that of the camera, {camera.width}x{camera.height}",
                     field=f"frame {frame}",
                     value=image.shape[:2],
                 )
@@ -84,19 +79,19 @@ class RefineView:
 
 @dataclass(frozen=True, eq=False)
 class RefineObject:
-    """One object whose world pose is to be adjusted.
+    """One object whose world pose is refined.
 
     Attributes:
-        name: for reports.
+        name: name in reports.
         vertices: (V, 3) mesh vertices, metres.
         faces: (F, 3) triangles.
-        T_world_obj: pose to start from.
-        material: depth is trusted on "raw" and "diffuse" only.
-        symmetry: directions that it leaves free are not adjusted.
-        fixed: takes part as an occluder, and keeps its pose.
-        rough: poses around the start are tried before edges are followed, if there are two views
-            or more; see `RefineOptions.rough_m`.
-        colors: of its surface, where the mesh has a print that tells its sides apart.
+        T_world_obj: start pose.
+        material: sensor depth is used on "raw" and "diffuse" only.
+        symmetry: directions without visible effect are not refined.
+        fixed: the object keeps its pose and acts as an occluder only.
+        rough: search poses around the start before edge refinement, if there are two views or
+            more; see `RefineOptions.rough_m`.
+        colors: colours of its surface, if the mesh has a texture that distinguishes its sides.
     """
 
     name: str
@@ -125,27 +120,28 @@ class RefineObject:
 
     @property
     def surface(self) -> ObjectSurface:
-        # Known once for all copies of the object at other poses.
+        # Computed once for all copies of the object at other poses.
         return surface_of(self.vertices, self.faces)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RefineOptions:
-    """How poses are refined.
+    """Options of a refinement.
 
     Attributes:
-        use_depth: sensor depth takes part on diffuse objects.
-        refine_scale: the scale of the camera positions is estimated too.
-        search_px: how far from the predicted contour edges are looked for at the coarsest level,
-            in full-resolution pixels.
-        largest_image: images are worked on at most at this width, pixels.
+        use_depth: use sensor depth on diffuse objects.
+        refine_scale: also estimate the scale of the camera positions.
+        search_px: search radius for edges around the predicted contour at the coarsest level, in
+            full-resolution pixels.
+        largest_image: largest image width, pixels; wider images are reduced.
         depth_factor_std: prior standard deviation of the sensor's depth factor around 1.
         scale_std: prior standard deviation of the scale of the camera positions around 1.
-        translation_std, rotation_std: weak prior of the start pose, metres and radians: it only
-            decides directions that nothing else decides.
-        iterations: most Gauss-Newton steps per level.
-        depth_samples: a view's sensor depth on an object counts as so many independent ones.
-        rough_m, rough_turn: how far the start of a rough object may be off: its centre, metres,
+        translation_std, rotation_std: weak prior of the start pose, metres and radians, for
+            directions that are otherwise undetermined.
+        iterations: largest number of Gauss-Newton steps per level.
+        depth_samples: number of independent samples that a view's sensor depth on an object
+            counts as.
+        rough_m, rough_turn: largest error of the start of a rough object: its centre, metres,
             and its rotation, radians.
     """
 
@@ -169,13 +165,13 @@ class RefinedObject:
 
     Attributes:
         name: as given.
-        T_world_obj: adjusted pose; in the rescaled world where the scale was refined.
+        T_world_obj: refined pose; in the rescaled world if the scale was refined.
         covariance: (6, 6) of a right perturbation `T_world_obj @ SE3.exp(xi)`.
         weak_direction: sentence on the least determined direction.
         edge_rms_px: robust standard deviation of the edges found around the final contour,
             full-resolution pixels.
-        depth_rms_m: of the sensor depth around the surface along its normal, metres; None if it
-            took no part.
+        depth_rms_m: RMS of the sensor depth around the surface along its normal, metres; None if
+            depth was not used.
         views: number of views in which the object's contour was measured.
         converged: the last step was small and enough edges agree with the contour.
     """
@@ -198,7 +194,7 @@ class RefineResult:
         objects: in the order given.
         scale: factor on all camera positions (and on the world); 1 if it was not refined.
         scale_std: its standard deviation; 0 if it was not refined.
-        depth_factor: true depth = depth_factor * sensor depth, as estimated; 1 without depth.
+        depth_factor: estimated true depth = depth_factor * sensor depth; 1 without depth.
         depth_factor_std: its standard deviation.
     """
 
@@ -210,19 +206,19 @@ class RefineResult:
 
 
 def no_progress(_: float) -> None:
-    """Nobody asks."""
+    """Ignore the progress."""
 
 
 def sub_progress(whole: Progress, start: float, end: float) -> Progress:
-    """For a step of a computation that takes it from `start` to `end`."""
+    """Progress of a step that takes the computation from `start` to `end`."""
     return lambda fraction: whole(start + (end - start) * min(max(fraction, 0.0), 1.0))
 
 
 def covariance_at(covariance: NDArray[np.floating], point: NDArray[np.floating]) -> Array:
     """The 6x6 covariance of a right perturbation, with its translation taken at `point`.
 
-    A rotation about the mesh origin moves an object whose origin lies elsewhere: shifts and turns
-    are only told apart about its centre.
+    A rotation about the mesh origin moves an object that is elsewhere: translation and rotation
+    are separate only about the object's centre.
 
     Args:
         point: (3,) in the mesh frame.
@@ -238,13 +234,13 @@ def weakest_direction(
     radius: float,
     symmetry: Symmetry,
 ) -> str:
-    """One sentence on the direction in which the surface may be off the most.
+    """One sentence on the direction of the largest uncertainty of the surface.
 
     Args:
         covariance: (6, 6) of a right perturbation, metres and radians.
-        centre: (3,) of the object, mesh frame.
-        radius: metres; turns count with what they move at this distance.
-        symmetry: turns about its axes do not count: they change nothing.
+        centre: (3,) centre of the object, mesh frame.
+        radius: metres; rotations are weighted with the motion at this distance.
+        symmetry: rotations about its axes are ignored, because they have no effect.
     """
     C = covariance_at(covariance, centre)
     size = np.array([1.0] * 3 + [radius] * 3)
@@ -262,7 +258,7 @@ def weakest_direction(
     else:
         direction, what = v[3:] / turn, "turn about"
         amount = f"{np.rad2deg(std / radius):.2f} deg"
-    # The sign of an eigenvector is chance; a fixed one keeps files reproducible.
+    # The sign of an eigenvector is arbitrary; a fixed one keeps files reproducible.
     if direction[int(np.argmax(np.abs(direction)))] < 0:
         direction = -direction
     axis_text = ", ".join(f"{x + 0.0:.2f}" for x in np.round(direction, 2))

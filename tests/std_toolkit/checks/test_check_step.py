@@ -314,7 +314,7 @@ def test_things_no_label_covers_are_left_out(make_scene: MakeScene) -> None:
 def test_label_out_of_view_is_told(make_scene: MakeScene) -> None:
     scene = make_scene(Toy(frames=3, moved={1: np.array([0, 5.0, 0])}))
     report = check(scene)
-    assert any("in view in no frame" in w.problem for w in report.warnings)
+    assert any("is not visible in any" in w.problem for w in report.warnings)
 
 
 @pytest.mark.slow

@@ -72,7 +72,7 @@ def test_export_and_import_again(tmp_path, capsys):
     assert main(["export", str(scene.root), "--format", "bop", "--out", out]) == 0
     text = capsys.readouterr().out
     assert "1 frames, 3 models" in text
-    assert "left out 1 frames without ground truth" in text
+    assert "skipped 1 frames without ground truth" in text
     assert main(["import", out, "--out", str(tmp_path / "again")]) == 0
     options = ["--label-size", "80by60"]
     assert main(["export", str(scene.root), "--format", "std", "--out", out, *options]) == 2

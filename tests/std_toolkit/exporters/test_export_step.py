@@ -119,7 +119,7 @@ def test_a_damaged_export_is_replaced_on_request_only(scene, tmp_path):
 
 def test_overwrite_never_touches_a_folder_that_is_no_export(scene, tmp_path):
     (tmp_path / "thesis.txt").write_text("precious")
-    with pytest.raises(ToolkitError, match="this is none"):
+    with pytest.raises(ToolkitError, match="not an export"):
         export_scene(scene, "std", tmp_path, options=ExportOptions(overwrite=True))
     assert content(tmp_path).keys() == {"thesis.txt"}
 

@@ -297,7 +297,7 @@ def test_an_interrupted_command_says_how_to_go_on(
     monkeypatch.setattr(Scene, "open", interrupt)
     outcome = run("info", root)
     assert outcome.status == 130
-    assert outcome.err.strip() == "interrupted; run the same command again to go on"
+    assert outcome.err.strip() == "interrupted; run the same command again to resume"
 
 
 def test_a_defect_of_ours_is_one_line_too(

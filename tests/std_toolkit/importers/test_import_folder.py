@@ -174,7 +174,7 @@ def test_images_of_two_sizes_are_refused(recording, tmp_path):
 
 def test_importing_twice_is_refused(recording, tmp_path):
     import_recording(request(recording), tmp_path / "scene")
-    refused(tmp_path / "scene", "a scene here already", request(recording))
+    refused(tmp_path / "scene", "a scene already exists here", request(recording))
     (tmp_path / "other").mkdir()
     (tmp_path / "other/file").write_text("x")
     refused(tmp_path / "other", "not empty", request(recording))
@@ -227,7 +227,7 @@ def test_damaged_images_are_refused_and_named(recording, tmp_path, kind, damage)
 def test_wrong_kinds_of_depth_are_refused(recording, tmp_path):
     path = recording / "depth/6.png"
     cv2.imwrite(str(path), np.full((48, 64), 7, np.uint8))
-    refused(tmp_path / "scene", "16-bit PNG.*8-bit picture", request(recording))
+    refused(tmp_path / "scene", "16-bit PNG.*8-bit depth image", request(recording))
     cv2.imwrite(str(path), np.full((48, 64, 3), 700, np.uint16))
     refused(tmp_path / "scene", "3 channels", request(recording))
     for i in range(1, 11):

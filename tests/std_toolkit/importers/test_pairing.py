@@ -66,7 +66,7 @@ def test_missing_partners_are_named(tmp_path):
 
 def test_names_become_safe_and_stay_unique():
     assert frame_names(["a b", "c"]) == {"a b": "a_b", "c": "c"}
-    with pytest.raises(ToolkitError, match="become one name"):
+    with pytest.raises(ToolkitError, match="map to the same name"):
         frame_names(["a b", "a_b"])
 
 

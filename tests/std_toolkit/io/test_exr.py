@@ -86,7 +86,7 @@ def test_what_cannot_be_depth_is_refused(tmp_path: Path, channels: dict, problem
 
 def test_depth_of_another_size_is_refused(tmp_path: Path) -> None:
     write_exr(tmp_path / "d.exr", {"Z": DEPTH})
-    with pytest.raises(ToolkitError, match="not the camera's 100x74"):
+    with pytest.raises(ToolkitError, match="that of the camera, 100x74"):
         read_depth(tmp_path / "d.exr", scale=None, size=(100, 74))
 
 

@@ -44,7 +44,7 @@ def test_equal_channels_are_equal_in_nan_too(tmp_path: Path) -> None:
     write_exr(path, {"R": holes, "G": holes, "B": holes})
     np.testing.assert_array_equal(read_exr_channel(path, require_equal=True), holes)
     write_exr(path, {"R": holes, "G": holes, "B": RAMP})
-    with pytest.raises(ToolkitError, match=r"a\.exr: the EXR file holds a picture"):
+    with pytest.raises(ToolkitError, match=r"a\.exr: the EXR file is a picture"):
         read_exr_channel(path, require_equal=True)
     np.testing.assert_array_equal(read_exr_channel(path), holes)
 

@@ -197,7 +197,7 @@ def test_colour_masks_and_lossy_masks_are_refused(tmp_path: Path) -> None:
 
 def test_unwritable_images_are_refused(tmp_path: Path) -> None:
     for image in (np.zeros((2, 2), np.float32), np.zeros((2, 2, 4), np.uint8)):
-        with pytest.raises(ToolkitError, match="a PNG holds"):
+        with pytest.raises(ToolkitError, match="a PNG must be"):
             write_png(tmp_path / "a.png", image)
     with pytest.raises(ToolkitError, match="not an image format"):
         write_color(tmp_path / "a.gif", COLOUR)
@@ -292,7 +292,7 @@ def test_another_size_is_refused_before_decoding(
 ) -> None:
     write_color(tmp_path / "a.png", COLOUR)
     monkeypatch.setattr(images.cv2, "imdecode", None)
-    with pytest.raises(ToolkitError, match=r"a\.png: image size is not the camera's 80x60"):
+    with pytest.raises(ToolkitError, match=r"a\.png: image size differs from that of the camera, 80x60"):
         read_color(tmp_path / "a.png", size=(80, 60))
 
 

@@ -159,7 +159,7 @@ def test_a_bad_command_leaves_the_scene_as_it_was(scene, box_path, tmp_path, arg
 def test_an_object_keeps_its_model(scene, box_path):
     run(scene.root, "--object", "box", "--mesh", box_path)
     before = snapshot(scene.root)
-    with pytest.raises(ToolkitError, match="object box is of model box"):
+    with pytest.raises(ToolkitError, match="object box has model box"):
         run(scene.root, "--object", "box", "--mesh", box_path, "--model", "other")
     assert snapshot(scene.root) == before
 

@@ -1,11 +1,11 @@
 """Gauss-Newton steps of one object's pose on sensor depth, in both directions.
 
-From the model to the sensor: every visible point of the surface against what was measured on its
-ray (projective association, point to plane). From the sensor to the model: every measured point
-that neither the background nor another object explains against the nearest point of the surface;
-this pulls the object sideways to what stands out of the table, which no ray of its own can do.
+From the model to the sensor: every visible surface point is compared with the depth measured on
+its ray (projective association, point to plane). From the sensor to the model: every measured
+point that neither the background nor another object explains is compared with the nearest surface
+point. This pulls the object laterally towards points above the table, which its own rays cannot do.
 
-How well a pose agrees with the sensor depth in the end, in metres and shares.
+The module also measures the final agreement of a pose with the sensor depth.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from std_toolkit.labels.refine.problem import RefineObject
 
 Array = NDArray[np.float64]
 
-# Grazing surfaces are measured badly.
+# Depth on grazing surfaces is inaccurate.
 _SMALLEST_COSINE = 0.25
 
 # Points closer than this to the surface are compared along its normal, others along the shortest
-# way: at a rim the normal of either face says little.
+# distance: at a rim the face normals are not informative.
 _NEAR_M = 0.002
 
 # Measured points nearer to the background than this may belong to it.
@@ -35,15 +35,15 @@ _STANDS_OUT_M = 0.006
 
 _SMALLEST_STD_M = 0.001
 
-# Neighbouring pixels repeat each other: all readings together count as so many.
+# Neighbouring pixels are correlated: all readings together count as this many.
 _INDEPENDENT = 50.0
 
-# Weak prior that decides what the depth does not: metres, radians.
+# Weak prior for directions that depth does not determine: metres, radians.
 _PRIOR_M, _PRIOR_RAD = 0.02, 0.15
 
 _PIXELS_PER_VIEW = 20_000
 
-# A reading explains the surface if it is this close along the ray: metres, and share of the range.
+# A reading agrees with the surface if it is this close along the ray: metres, fraction of range.
 _CLOSE_M, _CLOSE_SHARE = 0.005, 0.01
 
 
@@ -73,8 +73,8 @@ def depth_residuals(
     """Residuals of all rays.
 
     Args:
-        gate_m: measured points further than this from the surface belong to something else.
-        reverse_weight: of the residuals from the sensor to the model; 0 leaves them out.
+        gate_m: measured points further than this from the surface are ignored.
+        reverse_weight: weight of the residuals from the sensor to the model; 0 disables them.
     """
     rays = sensor_rays.directions @ T_world_obj.R
     origins = (sensor_rays.origins - T_world_obj.t) @ T_world_obj.R
@@ -137,7 +137,7 @@ def pose_covariance(obj: RefineObject, residuals: DepthResiduals) -> Array:
 def _normal_equations(
     obj: RefineObject, residuals: DepthResiduals, xi: Array, spread_m: float
 ) -> tuple[Array, Array]:
-    """Information (6, 6) and right-hand side (6,), weighted for what a step `xi` leaves."""
+    """Information (6, 6) and right-hand side (6,), weighted for the residuals after step `xi`."""
     r, J = residuals.r, residuals.J
     left = r - J @ xi
     std = min(max(1.4826 * float(np.median(np.abs(left))), _SMALLEST_STD_M), spread_m)
@@ -147,7 +147,7 @@ def _normal_equations(
     prior = np.array([_PRIOR_M] * 3 + [_PRIOR_RAD] * 3) ** -2.0
     A = JW @ J + np.diag(prior)
     for axis, offset in obj.symmetry.continuous:
-        # A turn about the axis of symmetry changes nothing that can be seen.
+        # A rotation about the axis of symmetry has no visible effect.
         twist = np.concatenate([-np.cross(axis, offset), axis])
         A += 1e8 * np.outer(twist, twist)
     return A, JW @ r
@@ -168,7 +168,7 @@ def icp(
     reverse_weight: float = 0.5,
     settled_m: float = 2e-4,
 ) -> SE3:
-    """Steps with a narrowing gate; ends early at the last gate when nothing moves any more."""
+    """Steps with a narrowing gate; ends early at the last gate on convergence."""
     T = T_world_obj
     for k, gate in enumerate(gates_m):
         rows = depth_residuals(surface, sensor_rays, T, gate_m=gate, reverse_weight=reverse_weight)
@@ -190,10 +190,10 @@ class DepthAgreement:
     Attributes:
         median_m: median of |rendered - sensor| depth over all readings on the visible surface,
             metres; nan without readings.
-        rms_m: root mean square of the distance across the surface of the readings that explain
+        rms_m: root mean square of the distance across the surface of the readings that agree with
             it, metres; nan without such.
-        explained: share of the readings within 5 mm, or 1 % of the distance, of the surface.
-        measured: share of the visible surface that has a reading.
+        explained: fraction of the readings within 5 mm, or 1 % of the distance, of the surface.
+        measured: fraction of the visible surface that has a reading.
         readings: their number, in pixels of the images.
     """
 

@@ -1,8 +1,9 @@
 """Refinement of one object's pose on sensor depth, for opaque objects: one view or several.
 
-A rough start (50 mm, 30 degrees off) is brought into the right basin by trying many poses on the
-depth images (`pose_search`), fitted by ICP in both directions (`depth_steps`), and finished with
-the colour images' edges (`solver`), which see sideways what depth, smeared at borders, does not.
+A search tries many poses on the depth images to get from a rough start (50 mm, 30 degrees off)
+into the right basin of convergence (`pose_search`). ICP in both directions fits the pose
+(`depth_steps`). Edges of the colour images refine it laterally (`solver`), where depth is smeared
+at borders.
 """
 
 from __future__ import annotations
@@ -25,37 +26,37 @@ from std_toolkit.labels.refine.object_surface import ObjectSurface
 
 Array = NDArray[np.float64]
 
-# How far a start may be off: metres, and share of the object's radius.
+# Largest error of a start: metres, and fraction of the object's radius.
 _REACH_M, _REACH = 0.05, 0.5
-# Readings on the object below which its depth says nothing.
+# Smallest number of readings on the object for a depth fit.
 _FEWEST_READINGS = 60
-# From views this far apart edges fix the distance, and with it the factor of the sensor depth.
+# From views this far apart edges determine the distance, and with it the sensor depth factor.
 _PARALLAX = np.deg2rad(15)
 _FIXED_FACTOR_STD = 0.001
-# One view's depth against its edges, where the depth is not to be questioned.
+# Prior of the depth factor in one view, in which edges cannot correct depth.
 _DEPTH_SAMPLES = 5.0
-# Edges that move the pose found from depth farther than this have found another contour.
+# Edges that move the pose from depth farther than this follow another contour.
 _LARGEST_FINISH_M, _LARGEST_FINISH = 0.03, np.deg2rad(20)
 _LARGEST_LOSS = 0.1
 # Most starts miss an object that is thinner than `_THIN` of the reach: its search is repeated with
-# more effort where it explains less than `_DOUBTFUL` of the readings. The search for a thicker one
-# is not: more starts would find another object of a similar shape.
+# more starts if the pose explains less than `_DOUBTFUL` of the readings. For a thicker object it
+# is not, because more starts would find another object of a similar shape.
 _THIN, _DOUBTFUL = 0.5, 0.88
-# Below this share of explained readings the fit is not to be believed.
+# Below this fraction of explained readings the fit is not converged.
 _SMALLEST_EXPLAINED = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class DepthFitOptions:
-    """How an object is fitted to sensor depth.
+    """Options of fitting an object to sensor depth.
 
     Attributes:
-        reach_m: how far the start may be off, metres; default: 50 mm, or half the object's radius
-            if that is more.
-        turn: how far it may be turned, radians.
-        flips: try turns about the axes of the bounding box too; they win only where depth or the
-            mesh's print says so clearly.
-        use_edges: let edges of the colour images finish the pose.
+        reach_m: largest position error of the start, metres; default: 50 mm, or half the object's
+            radius if that is more.
+        turn: largest rotation error of the start, radians.
+        flips: also try rotations about the axes of the bounding box; they are used only if depth
+            or the texture of the mesh clearly supports them.
+        use_edges: refine the pose with edges of the colour images.
     """
 
     reach_m: float | None = None
@@ -69,16 +70,16 @@ class DepthFit:
     """Outcome of a fit to sensor depth.
 
     Attributes:
-        name: of the object.
+        name: name of the object.
         T_world_obj: fitted pose.
         covariance: (6, 6) of a right perturbation `T_world_obj @ SE3.exp(xi)`.
         weak_direction: sentence on the least determined direction.
         depth: agreement with the sensor at the end.
-        edge_rms_px: robust standard deviation of the edges around the contour; None if they took
-            no part.
+        edge_rms_px: robust standard deviation of the edges around the contour; None if they were
+            not used.
         views: number of views with depth in which the object may be seen.
-        depth_factor: true depth = depth_factor * sensor depth, as estimated from views around the
-            object; 1 where it was not.
+        depth_factor: true depth = depth_factor * sensor depth, estimated from views around the
+            object; 1 if it was not estimated.
         converged: most readings on the visible surface agree with it.
     """
 
@@ -102,15 +103,15 @@ def refine_on_depth(
     layers: LayerStore | None = None,
     progress: problem.Progress = problem.no_progress,
 ) -> DepthFit:
-    """Adjust the world pose of one object to the sensor depth around it.
+    """Refine the world pose of one object with the sensor depth around it.
 
     Args:
-        views: images with metric camera poses; a single one may have the identity. Those without
-            depth lend their edges.
-        obj: the object at its start pose; its material plays no part.
-        others: neighbours at their poses; they hide what is behind them and stay where they are.
-        layers: of them, where they were cast before.
-        progress: told the fraction done.
+        views: images with metric camera poses; a single one may have the identity. Views without
+            depth contribute edges only.
+        obj: the object at its start pose; its material is ignored.
+        others: neighbours at fixed poses, which act as occluders.
+        layers: cached layers of the neighbours, if any.
+        progress: called with the completed fraction.
 
     Raises:
         ToolkitError: no views, the object is out of view, or there is no depth (on it).
@@ -180,9 +181,9 @@ def depth_agreement(
     """How well the sensor depth of the views agrees with an object at its pose.
 
     Args:
-        others: neighbours that hide what is behind them.
+        others: neighbours, which act as occluders.
         depth_factor: true depth = depth_factor * sensor depth.
-        layers: of the neighbours, where they were cast before.
+        layers: cached layers of the neighbours, if any.
     """
     surface = obj.surface
     observed = observe(views, obj, others, surface, reach_m=0.0, background=False, layers=layers)
@@ -222,12 +223,12 @@ def _finish(
     *,
     progress: problem.Progress,
 ) -> DepthFit | None:
-    """The pose with the edges' help; None where they make it worse."""
+    """The pose refined with edges; None if they make it worse."""
     around = _apart(views, found) > _PARALLAX
     if around:
         options = problem.RefineOptions(search_px=24)
     else:
-        # One view cannot tell a wrong sensor from a wrong distance: it follows the sensor.
+        # One view cannot separate a depth bias from a wrong distance: it follows the sensor.
         options = problem.RefineOptions(
             search_px=12, depth_factor_std=_FIXED_FACTOR_STD, depth_samples=_DEPTH_SAMPLES
         )
@@ -236,7 +237,7 @@ def _finish(
         result: problem.RefineResult = refine_poses(
             views, [found, *fixed], options, progress=progress
         )
-    except ToolkitError:  # nothing of it can be seen well enough
+    except ToolkitError:  # it is not visible enough
         return None
     edges = result.objects[0]
     after = depth_steps.measure_depth(
@@ -263,7 +264,7 @@ def _finish(
 
 
 def moved_too_far(obj: problem.RefineObject, T_world_obj: SE3) -> bool:
-    """Whether a pose is too far from the one that the depth gave to be the same, only better."""
+    """Whether a pose is too far from the pose by depth to be a refinement of it."""
     step = T_world_obj @ obj.centre - obj.T_world_obj @ obj.centre
     turn = rotation_error(T_world_obj, obj.T_world_obj, obj.symmetry)
     return bool(np.linalg.norm(step) > _LARGEST_FINISH_M or turn > _LARGEST_FINISH)
@@ -282,7 +283,7 @@ def _near(
     obj: problem.RefineObject,
     others: Sequence[problem.RefineObject],
 ) -> list[problem.RefineObject]:
-    """The others that may touch the object's image in some view."""
+    """The others that may overlap the object's image in a view."""
     near = []
     for other in others:
         for view in views:

@@ -1,6 +1,6 @@
-"""What the sensor measured around an object, thinned out for trying many poses.
+"""Sensor depth around an object, subsampled for trying many poses, and its background plane.
 
-The plane behind an object, such as the table it stands on, from sensor depth around it.
+The background plane, such as the table, is fitted to the sensor depth around the object.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from std_toolkit.labels.refine.problem import RefineObject, RefineView
 
 Array = NDArray[np.float64]
 
-# The window around the object in which its background is looked for.
+# Size of the window around the object in which its background is fitted.
 _AROUND_M = 0.08
 
 _MOST_POINTS = 1500
@@ -38,8 +38,8 @@ class ObservedView:
     Attributes:
         view: the image.
         x, y: top-left pixel of the window.
-        sensor: (h, w) z-depth as measured, 0 = none, metres.
-        steady: (h, w) measured, and away from steps in depth.
+        sensor: (h, w) measured z-depth, 0 = none, metres.
+        steady: (h, w) whether measured, and away from depth discontinuities.
         others: (h, w) z-depth of the other objects, inf = none.
         plane: background plane (n, d) in the camera frame, or None.
     """
@@ -88,15 +88,15 @@ class ObservedPixels:
     """N pixels of one view.
 
     Attributes:
-        T_world_cam: of the view.
+        T_world_cam: camera pose of the view.
         uv: (N, 2) pixels.
         directions: (N, 3) rays with z = 1, camera frame.
         sensor: (N,) z-depth, 0 = none, metres.
-        steady: (N,) measured, and away from steps in depth.
+        steady: (N,) whether measured, and away from depth discontinuities.
         others: (N,) z-depth of the other objects, inf = none.
         background: (N,) z-depth of the background plane, inf = unknown.
-        columns: of the grid that the pixels form, row by row.
-        read_color: gives `color`.
+        columns: number of columns of the pixel grid, stored row by row.
+        read_color: returns `color`.
     """
 
     T_world_cam: se3.SE3
@@ -117,11 +117,11 @@ class ObservedPixels:
 
 @dataclass(frozen=True, eq=False)
 class ObservedRays:
-    """The pixels of several views as one set of rays, since a cast costs as much as many rays.
+    """The pixels of several views as one set of rays, because each cast has a fixed cost.
 
     Attributes:
         origins, directions: (N, 3) of the rays in the world; z = 1 in the camera of each.
-        sensor, steady, others, background: (N,) as of the pixels.
+        sensor, steady, others, background: (N,) as for the pixels.
     """
 
     origins: Array
@@ -133,7 +133,7 @@ class ObservedRays:
 
     @staticmethod
     def of(views: Sequence[ObservedPixels]) -> ObservedRays:
-        """All pixels of the views, which are at least one."""
+        """All pixels of the views, of which there is at least one."""
         return ObservedRays(
             np.concatenate([np.tile(v.T_world_cam.t, (len(v.uv), 1)) for v in views]),
             np.concatenate([v.directions @ v.T_world_cam.R.T for v in views]),
@@ -144,7 +144,7 @@ class ObservedRays:
         )
 
     def only(self, chosen: NDArray[np.bool_]) -> ObservedRays:
-        """Those of the rays (N,) that are chosen."""
+        """The selected rays of (N,)."""
         return ObservedRays(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
 
@@ -161,9 +161,9 @@ def observe(
     """The windows of the views that have depth and may show the object near its pose.
 
     Args:
-        reach_m: how far the object may be from its pose.
-        background: look for the plane behind the object.
-        layers: of the others, where they were cast before.
+        reach_m: largest distance of the object from its pose.
+        background: fit the plane behind the object.
+        layers: cached layers of the others, if any.
     """
     caster = WorldCaster(others, [o.T_world_obj for o in others], layers) if others else None
     found = []
@@ -213,17 +213,17 @@ def _background(observed: ObservedView, obj: RefineObject, surface: ObjectSurfac
     plane = fit_background(pixels.directions[free] * pixels.sensor[free, None])
     if plane is None:
         return None
-    # A plane in front of the object is not its background.
+    # A plane in front of the object is not the background.
     centre = T_cam_obj @ obj.centre
     return plane if plane[:3] @ centre < plane[3] + 0.5 * obj.radius else None
 
 
 def fit_background(points: NDArray[np.floating], *, share: float = 0.35) -> Array | None:
-    """The plane that most points lie on: (4,) = (n, d) with n . p = d, |n| = 1 and d > 0.
+    """The plane with most inliers: (4,) = (n, d) with n . p = d, |n| = 1 and d > 0.
 
     Args:
         points: (N, 3) measured around the object, camera frame, metres.
-        share: of the points that must lie on it.
+        share: smallest fraction of the points that must be inliers.
 
     Returns:
         None if there is no such plane.
@@ -241,6 +241,6 @@ def fit_background(points: NDArray[np.floating], *, share: float = 0.35) -> Arra
 
 
 def plane_depth(plane: Array, directions: Array) -> Array:
-    """(N,) z-depth of a plane behind rays (N, 3) with z = 1; inf where they never meet it."""
+    """(N,) z-depth of a plane behind rays (N, 3) with z = 1; inf without an intersection."""
     along = directions @ plane[:3]
     return np.where(along > 1e-6, plane[3] / np.maximum(along, 1e-6), np.inf)

@@ -1,13 +1,11 @@
-"""From a rough pose to the basin of the right one: many starts, short fits, the best goes on.
+"""Search for the right pose from a rough one: many starts, short fits, the best is kept.
 
-Which of several poses is the right one: depth, print, and nearness to where it started.
-
-How well a pose explains the sensor depth: the scene is rendered with it and compared.
-
-Every measured pixel of the window counts for every pose. Where the object is rendered, its depth
-is compared with the sensor's; where it is not, that of the other objects or of the background
-plane. So a pose pays for surface in front of what was measured (there is free space) and for
-measured surface that nothing explains, and a pose does not win by hiding or by leaving pixels out.
+Poses are ranked by sensor depth, agreement of the mesh's texture with the images, and distance
+from the start. For the depth cost, the scene is rendered with the object at the pose. Every
+measured pixel of the window counts for every pose: the rendered depth of the object, of the other
+objects or of the background plane is compared with the sensor depth. A pose is penalised for
+surface in front of the measurement (free space) and for measured surface that nothing explains. It
+cannot win by hiding or by ignoring pixels.
 """
 
 from __future__ import annotations
@@ -26,7 +24,7 @@ from std_toolkit.labels.refine.problem import Progress, RefineObject, no_progres
 
 Array = NDArray[np.float64]
 
-# Pixels looked at in all views together.
+# Number of pixels used in all views together.
 _COARSE, _FINE = 900, 3000
 
 _FEWEST_PER_VIEW = 150
@@ -37,29 +35,29 @@ _SHORT = (0.05, 0.05, 0.03, 0.03, 0.015, 0.015)
 
 _FULL = (0.03, 0.02, 0.015, *[0.008] * 8)
 
-# A fit may leave the range of the starts by so much; further, it has to be clearly better.
+# A fit may leave the range of the starts by this factor; beyond, it must be clearly better.
 _LEEWAY = 1.3
 
-# Turns about the axes of the bounding box: for the shape, and for the print on it.
+# Rotations about the axes of the bounding box: for the shape, and for the texture on it.
 _PLAIN_TURNS = np.deg2rad([90, 180, 270])
 
 _PRINT_TURNS = np.deg2rad(np.arange(15, 360, 15))
 
 _PRINT_FITS = 4
 
-# A turned pose may explain the depth so much worse and be looked at; it replaces the other only
-# if it is better by the second figure, since nobody starts from the wrong side without a reason.
-# In shares of the object's pixels.
+# A rotated pose is considered if it explains the depth worse by at most the first figure. It
+# replaces the other only if it is better by the second, because a start from the wrong side is
+# unlikely. In fractions of the object's pixels.
 _TURN_SLACK, _TURN_MARGIN = 0.15, 0.15
 
-# What a full agreement of the print is worth, in shares of the object's pixels.
+# Weight of full texture agreement, in fractions of the object's pixels.
 _PRINT = 1.0
 
-# Below this it is worth nothing: light, gloss and products that changed their print agree by as
+# Below this correlation it is ignored: light, gloss and products with another print agree by as
 # much by chance.
 _CHANCE = 0.3
 
-# Cost of a turn away from the start, per 1 - cos(angle): half a turn costs 6 % of the pixels.
+# Cost of a rotation from the start, per 1 - cos(angle): half a turn costs 6 % of the pixels.
 _TURN = 0.03
 
 # Cost of a shift beyond the reach, per reach: other objects may look like this one.
@@ -75,12 +73,12 @@ _UNKNOWN = 0.3
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is tried.
+    """Effort of the search.
 
     Attributes:
-        starts: poses that are judged as they are.
-        fits: how many of them are fitted shortly.
-        seed: of the starts.
+        starts: number of poses to score.
+        fits: number of them to fit shortly.
+        seed: seed of the starts.
     """
 
     starts: int
@@ -90,18 +88,18 @@ class Effort:
 
 QUICK = Effort(200, 6, 0)
 
-# Thin things need it: few of the starts overlap with them, and most of those fit the table.
+# For thin objects: few of the starts overlap with them, and most of those fit the table.
 THOROUGH = Effort(800, 24, 1)
 
 
 @dataclass(frozen=True, eq=False)
 class SearchRange:
-    """How far from the start the pose may lie.
+    """Search range around the start.
 
     Attributes:
         reach_m: metres.
         turn: radians.
-        flips: turns of any angle about the axes of the bounding box are tried too.
+        flips: also try rotations by any angle about the axes of the bounding box.
     """
 
     reach_m: float
@@ -109,7 +107,7 @@ class SearchRange:
     flips: bool
 
     def holds(self, obj: RefineObject, T_world_obj: SE3) -> bool:
-        """Whether a pose is about as near to the object's start as asked."""
+        """Whether a pose is about within the range around the object's start."""
         start = obj.T_world_obj
         shift = np.linalg.norm(T_world_obj @ obj.centre - start @ obj.centre)
         turn = rotation_error(T_world_obj, start, obj.symmetry)
@@ -126,11 +124,11 @@ def search_pose(
     known: Sequence[SE3] = (),
     progress: Progress = no_progress,
 ) -> SE3:
-    """The best T_world_obj by sensor depth (and print, where the mesh has one).
+    """The best T_world_obj by sensor depth (and texture, if the mesh has one).
 
     Args:
-        known: fitted poses that take part in the end.
-        progress: told the fraction done.
+        known: fitted poses to compare with at the end.
+        progress: called with the completed fraction.
     """
     coarse = [o.thinned(_share(_COARSE, observed)) for o in observed]
     fine = [o.thinned(_share(_FINE, observed)) for o in observed]
@@ -139,7 +137,7 @@ def search_pose(
     starts = _starts(obj, search, effort)
     progress(0.1)
     ranked = np.argsort([first.depth(T) for T in starts], kind="stable")[: effort.fits]
-    # The start itself always has its chance.
+    # The start itself is always tried.
     chosen = list(dict.fromkeys([0, *(int(k) for k in ranked)]))
     short = [icp(surface, obj, coarse_rays, starts[k], gates_m=_SHORT) for k in chosen]
     progress(0.4)
@@ -168,7 +166,7 @@ def _rivals(
     sensor_rays: ObservedRays,
     scorer: PoseScorer,
 ) -> list[SE3]:
-    """Turns of a pose that the shape may tell apart, and that fit but for the print; best first."""
+    """Rotations of a pose that fit the depth and may differ in texture; best first."""
     turned = _turned(best, obj.centre, _PLAIN_TURNS)
     rivals = [icp(surface, obj, sensor_rays, T, gates_m=_SHORT) for T in turned]
     if obj.colors is not None:
@@ -185,33 +183,33 @@ def _share(total: int, observed: Sequence[ObservedView]) -> int:
 
 
 def _starts(obj: RefineObject, search: SearchRange, effort: Effort) -> list[SE3]:
-    """The start and poses around it, the same ones every time."""
+    """The start and poses around it; deterministic."""
     rng = np.random.default_rng(effort.seed)
     T = obj.T_world_obj
     poses = [T]
     for _ in range(effort.starts):
         shift, axis = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
         R = so3_exp(axis * rng.uniform(0, search.turn)) @ T.R
-        # About the object's centre, wherever the mesh has its origin.
+        # About the object's centre, not the mesh origin.
         centre = T @ obj.centre + shift * rng.uniform(0, search.reach_m)
         poses.append(SE3(R, centre - R @ obj.centre))
     return poses
 
 
 def _turned(T: SE3, centre: Array, angles: Array) -> list[SE3]:
-    """The pose turned by each of the angles about each axis of the bounding box."""
+    """The pose rotated by each of the angles about each axis of the bounding box."""
     turns = [so3_exp(axis * angle) for axis in np.eye(3) for angle in angles]
     return [T @ SE3(R, centre - R @ centre) for R in turns]
 
 
 @dataclass(frozen=True)
 class PoseScore:
-    """One pose judged; less is better.
+    """Score of a pose; lower is better.
 
     Attributes:
         depth: cost of the depth per pixel of the object, about -0.7 (all explained) to 1.
-        print: correlation of the mesh's colours with the image, 0 where they cannot tell.
-        total: with the print and the prior of the start.
+        print: correlation of the mesh's colours with the image, 0 if they are not informative.
+        total: cost with texture and the prior of the start.
     """
 
     depth: float
@@ -223,8 +221,8 @@ class PoseScorer:
     """Compares poses of an object on fixed pixels.
 
     Args:
-        tolerance_m: of the depth; see `DepthCost`.
-        reach_m: how far from its start the object may be.
+        tolerance_m: tolerance of the depth; see `DepthCost`.
+        reach_m: largest distance of the object from its start.
     """
 
     def __init__(
@@ -297,7 +295,7 @@ class DepthCost:
     Args:
         surface: of the object.
         views: pixels that count.
-        tolerance_m: differences beyond it count as this one.
+        tolerance_m: larger differences are clipped to it.
     """
 
     def __init__(
@@ -308,7 +306,7 @@ class DepthCost:
         rays = ObservedRays.of(views)
         rays = rays.only(rays.sensor > 0)
         behind = np.minimum(rays.others, rays.background)
-        # What lies behind the expected background is other background.
+        # Depth behind the expected background is other background.
         empty = pixel_cost(np.maximum(behind, rays.sensor), rays.sensor, tolerance_m)
         empty[np.isinf(behind)] = _UNKNOWN
         self._rays, self._empty = rays, empty
@@ -316,7 +314,7 @@ class DepthCost:
     def __call__(self, T_world_obj: SE3) -> float:
         """Sum of the costs of the pixels, less that of the scene without the object.
 
-        Negative where the object explains what was measured. In pixels.
+        In pixels; negative if the object explains the measurements.
         """
         rays = self._rays
         depth = self._surface.cast_from(rays.origins, rays.directions, T_world_obj).depth

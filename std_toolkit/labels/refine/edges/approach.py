@@ -1,9 +1,8 @@
-"""Brings objects from rough poses to where following the edges finds the right one.
+"""Brings objects from rough poses into the basin of convergence of the edge refinement.
 
-The axis about which a mesh is round but for a part of it, such as a mug but for its handle.
-
-From a start that is turned too far about it, following edges fits the round body to a pixel, and
-the rest stays where it is: nothing near it tells where it belongs.
+Handles shapes that are rotationally symmetric except for a part, such as a mug with its handle.
+From a start with a wrong rotation about that axis, edge refinement fits the round body to a pixel,
+but no nearby edge corrects the other part. The module then tries rotations about the axis.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from std_toolkit.labels.refine.edges import edge_search
 from std_toolkit.labels.refine.edges.descent import descend
 from std_toolkit.labels.refine.edges.measure import PoseState, coarse_to_fine
 
-# The search ends within this share of an object's size in the image.
+# The search ends within this fraction of an object's size in the image.
 _LEFT = 0.08
 
 _JUDGED = edge_search.ScoreLevel(pixels=100, tolerance=1.0)
@@ -32,24 +31,24 @@ _CANDIDATES = 3
 # Wrong poses of faint objects score less, right ones more.
 _CONVINCING = 0.55
 
-# Two starts that end within this share of the object's radius have ended in one pose.
+# Two starts that end within this fraction of the object's radius have the same result.
 _SAME = 0.03
 
-# Turns about the axis of a nearly round object; how many of them are refined at most, if they score
-# as high as the best one but for so much; and by how much one has to be better then.
+# Rotations about the axis of a nearly round object; the largest number to refine, of those whose
+# score is within a margin of the best; and the margin by which one must be better.
 _TURNS = np.deg2rad(np.arange(0, 360, 15))
 
 _TURNS_FOLLOWED, _TURN_SLACK, _TURN_GAIN = 3, 0.15, 0.08
 
 Array = NDArray[np.float64]
 
-# Faces that look along the axis say nothing.
+# Faces with normals along the axis are ignored.
 _SIDEWAYS = 0.5
 
-# A face belongs to the round body if its normal passes the axis within this share of the radius.
+# A face belongs to the round body if its normal passes the axis within this fraction of the radius.
 _CLOSE = 0.03
 
-# Shares of the sideways surface that is round: less is another shape, more shows no turn.
+# Range of the round fraction of the lateral surface: less is another shape, more is fully round.
 _ROUND, _WHOLLY_ROUND = 0.6, 0.985
 
 _ROUNDS = 8
@@ -63,15 +62,15 @@ def approach(
     layers: LayerStore | None = None,
     progress: problem.Progress = problem.no_progress,
 ) -> list[problem.RefineObject]:
-    """The objects, rough ones at poses from which `descend` takes over, found one by one.
+    """The objects, rough ones at poses from which `descend` converges, found one by one.
 
-    Candidates of the search and the start itself are refined at coarse levels with the other
-    objects held; the one whose outlines agree best with the images is taken. An object that is
-    nearly round is looked at from all sides then: its round body fits at any turn.
+    The candidates of the search and the start are refined at coarse levels with the other objects
+    fixed. The one whose outlines agree best with the images is used. For a nearly round object all
+    rotations about its axis are then compared, because its round body fits at any of them.
 
     Args:
-        layers: of the objects in these views, where they were cast before.
-        progress: told the fraction done.
+        layers: cached layers of the objects in these views, if any.
+        progress: called with the completed fraction.
     """
     around = edge_search.SearchRange(reach_m=options.rough_m, turn=options.rough_turn)
     found = list(objects)
@@ -123,14 +122,14 @@ def search_turns(
     *,
     layers: LayerStore | None = None,
 ) -> SE3:
-    """The pose of an object turned about the axis about which it is nearly round, if that is right.
+    """Correct the rotation of a nearly round object about its axis.
 
     Args:
-        obj: at a pose that fits but for the turn.
-        layers: of the objects in these views, where they were cast before.
+        obj: the object at a pose that is right except for this rotation.
+        layers: cached layers of the objects in these views, if any.
 
     Returns:
-        Its pose as it is where there is no such axis, or no turn is clearly better.
+        The pose, unchanged if there is no such axis or no rotation is clearly better.
     """
     if near_symmetry(obj) is None:
         return obj.T_world_obj
@@ -139,7 +138,7 @@ def search_turns(
     scorer = edge_search.EdgeScore(few, obj, others, _JUDGED, reach_m=options.rough_m)
     if not scorer.views:
         return obj.T_world_obj
-    # What sensor depth has placed may be a few pixels off.
+    # Objects aligned with sensor depth may be a few pixels off.
     at = replace(obj, T_world_obj=_follow(few, obj, others, options, layers))
     T = _search_turns(few, at, others, options, scorer, layers)
     return obj.T_world_obj if T is at.T_world_obj else T
@@ -162,16 +161,16 @@ def _search_turns(
         start = replace(obj, T_world_obj=turns[k])
         followed.append(_follow(views, start, others, options, layers))
     evidence = scorer.evidence(followed)
-    # A part that is hidden either way says nothing: then it stays.
+    # A part that is hidden in both poses is no evidence: the pose is kept.
     clear = evidence.max() > evidence[0] + _TURN_GAIN
     return followed[int(evidence.argmax())] if clear else obj.T_world_obj
 
 
 def _peaks(scores: NDArray[np.float64]) -> list[int]:
-    """Which turns to follow: higher than on both sides and nearly the highest, but not the first.
+    """Rotations to refine: local maxima that are nearly the highest, without the first.
 
     Args:
-        scores: (N,) evidence around a circle; the first is that of the pose as it is.
+        scores: (N,) evidence around a circle; the first is that of the current pose.
     """
     peak = (scores >= np.roll(scores, 1)) & (scores > np.roll(scores, -1))
     peak &= scores > scores.max() - _TURN_SLACK
@@ -181,7 +180,7 @@ def _peaks(scores: NDArray[np.float64]) -> list[int]:
 
 @dataclass(frozen=True, eq=False)
 class _Converged:
-    """A pose after following the edges at the coarse levels, and its score."""
+    """A pose after edge refinement at the coarse levels, and its score."""
 
     T_world_obj: SE3
     score: float
@@ -200,7 +199,7 @@ def _converged(
 
 
 def _agreed(tried: Sequence[_Converged], obj: problem.RefineObject) -> bool:
-    """Whether the last one confirms the best one, which convinces: no more need be tried."""
+    """Whether the last pose confirms the best one with a high score, so that the search can stop."""
     *before, last = tried
     best = max(before, key=lambda t: t.score)
     if min(best.score, last.score) < _CONVINCING:
@@ -221,7 +220,7 @@ def _follow(
     levels = coarse_to_fine(views, replace(options, search_px=_LEFT * size, refine_scale=False))
     state = PoseState([obj.T_world_obj, *(o.T_world_obj for o in others)])
     try:
-        # The two finest levels decide fractions of a pixel: not which pose is right.
+        # The two finest levels matter for sub-pixel accuracy only, not for the choice of pose.
         descend(views, [obj, *others], state, levels[:-2], options, layers=layers)
     except ToolkitError:  # out of view in all of them
         return obj.T_world_obj
@@ -241,7 +240,7 @@ class Axis:
     point: Array
 
     def turned(self, T: SE3, angle: float) -> SE3:
-        """A pose after a turn of the object about the line, radians."""
+        """A pose after a rotation of the object about the line, radians."""
         R = so3_exp(self.direction * angle)
         return T @ SE3(R, self.point - R @ self.point)
 
@@ -249,7 +248,7 @@ class Axis:
 def near_symmetry(obj: problem.RefineObject) -> Axis | None:
     """The axis about which most of the surface is round, but not all; along x, y, or z.
 
-    None also where the object is declared symmetric: what shows a turn then is not its shape.
+    None also for an object that is declared symmetric: its shape does not determine the rotation.
     """
     if obj.symmetry.continuous:
         return None

@@ -1,9 +1,9 @@
 """Visible contours of objects, to a small fraction of a pixel.
 
-Three kinds are traced: the silhouette, where the object ends before the background or an object
-behind it; the contours inside it, where one part of the object hides another (the near rim of a
-bowl, the handle of a mug); and its sharp creases. Leaving the latter two out would not only lose
-evidence: their edges are strong, and the silhouette would be drawn to them.
+Three kinds are traced: the silhouette, where the object ends in front of the background or another
+object; inner contours, where one part of the object occludes another (the near rim of a bowl, the
+handle of a mug); and sharp creases. Inner contours and creases are needed because their edges are
+strong and would attract the silhouette.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ Flags = NDArray[np.bool_]
 
 # The boundary is searched this far outside the outermost pixel of the surface.
 _REACH_PX = 2.0
-# It is enclosed by so many rays along each normal at once, so many times: to 1/64 of the reach.
+# Number of rays along each normal, and of rounds, that enclose it to 1/64 of the reach.
 _RAYS, _ROUNDS = 4, 3
-# A step in depth inside an object is a contour from here on: metres, and pixel footprints.
+# Smallest depth step inside an object that is a contour: metres, and pixel footprints.
 _SMALLEST_JUMP_M = 0.005
 _SMALLEST_JUMP_FOOTPRINTS = 4.0
 # Faces that meet at a larger angle make an edge in the image.
 _CREASE_COSINE = float(np.cos(np.deg2rad(40)))
-# Samples whose normals have at least this cosine face the same way.
+# Samples whose normals have at least this cosine face the same direction.
 _SAME_WAY = 0.7
 # Half width of the window in which the direction of a contour is found.
 _WINDOW = 4
@@ -41,7 +41,7 @@ _BELL = np.exp(-0.5 * (_AROUND**2).sum(axis=1) / 2.0**2)
 
 
 class Kind(IntEnum):
-    """What makes a contour."""
+    """Kind of a contour."""
 
     SILHOUETTE = 0
     INNER = 1
@@ -67,11 +67,11 @@ class Contour:
     thinning: float
 
     def near(self, reach: float) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-        """Pairs of samples within `reach` pixels that face about the same way, each both ways.
+        """Pairs of samples within `reach` pixels that face about the same direction, in both orders.
 
         Returns:
-            Indices (M,) and (M,) of the samples, each with itself too, and their squared
-            distances (M,) in pixels.
+            Indices (M,) and (M,) of the samples, including pairs of a sample with itself, and
+            their squared distances (M,) in pixels.
         """
         from scipy.spatial import cKDTree
 
@@ -153,10 +153,10 @@ def trace_contour(
 
 @dataclass(frozen=True, eq=False)
 class _Border:
-    """What tells the near side of each of N contour pixels from the other side.
+    """Criteria that separate the near side of each of N contour pixels from the other side.
 
     Attributes:
-        inner, crease: (N,) the kinds of contour that lie within the object.
+        inner, crease: (N,) the kinds of contour inside the object.
         depth: (N,) between the near surface and the far one.
         axis: (N, 3) from the other side's normal to the near side's.
     """
@@ -186,7 +186,7 @@ class _Border:
     def on_near_side_at(
         self, is_object: Flags, depth: Array32, normal: Array32, at: NDArray[np.intp]
     ) -> Flags:
-        """The same for pixels of an image, by their places (N, M) in it row by row."""
+        """The same for pixels of an image, by their flat indices (N, M)."""
         near = is_object.copy()
         inner, crease = self.inner, self.crease
         near[inner] &= depth.ravel()[at[inner]] < self.depth[inner, None]
@@ -214,7 +214,7 @@ def contour_image(patch: Patch) -> Array32:
 
 
 def _both_ways(image: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Views of an image (..., h, w) whose rows, or columns, come next to last."""
+    """Views of an image (..., h, w) with rows, or columns, as the next-to-last axis."""
     return image, image.swapaxes(-1, -2)
 
 
@@ -223,14 +223,14 @@ def _cosine(a: Array32, b: Array32) -> Array32:
     return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
-# What `_find` notes of each pixel: the neighbour on the other side of its contour, as (v, u).
+# `_find` records for each pixel the neighbour on the other side of its contour, as (v, u).
 _TOWARD = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
 
 
 def _find(mask: Flags, depth: Array32, normal: Array32, footprint: float) -> _Sides:
     """Pixels of the object with a contour to one of their four neighbours, the largest step."""
     threshold = max(_SMALLEST_JUMP_M, _SMALLEST_JUMP_FOOTPRINTS * footprint)
-    # The object with one pixel around it is all that is looked at.
+    # Only the object with a margin of one pixel is needed.
     v, u = (np.flatnonzero(mask.any(axis=k)) for k in (1, 0))
     top, left = max(v[0] - 1, 0), max(u[0] - 1, 0)
     box = slice(top, v[-1] + 2), slice(left, u[-1] + 2)
@@ -255,12 +255,12 @@ def _find(mask: Flags, depth: Array32, normal: Array32, footprint: float) -> _Si
         m, d = masks[axis][::direction], depths[axis][::direction]
         step = steps[axis, direction] = d[2:] - d[1:-1]
         note(axis, direction, Kind.SILHOUETTE, m[1:-1] & ~m[2:] & (step > 0), step)
-    # Next to the silhouette surfaces turn away: what looks like a step there is none.
+    # Next to the silhouette surfaces are grazing: an apparent step there is not one.
     outer = (kinds == Kind.SILHOUETTE).astype(np.uint8)
     free = _both_ways(cv2.dilate(outer, np.ones((5, 5), np.uint8)) == 0)
     same = [m[1:-1] & m[2:] & m[:-2] & f[1:-1] for m, f in zip(masks, free, strict=True)]
     for (axis, direction), step in steps.items():
-        # What a slanted surface would do anyway is no step.
+        # The slope of a slanted surface is not a step.
         slope = np.maximum(-steps[axis, -direction][::-1], 0)
         hides = step - slope > threshold
         note(axis, direction, Kind.INNER, same[axis][::direction] & hides, step)
@@ -278,7 +278,7 @@ def _find(mask: Flags, depth: Array32, normal: Array32, footprint: float) -> _Si
 def _normals(
     mask: Flags, depth: Array32, normal: Array32, sides: _Sides, border: _Border
 ) -> tuple[Array, Flags]:
-    """Outward unit normals (N, 2), and which are clear: from the near side's centre of mass."""
+    """Outward unit normals (N, 2) from the centre of mass of the near side, and which are clear."""
     rows = sides.v[:, None] + _AROUND[None, :, 1]
     columns = sides.u[:, None] + _AROUND[None, :, 0]
     h, w = mask.shape

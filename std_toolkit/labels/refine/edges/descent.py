@@ -17,26 +17,26 @@ from std_toolkit.labels.refine.edges.system import NormalEquations, Step
 
 Array = NDArray[np.float64]
 
-# Neighbouring samples of a contour repeat each other, and so do the errors of a mesh, a lens and
-# a light in all views: counted as one per so many pixels, the covariance agrees with the errors
-# seen on recordings with known truth.
+# Neighbouring samples of a contour are correlated, as are errors of mesh, lens and light in all
+# views. With one independent sample per this many pixels, the covariance agrees with the errors
+# on recordings with known truth.
 _CONTOUR_CORRELATION_PX = 100.0
 _SMALLEST_EDGE_STD_PX = 0.25
 _SMALLEST_DEPTH_STD_M = 0.001
-# Moves below this (mm of the object's surface) change no label, and less than the contour's
-# sampling does from one step to the next; coarse levels stop earlier.
+# Convergence limit of a step (mm at the object's surface): less than the change by contour
+# sampling from one step to the next. Coarse levels stop earlier.
 _SETTLED_MM = 0.1
 _SETTLED_COARSE_MM = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Where the steps ended.
+    """Result of the steps.
 
     Attributes:
-        measured: at the last step's start.
+        measured: measurements at the start of the last step.
         scale: image scale of the last level.
-        step_mm: the last step's largest move of an object's surface.
+        step_mm: largest motion of an object's surface in the last step.
     """
 
     measured: Measurements
@@ -54,11 +54,11 @@ def descend(
     layers: LayerStore | None = None,
     progress: problem.Progress = problem.no_progress,
 ) -> Descent:
-    """Move `state` level by level until the steps are small.
+    """Optimise `state` level by level until the steps are small.
 
     Args:
-        layers: of descents with the same objects and views before this one.
-        progress: told the fraction done.
+        layers: cached layers of earlier calls with the same objects and views.
+        progress: called with the completed fraction.
 
     Raises:
         ToolkitError: no object is visible in any view.
@@ -70,7 +70,7 @@ def descend(
         enough = _SETTLED_MM if number == len(levels) - 1 else _SETTLED_COARSE_MM
         scale = level.scale
         scaled = [v.at_scale(scale) for v in views]
-        # How far each object has moved since it was last compared with the images, mm.
+        # Motion of each object since it was last compared with the images, mm.
         moved = np.full(len(objects), np.inf)
         moved[[o.fixed for o in objects]] = 0
         for iteration in range(level.iterations):
@@ -105,7 +105,7 @@ def descend(
 
 
 def _size_mm(obj: problem.RefineObject, step: Step) -> float:
-    """How far a step moves the surface at most."""
+    """Largest motion of the surface by a step."""
     shift, turn = np.linalg.norm(step.xi[:3]), np.linalg.norm(step.xi[3:])
     return 1000 * float(shift + turn * obj.radius)
 
@@ -117,10 +117,10 @@ def _advance(
     scale: float,
     options: problem.RefineOptions,
 ) -> list[Step]:
-    """One Gauss-Newton step with robust weights; returns what it did to each object."""
+    """One Gauss-Newton step with robust weights; returns the change of each object."""
     delta = np.zeros(6 * len(objects) + 2)
     for _ in range(3):
-        # Weights for the residuals that the step leaves, so that outliers do not vote on it.
+        # Weights for the residuals after the step, so that outliers do not influence it.
         system, _, _ = assemble(objects, state, measured, scale, options, delta)
         delta = system.solve([o.radius for o in objects])
     log_scale, factor = float(delta[system.SCALE]), float(delta[system.FACTOR])
@@ -128,7 +128,7 @@ def _advance(
     for i, obj in enumerate(objects):
         xi = delta[6 * i : 6 * i + 6]
         shift, turn = float(np.linalg.norm(xi[:3])), float(np.linalg.norm(xi[3:]))
-        # Linearisation holds for moves that are small against the object.
+        # The linearisation is valid for motions that are small relative to the object.
         xi = xi / max(shift / (0.25 * obj.radius), turn / 0.2, 1.0)
         state.poses[i] = state.poses[i] @ SE3.exp(xi)
         steps.append(Step(xi, log_scale, factor))
@@ -186,7 +186,7 @@ def _add_priors(
         stiff = np.full(6, 1e12) if obj.fixed else weak**-2
         system.add_prior(at, np.diag(stiff), moved)
         for axis, offset in obj.symmetry.continuous:
-            # A turn about the axis of symmetry changes nothing that can be seen.
+            # A rotation about the axis of symmetry has no visible effect.
             twist = np.concatenate([-np.cross(axis, offset), axis])
             system.A[at, at] += 1e8 * np.outer(twist, twist)
     scale_information = options.scale_std**-2 if options.refine_scale else 1e16

@@ -1,15 +1,14 @@
-"""From a rough pose to the basin of the right one, on the images' edges alone.
+"""Search for the right pose from a rough one with image edges only.
 
-Following the edges around a contour finds the right pose from where most contour points are
-nearest to their own edges. From 30 mm and 15 degrees off they are not, least of all on glass and
-metal, so poses all around the start are tried: a population evolves (R. Storn, K. Price,
-"Differential Evolution", J. of Global Optimization 11, 1997, strategy current-to-best) under the
-score of `edge_score`, at a growing resolution.
+Edge refinement converges if most contour points are nearest to their own edges. From 30 mm and 15
+degrees off they are not, least of all on glass and metal. The search therefore tries poses around
+the start by differential evolution (R. Storn, K. Price, "Differential Evolution", J. of Global
+Optimization 11, 1997, strategy current-to-best) with the score `edge_score`, at an increasing
+resolution.
 
-How well the outlines of an object at a pose agree with the edges of several images.
-
-No edge is searched for and nothing is minimised here: the score ranks poses, of which there may
-be hundreds, and decides between refined ones.
+The score measures how well the outlines of an object at a pose agree with the edges of several
+images. It neither searches edges nor optimises: it ranks hundreds of poses and selects between
+refined ones.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from std_toolkit.labels.refine.caster import WorldCaster
 from std_toolkit.labels.refine.edges.outlines import EdgeMap, OutlineCaster, Window
 from std_toolkit.labels.refine.problem import Progress, RefineObject, RefineView, no_progress
 
-# A pose that hides half of the outline does not win by showing only what agrees.
+# A pose that hides half of the outline must not win by the visible part that agrees.
 _FULL_OUTLINE = 0.6
 
 _SMALLEST_WINDOW_PX = 12
@@ -36,13 +35,13 @@ _STARTS, _POPULATION = 256, 48
 
 _DIFFERENCE, _TO_BEST, _NOISE = 0.7, 0.8, 0.03
 
-# Parents towards which the others are drawn.
+# Number of best parents towards which the others move.
 _BEST = 8
 
-# Poses beyond the range pay for it: per square of the excess, in units of the range.
+# Penalty of poses beyond the range: per square of the excess, in units of the range.
 _BEYOND = 2.0
 
-# Candidates that differ by less, in radii of the object, end in the same pose.
+# Candidates that differ by less, in radii of the object, converge to the same pose.
 _DISTINCT = 0.12
 
 # More views make the search slower, not better.
@@ -54,7 +53,7 @@ class ScoreLevel:
     """A resolution.
 
     Attributes:
-        pixels: size at which the object is looked at, across the sphere around it.
+        pixels: size of the object's bounding sphere in the image.
         tolerance: pixels by which an outline may miss its edge.
     """
 
@@ -67,9 +66,9 @@ class EdgeScore:
 
     Args:
         views: images.
-        obj: the object near the poses that are asked for.
-        others: neighbours at their poses; they hide what is behind them.
-        reach_m: how far the object may be from the pose of `obj`.
+        obj: the object near the poses to score.
+        others: neighbours at their poses, which act as occluders.
+        reach_m: largest distance of the object from the pose of `obj`.
     """
 
     def __init__(
@@ -100,10 +99,10 @@ class EdgeScore:
         return total / np.maximum(outline, _FULL_OUTLINE * usual)
 
     def evidence(self, poses: Sequence[SE3]) -> Array:
-        """(N,) of poses T_world_obj that differ in what of the outline they show, among them.
+        """(N,) scores of poses T_world_obj that show different parts of the outline.
 
-        Here a part that is shown where the images have its edges counts for the pose, and one that
-        is hidden does not: the score alone is a mean, and higher where doubtful parts are hidden.
+        A visible part with edges in the images counts for the pose, a hidden part does not. The
+        plain score is a mean, which is higher if doubtful parts are hidden.
         """
         total, _, usual = self._sums(np.stack([T.R for T in poses]), np.stack([T.t for T in poses]))
         return total / usual
@@ -169,10 +168,10 @@ _THOROUGH = (
 
 @dataclass(frozen=True, kw_only=True)
 class SearchRange:
-    """How far the start may be off.
+    """Largest error of the start.
 
     Attributes:
-        reach_m: of the object's centre, metres.
+        reach_m: distance of the object's centre, metres.
         turn: radians.
     """
 
@@ -193,15 +192,15 @@ def search_edges(
     """The most promising poses T_world_obj around an object's start, best first.
 
     Args:
-        views: images; up to five of them, from the most different sides, are looked at.
+        views: images; up to five of them, from the most different sides, are used.
         obj: the object at its start.
-        others: neighbours at their poses; they hide what is behind them.
-        count: most poses returned; they differ from each other.
-        thorough: at a higher resolution, for several times the time.
-        progress: told the fraction done.
+        others: neighbours at their poses, which act as occluders.
+        count: largest number of poses to return; they differ from each other.
+        thorough: use a higher resolution, which takes several times as long.
+        progress: called with the completed fraction.
 
     Returns:
-        At least one pose; the start itself where the object is out of view.
+        At least one pose; the start itself if the object is out of view.
     """
     around = around or SearchRange()
     moves = _Moves(obj, around, np.random.default_rng(0))
@@ -209,7 +208,7 @@ def search_edges(
     x = moves.scattered(_STARTS)
     cost = np.zeros(len(x))
     plan = _THOROUGH if thorough else _QUICK
-    # Judging the starts takes as long as a few generations.
+    # Scoring the starts takes as long as a few generations.
     steps, done = 3 + sum(generations for _, generations in plan), 3
     for number, (level, generations) in enumerate(plan):
         score = EdgeScore(chosen, obj, others, level, reach_m=around.reach_m)
@@ -232,7 +231,7 @@ def search_edges(
 
 
 def spread_views(views: Sequence[RefineView], obj: RefineObject) -> list[RefineView]:
-    """At most five views, seen from the object as far apart as possible; the first among them."""
+    """At most five views, as far apart as possible seen from the object, including the first."""
     if len(views) <= _MOST_VIEWS:
         return list(views)
     rays = np.array([v.T_world_cam.t for v in views]) - obj.T_world_obj @ obj.centre
@@ -246,24 +245,24 @@ def spread_views(views: Sequence[RefineView], obj: RefineObject) -> list[RefineV
 
 
 class _Moves:
-    """Moves (N, 6) of an object from its start: shift of its centre (world), turn (object)."""
+    """Motions (N, 6) of an object from its start: translation (world), rotation (object)."""
 
     def __init__(self, obj: RefineObject, around: SearchRange, rng: np.random.Generator) -> None:
         self._obj, self._range, self._rng = obj, around, rng
         self._size = np.array([around.reach_m] * 3 + [around.turn] * 3)
         self._centre = obj.T_world_obj @ obj.centre
         axes = [np.asarray(axis) for axis, _ in obj.symmetry.continuous]
-        # Turns about an axis of symmetry change nothing.
+        # Rotations about an axis of symmetry have no effect.
         self._turns = np.eye(3) - sum((np.outer(a, a) for a in axes[:1]), np.zeros((3, 3)))
 
     def scattered(self, count: int) -> Array:
-        """Evenly in the range; the first is none."""
+        """Uniform samples of the range; the first is zero."""
         x = np.hstack([self._ball(count), self._ball(count)]) * self._size
         x[0] = 0
         return self._seen(x)
 
     def children(self, x: Array, value: Array) -> Array:
-        """One for each: drawn towards one of the best, by a difference of two, and shaken."""
+        """One mutant per member: towards one of the best, plus a difference of two, plus noise."""
         rng, n = self._rng, len(x)
         best = x[np.argsort(-value, kind="stable")[rng.integers(0, _BEST, n)]]
         first, second = x[rng.integers(0, n, n)], x[rng.integers(0, n, n)]
@@ -273,7 +272,7 @@ class _Moves:
         return self._seen(x + drawn + factor * (first - second) + noise)
 
     def penalised(self, score: EdgeScore, x: Array) -> Array:
-        """Scores of the moves, less what lies beyond the range."""
+        """Scores of the motions, minus the penalty beyond the range."""
         value = score(*self._poses(x))
         for part, limit in ((x[:, :3], self._range.reach_m), (x[:, 3:], self._range.turn)):
             excess = np.maximum(np.linalg.norm(part, axis=1) / limit - 1, 0)
@@ -281,7 +280,7 @@ class _Moves:
         return value
 
     def distinct(self, x: Array, count: int) -> list[SE3]:
-        """Poses of the first moves that differ from all before."""
+        """Poses of the first motions that differ from all before."""
         scale = np.array([1.0] * 3 + [self._obj.radius] * 3)
         kept: list[Array] = []
         for row in x:

@@ -1,14 +1,13 @@
-"""Where along its normal a contour point's edge lies: colour steps and colour statistics.
+"""Position of the edge along the normal of a contour point, from colour steps and statistics.
 
 Two kinds of evidence along each normal are added:
 
-- The colour step is signed, taken per channel, and averaged with the neighbours along the contour,
-  so that texture cancels and the object's border does not. It is precise, and it finds wrong
-  borders as readily as the right one.
+- The colour step is signed, per channel, and averaged with the neighbours along the contour, which
+  cancels texture but not the object's border. It is precise, but also responds to other borders.
 - The colour statistics of object and surroundings are histograms, as in region-based trackers.
-  They are imprecise, and they know which side is the object.
+  They are imprecise, but distinguish the object from its surroundings.
 
-The statistics dominate while the pose is far off; the step decides the last pixel.
+The statistics dominate far from the right pose, the step within the last pixel.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ class EdgeMeasurements:
 
     Attributes:
         offset: (N,) pixels from the predicted contour outward to the edge.
-        weight: (N,) 0 to 1: how clearly this edge stands out; 0 where nothing was found.
+        weight: (N,) 0 to 1: clarity of the edge; 0 without an edge.
     """
 
     offset: Array
@@ -54,7 +53,7 @@ def colour_odds(
 ) -> Array32 | None:
     """(h, w) log ratio of object to surroundings at every pixel of the patch, by its colour.
 
-    None where object or surroundings are too small for statistics.
+    None if object or surroundings are too small for statistics.
     """
     h, w = patch.hits.object.shape
     crop = image[patch.y : patch.y + h, patch.x : patch.x + w]
@@ -76,7 +75,7 @@ def colour_odds(
 
 def _histogram(codes: NDArray[np.int64]) -> Array32:
     cube = np.bincount(codes, minlength=_BINS**3).astype(np.float32).reshape((_BINS,) * 3)
-    # Neighbouring bins share what they saw: noise and shading move colours by about a bin.
+    # Neighbouring bins are smoothed: noise and shading move colours by about a bin.
     for axis in range(3):
         moved = np.zeros_like(cube)
         source = np.moveaxis(cube, axis, 0)
@@ -107,15 +106,15 @@ def measure_edges(
 
     Args:
         reach: pixels searched to both sides.
-        along: how many pixels along the contour share their evidence (Gaussian sigma).
+        along: Gaussian sigma of the averaging along the contour, pixels.
         spread: expected distance of the edge, pixels (standard deviation).
-        region_weight: of the colour statistics; 0 leaves the colour step alone.
-        crease_weight: of edges found near creases: they need not show on a textured surface.
+        region_weight: weight of the colour statistics; 0 uses the colour step only.
+        crease_weight: weight of edges near creases, which may be invisible on a textured surface.
         taken: (h, w) predicted contours in the patch: an edge that another contour explains is
-            not this one's.
+            not used for this one.
     """
     d = np.arange(-reach, reach + 1, dtype=np.float64)
-    # The derivative of the profile needs a margin that is cut off again.
+    # The derivative of the profile needs a margin, which is then removed.
     pad = 3
     wide = np.arange(-reach - pad, reach + pad + 1, dtype=np.float64)
     at = contour.pixels[:, None] + wide[None, :, None] * contour.normals[:, None]
@@ -135,13 +134,13 @@ def measure_edges(
         line = share @ _sample(odds, inner)
         within = np.cumsum(line, axis=1) - line / 2
         total = line.sum(axis=1, keepdims=True)
-        # Inside the silhouette both sides are the object: its colours say nothing.
+        # Inside the silhouette both sides are the object: its colours are not informative.
         weight = region_weight * _REGION_WEIGHT * (contour.kind == Kind.SILHOUETTE)[:, None]
         score = score + weight * (2 * within - total)
     posterior = score - 0.5 * (d / spread) ** 2
     best = posterior.argmax(axis=1)
     rows = np.arange(len(best))
-    # A rival is another peak, not the winner's own flank.
+    # A second candidate must be another peak, not the flank of the best one.
     rivals = np.where(np.abs(np.arange(len(d))[None] - best[:, None]) <= 3, -np.inf, posterior)
     gap = posterior[rows, best] - rivals.max(axis=1)
     offset = d[best] + _peak_shift(magnitude, best)
@@ -160,12 +159,12 @@ def _sharing(contour: Contour, along: float) -> csr_array:
     here, there, square = contour.near(_SHARED_SIGMAS * along)
     weight = np.exp(-0.5 * square / max(along, 1e-3) ** 2).astype(np.float32)
     total = np.bincount(here, weight, size).astype(np.float32)
-    # Few neighbours count: a dense product would take most of a refinement's time.
+    # Few neighbours matter: a dense product would take most of the refinement time.
     return csr_array((weight / total[here], (here, there)), shape=(size, size))
 
 
 def _around(image: NDArray[np.uint8], at: Array) -> tuple[Array32, Array]:
-    """The part of an image that holds the pixels, as float32, and its top-left corner."""
+    """The part of an image that contains the pixels, as float32, and its top-left corner."""
     h, w = image.shape[:2]
     low = np.clip(np.floor(at.min(axis=(0, 1))).astype(int) - 2, 0, [w - 2, h - 2])
     high = np.clip(np.ceil(at.max(axis=(0, 1))).astype(int) + 3, low + 2, [w, h])

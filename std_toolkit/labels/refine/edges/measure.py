@@ -1,4 +1,4 @@
-"""What the images say at the current poses: edges around contours, depth on surfaces."""
+"""Measurements in the images at the current poses: edges around contours, depth on surfaces."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class Level:
         scale: image scale.
         reach: pixels of that image searched to both sides of a contour.
         spread: expected distance of the edge, pixels of that image.
-        gate_m: sensor depth further than this from the model is of something else.
+        gate_m: sensor depth further than this from the model is ignored.
         region: weight of the colour statistics on diffuse objects.
-        region_glossy: the same on glass and metal, which borrow the colours of their surroundings.
-        along: how many pixels along the contour share their evidence.
-        iterations: most Gauss-Newton steps.
+        region_glossy: the same on glass and metal, which show the colours of their surroundings.
+        along: Gaussian sigma of the averaging along the contour, pixels.
+        iterations: largest number of Gauss-Newton steps.
     """
 
     scale: float
@@ -43,7 +43,7 @@ class Level:
 
 
 def coarse_to_fine(views: Sequence[RefineView], options: RefineOptions) -> list[Level]:
-    """The stages, coarsest first: as many as `search_px` asks for."""
+    """The stages for `search_px`, coarsest first."""
     n = options.iterations
     widest = max(v.camera.width for v in views)
     base = min(1.0, options.largest_image / widest)
@@ -93,7 +93,7 @@ class Measurements:
     depths: list[tuple[int, system.DepthRows]]
 
     def after(self, steps: Mapping[int, system.Step]) -> Measurements:
-        """The residuals of the objects that made these steps, by index, to first order."""
+        """The residuals of the objects after these steps, by index, to first order."""
         return Measurements(
             [(k, rows.after(steps[k])) for k, rows in self.contours if k in steps],
             [(k, rows.after(steps[k])) for k, rows in self.depths if k in steps],
@@ -118,7 +118,7 @@ def measure(
 
     Args:
         scaled: camera and image of every view at the level's scale.
-        layers: kept from step to step: what did not move is not rendered again.
+        layers: layers kept between steps; only objects that moved are rendered again.
         chosen: indices of the objects to compare; default: all that are not fixed.
     """
     caster = WorldCaster(objects, state.poses, layers)

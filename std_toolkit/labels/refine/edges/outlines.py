@@ -1,15 +1,12 @@
-"""The visible outlines of one object at many poses at once, in one image at a low resolution.
+"""Visible outlines of one object at many poses, and edge responses of an image.
 
-Tracing a contour to a fraction of a pixel costs milliseconds; a search that tries hundreds of
-poses needs only the pixels at which an outline passes and its direction there. The rays of all
+Tracing a contour to a fraction of a pixel takes milliseconds. A search over hundreds of poses
+needs only the pixels of an outline and its direction there, at a low resolution. The rays of all
 poses are cast together in the object's frame.
 
-How much an image looks like an edge of a given direction, pixel by pixel.
-
-A predicted contour is compared with the edges of an image without looking for each sample's edge:
-a table of responses by direction is made once, and a pose that is tried only looks up. Responses
-are ranks: what few pixels of the window reach counts for much, and the thousandth edge of a
-printed table cloth for nothing.
+A predicted contour is compared with image edges by lookup: a table of responses by direction is
+computed once per image. Responses are ranks: a response that few pixels of the window reach has a
+high value, and one of many similar edges on a printed table cloth a low one.
 """
 
 from __future__ import annotations
@@ -37,31 +34,31 @@ _SMALLEST_JUMP_FOOTPRINTS = 4.0
 
 _CREASE_COSINE = 0.766
 
-# Creases need not show on a printed or glossy surface.
+# Creases may be invisible on a printed or glossy surface.
 _CREASE_WEIGHT = 0.5
 
 DIRECTIONS = 12
 
 _SMOOTHING_PX = 0.7
 
-# An edge is strong by comparison with its surroundings, so that faint borders of glass count.
+# The strength of an edge is relative to its surroundings, so that faint borders of glass count.
 _SURROUNDINGS_PX = 9
 
 _NOISE_LEVELS = 2.0
 
 _RANKS = 1024
 
-# Bounds what a single pixel can be worth: -log of this.
+# Limits the value of a single pixel: -log of this.
 _RAREST = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """The part of an image in which an object is looked for.
+    """The part of an image in which an object is searched.
 
     Attributes:
-        camera: of the image, at its resolution.
-        T_world_cam: of the image.
+        camera: camera of the image, at its resolution.
+        T_world_cam: camera pose of the image.
         x, y: top-left pixel of the window.
         others: (h, w) z-depth of the other objects, inf = none, metres.
     """
@@ -75,7 +72,7 @@ class Window:
 
 @dataclass(frozen=True, eq=False)
 class Outlines:
-    """Pixels at which outlines pass, of all poses together.
+    """Outline pixels of all poses.
 
     Attributes:
         pose: (N,) index of the pose.
@@ -124,7 +121,7 @@ class OutlineCaster:
     def _patches(
         self, camera: Camera, R: Array, t: Array
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Columns (N, w) and rows (N, h) of a patch around each pose, all of one size."""
+        """Columns (N, w) and rows (N, h) of a patch of equal size around each pose."""
         p = self._surface.outer @ R.transpose(0, 2, 1) + t[:, None]
         z = np.maximum(p[..., 2], _NEAREST_M)
         grids = []
@@ -149,7 +146,7 @@ class OutlineCaster:
         shape = len(R), v.shape[1], u.shape[1]
         depth = np.full(shape, np.inf, np.float32)
         normal = np.zeros((*shape, 3), np.float32)
-        # In the margin there is nothing.
+        # The margin is empty.
         inside = slice(_MARGIN, -_MARGIN)
         u, v = u[:, inside], v[:, inside]
         x = ((u - camera.cx) / camera.fx).astype(np.float32)[:, None, :]
@@ -180,7 +177,7 @@ def _passing(
     for axis in (1, 2):
         a = tuple(slice(None, -1) if k == axis else slice(None) for k in range(3))
         b = tuple(slice(1, None) if k == axis else slice(None) for k in range(3))
-        # Where something nearer begins, the border is not the object's.
+        # A border with a nearer surface does not belong to the object.
         ends = visible[a] & ~visible[b] & (others[b] > depth[a])
         begins = visible[b] & ~visible[a] & (others[a] > depth[b])
         both = visible[a] & visible[b]
@@ -212,8 +209,8 @@ class EdgeMap:
     """Responses of a window of an image.
 
     Attributes:
-        response: (DIRECTIONS, h, w), mean about 0, at most 2.9: how rare an edge of that
-            direction as clear as the one here is in this window.
+        response: (DIRECTIONS, h, w), mean about 0, at most 2.9: rarity in this window of an edge
+            of that direction that is as clear.
     """
 
     response: Array32
@@ -249,7 +246,7 @@ class EdgeMap:
 def edge_direction(image: Array32) -> tuple[Array32, Array32]:
     """Strength of the largest change at every pixel and its direction's angle in [0, pi).
 
-    All channels vote together (Di Zenzo's structure tensor, without smoothing).
+    All channels are combined (Di Zenzo's structure tensor, without smoothing).
 
     Args:
         image: (h, w, channels).
@@ -268,7 +265,7 @@ def edge_direction(image: Array32) -> tuple[Array32, Array32]:
 
 
 def _rarity(values: Array32) -> Array32:
-    """-log of the share of values that are as large, less its mean of about 1."""
+    """-log of the fraction of values that are as large, minus its mean of about 1."""
     top = max(float(values.max()), 1e-6)
     level = np.minimum((values * (_RANKS / top)).astype(np.int32), _RANKS - 1)
     count = np.bincount(level.ravel(), minlength=_RANKS)

@@ -2,9 +2,9 @@
 
 Every iteration renders all objects together at their poses, measures where the edges around each
 visible contour are, compares sensor depth with the visible surface of diffuse objects, and solves
-for all poses, one factor on sensor depth and (if asked) one scale of the camera positions. The
-depth factor is a nuisance: a sensor that reads 1-2 % long does so on every object, and without it
-the labels would move by as much. From rough starts a search comes first (`approach`).
+for all poses, one factor on sensor depth and (optionally) one scale of the camera positions. The
+depth factor is a nuisance parameter: a sensor with a bias of 1-2 % has it on every object, and
+without the factor the labels would move by as much. Rough starts need a search first (`approach`).
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from std_toolkit.labels.refine.edges.approach import approach
 from std_toolkit.labels.refine.edges.descent import Descent, assemble, descend
 from std_toolkit.labels.refine.edges.measure import PoseState, coarse_to_fine
 
-# The edges are within this after a search; at lower resolutions glass and metal would be lost
-# again. Objects that are not rough are as near.
+# Distance of the edges after a search; at lower resolutions glass and metal would diverge again.
+# Objects that are not rough are as near.
 _APPROACHED_PX = 20.0
-# What searching for an object takes, in units of what following its edges takes.
+# Time of the search for an object, in units of its edge refinement.
 _SEARCH = 3.0
 
 
@@ -36,17 +36,17 @@ def refine_poses(
     layers: LayerStore | None = None,
     progress: problem.Progress = problem.no_progress,
 ) -> problem.RefineResult:
-    """Adjust the world poses of objects to the images, all together.
+    """Refine the world poses of objects jointly with the images.
 
     Args:
-        views: images with metric camera poses; three or more from different sides fix objects
-            without depth, one leaves the distance to the camera weak.
+        views: images with metric camera poses; three or more from different sides determine
+            objects without depth, one determines the distance to the camera weakly.
         objects: all labelled objects of the scene, so that occlusions between them are known.
-        layers: of the objects in these views, where they were cast before.
-        progress: told the fraction done.
+        layers: cached layers of the objects in these views, if any.
+        progress: called with the completed fraction.
 
     Returns:
-        Poses, covariances and what was estimated along the way, in the order of `objects`.
+        Poses, covariances and the other estimated parameters, in the order of `objects`.
 
     Raises:
         ToolkitError: no views or objects, or no object is visible in any view.

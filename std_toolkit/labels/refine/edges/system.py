@@ -17,7 +17,7 @@ from std_toolkit.labels.refine.caster import Patch
 
 Array = NDArray[np.float64]
 
-# Stereo depth smears over borders, and grazing surfaces are measured badly.
+# Stereo depth smears over borders and is inaccurate on grazing surfaces.
 _BORDER_PX = 3
 
 _SMALLEST_COSINE = 0.3
@@ -119,7 +119,7 @@ def contour_rows(
 
 
 def depth_rows(samples: DepthSamples, T_world_cam: SE3, T_world_obj: SE3) -> DepthRows:
-    """Linearise depth samples about the current poses and the depth as it is."""
+    """Linearise depth samples about the current poses and depth factor."""
     n = samples.normals
     along = (n * samples.directions).sum(axis=1)
     residual = along * (samples.measured - samples.expected)
@@ -193,13 +193,13 @@ class NormalEquations:
 
 @dataclass(frozen=True, eq=False)
 class DepthSamples:
-    """Model points and what the sensor measured on the same rays.
+    """Model points and sensor depth on the same rays.
 
     Attributes:
         points: (N, 3) on the model's surface, world frame.
         normals: (N, 3) of the surface there, world frame, towards the camera.
         directions: (N, 3) of the rays in the world frame, scaled to z = 1 in the camera.
-        measured: (N,) sensor z-depth, metres, as read.
+        measured: (N,) sensor z-depth, metres, without the factor.
         expected: (N,) z-depth of the model, metres.
     """
 
@@ -223,7 +223,7 @@ def sample_depth(
     """Depth samples on object `index`, at most `limit`, spread evenly; None if too few.
 
     Args:
-        gate_m: samples further than this from the model along the ray are of something else.
+        gate_m: samples further than this from the model along the ray are ignored.
     """
     mask = (patch.hits.object == index).astype(np.uint8)
     mask = cv2.erode(mask, np.ones((3, 3), np.uint8), iterations=_BORDER_PX)
