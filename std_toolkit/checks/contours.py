@@ -31,6 +31,7 @@ _BISECTIONS = 7
 SMALLEST_MASK_PX = 40
 
 NOTHING = 0
+"""Object id of a ray that hits no object."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,9 +187,6 @@ def svg_path(loops: list[Array], *, scale: float = 1.0, offset: tuple[float, flo
         if len(thin) >= 3:
             parts.append("M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in thin.reshape(-1, 2)) + "Z")
     return "".join(parts)
-
-
-"""Object id of a ray that hits no object."""
 
 
 @dataclass(frozen=True, eq=False)

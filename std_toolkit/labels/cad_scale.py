@@ -148,8 +148,7 @@ def _sharpen(
         annotated,
         factor=fit.scale * refined.scale,
         standard_error=refined.scale_std / refined.scale,
-        note=f"{annotated.note}; edges changed the scale by "
-        f"{100 * (refined.scale - 1):+.2f} %",
+        note=f"{annotated.note}; edges changed the scale by {100 * (refined.scale - 1):+.2f} %",
     )
 
 

@@ -292,7 +292,9 @@ def test_another_size_is_refused_before_decoding(
 ) -> None:
     write_color(tmp_path / "a.png", COLOUR)
     monkeypatch.setattr(images.cv2, "imdecode", None)
-    with pytest.raises(ToolkitError, match=r"a\.png: image size differs from that of the camera, 80x60"):
+    with pytest.raises(
+        ToolkitError, match=r"a\.png: image size differs from that of the camera, 80x60"
+    ):
         read_color(tmp_path / "a.png", size=(80, 60))
 
 
