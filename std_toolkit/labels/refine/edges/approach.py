@@ -199,7 +199,7 @@ def _converged(
 
 
 def _agreed(tried: Sequence[_Converged], obj: problem.RefineObject) -> bool:
-    """Whether the last pose confirms the best one with a high score, so that the search can stop."""
+    """Whether the last pose confirms the best with a high score, so that the search can stop."""
     *before, last = tried
     best = max(before, key=lambda t: t.score)
     if min(best.score, last.score) < _CONVINCING:

@@ -67,7 +67,7 @@ class Contour:
     thinning: float
 
     def near(self, reach: float) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-        """Pairs of samples within `reach` pixels that face about the same direction, in both orders.
+        """Pairs of samples within `reach` pixels that face about the same way, in both orders.
 
         Returns:
             Indices (M,) and (M,) of the samples, including pairs of a sample with itself, and
