@@ -60,10 +60,10 @@ def test_each_option_has_one_text(
 def test_help_takes_little_processor_time(module: str, words: list[str], seconds: float) -> None:
     code = f"import sys; from {module} import main; sys.exit(main({words}))"
     taken = []
-    for _ in range(5):
+    # The least counts: other processes on the machine make the same work take longer.
+    while not taken or (min(taken) > seconds and len(taken) < 15):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         subprocess.run([sys.executable, "-c", code], stdout=subprocess.DEVNULL, check=True)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         taken.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-    # The least: other processes on the machine make the same work dearer.
     assert min(taken) <= seconds, taken
