@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from benchmark.metrics.grasp import Grasps
+from benchmark.tabletop import grasp as hand_simulation
 from benchmark.tabletop.grasp import GRIP_N, LIFT_M, PAD_FRICTION, execute
 from std_toolkit.errors import ToolkitError
 from tests.benchmark.tabletop.clearing_cases import box, from_above, standing
@@ -81,3 +82,12 @@ def test_several_grasps_at_once_are_refused():
     two = Grasps.concatenated([from_above((0, 0, 0.02))] * 2)
     with pytest.raises(ToolkitError, match="one grasp"):
         _try(two)
+
+
+def test_a_move_ends_where_it_was_sent():
+    hand = hand_simulation._Attempt(
+        [CUBE], [standing(CUBE)], from_above((0, 0, 0.015)), [0.15], hand_simulation.PANDA
+    )
+    target = hand.data.ctrl[:3] + np.array([0.01, -0.02, 0.05])
+    hand._move(target, 0.2)
+    np.testing.assert_allclose(hand.data.ctrl[:3], target, atol=1e-12)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import msgspec
 import pytest
 
-from std_toolkit.checks.gates import evaluate_gates, evaluate_object, scale_share
+from std_toolkit.checks.gates import evaluate_gates, evaluate_object, is_uninformative, scale_share
 from std_toolkit.checks.report_warnings import find_warnings
 from std_toolkit.checks.result import CheckGate, FrameCheck, ObjectCheck, SceneSummary
 from std_toolkit.errors import ToolkitError
@@ -186,3 +188,13 @@ def test_metres_from_depth_alone_are_warned_about() -> None:
         summary = msgspec.structs.replace(SUMMARY, scale=report)
         found = find_warnings(summary, [], [], FRAMES, [], OPTIONS)
         assert any("--refine-scale" in w.advice for w in found) == told
+
+
+@pytest.mark.parametrize(
+    ("edge_px", "chance_px", "uninformative"), [(1.0, 2.0, False), (1.25, 2.0, True)]
+)
+def test_an_outline_must_lie_well_below_chance(
+    edge_px: float, chance_px: float, uninformative: bool
+) -> None:
+    item = SimpleNamespace(edge_px=edge_px, edge_chance_px=chance_px)
+    assert is_uninformative(item) is uninformative

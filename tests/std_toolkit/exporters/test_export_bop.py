@@ -17,7 +17,7 @@ import pytest
 from scene_factory import SERIAL, WORLD_POSES, make_scene
 
 from std_toolkit.exporters import export_scene
-from std_toolkit.exporters.bop_exporter import depth_units
+from std_toolkit.exporters.bop_exporter import _box, depth_units
 from std_toolkit.exporters.std_exporter import write_depth_exr
 from std_toolkit.geometry import SE3, so3_exp
 from std_toolkit.scene import Scene
@@ -313,3 +313,8 @@ def test_depth_beyond_16_bits_is_dropped_and_not_clipped(tmp_path):
     assert units.scale_mm == 1.0 and units.values.dtype == np.uint16
     assert units.values[3, 4:10].tolist() == [65534, 65535, 0, 0, 0, 0]
     assert np.count_nonzero(units.values == 900) == width * height - 6
+
+
+def test_the_box_of_what_is_not_seen() -> None:
+    assert _box(None) == [-1, -1, -1, -1]
+    assert _box([3, 4, 10, 20]) == [3, 4, 7, 16]

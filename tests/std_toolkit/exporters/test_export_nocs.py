@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import msgspec
@@ -10,7 +11,9 @@ import numpy as np
 import pytest
 from scene_factory import SERIAL, make_scene
 
+from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters import ExportOptions, export_scene
+from std_toolkit.exporters.nocs_exporter import NocsExporter
 from std_toolkit.exporters.std_exporter import write_depth_exr
 from std_toolkit.geometry import umeyama
 from std_toolkit.geometry.mesh import mesh_extents, nocs_frame
@@ -103,3 +106,11 @@ def test_depth_beyond_16_bits_is_dropped_and_not_clipped(tmp_path):
     exported = load(tmp_path / "nocs", "0000")["depth"]
     assert exported[3, 4:10].tolist() == [65534, 65535, 0, 0, 0, 0]
     assert np.count_nonzero(exported > 60_000) == 2
+
+
+def test_more_objects_than_the_loader_supports_are_refused(tmp_path):
+    target = SimpleNamespace(object_ids=list(range(19)), scene=SimpleNamespace(root=tmp_path))
+    with pytest.raises(ToolkitError, match="at most 18 objects"):
+        NocsExporter().check(target)
+    target.object_ids.pop()
+    NocsExporter().check(target)

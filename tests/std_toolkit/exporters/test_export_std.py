@@ -11,6 +11,7 @@ from scene_factory import MODELS_OF, SERIAL, make_scene
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters import ExportOptions, export_scene
+from std_toolkit.exporters.std_exporter import nocs_image
 from std_toolkit.geometry import SE3, rotation_angle, umeyama
 from std_toolkit.geometry.mesh import nocs_frame
 from std_toolkit.io.exr import read_exr
@@ -219,3 +220,9 @@ def test_what_hides_objects_is_taken_over_to_the_labels_size(tmp_path):
     assert not (mask[:, 214:] != 255).any()
     mug = next(o for o in sidecar.frames[0].objects if o.object == 7)
     assert mug.visible_fraction < 0.9
+
+
+def test_the_background_of_a_nocs_picture_is_black() -> None:
+    mask = np.array([[0, 3]], np.uint8)
+    picture = nocs_image(np.full((1, 2, 3), 0.2, np.float32), mask)
+    assert picture.tolist() == [[[0, 0, 0], [51, 51, 204]]]

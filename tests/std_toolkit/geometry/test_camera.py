@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import Camera, undistort_image
-from std_toolkit.geometry.camera import unproject_depth, z_to_distance
+from std_toolkit.geometry.camera import on_depth_step, unproject_depth, z_to_distance
 
 PINHOLE = Camera(1280, 720, 912.3, 910.1, 645.2, 355.9)
 DISTORTIONS = {
@@ -231,3 +231,12 @@ def test_numbers_of_numpy_become_plain() -> None:
     assert type(camera.width) is int
     assert type(camera.fx) is float
     assert camera == Camera(640, 480, 600, 600, 320, 240)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_depth_step_is_one_pixel_wide_on_either_side(turned: bool) -> None:
+    camera_depth = np.full((9, 12), 1.0, np.float32)
+    camera_depth[:, 6:] = 2.0
+    found = on_depth_step(camera_depth.T if turned else camera_depth)
+    assert np.flatnonzero((found.T if turned else found).any(axis=0)).tolist() == [5, 6]
+    assert (found.T if turned else found)[:, 5:7].all()

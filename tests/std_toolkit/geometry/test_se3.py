@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, rotation_angle, so3_exp, so3_log
-from std_toolkit.geometry.se3 import nearest_rotation
+from std_toolkit.geometry.se3 import nearest_rotation, skew
 
 coordinates = st.floats(-10, 10, allow_nan=False)
 vectors = st.tuples(coordinates, coordinates, coordinates).map(np.array)
@@ -172,3 +172,15 @@ def test_a_pose_does_not_change_with_the_numbers_it_came_from() -> None:
     T = SE3.from_quat(state[:4], state[4:])
     state[:] = 7
     np.testing.assert_array_equal(T.t, [0.1, 0.2, 0.3])
+
+
+@pytest.mark.parametrize("angle", [1e-9, 1e-5, 9e-4, 1.1e-3, 0.5])
+def test_the_translation_of_a_small_twist_is_the_sum_of_its_series(angle: float) -> None:
+    axis = np.array([2.0, -1.0, 2.0]) / 3
+    S = skew(angle * axis)
+    expected, term = np.eye(3), np.eye(3)
+    for n in range(2, 20):
+        term = term @ S / n
+        expected = expected + term
+    T = SE3.exp(np.concatenate([[1.0, -2.0, 3.0], angle * axis]))
+    assert np.abs(T.t - expected @ [1.0, -2.0, 3.0]).max() < 3e-15

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -11,7 +13,8 @@ import pytest
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import write_color
-from std_toolkit.poses.board_scale import Board, detect_board
+from std_toolkit.poses import board_scale
+from std_toolkit.poses.board_scale import Board, BoardScale, detect_board
 
 
 def tag_image(ids: list[int], size: int = 120, gap: int = 40) -> tuple[np.ndarray, dict]:
@@ -94,3 +97,27 @@ def test_bad_board_files(tmp_path: Path, text: str, message: str) -> None:
 def test_missing_board_file(tmp_path: Path) -> None:
     with pytest.raises(ToolkitError, match="not found"):
         Board.read(tmp_path / "none.json")
+
+
+@pytest.mark.parametrize(("frames", "expected"), [(60, 60), (61, 31), (200, 50)])
+def test_many_frames_are_thinned_evenly(
+    frames: int, expected: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked_at: list[str] = []
+
+    def record(_work: object, items: list[str], **_: object) -> object:
+        looked_at.extend(items)
+        raise ToolkitError("enough")
+
+    monkeypatch.setattr(board_scale, "run_jobs", record)
+    board = tmp_path / "board.json"
+    _, tags = tag_image([3])
+    board.write_text(json.dumps({**tags, "tag_size_mm": 120}))
+    context = SimpleNamespace(
+        board=board, jobs=None, frames=lambda: list(range(frames)),
+        scene=SimpleNamespace(color_path=str),
+    )  # fmt: skip
+    with pytest.raises(ToolkitError, match="enough"):
+        BoardScale().estimate(context)
+    assert len(looked_at) == expected
+    assert len({int(b) - int(a) for a, b in pairwise(looked_at)}) == 1

@@ -17,8 +17,8 @@ from std_toolkit.cli.main import main
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Similarity, rotation_angle, umeyama
 from std_toolkit.poses import PoseOptions
-from std_toolkit.poses.pose_step import estimate_poses, failed_gates
-from std_toolkit.scene import Label, Labels, Model, Object, ObjectTable, Scene
+from std_toolkit.poses.pose_step import _position_sigma, estimate_poses, failed_gates
+from std_toolkit.scene import FramePose, Label, Labels, Model, Object, ObjectTable, Scene
 from std_toolkit.scene.scene import require_metres
 
 SERIAL = PoseOptions(threads=1)
@@ -267,3 +267,17 @@ def test_killed_runs_leave_nothing_and_keep_finished_features(recording, tmp_pat
     assert not list(scene.root.rglob("*.tmp*"))
     assert not (scene.root / ".std" / "work" / "poses").exists()
     check_against_truth(Scene.open(scene.root), recording.truth, metric=5e-3)
+
+
+def test_the_deviation_of_a_position_is_that_of_all_three_axes() -> None:
+    def pose(*sigma: float) -> FramePose:
+        C = np.diag([*np.square(sigma), 9.0, 9.0, 9.0])
+        return FramePose(
+            frame=0,
+            status="registered",
+            T_world_cam=SE3.identity().flat(),
+            covariance=C.ravel().tolist(),
+        )
+
+    assert _position_sigma([pose(1, 2, 2), pose(2, 3, 6), pose(4, 4, 7)], 2.0) == pytest.approx(3.5)
+    assert _position_sigma([], 2.0) == float("inf")

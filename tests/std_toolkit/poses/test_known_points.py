@@ -7,7 +7,13 @@ import pytest
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
-from std_toolkit.poses.known_points import KnownView, fit_body, scale_from_known_points
+from std_toolkit.poses import known_points
+from std_toolkit.poses.known_points import (
+    BodyFit,
+    KnownView,
+    fit_body,
+    scale_from_known_points,
+)
 
 CAMERA = Camera(640, 480, 600.0, 600.0, 320.0, 240.0, (-0.04, 0.03, 0.0, 0.001))
 UNIT = 0.25
@@ -68,3 +74,9 @@ def test_standard_error_covers_the_truth() -> None:
 def test_one_view_is_refused() -> None:
     with pytest.raises(ToolkitError, match="at least 2 registered frames"):
         fit_body(views(1), threshold_m=0.02)
+
+
+def test_a_refit_finds_the_scale_from_a_wrong_start() -> None:
+    exact = fit_body(views(4), threshold_m=0.02)
+    off = BodyFit(1.05 * exact.scale, exact.T_world_body, exact.rms_px)
+    assert known_points._refit(views(4), off) == pytest.approx(UNIT, rel=1e-6)

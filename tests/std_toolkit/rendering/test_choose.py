@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import logging
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -87,3 +91,21 @@ def test_plug_ins_are_renderers(monkeypatch: pytest.MonkeyPatch) -> None:
     assert isinstance(get_renderer(name), Renderer)
     with pytest.raises(ToolkitError, match="not a renderer"):
         get_renderer("std_toolkit.rendering.mesh:_unit".replace("_unit", "OrderedDict"))
+
+
+def test_gl_that_pyrender_can_use_is_found(tmp_path: Path) -> None:
+    """A renderer that draws wrongly must not pass for a machine without GL: tests would skip."""
+    script = tmp_path / "plain.py"
+    script.write_text(
+        "import pyrender\nrenderer = pyrender.OffscreenRenderer(8, 8)\nrenderer.delete()\n"
+    )
+    environment = {**os.environ, "PYOPENGL_PLATFORM": "egl"}
+    plain = subprocess.run([sys.executable, str(script)], env=environment, capture_output=True)
+    if plain.returncode:
+        pytest.skip("pyrender alone makes no EGL context")
+    code = "from std_toolkit.rendering.choose import find_gl; print(find_gl())"
+    environment.pop(ANSWER_VARIABLE, None)
+    found = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True
+    )
+    assert found.stdout.startswith("('egl'"), found.stdout + found.stderr

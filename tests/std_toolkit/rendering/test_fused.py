@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +12,12 @@ import pytest
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.io.images import write_color, write_depth_png16
 from std_toolkit.options import FusionOptions
-from std_toolkit.rendering.occluders import fuse_occluders, load_occluder
+from std_toolkit.rendering.choose import get_renderer
+from std_toolkit.rendering.frame import FrameJob, _possible_policy
+from std_toolkit.rendering.maps import compose
+from std_toolkit.rendering.occluders import _trusted_depth, fuse_occluders, load_occluder
+from std_toolkit.rendering.placements import frame_placements, place_meshes
+from std_toolkit.rendering.raycast import RaycastRenderer
 from std_toolkit.scene.model import (
     CameraModel,
     CameraPoses,
@@ -81,3 +88,33 @@ def test_fused_geometry_lies_where_it_should_to_a_hundredth_of_a_pixel(
         error = plane_depth(pixels, slope) - z
         shifts.append(float(error @ per_pixel / (per_pixel @ per_pixel)))
     assert abs(np.mean(shifts)) < 0.01, shifts
+
+
+@pytest.mark.parametrize("material", ["diffuse", "transparent"])
+def test_readings_on_an_object_hide_nothing(
+    make_scene: Callable[..., Scene], material: str
+) -> None:
+    """In front of glass none counts; on other objects those count that are well in front."""
+    scene = make_scene(frames=1, material=material)
+    camera, options = scene.camera(scene.frame(0)), FusionOptions()
+    placed = place_meshes(scene, frame_placements(scene, 0))[:1]
+    corners = np.asarray(placed[0].prepared.vertices) + placed[0].prepared.centre
+    nearest, farthest = (f((placed[0].T_cam_obj @ corners)[:, 2]) for f in (np.min, np.max))
+    seen = compose(get_renderer("raycast"), camera, placed).index == 0
+    for gap in (0.9, 1.1):
+        sensor = np.full(seen.shape, nearest - gap * options.clearance_m, np.float32)
+        depth, limit = _trusted_depth(scene, sensor, camera, placed, RaycastRenderer(), options)
+        counts = material == "diffuse" and gap > 1
+        assert (depth[seen] > 0).all() if counts else not depth[seen].any()
+        assert limit == pytest.approx(farthest)
+        assert depth[0, 0] == sensor[0, 0]  # beside the object
+
+
+def test_a_policy_needs_what_it_compares_with(make_scene: Callable[..., Scene]) -> None:
+    scene = make_scene(frames=1)
+    job = FrameJob(str(scene.root), "", "raycast", "fused", 0.01, True, None, None)
+    with_occluder = replace(job, occluder=("gt/occluders.ply", "digest"))
+    assert _possible_policy(scene, 0, None, job) == "models"
+    assert _possible_policy(scene, 0, None, with_occluder) == "fused"
+    scene.save_poses(CameraPoses(frames=[FramePose(frame=0, status="unregistered")]))
+    assert _possible_policy(scene, 0, None, with_occluder) == "models"

@@ -9,8 +9,9 @@ import trimesh
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.rendering.choose import get_renderer
-from std_toolkit.rendering.maps import mask_box, object_silhouette, render_scene_maps
-from std_toolkit.rendering.renderer import PlacedMesh, Renderer
+from std_toolkit.rendering.maps import compose, mask_box, object_silhouette, render_scene_maps
+from std_toolkit.rendering.mesh import prepare_mesh
+from std_toolkit.rendering.renderer import PlacedMesh, Renderer, image_window, object_window
 
 CAMERA = Camera(320, 240, 300.0, 300.0, 159.5, 119.5)
 
@@ -84,3 +85,27 @@ def test_ids_must_differ(renderer: Renderer) -> None:
         render_scene_maps(renderer, CAMERA, [PlacedMesh(3, *plate(0, 0))] * 2)
     with pytest.raises(ToolkitError, match=r"1\.\.254"):
         render_scene_maps(renderer, CAMERA, [PlacedMesh(0, *plate(0, 0))])
+
+
+def test_a_window_of_a_lens_holds_every_pixel_of_the_object() -> None:
+    """Small plates anywhere in the image: none loses a row or column at its border."""
+    lens = Camera(160, 120, 150.0, 150.0, 79.5, 59.5, (-0.2, 0.05, 0.001, -0.002))
+    raycast = get_renderer("raycast")
+    rng = np.random.default_rng(0)
+    prepared = prepare_mesh(trimesh.creation.box((0.1, 0.1, 1e-4)))
+    for x, y in rng.uniform([-0.4, -0.3], [0.4, 0.3], (60, 2)):
+        pose = SE3(np.eye(3), np.array([x, y, 1.0]))
+        window = object_window(lens, prepared, pose)
+        whole = raycast.draw(lens, prepared, pose, window=image_window(lens)).depth > 0
+        assert window is not None
+        rows, columns = window.slices_in(image_window(lens))
+        assert np.count_nonzero(whole[rows, columns]) == np.count_nonzero(whole) > 100
+
+
+def test_pixels_without_an_object_have_no_face(renderer: Renderer) -> None:
+    mesh, pose = plate(0.0, 0.0)
+    composition = compose(renderer, CAMERA, [PlacedMesh(1, mesh, pose)])
+    drawn = composition.index >= 0
+    assert 0 < np.count_nonzero(drawn) < drawn.size
+    assert (composition.face[~drawn] == -1).all()
+    assert (composition.face[drawn] >= 0).all()

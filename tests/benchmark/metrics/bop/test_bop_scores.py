@@ -181,3 +181,23 @@ def test_what_does_not_belong_together(root: Path, tmp_path: Path) -> None:
         score_bop(open_bop(copy), ALL)
     with pytest.raises(ToolkitError, match="no scenes"):
         open_bop(copy, "train")
+
+
+def test_true_poses_are_those_of_the_object_alone(root: Path) -> None:
+    dataset = open_bop(root)
+    can = next(t for t in dataset.targets if (t.im_id, t.obj_id) == (3, CAN))
+    poses, wanted = dataset.truths(can)
+    assert len(poses) == 1
+    assert np.allclose(poses[0].t, TRUTHS[3][0][1].t)
+    assert wanted.tolist() == [True]
+
+
+@pytest.mark.parametrize("shares", [2, 4])
+def test_visibilities_must_belong_to_the_poses(tmp_path: Path, shares: int) -> None:
+    copy = write_bop(tmp_path / "set")
+    path = copy / "test" / "000002" / "scene_gt_info.json"
+    info = json.loads(path.read_text())
+    info["3"] = (info["3"] * 2)[:shares]
+    path.write_text(json.dumps(info))
+    with pytest.raises(ToolkitError, match=r"does not match scene_gt\.json"):
+        open_bop(copy)

@@ -11,6 +11,7 @@ from benchmark.metrics.grasp.force_closure import (
     FRICTIONS,
     Contacts,
     GraspedMesh,
+    even_points,
     friction_scores,
     needed_friction,
 )
@@ -100,3 +101,20 @@ def test_exact_angles_fall_on_their_step() -> None:
     for mu, later in zip(FRICTIONS, (*FRICTIONS[1:], -1.0), strict=True):
         assert friction_scores(leaning(mu))[0] == mu
         assert friction_scores(leaning(mu + 0.01))[0] == later
+
+
+def test_even_points_are_the_samples_nearest_to_the_middle_of_their_cube() -> None:
+    ball = trimesh.creation.icosphere(radius=0.05)
+    vertices, faces = np.asarray(ball.vertices), np.asarray(ball.faces)
+    spacing = 0.02
+    count = max(64, round(6 * float(ball.area) / spacing**2))
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    samples = np.asarray(trimesh.sample.sample_surface(mesh, count, seed=0)[0])
+    best: dict[tuple[int, ...], tuple[float, int]] = {}
+    for i, point in enumerate(samples):
+        cube = tuple(np.floor(point / spacing).astype(int).tolist())
+        apart = float(np.linalg.norm(point - (np.array(cube) + 0.5) * spacing))
+        best[cube] = min(best.get(cube, (np.inf, -1)), (apart, i))
+    expected = samples[[i for _, i in best.values()]]
+    found = even_points(vertices, faces, spacing)
+    assert sorted(map(tuple, found)) == sorted(map(tuple, expected))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from benchmark.metrics.grasp import ap
 from benchmark.metrics.grasp.ap import (
     JudgedObject,
     average_precision,
@@ -141,3 +142,19 @@ def test_no_grasps_and_no_objects() -> None:
     assert len(judged.grasps) == 0 and judged.friction.shape == (0,)
     with pytest.raises(ToolkitError, match="objects"):
         judge_grasps(Grasps.empty(), [], [])
+
+
+def test_each_object_has_its_own_best_grasps() -> None:
+    box, left = box_on_table(-0.3)
+    _, right = box_on_table(0.3)
+    # Too far apart to suppress each other: the better half on the right box.
+    heights = np.linspace(0.0, 0.36, 12)
+    grasps = Grasps.concatenated(
+        [
+            down_at([0.3] * 12, heights.tolist(), np.linspace(24, 13, 12).tolist()),
+            down_at([-0.3] * 12, heights.tolist(), np.linspace(12, 1, 12).tolist()),
+        ]
+    )
+    counted = ap._counted(grasps, [box, box], [left, right])
+    assert np.bincount(counted.object_ids).tolist() == [ap.PER_OBJECT, ap.PER_OBJECT]
+    assert counted.scores.tolist() == [*range(24, 14, -1), *range(12, 2, -1)]
