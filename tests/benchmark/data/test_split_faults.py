@@ -150,7 +150,7 @@ def test_a_picture_in_the_place_of_depth(folder: Path) -> None:
 
     values = np.random.default_rng(0).random((3, *LABEL_SIZE[::-1]), np.float32)
     write_exr(folder / "0000_depth_120.exr", dict(zip("RGB", values, strict=True)))
-    assert "0000_depth_120.exr: the EXR file holds a picture" in message(folder)
+    assert "0000_depth_120.exr: the EXR file is a picture" in message(folder)
 
 
 @pytest.mark.parametrize("value", [-0.5, 2.0, np.nan])

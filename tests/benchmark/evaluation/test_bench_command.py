@@ -70,7 +70,7 @@ def test_frames_that_fail_end_with_another_status(root: Path, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--method", "swinnet"], "no plug-in of this name.*swinnet"),
+        (["--method", "swinnet"], "no plug-in with this name.*swinnet"),
         (["--method", "raw", "--protocol", "papers"], "papers"),
         (["--method", "raw", "--split", "std-catknow"], "std-catknow"),
         (["--method", "raw", "--data", "/nowhere"], "/nowhere: no such folder"),

@@ -163,7 +163,7 @@ def test_what_cannot_be_trained_is_a_problem_of_its_own(tmp_path):
     )
     plan = planned(tmp_path, str(path))
     assert not plan.entries[1].problem
-    assert "no plug-in of this name" in plan.entries[2].problem
+    assert "no plug-in with this name" in plan.entries[2].problem
     assert "speed: the method has no such setting" in plan.entries[3].problem
     assert "cannot be trained here" in plan_text(plan)
     assert len(plan.packs) == 1

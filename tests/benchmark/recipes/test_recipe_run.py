@@ -222,7 +222,7 @@ def test_a_variant_that_fails_keeps_no_other_from_running(own, tmp_path, capsys)
     assert kinds["Good"] == {MEASURED}
     assert kinds["Odd"] == {ABSENT}
     assert status == 1
-    assert "error: Odd: cannot be trained here: no plug-in of this name" in told.err
+    assert "error: Odd: cannot be trained here: no plug-in with this name" in told.err
     page = (tmp_path / "out" / "tiny" / "mine" / PAGE).read_text()
     assert "Mine &amp; own" in page
     assert "What did not run" in page

@@ -289,7 +289,7 @@ def test_waiting_for_data_is_told(monkeypatch):
         ("--method dfnet --data x --out y --loss a", "--loss: expected NAME=VALUE", 2),
         ("--method dfnet --data x --out y --holes 2", "--holes: must be at most 1 (got 2.0)", 2),
         ("--method dfnet --data nowhere --out y", "no folder of packed frames", 1),
-        ("pack p --split nonsense --data .", "no plug-in of this name", 1),
+        ("pack p --split nonsense --data .", "no plug-in with this name", 1),
         ("pack p --split x --data . --size 0 3", "--size: must be at least 1 (got (0, 3))", 2),
         ("pack p --split x --data . --size 3", "--size: expected INT INT", 2),
         ("recipe data-scale --scale huge", "no such scale", 1),

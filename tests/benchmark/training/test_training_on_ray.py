@@ -64,7 +64,7 @@ def test_an_error_of_a_process_comes_back_as_one_line(pack, tmp_path, capfd):
 @pytest.mark.parametrize(
     ("more", "told"),
     [
-        (["--ray-address", "127.0.0.1:1"], "--ray-address: no Ray cluster answers there"),
+        (["--ray-address", "127.0.0.1:1"], "--ray-address: no Ray cluster answers at this address"),
         (["--accelerator", "gpu"], "the cluster has 0 GPUs, which is less than the 2 processes"),
     ],
 )

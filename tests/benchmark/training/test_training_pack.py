@@ -187,7 +187,7 @@ def test_another_pack_is_not_mixed_in(data, tmp_path):
         packed(folder, more)
     (tmp_path / "x").mkdir()
     (tmp_path / "x" / "mine.txt").touch()
-    with pytest.raises(ToolkitError, match=r"holds files but no pack\.json"):
+    with pytest.raises(ToolkitError, match=r"contains files but no pack\.json"):
         packed(tmp_path / "x", data)
     with pytest.raises(ToolkitError, match=r"is no folder of packed frames.*std-train pack"):
         PackedFrames([tmp_path / "x"])

@@ -141,7 +141,7 @@ def test_frames_of_another_size_than_the_network_are_refused(pack):
         ({"loss": {"smothness": "3"}}, "smothness: the method has no such setting"),
         ({"loss": {"objects": "-1"}}, "--loss objects: must be 0 or more, and finite (got -1.0)"),
         ({"loss": {"objects": "nan"}}, "--loss objects: must be 0 or more, and finite"),
-        ({"method": "raw"}, "no plug-in of this name in std_toolkit.trainables"),
+        ({"method": "raw"}, "no plug-in with this name in std_toolkit.trainables"),
         ({"preset": "huge"}, "no such preset"),
         ({"batch_size": 0}, "batch_size: must be at least 1"),
         ({"learning_rate": float("nan")}, "learning_rate: must be above 0"),

@@ -155,7 +155,7 @@ def test_other_frames_are_another_configuration(pack, tmp_path):
 
 def test_a_folder_of_something_else_is_left_alone(pack, tmp_path):
     (tmp_path / "thesis.tex").write_text("x")
-    with pytest.raises(ToolkitError, match=r"holds files but no config\.json"):
+    with pytest.raises(ToolkitError, match=r"contains files but no config\.json"):
         trained(wishes("dfnet", pack, steps=1), tmp_path)
 
 

@@ -121,7 +121,7 @@ def test_something_is_there_already(refused, tmp_path: Path, recorded_file: Path
     full.mkdir()
     (full / "thesis.txt").write_text("mine")
     refused([str(full), "--from", str(recorded_file)], "not empty")
-    refused([str(full / "thesis.txt"), "--from", str(recorded_file)], "a file here already")
+    refused([str(full / "thesis.txt"), "--from", str(recorded_file)], "a file already exists here")
 
 
 @pytest.mark.slow

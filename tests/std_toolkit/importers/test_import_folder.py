@@ -178,7 +178,7 @@ def test_importing_twice_is_refused(recording, tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other/file").write_text("x")
     refused(tmp_path / "other", "not empty", request(recording))
-    refused(tmp_path / "other/file", "a file here", request(recording))
+    refused(tmp_path / "other/file", "a file already exists here", request(recording))
 
 
 def test_parents_made_for_a_failed_import_go_as_well(recording, tmp_path):
@@ -232,7 +232,7 @@ def test_wrong_kinds_of_depth_are_refused(recording, tmp_path):
     refused(tmp_path / "scene", "3 channels", request(recording))
     for i in range(1, 11):
         cv2.imwrite(str(recording / f"depth/{i}.png"), np.zeros((48, 64), np.uint16))
-    refused(tmp_path / "scene", "not a single|no depth image holds", request(recording))
+    refused(tmp_path / "scene", "not a single|no depth image has", request(recording))
 
 
 def test_names_from_elsewhere_cannot_leave_the_scene(recording, tmp_path):

@@ -60,7 +60,7 @@ def test_planar_points_seen_at_an_angle():
     [
         (points(3), "at least 4"),
         (np.outer(np.arange(6), [0.01, 0.02, 0.01]), "line"),
-        (np.repeat(points(1), 6, axis=0), "line or at one place"),
+        (np.repeat(points(1), 6, axis=0), "line or at one position"),
     ],
 )
 def test_degenerate_input_is_refused(X, message):

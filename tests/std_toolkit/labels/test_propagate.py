@@ -80,7 +80,7 @@ def test_contradicting_views_are_refused(labelled):
 def test_an_object_annotated_in_an_unregistered_frame_gets_no_label(labelled):
     T = camera_pose(0.0).inverse() @ T_WORLD_OBJ
     set_pose(labelled, "box", 2, T)
-    with pytest.raises(ToolkitError, match="no label was annotated in a registered frame"):
+    with pytest.raises(ToolkitError, match="no label is annotated in a registered frame"):
         propagate_labels(labelled)
     add_object(labelled, "other", model="box")
     set_pose(labelled, "other", 0, T)

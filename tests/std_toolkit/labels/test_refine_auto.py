@@ -166,9 +166,9 @@ def test_a_scene_without_metric_poses_needs_one_frame(tmp_path: Path, unit: str 
     found = refine_objects(stage.scene, poses, [1], frames=[0])
     truth = stage.in_camera(stage.truth, ANGLES[0])
     assert not found.posed and stage.error_mm(found.objects[1], truth[1]) < 1.0
-    with pytest.raises(ToolkitError, match="one frame must be named"):
+    with pytest.raises(ToolkitError, match="one frame must be given"):
         refine_objects(stage.scene, poses, [1])
-    with pytest.raises(ToolkitError, match="works in one frame"):
+    with pytest.raises(ToolkitError, match="needs exactly one frame"):
         refine_objects(stage.scene, poses, [1], frames=[0, 1])
 
 
@@ -200,7 +200,7 @@ def test_one_object_out_of_view_does_not_stop_the_others(stage: Stage) -> None:
     poses[2] = SE3(poses[2].R, np.array([3.0, 3.0, 0.0]))
     found = refine_objects(stage.scene, poses, frames=[0, 1, 2, 3])
     assert list(found.objects) == [1] and stage.error_mm(found.objects[1]) < 1.0
-    assert "cannot be seen" in str(found.failures[2])
+    assert "is not visible enough" in str(found.failures[2])
     with pytest.raises(ToolkitError):
         refine_objects(stage.scene, poses, [2], frames=[0, 1, 2, 3])
 
@@ -208,7 +208,7 @@ def test_one_object_out_of_view_does_not_stop_the_others(stage: Stage) -> None:
 def test_what_cannot_be_asked(stage: Stage) -> None:
     with pytest.raises(ToolkitError, match="no object to refine"):
         refine_objects(stage.scene, {})
-    with pytest.raises(ToolkitError, match="bottle: this object has no pose"):
+    with pytest.raises(ToolkitError, match="bottle: this object has no initial pose"):
         refine_objects(stage.scene, {1: BOX}, [2])
     with pytest.raises(ToolkitError, match="no such frame"):
         refine_objects(stage.scene, stage.truth, frames=[77])

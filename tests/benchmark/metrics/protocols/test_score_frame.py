@@ -325,7 +325,7 @@ def test_what_is_refused() -> None:
     for bad in (np.ones((1, 8, 8)), np.ones((8, 8), np.uint16), np.ones((0, 8))):
         with pytest.raises(ToolkitError, match=r"scene/0000: restored depth must be one image"):
             score_frame(bad, frame(true), STRICT)
-    with pytest.raises(ToolkitError, match="no plug-in of this name"):
+    with pytest.raises(ToolkitError, match="no plug-in with this name"):
         get_protocol("stirct")
     with pytest.raises(ToolkitError, match="is not a Protocol"):
         get_protocol("benchmark.metrics.protocols.score:score_frame")
