@@ -78,7 +78,9 @@ def test_a_ray_cluster_makes_the_same_set(
     assert contents(out) == reference
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGABRT])
+@pytest.mark.parametrize(
+    "how", [signal.SIGKILL, pytest.param(signal.SIGABRT, marks=pytest.mark.long)]
+)
 def test_killed_workers_lose_nothing(
     how: signal.Signals, reference: dict[str, str], shapes: Path, tmp_path: Path
 ) -> None:
