@@ -1,4 +1,4 @@
-"""Metres from a printed fiducial board: an AprilTag grid or a ChArUco board, through OpenCV."""
+"""Metric scale from a printed AprilTag grid or ChArUco board, detected with OpenCV."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class BoardDetection:
     Attributes:
         ids: (N,) corner ids, unique over the board.
         xyz: (N, 3) corners in the board's frame, metres.
-        uv: (N, 2) sub-pixel positions, centres at integers.
+        uv: (N, 2) sub-pixel positions, pixel centres at integers.
     """
 
     ids: NDArray[np.int64]
@@ -41,13 +41,14 @@ class BoardDetection:
 
 @dataclass(frozen=True)
 class Board:
-    """A board as its file describes it.
+    """Geometry of a board, read from its file.
 
     Attributes:
         dictionary: name of OpenCV's marker dictionary.
-        tags: tag id to its four corners in metres, order top left, top right, bottom right,
-            bottom left, as OpenCV returns them; for a tag grid.
-        charuco: squares in x and y, square and marker edge in metres; for a ChArUco board.
+        tags: for a tag grid, pairs of a tag id and its four corners in metres, in OpenCV's order:
+            top left, top right, bottom right, bottom left.
+        charuco: for a ChArUco board, number of squares in x and y, edge of a square and of a
+            marker in metres.
     """
 
     dictionary: str
@@ -58,12 +59,12 @@ class Board:
     def read(path: Path) -> Board:
         """Read a board file.
 
-        Either `{"0": [[x, y, z], ...4 corners in mm], ...}` for a grid of tags (AprilTag 36h11
-        unless `"dictionary"` names another; other keys are ignored), or `{"charuco":
-        {"squares_x", "squares_y", "square_mm", "marker_mm", "dictionary"}}`.
+        The file holds either `{"0": [[x, y, z], ...4 corners in mm], ...}` for a grid of tags
+        (AprilTag 36h11 unless `"dictionary"` names another; other keys are ignored), or
+        `{"charuco": {"squares_x", "squares_y", "square_mm", "marker_mm", "dictionary"}}`.
 
         Raises:
-            ToolkitError: not found, not JSON, or not a board.
+            ToolkitError: the file does not exist, is not JSON, or does not describe a board.
         """
         if not path.is_file():
             raise ToolkitError("board file not found", path=path)
@@ -72,7 +73,7 @@ class Board:
         except (UnicodeDecodeError, json.JSONDecodeError) as error:
             raise ToolkitError(f"not a JSON file: {error}", path=path) from error
         if not isinstance(data, dict):
-            raise ToolkitError("a board file holds one JSON object", path=path)
+            raise ToolkitError("a board file must hold one JSON object", path=path)
         if "charuco" in data:
             return _read_charuco(data["charuco"], path)
         dictionary = str(data.get("dictionary", "DICT_APRILTAG_36h11"))
@@ -89,7 +90,7 @@ class Board:
 
 
 class BoardScale:
-    """The printed size of a board: all its corners in all frames, fitted at once."""
+    """Scale from the printed size of a board, fitted to its corners in all frames at once."""
 
     name = "board"
 
@@ -99,7 +100,8 @@ class BoardScale:
     def estimate(self, context: ScaleContext) -> ScaleEstimate:
         if context.board is None:
             raise ToolkitError(
-                "no board is described", hint="give --board FILE or put board.json into the scene"
+                "no board is described",
+                hint="give --board FILE or put board.json into the scene folder",
             )
         board = Board.read(context.board)
         frames = context.frames()
@@ -125,10 +127,10 @@ class BoardScale:
                 )
         if len(views) < MIN_FRAMES:
             raise ToolkitError(
-                f"the board is seen in {len(views)} of {len(chosen)} registered frames, "
+                f"the board was detected in {len(views)} of {len(chosen)} registered frames, "
                 f"{MIN_FRAMES} are needed",
                 path=context.board,
-                hint="is this the board in the picture, and its dictionary the right one?",
+                hint="check that the file describes this board and names its marker dictionary",
             )
         extent = float(np.ptp(np.concatenate([v.xyz for v in views]), axis=0).max())
         corners = sum(len(v.ids) for v in views)
@@ -195,7 +197,7 @@ def _dictionary(name: str, path: Path | None) -> Any:
     number = getattr(cv2.aruco, name, None)
     if not name.startswith("DICT_") or not isinstance(number, int):
         raise ToolkitError(
-            "no such marker dictionary in OpenCV",
+            "unknown OpenCV marker dictionary",
             path=path,
             field="dictionary",
             value=name,
@@ -205,7 +207,7 @@ def _dictionary(name: str, path: Path | None) -> Any:
 
 
 def _corners(value: object, path: Path, key: str) -> NDArray[np.float64]:
-    """Four corners in metres from millimetres."""
+    """Four corners in metres, from a value in millimetres."""
     try:
         corners = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):

@@ -1,10 +1,10 @@
-"""The boundary to COLMAP: pixel origin, camera models, pose direction, operations on a model.
+"""Conversion to and from COLMAP, and operations on COLMAP models.
 
-COLMAP puts the centre of the top-left pixel at (0.5, 0.5), the toolkit at (0, 0). Everything that
-goes in gets half a pixel more, everything that comes out half a pixel less, and only here.
+The centre of the top-left pixel is (0.5, 0.5) in COLMAP and (0, 0) in the toolkit. The functions
+of this module add half a pixel on the way in and subtract it on the way out; no other module does.
 COLMAP's `cam_from_world` is the toolkit's `T_cam_world`.
 
-Operations on a COLMAP model: further frames, metres and world frame, per-frame quality.
+The operations add frames, set scale and world frame, and compute the quality of each frame.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ HALF_PIXEL = 0.5
 
 
 def to_colmap_camera(camera: Camera, camera_id: int, *, distorted: bool = False) -> Any:
-    """pycolmap.Camera of a camera; `distorted` forces a model with distortion parameters."""
+    """Convert to pycolmap.Camera; `distorted` forces a model with distortion parameters."""
     params = [camera.fx, camera.fy, camera.cx + HALF_PIXEL, camera.cy + HALF_PIXEL]
     k = list(camera.distortion)
     if len(k) > 4:
-        # COLMAP's full OpenCV model takes its parameters in OpenCV's order, all eight of them.
+        # COLMAP's full OpenCV model requires all eight parameters, in OpenCV's order.
         model, params = "FULL_OPENCV", [*params, *k, *([0.0] * (8 - len(k)))]
     elif k or distorted:
         model, params = "OPENCV", [*params, *(k or [0.0] * 4)]
@@ -48,10 +48,10 @@ def to_colmap_camera(camera: Camera, camera_id: int, *, distorted: bool = False)
 
 
 def from_colmap_camera(camera: Any) -> Camera:
-    """Toolkit camera of a pycolmap.Camera.
+    """Convert a pycolmap.Camera to the toolkit's camera.
 
     Raises:
-        ToolkitError: a camera model other than PINHOLE, SIMPLE_PINHOLE, OPENCV and FULL_OPENCV.
+        ToolkitError: the camera model is not PINHOLE, SIMPLE_PINHOLE, OPENCV or FULL_OPENCV.
     """
     p = [float(x) for x in camera.params]
     name = camera.model_name
@@ -64,30 +64,30 @@ def from_colmap_camera(camera: Any) -> Camera:
 
 
 def to_colmap_pixels(uv: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Pixels (..., 2) in COLMAP's origin."""
+    """Convert pixels (..., 2) to COLMAP's origin."""
     return np.asarray(uv, dtype=np.float64) + HALF_PIXEL
 
 
 def from_colmap_pixels(uv: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Pixels (..., 2) in the toolkit's origin."""
+    """Convert pixels (..., 2) to the toolkit's origin."""
     return np.asarray(uv, dtype=np.float64) - HALF_PIXEL
 
 
 def to_rigid3d(T_cam_world: SE3) -> Any:
-    """pycolmap.Rigid3d (`cam_from_world`) of a pose."""
+    """Convert a pose to a pycolmap.Rigid3d (`cam_from_world`)."""
     return pycolmap.Rigid3d(T_cam_world.matrix()[:3])
 
 
 def from_rigid3d(cam_from_world: Any) -> SE3:
-    """Pose `T_cam_world` of a pycolmap.Rigid3d."""
+    """Convert a pycolmap.Rigid3d to a pose `T_cam_world`."""
     return SE3.from_matrix(np.asarray(cam_from_world.matrix(), dtype=np.float64))
 
 
 @contextmanager
 def quiet_colmap() -> Iterator[None]:
-    """Keep COLMAP's log off the terminal; its failures are exceptions all the same.
+    """Discard COLMAP's log output. Failures still raise exceptions.
 
-    COLMAP's entry points reset their own log level, so the descriptor itself is turned away.
+    COLMAP's entry points reset their log level, so file descriptor 2 is redirected.
     """
     sys.stderr.flush()
     kept = os.dup(2)
@@ -103,14 +103,14 @@ def quiet_colmap() -> Iterator[None]:
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """What one registered image sees.
+    """Points of the model observed in one registered image.
 
     Attributes:
-        T_cam_world: its pose.
-        uv: (N, 2) measured pixels, centres at integers.
+        T_cam_world: pose of the image.
+        uv: (N, 2) measured pixels, pixel centres at integers.
         xyz: (N, 3) points, world frame.
         camera: intrinsics of the model.
-        track_length: (N,) number of images that see each point.
+        track_length: (N,) number of images that observe each point.
     """
 
     T_cam_world: SE3
@@ -140,13 +140,14 @@ def add_image(
     uv: NDArray[np.floating],
     point_ids: NDArray[np.int64],
 ) -> None:
-    """Add a registered image that sees existing points.
+    """Add a registered image that observes existing points.
 
     Args:
         model: pycolmap.Reconstruction.
-        image_id: not yet in the model.
+        image_id: id that is not yet in the model.
         uv: (N, 2) pixels.
-        point_ids: (N,) points that they see; those no longer in the model are left out.
+        point_ids: (N,) id of the point observed at each pixel; points that are no longer in the
+            model are skipped.
     """
     keep = np.array([model.exists_point3D(int(p)) for p in point_ids], dtype=bool)
     image = pycolmap.Image(
@@ -158,7 +159,7 @@ def add_image(
 
 
 def observations(model: Any, image_id: int) -> Observations:
-    """Everything that a registered image of the model sees."""
+    """Return all observations of a registered image."""
     image = model.image(image_id)
     points2d = image.points2D
     points3d = model.points3D
@@ -176,9 +177,9 @@ def observations(model: Any, image_id: int) -> Observations:
 def pose_covariance(seen: Observations) -> NDArray[np.float64] | None:
     """(6, 6) covariance of `T_world_cam` for a right perturbation `T_world_cam @ SE3.exp(xi)`.
 
-    xi = (rho, phi) in the model's unit and radians. From the normal equations of the pose alone:
-    the points count as exact, the pixel variance is that of the residuals. None if the image sees
-    too little to determine its pose.
+    xi = (rho, phi) in units of the model and radians. The covariance follows from the normal
+    equations of the pose alone: the points count as exact, and the pixel variance is that of the
+    residuals. None if the image has too few observations to determine its pose.
     """
     p = seen.points_cam
     if len(p) < 4:
@@ -194,7 +195,7 @@ def pose_covariance(seen: Observations) -> NDArray[np.float64] | None:
         ],
         axis=1,
     )
-    # p_cam = exp(-xi) p: moves by -rho - phi x p = -rho + [p]x phi.
+    # p_cam = exp(-xi) p, whose first-order change is -rho - phi x p = -rho + [p]x phi.
     cross = np.stack(
         [
             np.stack([zero, -z, y], axis=-1),
@@ -214,7 +215,7 @@ def pose_covariance(seen: Observations) -> NDArray[np.float64] | None:
 
 
 def place_in_world(model: Any, *, scale: float, first_image: int) -> None:
-    """Scale the model and make the camera of `first_image` its world frame; in place.
+    """Scale the model in place and make the camera of `first_image` its world frame.
 
     Args:
         model: pycolmap.Reconstruction.

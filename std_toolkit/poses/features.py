@@ -1,8 +1,6 @@
-"""Keyframes, their SIFT features (kept on disk), and which images to match.
+"""Keyframe selection, SIFT features cached on disk, image pairs and descriptor matching.
 
-Which images to match, and descriptor matching between a frame and the map.
-
-Keyframes: few sharp frames that cover the whole path of the camera.
+Keyframes are a small number of sharp frames that cover the whole camera path.
 """
 
 from __future__ import annotations
@@ -28,8 +26,8 @@ _WORDS = 32
 
 _SAMPLES = 20_000
 
-# Motion and sharpness are measured on images of about this width: enough for a median over some
-# hundred points, and cheap beside the feature extraction.
+# Motion and sharpness are measured on images of about this width: enough for a median over a few
+# hundred points, and cheap compared with feature extraction.
 SMALL_WIDTH = 400
 
 _CORNERS = 300
@@ -42,7 +40,7 @@ class Features:
     """SIFT features of one image.
 
     Attributes:
-        keypoints: (N, 4) float32: x, y in pixels (centres at integers), scale, orientation.
+        keypoints: (N, 4) float32: x, y in pixels (pixel centres at integers), scale, orientation.
         descriptors: (N, 128) uint8 RootSIFT.
     """
 
@@ -57,7 +55,7 @@ class Features:
 
 @dataclass(frozen=True)
 class FeatureJob:
-    """One image to extract: `fine` starts at twice the resolution."""
+    """One image to extract features from; `fine` starts at twice the resolution."""
 
     name: str
     image: Path
@@ -66,23 +64,23 @@ class FeatureJob:
 
 
 def feature_path(folder: Path, name: str) -> Path:
-    """File of the features of the frame called `name`."""
+    """Path of the feature file of the frame `name`."""
     return folder / f"{name}.npz"
 
 
 def extract_features(
     jobs: Sequence[FeatureJob], folder: Path, *, max_features: int, options: JobOptions
 ) -> None:
-    """Extract the features of every image that has none yet in `folder`.
+    """Extract the features of every image that has no file in `folder` yet.
 
     Args:
-        jobs: the images; names must be unique.
-        folder: one file per image; its name must tell the version of the images and options.
-        max_features: most features per image.
+        jobs: the images; names must be unique and identify the version of image and options.
+        folder: receives one file per image.
+        max_features: maximum number of features per image.
         options: where the work runs.
 
     Raises:
-        ToolkitError: images that cannot be read (all of them are named).
+        ToolkitError: images cannot be read; the message names all of them.
     """
     folder.mkdir(parents=True, exist_ok=True)
     missing = [job for job in jobs if not feature_path(folder, job.name).exists()]
@@ -97,7 +95,7 @@ def extract_features(
 
 
 def load_features(folder: Path, name: str) -> Features:
-    """Read what `extract_features` wrote."""
+    """Read the features that `extract_features` wrote."""
     with np.load(feature_path(folder, name), allow_pickle=False) as data:
         return Features(data["keypoints"], data["descriptors"])
 
@@ -130,7 +128,7 @@ def _extractor(fine: bool, max_features: int) -> Any:
 
 
 def train_vocabulary(descriptors: Sequence[NDArray[np.uint8]], *, seed: int) -> Floats:
-    """(K, 128) cluster centres of a sample of the recording's own descriptors."""
+    """Return (K, 128) cluster centres of a sample of the descriptors."""
     pool = np.concatenate(descriptors)
     rng = np.random.default_rng(seed)
     sample = pool[rng.permutation(len(pool))[:_SAMPLES]].astype(np.float32)
@@ -144,12 +142,12 @@ def train_vocabulary(descriptors: Sequence[NDArray[np.uint8]], *, seed: int) -> 
 
 
 def describe_image(descriptors: NDArray[np.uint8], vocabulary: Floats) -> Floats:
-    """One vector (K * 128,) of length 1 for a whole image.
+    """Return the VLAD vector (K * 128,) of an image, normalised to length 1.
 
-    VLAD: residuals of the descriptors to their nearest centre, summed per centre and normalised
-    per centre, so that repetitive texture does not drown the rest. Source: Jegou et al.,
-    "Aggregating local descriptors into a compact image representation", CVPR 2010; the
-    normalisation per centre: Arandjelovic and Zisserman, "All about VLAD", CVPR 2013.
+    The residuals of the descriptors to their nearest centre are summed and normalised per centre,
+    so that repetitive texture does not dominate. Source: Jegou et al., "Aggregating local
+    descriptors into a compact image representation", CVPR 2010; normalisation per centre:
+    Arandjelovic and Zisserman, "All about VLAD", CVPR 2013.
     """
     out = np.zeros(vocabulary.shape, dtype=np.float32)
     if len(descriptors):
@@ -169,11 +167,16 @@ def describe_image(descriptors: NDArray[np.uint8], vocabulary: Floats) -> Floats
 def choose_pairs(
     image_vectors: Sequence[Floats], *, overlap: int, loops: int
 ) -> list[tuple[int, int]]:
-    """Pairs (i < j) of keyframes to match: neighbours in time, and look-alikes elsewhere.
+    """Return the pairs (i < j) of keyframes to match: temporal neighbours and similar images.
 
-    Linear in the number of keyframes: `overlap` neighbours, doubled steps beyond them (so that a
-    slow camera still gets wide baselines) up to 8 times the overlap, and `loops` most similar
-    keyframes outside the neighbourhood.
+    Each keyframe is matched with:
+
+    - its `overlap` next neighbours;
+    - keyframes at steps that double from 2 to 8 times `overlap`, for wide baselines with a slow
+      camera;
+    - the `loops` most similar keyframes outside the neighbourhood.
+
+    The number of pairs is linear in the number of keyframes.
     """
     count = len(image_vectors)
     pairs: set[tuple[int, int]] = set()
@@ -198,9 +201,9 @@ def choose_pairs(
 def match_descriptors(
     a: NDArray[np.uint8], b: NDArray[np.uint8], *, max_ratio: float = 0.85
 ) -> NDArray[np.int64]:
-    """Mutual nearest neighbours that pass the ratio test: (M, 2) indices into a and b.
+    """Match mutual nearest neighbours that pass the ratio test: (M, 2) indices into a and b.
 
-    Descriptors are RootSIFT quantised to length 512, compared by angle as COLMAP does.
+    Descriptors are RootSIFT quantised to length 512. Their distance is the angle, as in COLMAP.
     """
     if len(a) == 0 or len(b) < 2:
         return np.zeros((0, 2), dtype=np.int64)
@@ -211,7 +214,7 @@ def match_descriptors(
     mutual = products.argmax(axis=0)[best] == rows
     products[rows, best] = -np.inf
     second = products.max(axis=1)
-    # The angle between two unit vectors, as COLMAP measures descriptor distance.
+
     near, next_best = (np.arccos(np.clip(x / 512.0**2, -1, 1)) for x in (first, second))
     good = mutual & (near < max_ratio * next_best) & (near < 0.7)
     return np.stack([rows[good], best[good]], axis=1)
@@ -219,12 +222,12 @@ def match_descriptors(
 
 @dataclass(frozen=True, kw_only=True)
 class FrameMeasure:
-    """What the choice of keyframes rests on.
+    """Measurements of a frame for the keyframe selection.
 
     Attributes:
-        sharpness: variance of the Laplacian of the small image.
-        motion: image motion since the previous frame, median over tracked corners, as a share of
-            the image width; 1 where tracking failed.
+        sharpness: variance of the Laplacian of the reduced image.
+        motion: image motion since the previous frame, median over tracked corners, as a fraction
+            of the image width; 1 if tracking failed.
     """
 
     sharpness: float
@@ -232,10 +235,10 @@ class FrameMeasure:
 
 
 def measure_frames(paths: Sequence[Path]) -> list[FrameMeasure]:
-    """Measure every frame against the one before it.
+    """Measure the sharpness of every frame and its motion since the previous frame.
 
     Raises:
-        ToolkitError: an image that cannot be read.
+        ToolkitError: an image cannot be read.
     """
     measures: list[FrameMeasure] = []
     previous: NDArray[np.uint8] | None = None
@@ -249,16 +252,16 @@ def measure_frames(paths: Sequence[Path]) -> list[FrameMeasure]:
 
 
 def choose_keyframes(measures: Sequence[FrameMeasure], *, motion: float, max_gap: int) -> list[int]:
-    """Indices of the keyframes, rising.
+    """Return the indices of the keyframes in ascending order.
 
-    The path is cut where the motion since the last cut adds up to `motion` (or after `max_gap`
-    frames). Around every cut the sharpest frame of the second half of its interval is taken:
-    late enough for a new viewpoint, and never a blurred frame where a sharp one is near.
+    An interval ends where the motion since the last keyframe reaches `motion`, or after `max_gap`
+    frames. The keyframe is the sharpest frame in the second half of the interval, so that it has a
+    new viewpoint and little blur.
 
     Args:
         measures: one per frame, in recording order.
-        motion: accumulated motion between keyframes, share of the image width.
-        max_gap: most frames between keyframes.
+        motion: accumulated motion between keyframes, as a fraction of the image width.
+        max_gap: largest number of frames between keyframes.
     """
     if not measures:
         return []
@@ -275,13 +278,13 @@ def choose_keyframes(measures: Sequence[FrameMeasure], *, motion: float, max_gap
         start = best
     last = len(measures) - 1
     if chosen[-1] != last:
-        # The end of the path must be inside the map, else its frames hang on extrapolation.
+        # Without the last frame in the map, the poses near the end would be extrapolated.
         chosen.append(last)
     return chosen
 
 
 def _small_grey(path: Path) -> NDArray[np.uint8]:
-    # JPEG decodes at a fraction of the size for a fraction of the time.
+    # Reduced decoding of a JPEG file takes a fraction of the time.
     image = cv2.imread(str(path), cv2.IMREAD_REDUCED_GRAYSCALE_2)
     if image is None:
         raise ToolkitError("cannot decode the image", path=path)

@@ -1,8 +1,9 @@
-"""Scale from points of known metric position that are seen in several images.
+"""Scale from points of known metric position that are visible in several images.
 
-The unknowns are the pose of the points' body in the model's world and the scale. All pixels are
-fitted at once: a pixel weighs the same whether it moves the body sideways (well determined) or
-along the line of sight (badly determined), which a comparison of poses or distances gets wrong.
+The unknowns are the scale and the pose of the rigid body of points in the world of the model. The
+fit minimises the pixel errors of all views jointly. This weights lateral translation (well
+determined) and translation along the line of sight (poorly determined) correctly; a comparison of
+poses or distances does not.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, Similarity, ransac_similarity
 from std_toolkit.scene.model import ScaleEstimate
 
-# Pixel errors above this lose weight (Huber's k on a sub-pixel corner or a good annotation).
+# Huber threshold, pixels, for sub-pixel corners and good annotations.
 ROBUST_PX = 2.0
 _FOLDS = 12
 
 
 @dataclass(frozen=True, eq=False)
 class KnownView:
-    """Points of the body seen in one image.
+    """Points of the body observed in one image.
 
     Attributes:
         T_cam_world: camera pose, units of the model.
@@ -33,7 +34,7 @@ class KnownView:
         ids: (N,) point ids, the same in every view.
         xyz: (N, 3) points in the body's frame, metres.
         uv: (N, 2) pixels.
-        weight: of every pixel of this view.
+        weight: weight of every pixel of this view.
     """
 
     T_cam_world: SE3
@@ -46,12 +47,12 @@ class KnownView:
 
 @dataclass(frozen=True, eq=False)
 class BodyFit:
-    """Body and scale in the model.
+    """Pose of the body and scale of the model.
 
     Attributes:
         scale: metres per unit of the model.
         T_world_body: pose of the body in the metric world (the model scaled about its origin).
-        rms_px: root mean square of the weighted residuals' inliers.
+        rms_px: root mean square of the inliers of the weighted residuals.
     """
 
     scale: float
@@ -62,13 +63,13 @@ class BodyFit:
 def scale_from_known_points(
     views: Sequence[KnownView], *, source: str, note: str, threshold_m: float
 ) -> ScaleEstimate:
-    """Robust least-squares scale over all views, with a jackknife over views for its error.
+    """Estimate the scale by robust least squares, and its error by a jackknife over the views.
 
     Args:
-        views: at least two, from different places.
-        source: name for the estimate.
-        note: what was measured; the fit's residual is added.
-        threshold_m: RANSAC threshold of the first fit, metres.
+        views: at least two, from different positions.
+        source: name of the estimate.
+        note: description of the measurements; the residual of the fit is appended.
+        threshold_m: RANSAC threshold of the initial fit, metres.
 
     Raises:
         ToolkitError: too few views, or no consistent fit.
@@ -79,7 +80,7 @@ def scale_from_known_points(
     n = len(left_out)
     if n == 0:
         raise ToolkitError(
-            "the views of known points contradict each other: no part of them tells the scale",
+            "the views of known points contradict each other: no subset determines the scale",
             value=f"{len(views)} views",
         )
     variance = (n - 1) / n * float(((np.array(left_out) - np.mean(left_out)) ** 2).sum())
@@ -95,10 +96,10 @@ def scale_from_known_points(
 
 
 def fit_body(views: Sequence[KnownView], *, threshold_m: float) -> BodyFit:
-    """Triangulate the points, fit a similarity, then fit all pixels.
+    """Triangulate the points, fit a similarity, then minimise all pixel errors.
 
     Raises:
-        ToolkitError: fewer than four points seen twice, or no consistent similarity.
+        ToolkitError: fewer than four points in two views, or no consistent similarity.
     """
     model, body = _triangulate(views)
     if len(model) < 4:
@@ -145,7 +146,7 @@ def _refine(views: Sequence[KnownView], start: Similarity) -> BodyFit:
         out = []
         for v in views:
             p = (T_world_body @ v.xyz) @ v.T_cam_world.R.T + scale * v.T_cam_world.t
-            # A point that a trial step puts behind the camera must not end the fit.
+            # A trial step that puts a point behind the camera must not stop the fit.
             p[:, 2] = np.maximum(p[:, 2], 1e-3)
             out.append((v.camera.project(p) - v.uv).ravel())
         return np.concatenate(out) * weights
@@ -169,7 +170,7 @@ def _refit(views: Sequence[KnownView], fit: BodyFit) -> float | None:
 
 
 def _folds(views: Sequence[KnownView]) -> list[list[KnownView]]:
-    """All views but one group at a time; groups are spread over the recording."""
+    """Jackknife folds: each leaves out one group of views, interleaved over the recording."""
     count = min(_FOLDS, len(views))
     return (
         [[v for i, v in enumerate(views) if i % count != k] for k in range(count)]

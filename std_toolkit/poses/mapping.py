@@ -1,4 +1,4 @@
-"""Mapping of the keyframes with COLMAP: verified matches, poses and points, bundle adjustment."""
+"""Mapping of the keyframes with COLMAP: verified matching, mapping, bundle adjustment."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from std_toolkit.options import Mapper, PoseOptions, Refinement
 from std_toolkit.poses.colmap import quiet_colmap, to_colmap_camera, to_colmap_pixels
 from std_toolkit.poses.features import Features
 
-# A point is kept while its reprojection error is below this; moving people are far above.
+# Points with a larger reprojection error are removed; those on moving people are far above.
 MAX_POINT_ERROR_PX = 4.0
 MIN_TRIANGULATION_DEG = 1.5
-# An image with fewer points under wide angles keeps the others too.
+# An image with fewer wide-angle points also keeps its other points.
 MIN_WIDE_POINTS = 80
-# "Wide" on a short sweep, as a share of the angle that a quarter of the points reach.
+# Wide-angle limit on a short sweep, as a fraction of the angle that a quarter of the points reach.
 SHARE_OF_WIDE = 0.3
 
 
@@ -32,9 +32,9 @@ class MappingImage:
 
     Attributes:
         image_id: COLMAP image id, at least 1.
-        name: unique.
-        camera: key of its camera.
-        features: its features.
+        name: unique name.
+        camera: camera key.
+        features: features of the image.
     """
 
     image_id: int
@@ -45,12 +45,12 @@ class MappingImage:
 
 @dataclass(frozen=True)
 class Mapping:
-    """The outcome of mapping.
+    """Result of `map_keyframes`.
 
     Attributes:
         model: largest pycolmap.Reconstruction.
-        camera_ids: camera key to COLMAP camera id.
-        other_sizes: number of images in each smaller model, falling.
+        camera_ids: COLMAP camera id by camera key.
+        other_sizes: number of images in each smaller model, in descending order.
     """
 
     model: Any
@@ -66,17 +66,17 @@ def map_keyframes(
     *,
     options: PoseOptions,
 ) -> Mapping:
-    """Match the pairs of keyframes, verify them geometrically and map.
+    """Match the pairs of keyframes, verify the matches geometrically and map.
 
     Args:
         images: the keyframes in recording order.
         pairs: indices into `images`.
-        cameras: intrinsics by key.
+        cameras: intrinsics by camera key.
         work: empty folder for the database; the caller removes it.
-        options: of the step.
+        options: options of the pose step.
 
     Raises:
-        ToolkitError: no two keyframes could be put together.
+        ToolkitError: no two keyframes fit together.
     """
     threads = -1 if options.threads is None else options.threads
     camera_ids = {key: i for i, key in enumerate(sorted(cameras), start=1)}
@@ -96,7 +96,7 @@ def map_keyframes(
     others = [m.num_reg_images() for m in ranked[-2::-1]]
     if others:
         logger.warning(
-            "the keyframes fall into %d models; the largest has %d images, the others %s",
+            "the keyframes are split into %d models; the largest has %d images, the others %s",
             len(ranked),
             ranked[-1].num_reg_images(),
             others,
@@ -107,13 +107,13 @@ def map_keyframes(
 def adjust(
     model: Any, *, refine: Refinement, threads: int | None, min_angle_deg: float | None = None
 ) -> None:
-    """Bundle adjustment of a whole model, twice, with the removal of bad observations after each.
+    """Run bundle adjustment of the model twice and remove bad observations after each run.
 
     Args:
         model: pycolmap.Reconstruction; changed in place.
-        refine: intrinsics to adjust.
-        threads: of the solver.
-        min_angle_deg: keep only points that are seen under at least this angle, see
+        refine: intrinsics to refine.
+        threads: number of solver threads; None: all cores.
+        min_angle_deg: keep only points with at least this triangulation angle, see
             `keep_wide_points`.
     """
     options = pycolmap.BundleAdjustmentOptions()
@@ -121,7 +121,7 @@ def adjust(
     options.refine_principal_point = refine in (Refinement.INTRINSICS, Refinement.DISTORTION)
     options.refine_extra_params = refine is Refinement.DISTORTION
     options.print_summary = False
-    # Huber: exact least squares for good observations, no leverage for what slipped through.
+    # The Huber loss is least squares for good observations and limits the effect of outliers.
     options.ceres.loss_function_type = pycolmap.LossFunctionType.HUBER
     options.ceres.loss_function_scale = 3.0
     options.ceres.use_gpu = False
@@ -139,17 +139,17 @@ def adjust(
 
 
 def keep_wide_points(model: Any, *, min_angle_deg: float) -> None:
-    """Remove points that are seen under a small angle only, except where an image needs them.
+    """Remove points with a small triangulation angle, except where an image needs them.
 
-    The tabletop, which the camera goes round, is seen under wide angles. What is left under small
-    ones is the background: people walk there, and at its distance the error of the lens model is
-    larger than the parallax. On a real recording with an unmodelled distortion the camera
-    positions got 10 % better without it. On a short sweep everything is seen under small angles,
-    and the background is what is seen under much smaller ones than the rest.
+    The camera circles the tabletop, so points there have wide angles. Points with small angles are
+    the background: people walk there, and at its distance the error of the lens model exceeds the
+    parallax. On a real recording with an unmodelled distortion, removing them made the camera
+    positions 10 % more accurate. On a short sweep all angles are small, and the background has
+    much smaller ones than the rest.
 
     Args:
         model: pycolmap.Reconstruction; changed in place.
-        min_angle_deg: largest angle between two rays to a point must reach this, or
+        min_angle_deg: lower limit of the largest angle between two rays to a point; reduced to
             `SHARE_OF_WIDE` of the angle that a quarter of the points reach, if that is less.
     """
     min_angle_deg = min(min_angle_deg, SHARE_OF_WIDE * _wide_angle(model))
@@ -171,7 +171,7 @@ def keep_wide_points(model: Any, *, min_angle_deg: float) -> None:
 
 
 def _wide_angle(model: Any) -> float:
-    """Angle in degrees under which a quarter of the points are seen."""
+    """Triangulation angle in degrees that a quarter of the points reach."""
     centres = {i: model.image(i).projection_center() for i in model.reg_image_ids()}
     ids = sorted(model.point3D_ids())
     widest = []
@@ -235,7 +235,8 @@ def _match(
     pairing.match_list_path = listed
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = seed
-    # People who walk in a moving camera's picture never stand still in it, a spot on the lens does.
+    # This filter would remove spots on the lens but not walking people, who are never stationary
+    # in the images of a moving camera.
     verification.filter_stationary_matches = False
     pycolmap.match_image_pairs(
         database, matching, pairing, verification, device=pycolmap.Device.cpu
@@ -250,8 +251,8 @@ def _map(database: Path, work: Path, options: PoseOptions, threads: int) -> dict
     pipeline = pycolmap.IncrementalPipelineOptions()
     pipeline.num_threads = threads
     pipeline.random_seed = options.seed
-    # The given intrinsics hold the model together while it is small; they are adjusted when the
-    # whole path constrains them. Distortion is the exception: without it points are thrown away.
+    # The given intrinsics stay fixed while the model is small; they are refined once the whole
+    # path constrains them. Distortion is the exception: without it, points would be rejected.
     distortion = options.refine is Refinement.DISTORTION
     pipeline.ba_refine_focal_length = False
     pipeline.ba_refine_principal_point = False

@@ -1,4 +1,4 @@
-"""The camera-pose step: reconstruct, find the metres, judge by gates, publish."""
+"""The camera-pose step: reconstruction, metric scale, quality gates, publication."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ def estimate_poses(
     """Recover the camera poses of a scene and save them.
 
     Writes `poses.json`, `poses/sparse` (COLMAP model) and `poses/points.ply`, all in metres and in
-    the world frame, which is the camera of the first registered frame. Does nothing when neither
+    the world frame, which is the camera of the first registered frame. Does nothing if neither
     the inputs nor the options changed since the last run. Poses that fail a gate are saved too;
-    the caller looks at `CameraPoses.gates`.
+    the caller checks `CameraPoses.gates`.
 
     Args:
         scene: the recording.
-        options: how.
-        jobs: where the work over frames runs; `options.threads` overrides its width.
+        options: options of the step.
+        jobs: where the work over frames runs; `options.threads` overrides its number of workers.
 
     Returns:
         The saved poses.
 
     Raises:
-        ToolkitError: unreadable images, no model at all, or scale sources that contradict each
-            other. Nothing is saved then.
+        ToolkitError: images cannot be read, no model was found, or the scale sources contradict
+            each other. Nothing is saved then.
     """
     from std_toolkit.poses.publish import work_folder
     from std_toolkit.poses.scale_sources import check_source_name
@@ -60,7 +60,7 @@ def estimate_poses(
 
 
 def board_file(scene: Scene, options: PoseOptions) -> Path | None:
-    """The board description that a run would use: the one named, else the scene's own."""
+    """Return the board file to use: `options.board`, or else `board.json` of the scene, if any."""
     if options.board is not None:
         return options.board
     own = scene.root / "board.json"
@@ -68,7 +68,7 @@ def board_file(scene: Scene, options: PoseOptions) -> Path | None:
 
 
 def failed_gates(poses: CameraPoses) -> list[str]:
-    """One line per failed gate: value, limit and what to do."""
+    """Return one line per failed gate with its value, its limit and advice."""
     return [
         f"{g.name} is {g.value:.4g}, limit {g.limit:.4g}: {g.advice}"
         for g in poses.gates
@@ -102,8 +102,8 @@ def _run(
     notes = []
     if done.about.other_sizes:
         notes.append(
-            f"the keyframes fell into {1 + len(done.about.other_sizes)} models; the largest was "
-            f"kept, the others have {done.about.other_sizes} keyframes"
+            f"the keyframes are split into {1 + len(done.about.other_sizes)} models; the largest "
+            f"was kept, the others have {done.about.other_sizes} keyframes"
         )
     refined = {} if options.refine is Refinement.NONE else adjusted_cameras(scene, done)
     poses = CameraPoses(
@@ -137,13 +137,13 @@ def _run(
 
 
 def _forget_world_poses(scene: Scene) -> None:
-    """Labels that were placed in the old world keep their annotation and have to be propagated."""
+    """Remove poses in the old world from the labels; their annotations have to be propagated."""
     if any(x.T_world_obj is not None for x in scene.labels.labels):
         scene.save_labels(Labels(labels=[without_derived(x) for x in scene.labels.labels]))
 
 
 def _judged(report: ScaleReport, options: PoseOptions) -> ScaleReport:
-    """A named source is the user's decision: the others are reported, not judged."""
+    """Drop the other sources if the user named one: they are logged but no gate tests them."""
     if options.scale == "auto":
         return report
     return ScaleReport(unit=report.unit, chosen=report.chosen)
@@ -192,13 +192,13 @@ def _width(jobs: JobOptions, options: PoseOptions) -> JobOptions:
 
 def _parameters(options: PoseOptions, board: Path | None) -> dict[str, Any]:
     values = asdict(options)
-    # No paths in records: a moved scene is the same scene.
+    # No paths in records, so that a moved scene stays fresh.
     values["board"] = None if board is None else board.name
     return {k: str(v) if isinstance(v, Refinement) else v for k, v in values.items()}
 
 
 def _digest(scene: Scene, options: PoseOptions, board: Path | None) -> str:
-    """Of everything that poses.json depends on."""
+    """Digest of everything that poses.json depends on."""
     from std_toolkit.poses.reconstruct import image_digests, model_digest
 
     if board is not None and not board.is_file():
@@ -212,7 +212,8 @@ def _digest(scene: Scene, options: PoseOptions, board: Path | None) -> str:
                 if not path.is_file():
                     raise ToolkitError("depth image not found", path=path)
                 depths.append(digest_file(path))
-    # Only objects annotated in several frames tell the scale; T_world_obj comes from the poses.
+    # Only objects annotated in several frames determine the scale. T_world_obj is left out because
+    # it follows from the poses.
     annotated = [
         [
             [x.object, x.frame, x.T_cam_obj, x.views],
@@ -249,18 +250,18 @@ def pose_gates(
     scale: ScaleReport,
     options: PoseOptions,
 ) -> list[Gate]:
-    """Judge the poses of a scene.
+    """Compute the quality gates of the poses of a scene.
 
     Args:
         poses: one per frame.
         frames: the frames in recording order.
         keyframes: frame ids of the keyframes.
-        median_distance: median z-depth of what the cameras see, same unit as the poses.
-        scale: where the metres come from.
+        median_distance: median z-depth of the observed points, in the unit of the poses.
+        scale: scale report.
         options: limits.
 
     Returns:
-        Gates in a fixed order; those that failed say what to do.
+        Gates in a fixed order; failed ones carry advice.
     """
     by_id = {p.frame: p for p in poses}
     registered = [p for p in poses if p.status == "registered"]
@@ -273,9 +274,7 @@ def pose_gates(
     reprojection = float(np.average(errors, weights=weights)) if errors else float("inf")
     sigma = _position_sigma(registered, median_distance)
     stretches = _stretches(frames, lost)
-    again = (
-        f"record again around {stretches}: slower, with more overlap and more still texture in view"
-    )
+    again = f"record again around {stretches}: slower, with more overlap and static texture in view"
     return [
         _at_least("keyframes_registered", key_share, options.min_registered, again),
         _at_least("frames_registered", all_share, options.min_registered, again),
@@ -284,14 +283,14 @@ def pose_gates(
             reprojection,
             options.max_reprojection_px,
             "check the intrinsics (try --refine distortion), the focus and the exposure time; "
-            "record with less motion blur and fewer moving things in view",
+            "record with less motion blur and fewer moving objects in view",
         ),
         _at_most(
             "position_sigma_share",
             sigma,
             options.max_position_sigma,
-            "too little still texture or too small an arc: record a wider path, nearer, "
-            "with textured things in view",
+            "too little static texture or too small an arc: record a wider path, nearer, "
+            "with textured objects in view",
         ),
         _at_most(
             "scale_disagreement",
@@ -315,7 +314,7 @@ def _position_sigma(registered: Sequence[FramePose], distance: float) -> float:
 
 
 def _stretches(frames: Sequence[Frame], lost: Sequence[str]) -> str:
-    """Names of unregistered frames, runs written as first..last."""
+    """Names of the unregistered frames, with runs as first..last."""
     if not lost:
         return "the unregistered frames"
     missing = set(lost)
@@ -339,7 +338,7 @@ def _at_least(name: str, value: float, limit: float, advice: str) -> Gate:
 
 
 def _at_most(name: str, value: float, limit: float, advice: str) -> Gate:
-    # JSON has no infinity; a value that could not be measured counts as very bad.
+    # JSON has no infinity: a value that could not be measured gets a large number.
     value = value if np.isfinite(value) else 1e9
     passed = value <= limit
     return Gate(name=name, value=value, limit=limit, passed=passed, advice="" if passed else advice)

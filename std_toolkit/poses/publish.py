@@ -1,7 +1,4 @@
-"""The reconstruction beside poses.json: a COLMAP model and points; both in a refined scale.
-
-Camera poses in a scale that the refinement found.
-"""
+"""Publication of the reconstruction as COLMAP model and points, and change of its scale."""
 
 from __future__ import annotations
 
@@ -30,12 +27,12 @@ SOURCE = "objects"
 def publish_model(root: Path, model: Any, work: Path) -> list[Path]:
     """Write `model` (pycolmap.Reconstruction) to the scene, each file atomically.
 
-    The step's record, written last, tells whether all files of a model arrived.
+    The caller writes the record of the step last; the record shows whether the files are complete.
 
     Args:
         root: scene folder.
-        model: in the world frame, metres.
-        work: an empty folder on the same file system.
+        model: model in the world frame, metres.
+        work: empty folder on the same file system.
 
     Returns:
         The written files.
@@ -51,7 +48,7 @@ def publish_model(root: Path, model: Any, work: Path) -> list[Path]:
 
 
 def rescale_model(root: Path, factor: float) -> None:
-    """Multiply all positions of the published model by `factor`; nothing where there is none."""
+    """Multiply all positions of the published model, if any, by `factor`."""
     import pycolmap
 
     if not (root / SPARSE).is_dir():
@@ -65,7 +62,10 @@ def rescale_model(root: Path, factor: float) -> None:
 
 @contextmanager
 def work_folder(root: Path) -> Iterator[Path]:
-    """An empty folder; what a killed run left in it and beside it is removed first."""
+    """Create an empty folder and remove it afterwards.
+
+    Remains of a killed run are removed first, here and in the folders of the pose step.
+    """
     work = root / ".std" / "work" / "poses"
     shutil.rmtree(work, ignore_errors=True)
     for folder in (root / ".std" / "poses", root / "poses"):
@@ -88,10 +88,10 @@ def _move(source: Path, target: Path) -> Path:
 def rescaled_poses(scene: Scene, factor: float, standard_error: float) -> Iterator[None]:
     """Multiply all camera positions and the reconstruction by `factor`; the caller holds the lock.
 
-    The scale report of poses.json gains an estimate called "objects". When the block, in which the
-    labels of the new scale are saved, ends well, the record of the step that made the poses is
-    brought up to date: a pipeline then does not take them for tampered with. A run killed before
-    that finds a record that does not fit, and recovers the poses again.
+    The scale report of poses.json gains an estimate called "objects". The caller saves the labels
+    in the new scale inside the block. If the block ends without an error, the record of the step
+    that wrote the poses is updated, so that a pipeline treats them as fresh. After a run that was
+    killed before that, the record does not match and the poses are recovered again.
     """
     intact = _intact_records(scene.root)
     poses = scene.poses
@@ -118,7 +118,7 @@ def rescaled_poses(scene: Scene, factor: float, standard_error: float) -> Iterat
 
 
 def _intact_records(root: Path) -> list[tuple[Path, Record]]:
-    """Records of steps that wrote poses.json and whose outputs nobody changed since."""
+    """Records of the steps that wrote poses.json and whose outputs have not changed since."""
     found = []
     for path in sorted(record_path(root, "x").parent.glob("*.json")):
         record = read_document(path, Record)

@@ -1,4 +1,4 @@
-"""From images to a model of all frames in an unknown unit: the expensive half, kept in a cache."""
+"""Reconstruction of all frames in an unknown unit. The result is cached."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from std_toolkit.scene import CameraModel, Frame, Scene
 from std_toolkit.scene.document import digest_file, digest_of
 from std_toolkit.scene.model import Document
 
-# Options that change the model; the rest only judges or scales it.
+# Options that change the model; the other options affect only scale and gates.
 _MODEL_OPTIONS = (
     "keyframe_motion",
     "max_keyframe_gap",
@@ -54,12 +54,12 @@ _MODEL_OPTIONS = (
 
 
 class Reconstruction(Document, frozen=True, kw_only=True):
-    """What there is to know about a cached model beside the model itself.
+    """Metadata of a cached model.
 
     Attributes:
-        keyframes: frame ids.
-        camera_ids: camera key to COLMAP camera id.
-        other_sizes: images in each smaller model that was dropped.
+        keyframes: frame ids of the keyframes.
+        camera_ids: COLMAP camera id by camera key.
+        other_sizes: number of images in each smaller model that was dropped.
     """
 
     keyframes: list[int]
@@ -73,14 +73,14 @@ class Reconstructed:
 
     Attributes:
         model: pycolmap.Reconstruction; image id = frame id + 1.
-        about: see `Reconstruction`.
+        about: metadata of the model.
     """
 
     model: Any
     about: Reconstruction
 
     def image_ids(self, frames: Sequence[Frame]) -> dict[int, int]:
-        """Frame id to COLMAP image id, of the registered frames, rising."""
+        """Return COLMAP image ids by frame id for the registered frames, in ascending order."""
         ids = {f.id: image_id_of(f) for f in frames}
         return {
             f: i
@@ -89,7 +89,7 @@ class Reconstructed:
         }
 
     def cameras(self) -> dict[str, Camera]:
-        """Intrinsics by camera key, as adjusted."""
+        """Return the adjusted intrinsics by camera key."""
         return {
             key: from_colmap_camera(self.model.camera(number))
             for key, number in self.about.camera_ids.items()
@@ -98,15 +98,17 @@ class Reconstructed:
 
 
 def image_id_of(frame: Frame) -> int:
-    """COLMAP image id of a frame; COLMAP counts from 1."""
+    """Return the COLMAP image id of a frame; COLMAP counts from 1."""
     return frame.id + 1
 
 
 def model_digest(scene: Scene, digests: dict[int, str], options: PoseOptions) -> str:
-    """Digest of everything that determines the model.
+    """Return the digest of everything that determines the model.
 
     Args:
-        digests: of the colour image, by frame id.
+        scene: the recording.
+        digests: digest of the colour image by frame id.
+        options: options of the step.
     """
     frames = [[f.id, f.name, f.color, f.camera, digests[f.id]] for f in scene.frames]
     chosen = {name: getattr(options, name) for name in _MODEL_OPTIONS}
@@ -114,10 +116,10 @@ def model_digest(scene: Scene, digests: dict[int, str], options: PoseOptions) ->
 
 
 def image_digests(scene: Scene) -> dict[int, str]:
-    """Digest of the colour image of every frame.
+    """Return the digest of the colour image of every frame, by frame id.
 
     Raises:
-        ToolkitError: a missing image.
+        ToolkitError: an image is missing.
     """
     paths = {f.id: scene.color_path(f) for f in scene.frames}
     for path in paths.values():
@@ -129,17 +131,17 @@ def image_digests(scene: Scene) -> dict[int, str]:
 def reconstruct(
     scene: Scene, cache: Path, work: Path, *, options: PoseOptions, jobs: JobOptions
 ) -> Reconstructed:
-    """Model of all frames, from the cache if nothing changed.
+    """Reconstruct all frames, or read the model from the cache if nothing changed.
 
     Args:
         scene: the recording.
         cache: folder that keeps features and the last model between runs.
         work: empty folder for intermediate files, on the same disk as `cache`.
-        options: of the step.
+        options: options of the step.
         jobs: where the work runs.
 
     Raises:
-        ToolkitError: unreadable images, or nothing to build a model from.
+        ToolkitError: images cannot be read, or no model can be built from them.
     """
     if len(scene.frames) < 3:
         raise ToolkitError(
@@ -157,12 +159,12 @@ def reconstruct(
         model.write(fresh / "sparse")
         write_document(fresh / "about.json", about)
         for old in cache.glob("model-*"):
-            # First what marks it as whole: this may be interrupted.
+            # about.json marks a model as complete; remove it first, in case of an interruption.
             (old / "about.json").unlink(missing_ok=True)
             shutil.rmtree(old)
         fresh.replace(stored)
     else:
-        logger.info("camera poses: using the model of the last run (nothing it rests on changed)")
+        logger.info("camera poses: using the model of the last run (inputs unchanged)")
     with quiet_colmap():
         model = pycolmap.Reconstruction(stored / "sparse")
     return Reconstructed(model, read_document(stored / "about.json", Reconstruction))
@@ -289,7 +291,7 @@ def _has_pose(model: Any, frame: Frame) -> bool:
 
 
 def _unregister_unseen(model: Any, *, min_points: int) -> None:
-    """Take the pose from images to which the adjustment left too few points to hold it."""
+    """Deregister images that have too few points after the bundle adjustment."""
     for number in list(model.reg_image_ids()):
         image = model.image(number)
         if image.num_points3D < min_points:
@@ -297,7 +299,7 @@ def _unregister_unseen(model: Any, *, min_points: int) -> None:
 
 
 def _check_absent(model: Any, frame: Frame) -> None:
-    """Mappers drop the images that they could not place; one left would be in the model twice."""
+    """Check that a frame without a pose is not in the model; it would be added twice."""
     if model.exists_image(image_id_of(frame)):
         raise ToolkitError("image is in the model without a pose", value=frame.color)
 
@@ -321,12 +323,12 @@ def _check_texture(
     if np.median(counts) < 3 * options.min_points:
         raise ToolkitError(
             f"the images have almost no features (median {np.median(counts):.0f} per keyframe)",
-            hint="put textured things into view (a printed cloth is enough), focus, add light",
+            hint="put textured objects into view (a printed cloth is enough), focus, add light",
         )
 
 
 def adjusted_cameras(scene: Scene, done: Reconstructed) -> dict[str, CameraModel]:
-    """Intrinsics that differ from those of scene.json."""
+    """Return the adjusted intrinsics that differ from those of scene.json, by camera key."""
     changed = {}
     for key, camera in done.cameras().items():
         if camera != scene.info.cameras[key].camera():

@@ -1,4 +1,4 @@
-"""Registration of further frames against the map: matches, absolute pose, guided refinement."""
+"""Registration of the remaining frames: matching with the map, absolute pose, guided search."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from std_toolkit.io.atomic import atomic_path
 from std_toolkit.jobs import JobOptions, JobReport, run_jobs
 from std_toolkit.poses.features import describe_image, load_features, match_descriptors
 
-# Keyframes that a frame is matched with: nearest in time, and most alike.
+# Keyframes that a frame is matched with: nearest in time, and most similar.
 NEAR_KEYFRAMES = 4
 ALIKE_KEYFRAMES = 3
 RANSAC_ERROR_PX = 6.0
 INLIER_ERROR_PX = 3.0
 SEARCH_RADIUS_PX = 6.0
-# Fewer inliers than this share of the matches is a pose that anything would have got.
+# With a smaller fraction of inliers among the matches, a pose may be due to chance.
 MIN_INLIER_SHARE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class MapIndex:
-    """The map as registration needs it: triangulated features of every keyframe.
+    """Triangulated features of every keyframe, for registration.
 
     Attributes:
         order: (K,) position of each keyframe in the recording.
-        names: (K,) names of the keyframes' feature files.
+        names: (K,) names of the feature files of the keyframes.
         offsets: (K + 1,) ranges of the keyframes in `keypoint` and `point`.
-        keypoint: (M,) index into the features of its keyframe.
+        keypoint: (M,) index into the features of the keyframe.
         point: (M,) row of `xyz`.
         xyz: (P, 3) points, world frame, units of the model.
         point_ids: (P,) COLMAP point ids.
         centres: (K, 3) camera centres.
         vectors: (K, V) image vectors.
-        vocabulary: (W, 128) cluster centres that the vectors were made with.
+        vocabulary: (W, 128) cluster centres used for the vectors.
     """
 
     order: NDArray[np.int64]
@@ -69,7 +69,7 @@ class RegistrationJob:
     """One frame to register.
 
     Attributes:
-        name: of its feature file.
+        name: name of its feature file.
         order: position in the recording.
         camera: intrinsics.
     """
@@ -81,12 +81,12 @@ class RegistrationJob:
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """A frame's pose in the map.
+    """Pose of a frame in the map.
 
     Attributes:
         T_cam_world: pose, units of the model.
         keypoint: (N,) inlier features of the frame.
-        point_ids: (N,) COLMAP points that they see.
+        point_ids: (N,) id of the COLMAP point of each feature.
     """
 
     T_cam_world: SE3
@@ -100,13 +100,13 @@ def build_index(
     vectors: dict[int, NDArray[np.float32]],
     vocabulary: NDArray[np.float32],
 ) -> MapIndex:
-    """Index of the registered keyframes of a model.
+    """Build the index of the registered keyframes of a model.
 
     Args:
         model: pycolmap.Reconstruction.
-        keyframes: (image id, name of its features, position in the recording).
+        keyframes: (image id, name of the feature file, position in the recording).
         vectors: image vector by image id.
-        vocabulary: that the vectors were made with.
+        vocabulary: cluster centres used for the vectors.
     """
     point_ids = np.array(sorted(model.point3D_ids()), dtype=np.int64)
     row_of = {int(p): i for i, p in enumerate(point_ids)}
@@ -144,14 +144,14 @@ def register_frames(
     seed: int,
     options: JobOptions,
 ) -> JobReport[Registration | None]:
-    """Register every frame against the saved map; None for a frame that does not fit.
+    """Register every frame against the saved map; None for a frame without a reliable pose.
 
     Args:
         jobs: the frames; their features must be in `features`.
-        index_path: file of `MapIndex.save`.
+        index_path: file written by `MapIndex.save`.
         features: folder of the feature files.
-        min_points: fewest inliers of a registered frame.
-        seed: of RANSAC.
+        min_points: minimum number of inliers of a registered frame.
+        seed: seed of RANSAC.
         options: where the work runs.
     """
     call = partial(
@@ -188,8 +188,8 @@ def _register(
     ):
         return None
     pose = found["cam_from_world"]
-    # With a pose at hand, points that the ratio test threw away can be searched where they
-    # must be; this doubles the number of observations and spreads them over the image.
+    # The pose predicts where points rejected by the ratio test project to. Searching there doubles
+    # the number of observations and spreads them over the image.
     for radius in (SEARCH_RADIUS_PX, INLIER_ERROR_PX):
         keypoint, point = _search(
             index, features, chosen, from_rigid3d(pose), job.camera, frame.descriptors, uv, radius
@@ -253,7 +253,7 @@ def _merge(
     found: Sequence[tuple[NDArray[np.int64], NDArray[np.int64]]],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     both = np.concatenate([np.stack(f, axis=1) for f in found]) if found else np.zeros((0, 2), int)
-    # Several keyframes see the same point: one vote per (feature, point).
+    # Several keyframes may match the same point: keep one row per (feature, point).
     unique = np.unique(both, axis=0)
     return unique[:, 0], unique[:, 1]
 
@@ -293,7 +293,7 @@ def _search(
     keep = angle < 0.5
     order = np.argsort(angle[keep], kind="stable")
     candidate, point = candidate[keep][order], points[row[keep]][order]
-    # Best appearance first: every feature and every point is used once.
+    # Sorted by appearance, so that each feature and each point is used once in its best match.
     _, first = np.unique(candidate, return_index=True)
     mask = np.zeros(len(candidate), dtype=bool)
     mask[first] = True

@@ -1,12 +1,11 @@
-"""Scale sources: the protocol, the depth sensor as one, and how several become one scale.
+"""Sources of metric scale: protocol, scale from sensor depth, and selection among several.
 
-From several sources of metres to one: all are reported, contradictions stop the run.
+All available sources are reported. Sources that contradict each other stop the run.
 
-Metres from the depth sensor: z over z, never z over range.
-
-A depth image holds z-depth: the distance along the optical axis. Dividing it by the distance of
-the point from the camera centre (range) makes every ratio too small by the cosine of the angle
-off the axis, 0.9-6.5 % for common fields of view.
+Scale from depth is the ratio of sensor z-depth to z-depth in the model. A depth image holds
+z-depth, the distance along the optical axis. Dividing it by the distance from the camera centre
+(range) would make every ratio too small by the cosine of the angle to the axis, 0.9-6.5 % for
+common fields of view.
 """
 
 from __future__ import annotations
@@ -28,13 +27,13 @@ from std_toolkit.poses.colmap import Observations, observations
 from std_toolkit.scene import Frame, Scene
 from std_toolkit.scene.model import ScaleEstimate, ScaleReport
 
-# By what their errors are known to be: a printed board 0.1 %, a mesh with good annotations
-# 0.3-0.8 %, the depth of a consumer sensor 1-2 %. Further plug-ins come after these.
+# Ordered by known error: printed board 0.1 %, mesh with good annotations 0.3-0.8 %, depth of a
+# consumer sensor 1-2 %. Plug-ins follow.
 TRUST = ("board", "cad", "depth")
 
 NO_SCALE_HINT = (
-    "give the scene a source of metres: sensor depth, a board (--board FILE), or an object "
-    "annotated in two or more frames (--scale none accepts the unknown unit silently)"
+    "add a source of metric scale: sensor depth, a board (--board FILE), or an object annotated "
+    "in two or more frames (--scale none accepts the unknown unit without a warning)"
 )
 
 MAX_FRAMES = 60
@@ -43,11 +42,11 @@ MIN_TRACK_LENGTH = 3
 
 MIN_RATIOS = 100
 
-# A pixel counts if its 3x3 neighbourhood is complete and flatter than this share of its depth:
-# at an edge a sub-pixel difference picks foreground or background.
+# A pixel counts if its neighbourhood is complete and its depth varies by less than this fraction
+# per pixel: at an edge, a sub-pixel error selects foreground or background.
 MAX_STEP = 0.01
 
-# Beyond this the error of stereo depth grows with the square of the distance.
+# The error of stereo depth grows with the square of the distance.
 MIN_DEPTH_M, MAX_DEPTH_M = 0.15, 4.0
 
 MAX_REPROJECTION_PX = 1.5
@@ -55,14 +54,14 @@ MAX_REPROJECTION_PX = 1.5
 
 @dataclass(frozen=True)
 class ScaleContext:
-    """What a source may look at.
+    """Input of a scale source.
 
     Attributes:
         scene: frames, images, labels.
         model: pycolmap.Reconstruction of unknown unit.
-        image_ids: frame id to COLMAP image id, registered frames only, rising.
-        cameras: intrinsics by camera key, as adjusted with the model.
-        board: description of a fiducial board, or None.
+        image_ids: COLMAP image ids by frame id, registered frames only, in ascending order.
+        cameras: adjusted intrinsics by camera key.
+        board: file of a fiducial board, or None.
         jobs: where work over frames runs.
     """
 
@@ -75,7 +74,7 @@ class ScaleContext:
 
     @cached_property
     def poses(self) -> dict[int, SE3]:
-        """T_cam_world of every registered frame, by frame id, in units of the model."""
+        """T_cam_world of the registered frames by frame id, in units of the model."""
         from std_toolkit.poses.colmap import from_rigid3d
 
         return {
@@ -84,41 +83,41 @@ class ScaleContext:
         }
 
     def frames(self) -> list[Frame]:
-        """The registered frames in recording order."""
+        """Return the registered frames in recording order."""
         return [f for f in self.scene.frames if f.id in self.image_ids]
 
     def camera(self, frame: Frame) -> Camera:
-        """Intrinsics that belong to the model."""
+        """Return the adjusted intrinsics of a frame."""
         return self.cameras[frame.camera]
 
     def observations(self, frame_id: int) -> Observations:
-        """What a registered frame sees of the model."""
+        """Return the points of the model observed in a registered frame."""
         return observations(self.model, self.image_ids[frame_id])
 
 
 class ScaleSource(Protocol):
-    """One way to metres.
+    """A source of metric scale.
 
-    An implementation is a class without arguments, or a module-level object, registered in the
-    entry-point group `std_toolkit.scale_sources`.
+    An implementation is a class without constructor arguments, or another factory, registered in
+    the entry-point group `std_toolkit.scale_sources`.
     """
 
     name: str
 
     def available(self, context: ScaleContext) -> bool:
-        """Whether the scene has what this source needs; cheap."""
+        """Return whether the scene has the input of this source; must be fast."""
         ...
 
     def estimate(self, context: ScaleContext) -> ScaleEstimate:
-        """Metres per unit of the model.
+        """Estimate the metres per unit of the model.
 
         Raises:
-            ToolkitError: the evidence is too weak or contradicts itself.
+            ToolkitError: the data are insufficient or contradictory.
         """
         ...
 
 
-# Names to factories.
+# Factories by name.
 SOURCES: plugins.Registry[Callable[[], ScaleSource]] = plugins.Registry(
     "std_toolkit.scale_sources",
     {
@@ -137,17 +136,18 @@ def summarise(
     groups: NDArray[np.integer] | None = None,
     note: str = "",
 ) -> ScaleEstimate:
-    """Robust summary of single estimates of the scale.
+    """Summarise single estimates of the scale robustly.
 
     The factor is the (weighted) median. The spread is the interquartile range relative to it. The
-    standard error is 1.2533 x 1.4826 x MAD / sqrt(n); with `groups` it is that of the medians per
-    group, because estimates from one image share their errors.
+    standard error is 1.2533 x 1.4826 x MAD / sqrt(n), relative to the factor; with `groups` it is
+    that of the medians per group, because estimates from one image share their errors.
 
     Args:
+        name: name of the source.
         ratios: (N,) positive single estimates.
-        weights: (N,) for the median.
-        groups: (N,) ids.
-        note: what was measured.
+        weights: (N,) weights of the median.
+        groups: (N,) group ids, such as frames.
+        note: description of the measurements.
     """
     r = np.asarray(ratios, dtype=np.float64)
     factor = float(np.median(r)) if weights is None else weighted_median(r, weights)
@@ -168,21 +168,21 @@ def summarise(
 
 
 def weighted_median(values: NDArray[np.floating], weights: NDArray[np.floating]) -> float:
-    """The value at which half of the weight lies on either side."""
+    """Return the weighted median: half of the total weight is on either side."""
     order = np.argsort(values, kind="stable")
     total = np.cumsum(np.asarray(weights, dtype=np.float64)[order])
     return float(np.asarray(values)[order][np.searchsorted(total, total[-1] / 2)])
 
 
 def check_source_name(scale: str) -> None:
-    """Refuse a `--scale` that names nothing; cheap, so that it can come before the mapping.
+    """Check a value of `--scale`; fast, so that it can run before the mapping.
 
     Raises:
-        ToolkitError: it is neither "auto" nor "none" nor a known source nor a plug-in's path.
+        ToolkitError: it is not "auto", "none", a known source or the path of a plug-in.
     """
     if scale not in ("auto", "none", *SOURCES.names()) and ":" not in scale:
         raise errors.ToolkitError(
-            "no such scale source",
+            "unknown scale source",
             field="scale",
             value=scale,
             hint=f"one of auto, none, {', '.join(SOURCES.names())}",
@@ -192,16 +192,16 @@ def check_source_name(scale: str) -> None:
 def resolve_scale(
     context: ScaleContext, *, scale: str, max_disagreement: float
 ) -> tuple[float, ScaleReport]:
-    """Factor from the model's unit to metres, and the report.
+    """Return the metres per unit of the model, and the scale report.
 
     Args:
         context: the reconstruction and the scene.
         scale: "auto", "none" or the name of a source.
-        max_disagreement: largest relative difference between two sources in "auto".
+        max_disagreement: largest relative difference between two sources with "auto".
 
     Raises:
-        ToolkitError: a source that fails, or sources that contradict each other while none is
-            named.
+        ToolkitError: the named source fails; with "auto", an available source fails or sources
+            contradict each other.
     """
     if scale == "none":
         return 1.0, ScaleReport(unit="unknown", chosen="none")
@@ -217,17 +217,16 @@ def resolve_scale(
             estimates[name] = source.estimate(context)
         except errors.ToolkitError as error:
             if name == scale or not named:
-                # A scene that has a source which cannot be used is a scene to look at, not one
-                # to go on with quietly.
+                # An available source that fails needs inspection, so it is not skipped.
                 raise errors.ToolkitError(
                     f"scale source {name!r}: {error}",
-                    hint=None if named else "mend it or name another source with --scale",
+                    hint=None if named else "fix it or name another source with --scale",
                 ) from error
             log.logger.warning("scale source %s (not used): %s", name, error)
     if not estimates:
         log.logger.warning(
-            "nothing tells the metres of this scene: the unit of its poses is UNKNOWN and every "
-            "step that needs metres will refuse them; %s",
+            "no source of metric scale in this scene: the unit of its poses is UNKNOWN and every "
+            "step that needs metres will reject them; %s",
             NO_SCALE_HINT,
         )
         return 1.0, ScaleReport(unit="unknown", chosen="none")
@@ -237,11 +236,11 @@ def resolve_scale(
         raise errors.ToolkitError(
             f"scale sources differ by {100 * disagreement:.2f} % (limit "
             f"{100 * max_disagreement:.2f} %): {_line(estimates[a])}; {_line(estimates[b])}",
-            hint=f"mend the wrong one or name the right one: --scale {a} or --scale {b}",
+            hint=f"fix the wrong one or name the right one: --scale {a} or --scale {b}",
         )
     if disagreement > max_disagreement:
         log.logger.warning(
-            "scale sources differ by %.2f %%; %s was named and is used", 100 * disagreement, scale
+            "scale sources differ by %.2f %%; using %s, as requested", 100 * disagreement, scale
         )
     order = {name: i for i, name in enumerate(TRUST)}
     chosen = scale if named else min(estimates, key=lambda n: order.get(n, len(order)))
@@ -280,7 +279,7 @@ class DepthScale:
 
     def estimate(self, context: ScaleContext) -> ScaleEstimate:
         frames = [f for f in context.frames() if f.depth is not None]
-        # Spread over the recording; reading every depth image would cost more than it tells.
+        # A sample spread over the recording is enough; reading every depth image takes long.
         step = max(1, -(-len(frames) // MAX_FRAMES))
         ratios, groups = [], []
         for frame in frames[::step]:
@@ -307,11 +306,11 @@ class DepthScale:
 
 
 def z_ratios(depth: NDArray[np.floating], seen: Observations) -> NDArray[np.float64]:
-    """Sensor z-depth over model z-depth at every point where both can be trusted.
+    """Return the ratio of sensor z-depth to model z-depth at every point where both are reliable.
 
     Args:
         depth: (H, W) z-depth in metres, 0 = none.
-        seen: what the image of this depth sees.
+        seen: observations of the image that belongs to this depth.
 
     Returns:
         (N,) metres per unit of the model.
@@ -336,7 +335,7 @@ def z_ratios(depth: NDArray[np.floating], seen: Observations) -> NDArray[np.floa
     middle = patch[:, [5, 6, 9, 10]]
     flat = np.ptp(patch, axis=1) < 3 * MAX_STEP * np.maximum(middle.mean(axis=1), 1e-9)
     a, b = uv[:, 0] - u0, uv[:, 1] - v0
-    # Inverse depth is linear in the image on a plane, depth is not: interpolate the former.
+    # On a plane, inverse depth is linear in the image and depth is not.
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse = 1 / middle
         measured = 1 / (

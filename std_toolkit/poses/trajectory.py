@@ -1,4 +1,4 @@
-"""Camera trajectories in the formats of other tools."""
+"""Export of camera trajectories to the formats of other tools."""
 
 from __future__ import annotations
 
@@ -25,12 +25,13 @@ def write_trajectory(scene: Scene, out: Path, *, format: str = "csv") -> None:
     """Write the camera poses of a scene.
 
     Args:
-        scene: with poses; in metres, unless their unit is unknown (that is warned about).
+        scene: scene with poses; an unknown unit gives a warning.
         out: file for csv, tum and nerf; new or empty folder for colmap.
         format: one of `FORMATS`.
 
     Raises:
-        ToolkitError: no poses, a folder in use, or a lens that the format cannot tell.
+        ToolkitError: unknown format, no poses, a folder that is not empty, or a lens model that
+            the format cannot represent.
     """
     if format not in FORMATS:
         raise ToolkitError(
@@ -52,7 +53,7 @@ def write_trajectory(scene: Scene, out: Path, *, format: str = "csv") -> None:
 
 
 def _write_csv(scene: Scene, out: Path) -> None:
-    """One row per frame; `m00`..`m33` is T_world_cam row-major in metres, empty if unregistered."""
+    """Write a row per frame; `m00`..`m33` is T_world_cam, row-major, metres, or empty."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     columns = [f"m{r}{c}" for r in range(4) for c in range(4)]
@@ -64,14 +65,14 @@ def _write_csv(scene: Scene, out: Path) -> None:
             writer.writerow([frame.id, frame.name, "unregistered", ""] + [""] * 16)
             continue
         error = "" if pose.reprojection_px is None else f"{pose.reprojection_px:.4f}"
-        # repr keeps every bit: what is read back is what was saved.
+        # repr() is exact: reading it back gives the saved number.
         numbers = [repr(float(x)) for x in pose.T_world_cam]
         writer.writerow([frame.id, frame.name, pose.status, error, *numbers])
     write_bytes_atomic(out, text.getvalue().encode())
 
 
 def _write_tum(scene: Scene, out: Path) -> None:
-    """`timestamp tx ty tz qx qy qz qw` of T_world_cam; the frame id where there is no time."""
+    """Write `timestamp tx ty tz qx qy qz qw` of T_world_cam; frame ids if times are missing."""
     lines = ["# timestamp tx ty tz qx qy qz qw"]
     timed = all(f.timestamp is not None for f in scene.frames)
     for frame in scene.frames:
@@ -85,13 +86,13 @@ def _write_tum(scene: Scene, out: Path) -> None:
 
 
 def _write_colmap(scene: Scene, out: Path) -> None:
-    """COLMAP text model: the full one of the pose step, else cameras and images without points."""
+    """Write the model of the pose step as COLMAP text, or else cameras and images only."""
     import pycolmap
 
     from std_toolkit.poses.colmap import quiet_colmap, to_colmap_camera, to_rigid3d
 
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ToolkitError("there is something here already", path=out, hint="name a new folder")
+        raise ToolkitError("output exists and is not empty", path=out, hint="name a new folder")
     work = out.with_name(f".{out.name}.partial")
     shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True)
@@ -129,10 +130,10 @@ def _write_colmap(scene: Scene, out: Path) -> None:
 
 
 def _write_nerf(scene: Scene, out: Path) -> None:
-    """`transforms.json`: camera-to-world in OpenGL axes, intrinsics with pixel origin at corners.
+    """Write `transforms.json`: camera-to-world in OpenGL axes.
 
-    `cx`, `cy` count from the outer corner of the first pixel, as the readers of this format do:
-    half a pixel more than the toolkit's.
+    As in other tools that use this format, `cx` and `cy` start at the outer corner of the first
+    pixel: they are half a pixel larger than the toolkit's.
     """
     frames = []
     for frame in scene.frames:
@@ -143,7 +144,7 @@ def _write_nerf(scene: Scene, out: Path) -> None:
         k = [*camera.distortion, *([0.0] * (8 - len(camera.distortion)))]
         if any(k[5:]):
             raise ToolkitError(
-                "transforms.json has no place for the coefficients k4, k5 and k6",
+                "transforms.json cannot store the coefficients k4, k5 and k6",
                 path=scene.root / "scene.json",
                 field=f"cameras.{frame.camera}.distortion",
                 value=list(camera.distortion),

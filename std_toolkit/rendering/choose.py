@@ -1,10 +1,8 @@
-"""Which renderer to use, and which off-screen GL works here (probed in a process of its own).
+"""Choice of the renderer, and detection of a working off-screen GL platform.
 
-Which off-screen GL can be used here, found out without risk to the process that asks.
-
-A broken GL driver may abort the process that makes a context, so the probe renders a triangle in
-a child process. Its answer is kept for the process and, through an environment variable, for the
-worker processes it starts.
+A broken GL driver may abort the process that creates a context, so the probe renders a triangle in
+a child process. The result is kept for this process and, in an environment variable, for the
+worker processes that it starts.
 """
 
 from __future__ import annotations
@@ -28,47 +26,46 @@ DEFAULT_RENDERER = "pyrender"
 PLATFORMS = ("egl", "osmesa")
 
 ANSWER_VARIABLE = "STD_TOOLKIT_GL"
+"""Environment variable with `egl`, `osmesa` or `none`; if set, the probe is skipped."""
 
 
 def choose_renderer(name: str = DEFAULT_RENDERER, *, cameras: Iterable[Camera] = ()) -> str:
-    """Name of the renderer that will draw these cameras.
+    """Return the name of the renderer to use for these cameras.
 
-    `pyrender` gives way to `raycast`, with a notice in the log, where no GL context can be made
-    and for cameras with distortion. Both draw the same maps (see docs/ground-truth.md). A plug-in
-    never gives way.
+    `pyrender` is replaced by `raycast`, with a log message, if no GL context can be created and
+    for cameras with distortion. Both draw the same maps (see docs/ground-truth.md). A plug-in is
+    never replaced.
 
     Raises:
-        ToolkitError: there is no renderer of this name.
+        ToolkitError: no renderer has this name.
     """
     if name != "pyrender":
         RENDERERS.get(name)
         return name
     if any(camera.is_distorted for camera in cameras):
         logger.info(
-            "the camera has lens distortion, which pyrender cannot draw: using the ray caster"
+            "pyrender does not support the lens distortion of this camera: using the ray caster"
         )
         return "raycast"
     platform, reason = find_gl()
     if platform is None:
-        logger.warning("no GL context can be made (%s): using the ray caster", reason)
+        logger.warning("cannot create a GL context (%s): using the ray caster", reason)
         return "raycast"
     return "pyrender"
 
 
 @lru_cache(maxsize=4)
 def get_renderer(name: str = DEFAULT_RENDERER) -> Renderer:
-    """The renderer of this name, made once per process (a GL context is dear).
+    """Return the renderer `name`. Created once per process, because a GL context is expensive.
 
     Raises:
-        ToolkitError: there is none, it is not a renderer, or it cannot work here.
+        ToolkitError: no plug-in has this name, it is not a renderer, or it cannot run here.
     """
     renderer = RENDERERS.get(name)()
     if not isinstance(renderer, Renderer):
         raise ToolkitError("plug-in is not a renderer (name, handles_distortion, draw)", value=name)
     return renderer
 
-
-"""Holds `egl`, `osmesa` or `none`: set it to skip the probe."""
 
 _PROBE_SECONDS = 60
 
@@ -88,10 +85,10 @@ print("gl-works")
 
 @lru_cache(maxsize=1)
 def find_gl() -> tuple[str | None, str]:
-    """Return the GL platform that works here (`egl`, `osmesa` or None) and why.
+    """Return the GL platform that works here (`egl`, `osmesa` or None) and the reason.
 
-    A platform named in PYOPENGL_PLATFORM is the only one tried; a process that has loaded OpenGL
-    for something else already cannot change it any more.
+    If PYOPENGL_PLATFORM names a platform, only that one is tried. A process that has already loaded
+    OpenGL cannot change its platform.
     """
     answered = os.environ.get(ANSWER_VARIABLE)
     if answered in (*PLATFORMS, "none"):
@@ -113,7 +110,7 @@ def find_gl() -> tuple[str | None, str]:
 
 
 def loaded_platform() -> str | None:
-    """Name of the platform PyOpenGL is bound to in this process; None when not loaded."""
+    """Return the platform that PyOpenGL is bound to in this process; None if not loaded."""
     module = sys.modules.get("OpenGL.platform")
     bound = getattr(module, "PLATFORM", None)
     if bound is None:
@@ -122,7 +119,7 @@ def loaded_platform() -> str | None:
 
 
 def _probe(platform: str) -> str | None:
-    """None when a triangle could be drawn, else what went wrong in one line."""
+    """Return None if a triangle could be drawn, or else the problem in one line."""
     environment = {**os.environ, "PYOPENGL_PLATFORM": platform}
     try:
         done = subprocess.run(
@@ -134,7 +131,7 @@ def _probe(platform: str) -> str | None:
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        return f"the probe did not end ({type(error).__name__})"
+        return f"the probe failed to run ({type(error).__name__})"
     if done.returncode == 0 and "gl-works" in done.stdout:
         return None
     lines = [line for line in done.stderr.strip().splitlines() if line.strip()]

@@ -1,14 +1,15 @@
-"""One frame's ground truth: compose, hide, measure, store. Runs in a worker process.
+"""Ground truth of one frame: composition, occlusion, measurements, storage.
 
-What hides labelled objects besides each other.
+Runs in a worker process. The occlusion policy defines what hides labelled objects besides each
+other:
 
-- `models`: nothing. Right when everything that can occlude is labelled.
-- `sensor`: the frame's sensor depth, by BOP's rule: a pixel is hidden where the sensor reads more
-  than delta in front of the object; a missing reading hides nothing. Distances from the camera
-  are compared, not z. In front of glass and metal sensors invent surfaces, which this rule takes
-  for occluders.
-- `fused`: geometry fused from the sensor depth of many frames, in which readings inside the
-  outlines of transparent and specular objects play no part (see `fused.py`); delta as above.
+- `models`: nothing. Correct if everything that can occlude is labelled.
+- `sensor`: the sensor depth of the frame, by BOP's rule: a pixel is hidden if the sensor measures
+  a surface more than delta in front of the object. Missing depth hides nothing. Distances from the
+  camera are compared, not z. In front of glass and metal, sensors report false surfaces, which
+  this rule treats as occluders.
+- `fused`: geometry fused from the sensor depth of many frames, without depth inside the outlines
+  of transparent and specular objects (see `occluders.py`); delta as above.
 
 A hidden pixel is background in every map.
 """
@@ -44,21 +45,22 @@ if TYPE_CHECKING:
     from std_toolkit.geometry import SE3, Camera
 
 DEFAULT_DELTA_M = 0.015
+"""BOP's tolerance for real sensors."""
 
 
 @dataclass(frozen=True)
 class FrameJob:
-    """What all frames of a run share; small, since every item carries it to its worker.
+    """Parameters shared by all frames of a run. Small, because each item is sent with them.
 
     Attributes:
         root: scene folder.
-        state: digest of the scene's documents and meshes, so that a worker notices new ones.
-        renderer: name of the renderer, already chosen.
-        policy: occlusion policy, already resolved.
+        state: digest of the scene's documents and meshes; if it changes, workers reload the scene.
+        renderer: name of the chosen renderer.
+        policy: resolved occlusion policy.
         delta_m: tolerance of the policies `sensor` and `fused`.
         smooth_normals: see `render_scene_maps`.
         occluder: fused geometry (path and digest of content) for policy `fused`.
-        gl: GL platform found where the run began, if its workers run on the same machine.
+        gl: GL platform found by the main process, if the workers run on the same machine.
     """
 
     root: str
@@ -72,18 +74,18 @@ class FrameJob:
 
 
 def render_frame(frame_id: int, *, job: FrameJob, force: bool) -> Literal["done", "kept"]:
-    """Make a frame's ground truth unless it is there already and fresh.
+    """Render the ground truth of a frame unless it exists and is up to date.
 
     Raises:
         ToolkitError: an input cannot be read, or the frame has no labelled object.
     """
-    if job.gl is not None:  # a worker need not find out again
+    if job.gl is not None:  # skips the probe in the worker
         os.environ.setdefault(choose.ANSWER_VARIABLE, job.gl)
     scene = _open_scene(job.root, job.state)
     digest = _digest(scene, frame_id, job)
     if not force and is_finished(scene.root, frame_id, digest):
         return "kept"
-    # From here to the end the frame is unfinished; if it fails, nobody exports what is stale.
+    # Without this file the frame is unfinished: stale maps are not exported after a failure.
     info = info_path(scene.root, frame_id)
     info.unlink(missing_ok=True)
     frame = scene.frame(frame_id)
@@ -130,13 +132,13 @@ def render_frame(frame_id: int, *, job: FrameJob, force: bool) -> Literal["done"
 
 
 def is_finished(root: Path, frame_id: int, digest: str) -> bool:
-    """Whether a frame was rendered from inputs of this digest and its files are as written."""
+    """Return whether a frame was rendered from inputs of this digest and its files are intact."""
     path = info_path(root, frame_id)
     if not path.is_file():
         return False
     try:
         truth = read_document(path, FrameTruth)
-    except ToolkitError:  # of an older format, or damaged: made anew either way
+    except ToolkitError:  # older format or damaged: rendered again either way
         return False
     return truth.digest == digest and all(
         (root / name).is_file() and digest_file(root / name) == content
@@ -174,7 +176,7 @@ def _digest(scene: Scene, frame_id: int, job: FrameJob) -> str:
 def _possible_policy(
     scene: Scene, frame_id: int, sensor: np.ndarray | None, job: FrameJob
 ) -> Policy:
-    """What hides objects in this frame: the record must not tell of depth that was not there."""
+    """The policy that applies to this frame: `models` if the data for another one are missing."""
     lacking = {
         "sensor": sensor is None,
         "fused": job.occluder is None or scene.T_world_cam(frame_id) is None,
@@ -190,7 +192,7 @@ def _hidden(
     policy: Policy,
     job: FrameJob,
 ) -> np.ndarray | None:
-    """(H,W) bool: object pixels behind geometry that is not labelled; None for "nothing hides"."""
+    """(H,W) bool: object pixels behind unlabelled geometry; None if nothing hides objects."""
     camera = scene.camera(scene.frame(frame_id))
     if policy == "sensor" and sensor is not None:
         return hidden_by_depth(composition.depth, sensor, camera, delta_m=job.delta_m)
@@ -238,16 +240,14 @@ def _object_truth(
     )
 
 
-"""BOP's tolerance for real sensors."""
-
 FEWEST_FRAMES_TO_FUSE = 8
 
 
 def resolve_policy(scene: Scene, wished: Literal["auto"] | Policy) -> Policy:
-    """The policy to use; `auto` takes the best one that the scene's data allows.
+    """Return the policy to use; `auto` selects the best one that the data of the scene allow.
 
     `auto` is `fused` with sensor depth in at least 8 registered frames, `sensor` with fewer if no
-    labelled object is transparent or specular, and else `models`.
+    labelled object is transparent or specular, and otherwise `models`.
 
     Raises:
         ToolkitError: the policy needs sensor depth or camera poses that the scene lacks.
@@ -261,7 +261,7 @@ def resolve_policy(scene: Scene, wished: Literal["auto"] | Policy) -> Policy:
         return "sensor" if with_depth and materials <= {*DIFFUSE_MATERIALS} else "models"
     if wished == "sensor" and not with_depth:
         raise ToolkitError(
-            "policy sensor needs sensor depth, which this scene has none of",
+            "policy sensor needs sensor depth, and this scene has none",
             path=scene.root,
             field="policy",
             hint="use --policy models",
@@ -277,7 +277,7 @@ def resolve_policy(scene: Scene, wished: Literal["auto"] | Policy) -> Policy:
 
 
 def ray_lengths(camera: Camera) -> np.ndarray:
-    """(H,W) float32 distance from the camera per metre of z, for every pixel."""
+    """Return (H,W) float32 distance from the camera per metre of z, for every pixel."""
     return _ray_lengths(camera)
 
 
@@ -292,16 +292,16 @@ def _ray_lengths(camera: Camera) -> np.ndarray:
 def hidden_by_depth(
     depth: np.ndarray, scene_depth: np.ndarray, camera: Camera, *, delta_m: float
 ) -> np.ndarray:
-    """Where a scene depth hides an object depth.
+    """Return where the scene depth hides the object depth.
 
     Args:
-        depth: (H,W) z-depth of the objects, 0 = none.
-        scene_depth: (H,W) z-depth of the scene, 0 = missing, which hides nothing.
-        camera: both maps' camera.
-        delta_m: tolerance on the difference of distances.
+        depth: (H,W) z-depth of the objects, metres, 0 = none.
+        scene_depth: (H,W) z-depth of the scene, metres, 0 = missing, which hides nothing.
+        camera: camera of both maps.
+        delta_m: tolerance of the difference of distances from the camera.
 
     Returns:
-        (H,W) bool, true only where both depths are there.
+        (H,W) bool; False where either depth is missing.
     """
     difference = (depth - scene_depth) * ray_lengths(camera)
     return (depth > 0) & (scene_depth > 0) & (difference > np.float32(delta_m))
@@ -315,7 +315,7 @@ def occluder_depth(
     *,
     where: np.ndarray,
 ) -> np.ndarray:
-    """(H,W) float32 z-depth of the fused geometry at the pixels in `where`, 0 elsewhere."""
+    """Return (H,W) float32 z-depth of the fused geometry at the pixels in `where`, 0 elsewhere."""
     depth = np.zeros(where.shape, np.float32)
     depth[where] = caster.cast_at(camera, occluder, T_cam_world, where=where)
     return depth

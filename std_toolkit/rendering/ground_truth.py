@@ -1,9 +1,9 @@
-"""Rendered ground truth on disk: names and encoding of a frame's files, reading and writing.
+"""Rendered ground truth on disk: names and encoding of the files of a frame, reading and writing.
 
-A frame is finished when `gt/info/NNNNNN.json` is there; it is written last and names the digests
-of the inputs it was made from and of the files it stands for.
+A frame is finished if `gt/info/NNNNNN.json` exists. It is written last and has the digests of the
+inputs and of the files.
 
-How ground-truth maps are stored, and why. data_spec.md repeats it normatively.
+Encoding of the maps (data_spec.md is normative):
 
 ==========  ============================  =====================================================
 map         file                          encoding
@@ -15,12 +15,16 @@ normals     gt/normals/NNNNNN.png         3 x 16 bit RGB = XYZ, round(65535 (n +
                                           background 0 0 0
 ==========  ============================  =====================================================
 
-16 bits resolve 5 um of a 0.3 m object in NOCS and 0.001 degrees in normals. 0 0 0 is no value of
-either (a NOCS point lies within 0.5 of the cube's centre, and (-1, -1, -1) is no unit vector).
+16 bits resolve 5 um of a 0.3 m object in NOCS and 0.001 degrees in normals. 0 0 0 encodes no valid
+value of either: a NOCS point is within 0.5 of the centre of the cube, and (-1, -1, -1) is not a
+unit vector.
 
-Measured on 2 cores with a 1280x720 frame of six objects (155,000 object pixels), per map:
-float32 EXR 15 ms and 0.6 MB for depth, 44 ms and 1.9 MB for normals; 16-bit PNG as OpenCV writes it
-60 ms and 0.75 MB; with the filter fixed to "up" and run-length matching 18 ms and 0.72 MB.
+Time and size per map, measured on 2 cores with a 1280x720 frame of six objects (155,000 object
+pixels):
+
+- float32 EXR: 15 ms and 0.6 MB for depth, 44 ms and 1.9 MB for normals;
+- 16-bit PNG with OpenCV's defaults: 60 ms and 0.75 MB;
+- 16-bit PNG with the filter "up" and run-length matching: 18 ms and 0.72 MB.
 """
 
 from __future__ import annotations
@@ -45,26 +49,26 @@ FOLDER = "gt"
 
 _FILES = {"depth": "exr", "mask": "png", "nocs": "png", "normals": "png"}
 
-# Row differences turn flat background and smooth ramps into runs, which is all that fast
-# matching needs; trying every filter per row costs three times as much and gains 5 %.
+# The filter "up" turns flat background and smooth ramps into runs, which run-length matching
+# compresses. Trying every filter per row takes three times as long and saves 5 %.
 _PNG_PARAMETERS = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
 
 class ObjectTruth(Document, frozen=True, kw_only=True):
-    """One object in one frame.
+    """Ground truth of one object in one frame.
 
-    Boxes are [x_min, y_min, x_max, y_max]: the outermost pixels that belong to the object (BOP's
-    width is x_max - x_min, COCO's one more). Null when no pixel does.
+    Boxes are [x_min, y_min, x_max, y_max]: the outermost pixels of the object (BOP's width is
+    x_max - x_min, COCO's is one larger). Null if the object has no pixel.
 
     Attributes:
         object: object id, its value in the mask.
-        T_cam_obj: mesh to camera as rendered, 16 numbers row-major, metres.
-        px_all: pixels of the silhouette alone, hidden ones included, on a canvas of 3 x 3 images.
-        px_valid: those inside the image where the sensor measured a depth (all inside the image
-            when the frame has no sensor depth).
+        T_cam_obj: mesh to camera as rendered, 16 numbers, row-major, metres.
+        px_all: pixels of the amodal silhouette on a canvas of 3 x 3 images.
+        px_valid: pixels of the amodal silhouette inside the image where the sensor measured depth
+            (all inside the image if the frame has no sensor depth).
         px_visible: pixels in the mask.
-        visible_fraction: px_visible / px_all, 0 when px_all is 0.
-        bbox_amodal: box of the silhouette; may reach beyond the image, never beyond the canvas.
+        visible_fraction: px_visible / px_all, 0 if px_all is 0.
+        bbox_amodal: box of the silhouette; may extend beyond the image, never beyond the canvas.
         bbox_visible: box of the pixels in the mask.
     """
 
@@ -79,26 +83,26 @@ class ObjectTruth(Document, frozen=True, kw_only=True):
 
     @property
     def pose(self) -> SE3:
-        """`T_cam_obj` as a transform."""
+        """`T_cam_obj` as SE3."""
         return pose_from_list(self.T_cam_obj)
 
 
 class FrameTruth(Document, frozen=True, kw_only=True):
-    """gt/info/NNNNNN.json: how a frame's ground truth was made, and its numbers.
+    """gt/info/NNNNNN.json: provenance and measurements of the ground truth of a frame.
 
     Attributes:
         frame: frame id.
-        policy: what occludes besides the labelled objects themselves: nothing ("models"), the
-            frame's sensor depth ("sensor"), or geometry fused from many frames ("fused").
-        delta_m: how far in front of an object the sensor depth or the fused geometry must lie to
-            hide it, as a difference of distances from the camera; null for "models".
-        renderer: "pyrender", "raycast" or a plug-in's name.
+        policy: what occludes besides the labelled objects: nothing ("models"), the sensor depth of
+            the frame ("sensor"), or geometry fused from many frames ("fused").
+        delta_m: how far in front of an object the sensor depth or the fused geometry must be to
+            hide it, as a difference of distances from the camera, metres; null for "models".
+        renderer: "pyrender", "raycast" or the name of a plug-in.
         smooth_normals: whether normals are interpolated within a triangle.
-        objects: in order of object id.
-        version: of the toolkit.
-        inputs: digest of camera, meshes and depth scale: with other ones the maps are stale.
-        digest: of everything that determines the files.
-        outputs: path relative to the scene folder, to digest of the content.
+        objects: rows in order of object id.
+        version: version of the toolkit.
+        inputs: digest of camera, meshes and depth scale; the maps are stale if it differs.
+        digest: digest of everything that determines the files.
+        outputs: digest of the content by path relative to the scene folder.
     """
 
     frame: Count
@@ -113,10 +117,10 @@ class FrameTruth(Document, frozen=True, kw_only=True):
     outputs: dict[str, str]
 
     def of(self, object_id: int) -> ObjectTruth:
-        """The row of an object.
+        """Return the row of an object.
 
         Raises:
-            ToolkitError: it has none in this frame.
+            ToolkitError: the object has no row in this frame.
         """
         for row in self.objects:
             if row.object == object_id:
@@ -126,10 +130,10 @@ class FrameTruth(Document, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """The maps of one frame, each read when first asked for.
+    """The maps of one frame, each read on first access.
 
-    Occluded pixels count as background in every map: ground truth covers what can be seen of the
-    labelled objects and nothing else.
+    Occluded pixels are background in every map: ground truth covers the visible parts of the
+    labelled objects only.
 
     Attributes:
         info: poses, visible fractions, boxes, policy.
@@ -161,19 +165,19 @@ class GroundTruth:
 
 
 def info_path(root: Path, frame_id: int) -> Path:
-    """Where a frame's `FrameTruth` is."""
+    """Return the path of a frame's `FrameTruth`."""
     return root / FOLDER / "info" / f"{frame_id:06d}.json"
 
 
 def map_paths(root: Path, frame_id: int) -> dict[str, Path]:
-    """Paths of a frame's maps by name: depth, mask, nocs, normals."""
+    """Return the paths of a frame's maps by name: depth, mask, nocs, normals."""
     return {
         name: root / FOLDER / name / f"{frame_id:06d}.{suffix}" for name, suffix in _FILES.items()
     }
 
 
 def rendered_frames(scene: Scene) -> list[int]:
-    """Ids of the frames whose ground truth is finished, rising."""
+    """Return the ids of the frames with finished ground truth, in ascending order."""
     folder = scene.root / FOLDER / "info"
     known = {f.id for f in scene.frames}
     found = (int(p.stem) for p in folder.glob("*.json") if p.stem.isdigit())
@@ -181,7 +185,7 @@ def rendered_frames(scene: Scene) -> list[int]:
 
 
 def read_frame_truth(scene: Scene, frame_id: int) -> FrameTruth:
-    """The numbers of a frame, without its maps.
+    """Read the measurements of a frame, without its maps.
 
     Raises:
         ToolkitError: the frame was not rendered, or its record is damaged.
@@ -195,11 +199,11 @@ def read_frame_truth(scene: Scene, frame_id: int) -> FrameTruth:
 
 
 def read_ground_truth(scene: Scene, frame_id: int) -> GroundTruth:
-    """The ground truth of a frame.
+    """Return the ground truth of a frame.
 
     Raises:
-        ToolkitError: the frame was not rendered or a file is missing; a damaged map is told when
-            it is read.
+        ToolkitError: the frame was not rendered or a file is missing. A damaged map raises on
+            first access.
     """
     info = read_frame_truth(scene, frame_id)
     paths = map_paths(scene.root, frame_id)
@@ -217,22 +221,22 @@ _PNG_PARAMETERS += [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
 
 
 def write_depth(path: Path, depth: np.ndarray) -> None:
-    """Store (H,W) float32 z-depth in metres, 0 = background, without loss."""
+    """Write (H,W) float32 z-depth in metres, 0 = background, lossless."""
     exr.write_exr(path, {"Z": np.ascontiguousarray(depth, np.float32)}, compression="zip")
 
 
 def write_mask(path: Path, mask: np.ndarray) -> None:
-    """Store an (H,W) uint8 mask of object ids, 0 = background."""
+    """Write an (H,W) uint8 mask of object ids, 0 = background."""
     _write_png(path, np.ascontiguousarray(mask, np.uint8))
 
 
 def write_nocs(path: Path, nocs: np.ndarray) -> None:
-    """Store (H,W,3) float32 NOCS coordinates in 0..1, 0 0 0 in the background."""
+    """Write (H,W,3) float32 NOCS coordinates in 0..1, 0 0 0 in the background."""
     _write_png(path, (np.clip(nocs, 0, 1) * np.float32(65535) + np.float32(0.5)).astype(np.uint16))
 
 
 def write_normals(path: Path, normals: np.ndarray, mask: np.ndarray) -> None:
-    """Store (H,W,3) float32 unit normals of the pixels where `mask` is not 0."""
+    """Write (H,W,3) float32 unit normals of the pixels where `mask` is not 0."""
     half = np.float32(32767.5)
     stored = (np.clip(normals, -1, 1) * half + (half + np.float32(0.5))).astype(np.uint16)
     stored[mask == 0] = 0
@@ -240,22 +244,22 @@ def write_normals(path: Path, normals: np.ndarray, mask: np.ndarray) -> None:
 
 
 def load_depth(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """(H,W) float32 metres."""
+    """Read (H,W) float32 z-depth in metres."""
     return images.read_depth(path, scale=None, size=size)
 
 
 def load_mask(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """(H,W) uint8."""
+    """Read an (H,W) uint8 mask of object ids."""
     return images.read_mask(path, size=size)
 
 
 def load_nocs(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """(H,W,3) float32 in 0..1, 0 in the background."""
+    """Read (H,W,3) float32 NOCS coordinates in 0..1, 0 in the background."""
     return _load_triples(path, size).astype(np.float32) / np.float32(65535)
 
 
 def load_normals(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """(H,W,3) float32 unit normals, 0 in the background."""
+    """Read (H,W,3) float32 unit normals, 0 in the background."""
     stored = _load_triples(path, size)
     normals = stored.astype(np.float32) / np.float32(32767.5) - np.float32(1)
     normals[~stored.any(axis=2)] = 0

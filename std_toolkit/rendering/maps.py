@@ -1,10 +1,9 @@
-"""Depth, instance mask, NOCS and normals of a frame, from what a renderer draws per object.
+"""Depth, instance mask, NOCS and normals of a frame, computed from one rendering per object.
 
-Every object is drawn alone (that gives its amodal silhouette), the nearest one wins each pixel,
-and what a pixel shows is computed from its depth: the point `T_obj_cam @ unproject(depth)` gives
-the NOCS coordinate, the triangle under it the normal. No map passes through 8-bit colours.
-
-Amodal silhouettes: all of an object, hidden or outside the image as it may be.
+Every object is drawn alone, which gives its amodal silhouette: the whole object, including hidden
+parts and parts outside the image. Each pixel belongs to the nearest object. The point
+`T_obj_cam @ unproject(depth)` gives the NOCS coordinate, and its triangle the normal. No map is
+rendered as 8-bit colours.
 """
 
 from __future__ import annotations
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from std_toolkit.geometry import SE3, Camera
 
 Box = tuple[int, int, int, int]
+"""x_min, y_min, x_max, y_max: the outermost pixels of an object."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Maps:
 
 @dataclass(frozen=True, eq=False)
 class Composition:
-    """Which object and triangle every pixel shows.
+    """Visible object and triangle of every pixel.
 
     Attributes:
         depth: (H,W) float32 metres, 0 = nothing.
@@ -80,22 +80,22 @@ def render_scene_maps(
     canvas: int = 1,
     smooth_normals: bool = True,
 ) -> Maps:
-    """Draw placed meshes, each of which occludes the others, into all maps.
+    """Render all maps of placed meshes, which occlude each other.
 
     Args:
         renderer: see `get_renderer`.
-        camera: intrinsics, distortion included where the renderer handles it.
-        placed: meshes with their poses; ids must differ.
-        canvas: 3 for silhouettes that reach beyond the image (slower for objects at its border).
-        smooth_normals: interpolate vertex normals (edges sharper than 40 degrees stay); otherwise
-            the triangle's own normal.
+        camera: intrinsics, including distortion if the renderer supports it.
+        placed: meshes with their poses; ids must be unique.
+        canvas: 3 for silhouettes that extend beyond the image (slower for objects at its border).
+        smooth_normals: interpolate vertex normals (edges sharper than 40 degrees stay sharp);
+            otherwise use the normal of the triangle.
 
     Raises:
-        ToolkitError: an id appears twice or is not 1..254.
+        ToolkitError: an id appears twice or is not in 1..254.
     """
     ids = [p.object_id for p in placed]
     if len(set(ids)) != len(ids) or not all(1 <= i <= 254 for i in ids):
-        raise ToolkitError("object ids must differ and lie in 1..254", field="object_id", value=ids)
+        raise ToolkitError("object ids must be unique and in 1..254", field="object_id", value=ids)
     composition = compose(renderer, camera, placed, canvas=canvas)
     nocs, normals = surface_maps(camera, placed, composition, smooth_normals=smooth_normals)
     return Maps(
@@ -110,7 +110,7 @@ def render_scene_maps(
 def compose(
     renderer: Renderer, camera: Camera, placed: Sequence[PlacedMesh], *, canvas: int = 1
 ) -> Composition:
-    """Draw every mesh alone and let the nearest win each pixel (the earlier one a tie)."""
+    """Draw every mesh alone and keep the nearest per pixel (the earlier one in a tie)."""
     shape = (camera.height, camera.width)
     depth = np.full(shape, np.inf, np.float32)
     index = np.full(shape, -1, np.int16)
@@ -134,7 +134,7 @@ def compose(
 
 
 def mask_of(index: np.ndarray, ids: Sequence[int]) -> np.ndarray:
-    """(H,W) uint8 mask of object ids from positions in a list, 0 where the position is -1."""
+    """Return the (H,W) uint8 mask of object ids from indices into `ids`, 0 for index -1."""
     return np.array([*ids, 0], np.uint8)[index]
 
 
@@ -145,7 +145,7 @@ def surface_maps(
     *,
     smooth_normals: bool = True,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """NOCS map and normal map, (H,W,3) float32 each, of the pixels that `index` still names."""
+    """Return NOCS and normal map, (H,W,3) float32 each, of the pixels where `index` is not -1."""
     shape = (camera.height, camera.width, 3)
     nocs, normals = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     inside = image_window(camera)
@@ -176,7 +176,7 @@ def surface_maps(
 def _to_mesh(points: np.ndarray, mesh: RenderMesh, T_cam_obj: SE3) -> np.ndarray:
     """(N,3) camera-frame points in the mesh's centred coordinates, float32.
 
-    The subtraction happens in float64: centred coordinates are small beside the distance.
+    Subtracts in float64, because centred coordinates are small compared with the distance.
     """
     origin = T_cam_obj.R @ mesh.centre + T_cam_obj.t
     return ((points - origin) @ T_cam_obj.R).astype(np.float32)
@@ -185,18 +185,18 @@ def _to_mesh(points: np.ndarray, mesh: RenderMesh, T_cam_obj: SE3) -> np.ndarray
 def surface_normals(
     mesh: RenderMesh, face: np.ndarray, local: np.ndarray, T_cam_obj: SE3, *, smooth: bool = True
 ) -> np.ndarray:
-    """Unit normals in the camera frame at points of triangles.
+    """Return unit normals in the camera frame at points of triangles.
 
     Args:
         mesh: prepared mesh.
         face: (N,) triangle of each point.
         local: (N,3) points in the mesh's centred coordinates.
         T_cam_obj: maps mesh coordinates into the camera frame.
-        smooth: interpolate corner normals; otherwise the triangle's own.
+        smooth: interpolate corner normals; otherwise use the normal of the triangle.
 
     Returns:
-        (N,3) float32. Triangles seen from behind (a bowl without thickness, a mesh wound the
-        wrong way) have their normal turned, so that it always points to the camera's side.
+        (N,3) float32. Normals of triangles seen from behind (a bowl without thickness, a mesh with
+        inverted winding) are flipped, so that they always point towards the camera.
     """
     normal = _interpolated(mesh, face, local) if smooth else mesh.face_normals[face]
     if not mesh.closed:
@@ -211,7 +211,7 @@ def _interpolated(mesh: RenderMesh, face: np.ndarray, local: np.ndarray) -> np.n
     """(N,3) float32 unit normals in mesh coordinates, interpolated within the triangles."""
     table = mesh.interpolation.take(face, axis=0)
     x, y, z = local[:, 0], local[:, 1], local[:, 2]
-    # Depth rounding may put the point a hair outside its triangle: hence the clip.
+    # Rounding of the depth may put the point just outside its triangle, so clip.
     v, w = (
         np.clip(table[:, k] * x + table[:, k + 1] * y + table[:, k + 2] * z + table[:, k + 3], 0, 1)
         for k in (0, 4)
@@ -222,18 +222,15 @@ def _interpolated(mesh: RenderMesh, face: np.ndarray, local: np.ndarray) -> np.n
     return normal
 
 
-"""x_min, y_min, x_max, y_max: the outermost pixels that belong to the thing."""
-
-
 @dataclass(frozen=True, eq=False)
 class Silhouette:
-    """An object's silhouette on a canvas around the image.
+    """Silhouette of an object on a canvas around the image.
 
     Attributes:
-        window: where `mask` lies on the image's pixel grid; None when nothing is on the canvas.
+        window: position of `mask` on the pixel grid of the image; None if nothing is on the canvas.
         mask: (h,w) bool.
-        image: the part inside the image, drawn with the camera's distortion; None if empty.
-        image_window: where `image` lies.
+        image: the part inside the image, drawn with the distortion of the camera; None if empty.
+        image_window: position of `image`.
     """
 
     window: Window | None
@@ -243,7 +240,7 @@ class Silhouette:
 
     @property
     def px_all(self) -> int:
-        """Pixels of the silhouette on the canvas (BOP's px_count_all for a canvas of 3)."""
+        """Number of pixels on the canvas (BOP's px_count_all for a canvas of 3)."""
         return int(np.count_nonzero(self.mask))
 
     @property
@@ -252,7 +249,7 @@ class Silhouette:
         return None if self.window is None else mask_box(self.mask, self.window)
 
     def image_mask(self, camera: Camera) -> np.ndarray:
-        """(H,W) bool: the silhouette clipped to the image."""
+        """Return the silhouette clipped to the image, (H,W) bool."""
         mask = np.zeros((camera.height, camera.width), bool)
         if self.image is not None and self.image_window is not None:
             mask[self.image_window.slices_in(image_window(camera))] = self.image.depth > 0
@@ -271,12 +268,12 @@ def object_silhouette(
 
     Args:
         renderer: any renderer.
-        camera: intrinsics. A distortion model tells nothing about the world outside the image it
-            was fitted on, so what lies outside the image is drawn by the undistorted pinhole.
-        mesh: in metres.
+        camera: intrinsics. A distortion model is not valid outside the image it was fitted on, so
+            parts outside the image are drawn with the undistorted pinhole.
+        mesh: mesh in metres.
         T_cam_obj: maps mesh coordinates into the camera frame.
-        canvas: odd; the canvas has `canvas` x `canvas` images with the image in its middle, as
-            BOP's 3 x 3. 1 clips to the image.
+        canvas: odd number; the canvas has `canvas` x `canvas` images with the image in its middle,
+            3 x 3 in BOP. 1 clips to the image.
 
     Returns:
         The silhouette and, for the part inside the image, depth and triangles.
@@ -319,7 +316,7 @@ def object_silhouette(
 
 
 def mask_box(mask: np.ndarray, window: Window | None = None) -> Box | None:
-    """Outermost pixels of a mask, moved to the window's place on the grid; None when empty."""
+    """Return the outermost pixels of a mask, offset by the window's origin; None if empty."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if len(rows) == 0:
         return None

@@ -1,7 +1,7 @@
-"""Meshes made ready for rendering: centred vertices, hull, bounding box and corner normals.
+"""Meshes prepared for rendering: centred vertices, hull, bounding box and corner normals.
 
-`prepare_mesh` keeps the most recent meshes by content, so that calling it for every frame costs
-only a look-up, and a mesh that was changed in place is prepared anew.
+`prepare_mesh` caches the most recent meshes by content: a call per frame is only a look-up, and a
+mesh that was changed in place is prepared again.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import trimesh
 
 CREASE_DEG = 40.0
-"""Faces that meet at a larger angle keep their own normals: a box keeps its edges."""
+"""Faces that meet at a larger angle keep their own normals, so that edges stay sharp."""
 
 _CACHE_SIZE = 64
 _cache: OrderedDict[tuple[int, int], RenderMesh] = OrderedDict()
@@ -30,13 +30,13 @@ _cache_lock = threading.Lock()
 
 @dataclass(frozen=True, eq=False)
 class RenderMesh:
-    """A triangle mesh as renderers want it.
+    """A triangle mesh prepared for renderers.
 
     Attributes:
-        vertices: (V,3) float64, metres, relative to `centre`: small numbers keep float32 exact.
+        vertices: (V,3) float64, metres, relative to `centre` to keep float32 precision.
         faces: (F,3) int32.
-        centre: (3,) float64, the bounding box's centre in mesh coordinates.
-        diagonal: length of the bounding box's diagonal in metres (the NOCS scale).
+        centre: (3,) float64, centre of the bounding box in mesh coordinates.
+        diagonal: length of the bounding-box diagonal in metres (the NOCS scale).
     """
 
     vertices: np.ndarray
@@ -49,7 +49,7 @@ class RenderMesh:
         """Build from (V,3) vertices in metres and (F,3) vertex indices.
 
         Raises:
-            ToolkitError: an empty mesh, numbers that are not finite, or indices out of range.
+            ToolkitError: the mesh is empty, a number is not finite, or an index is out of range.
         """
         points = np.asarray(vertices, np.float64).reshape(-1, 3)
         triangles = np.ascontiguousarray(faces, np.int32).reshape(-1, 3)
@@ -64,7 +64,7 @@ class RenderMesh:
             raise ToolkitError("mesh has vertices that are not finite", field="vertices")
         if triangles.min() < 0 or triangles.max() >= len(points):
             raise ToolkitError(
-                "mesh face names a vertex that does not exist",
+                "mesh face refers to a vertex that does not exist",
                 field="faces",
                 value=int(triangles.max()),
             )
@@ -75,7 +75,7 @@ class RenderMesh:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the geometry: the mesh's identity in provenance records."""
+        """SHA-256 of the geometry, which identifies the mesh in provenance records."""
         h = hashlib.sha256()
         for part in (self.vertices, self.centre, self.faces.astype("<i4")):
             h.update(np.ascontiguousarray(part).tobytes())
@@ -88,12 +88,12 @@ class RenderMesh:
 
         try:
             return self.vertices[ConvexHull(self.vertices).vertices]
-        except (QhullError, ValueError):  # a flat mesh has no volume to make a hull of
+        except (QhullError, ValueError):  # a flat mesh has no 3D hull
             return self.vertices[np.unique(self.faces)]
 
     @cached_property
     def closed(self) -> bool:
-        """Whether every ray from outside meets a front face first (watertight, wound outwards)."""
+        """Whether every ray from outside hits a front face first (watertight, outward winding)."""
         import trimesh
 
         _, merged = np.unique(self.vertices, axis=0, return_inverse=True)
@@ -110,17 +110,17 @@ class RenderMesh:
 
     @cached_property
     def face_normals(self) -> np.ndarray:
-        """(F,3) float32 unit geometric normals by the right-hand rule; zero for no area."""
+        """(F,3) float32 unit normals by the right-hand rule; zero for faces of no area."""
         a, b, c = (self.vertices[self.faces[:, i]] for i in range(3))
         return _unit(np.cross(b - a, c - a)).astype(np.float32)
 
     @cached_property
     def corner_normals(self) -> np.ndarray:
-        """(F,3,3) float32 smooth normals of every face's three corners.
+        """(F,3,3) float32 smooth normals of the three corners of every face.
 
-        The angle-weighted mean over the faces around the corner whose normals lie within
-        `CREASE_DEG` of the face's own. Vertices at one place count as one, so texture seams, which
-        split vertices, leave no trace in the normals.
+        The angle-weighted mean over the faces around the corner whose normals are within
+        `CREASE_DEG` of the face's own. Vertices at the same position count as one, so texture
+        seams, which split vertices, do not affect the normals.
         """
         _, welded = np.unique(self.vertices, axis=0, return_inverse=True)
         corner_vertex = welded.reshape(-1)[self.faces].reshape(-1)
@@ -154,11 +154,11 @@ class RenderMesh:
 
     @cached_property
     def interpolation(self) -> np.ndarray:
-        """(F,17) float32: per face what turns a centred point into a smooth normal.
+        """(F,17) float32: coefficients per face that map a centred point to its smooth normal.
 
-        Columns 0-3 and 4-7 times (x, y, z, 1) are the second and third barycentric coordinate;
-        8-10 is the first corner's normal, 11-13 and 14-16 what the two coordinates multiply.
-        One row per face, so that a pixel needs one look-up.
+        Columns 0-3 and 4-7 times (x, y, z, 1) are the second and third barycentric coordinate.
+        Columns 8-10 are the normal of the first corner; 11-13 and 14-16 are multiplied by the two
+        coordinates. With one row per face, a pixel needs one look-up.
         """
         a, b, c = (self.vertices[self.faces[:, i]] for i in range(3))
         e1, e2 = b - a, c - a
@@ -180,7 +180,7 @@ class RenderMesh:
 def prepare_mesh(mesh: trimesh.Trimesh | RenderMesh) -> RenderMesh:
     """Return the prepared form of a mesh in metres, from a cache keyed by its content.
 
-    May be called in several threads.
+    Thread-safe.
     """
     if isinstance(mesh, RenderMesh):
         return mesh

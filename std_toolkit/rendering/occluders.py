@@ -1,12 +1,12 @@
 """Geometry of the unlabelled part of a scene, fused from the sensor depth of many frames.
 
-What may hide a labelled object must not come from readings on that object: in front of glass and
-metal a sensor invents surfaces. So readings inside the outline of a transparent or specular object
-are left out, and on other objects only those well in front of the object stay. Each remaining
-reading is one of many views of the same surface in a truncated signed distance volume, which
-averages noise away. Surfaces closer than `clearance` to a labelled object are cut out, the table
-under it among them: a depth bias of a few millimetres would otherwise let the table hide the
-object's foot. Small loose pieces are dropped.
+Occluders of a labelled object must not come from depth measured on that object, because sensors
+report false surfaces in front of glass and metal. Depth inside the outline of a transparent or
+specular object is left out; inside the outline of another object, only depth well in front of the
+object is kept. The remaining depth is fused in a truncated signed distance volume, which averages
+noise over many views. Surfaces closer than `clearance` to a labelled object are removed, including
+the table below it: with a depth bias of a few millimetres, the table would otherwise hide the
+bottom of the object. Small loose pieces are removed.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ _SMALLEST_PIECE_M2 = 4e-4
 
 
 def fuse_occluders(scene: Scene, options: FusionOptions) -> tuple[str, str]:
-    """Make `gt/occluders.ply` (world frame, metres) unless it is fresh.
+    """Write `gt/occluders.ply` (world frame, metres) unless it is up to date.
 
     Returns:
-        Its path, and the digest of its content.
+        The path of the file, and the digest of its content.
     """
     frames = _spread_frames(scene)
     digest = digest_of(
@@ -91,7 +91,7 @@ def fuse_occluders(scene: Scene, options: FusionOptions) -> tuple[str, str]:
 
 @lru_cache(maxsize=2)
 def load_occluder(path: str, digest: str) -> RenderMesh | None:  # noqa: ARG001 - cache key
-    """The fused geometry ready for casting; None when nothing was left of it."""
+    """Read the fused geometry; None if it is empty."""
     import trimesh
 
     loaded: Any = trimesh.load(path, process=False)
@@ -137,7 +137,7 @@ def _fuse(
         reading = o3d.t.geometry.Image(
             core.Tensor.from_numpy(np.ascontiguousarray(depth, np.float32))
         )
-        # Here Open3D rounds projections down, as if pixel centres lay at 0.5: shift ours there.
+        # Open3D rounds projections down here, which assumes pixel centres at 0.5.
         K = core.Tensor.from_numpy(camera.K + _HALF_PIXEL)
         pose = core.Tensor.from_numpy(T_world_cam.inverse().matrix())
         view = (reading, K, pose, 1.0, farthest, _TRUNCATION_VOXELS)
@@ -152,7 +152,7 @@ def _fuse(
 
 
 def _in_order(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same mesh in an order that does not depend on how threads took turns."""
+    """Reorder a mesh so that the result does not depend on thread scheduling."""
     vertices, renumbered = np.unique(vertices, axis=0, return_inverse=True)
     faces = renumbered.reshape(-1)[faces]
     first = faces.argmin(axis=1)[:, None]
@@ -172,7 +172,7 @@ def _trusted_depth(
     renderer: raycast.RaycastRenderer,
     options: FusionOptions,
 ) -> tuple[np.ndarray, float]:
-    """The readings that count, and the depth beyond which nothing can hide an object."""
+    """Depth that may show occluders, and the depth beyond which nothing can hide an object."""
     depth = np.where(on_depth_step(sensor), np.float32(0), sensor)
     if not placed:
         return depth, 3.0
@@ -194,7 +194,7 @@ def _trusted_depth(
 def _cut(
     scene: Scene, vertices: np.ndarray, faces: np.ndarray, options: FusionOptions
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Take away what is near or inside a labelled object, then small pieces."""
+    """Remove geometry near or inside labelled objects, then small pieces."""
     import open3d as o3d
 
     if len(faces) == 0:
@@ -226,7 +226,7 @@ def _cut(
 
 
 def _write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
-    """Binary PLY; written here because a library's header may carry its version."""
+    """Write a binary PLY without a library, whose header might contain its version."""
     header = (
         "ply\nformat binary_little_endian 1.0\n"
         f"element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n"

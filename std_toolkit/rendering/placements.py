@@ -1,8 +1,6 @@
-"""Which objects are where in a frame, and whether rendered ground truth still matches them.
+"""Object poses in a frame, and detection of ground truth that no longer matches its inputs.
 
-What ground truth is made from besides poses: camera, meshes, scale of the depth.
-
-Whether rendered ground truth still belongs to the labels and camera poses.
+The inputs are object and camera poses, camera intrinsics, meshes and the depth scale.
 """
 
 from __future__ import annotations
@@ -21,15 +19,15 @@ from std_toolkit.scene.scene import Scene
 if TYPE_CHECKING:
     from std_toolkit.rendering.ground_truth import FrameTruth
 
-# Far below what a label is good to, far above what a decimal number loses.
+# Far below the accuracy of a label, far above the rounding of decimal numbers.
 _SAME_M, _SAME_RAD = 1e-6, 1e-6
 
 
 def frame_placements(scene: Scene, frame_id: int) -> dict[int, SE3]:
-    """`T_cam_obj` of every object whose pose is known in a frame, by rising object id.
+    """Return `T_cam_obj` of every object whose pose is known in a frame, in order of object id.
 
-    A propagated pose comes first. Where there is none (the frame has no camera pose, or the label
-    was not propagated) the pose annotated in this very frame counts.
+    The propagated pose takes precedence. If there is none (the frame has no camera pose, or the
+    label was not propagated), the pose annotated in this frame is used.
     """
     placements: dict[int, SE3] = {}
     for label in sorted(scene.labels.labels, key=lambda x: x.object):
@@ -44,10 +42,10 @@ def frame_placements(scene: Scene, frame_id: int) -> dict[int, SE3]:
 
 
 def labelled_frames(scene: Scene) -> list[int]:
-    """Ids of the frames in which at least one object's pose is known.
+    """Return the ids of the frames in which the pose of at least one object is known.
 
     Raises:
-        ToolkitError: there is none.
+        ToolkitError: there is no such frame.
     """
     frames = [f.id for f in scene.frames if frame_placements(scene, f.id)]
     if not frames:
@@ -60,7 +58,7 @@ def labelled_frames(scene: Scene) -> list[int]:
 
 
 def place_meshes(scene: Scene, placements: dict[int, SE3]) -> list[PlacedMesh]:
-    """The scene's meshes at the given poses."""
+    """Return the meshes of the scene at the given poses."""
     return [
         PlacedMesh(object_id, scene.mesh(scene.objects.object(object_id).model), pose)
         for object_id, pose in placements.items()
@@ -68,7 +66,10 @@ def place_meshes(scene: Scene, placements: dict[int, SE3]) -> list[PlacedMesh]:
 
 
 def frame_inputs(scene: Scene, frame_id: int) -> str:
-    """Digest of the inputs; it tells stale ground truth, whatever toolkit or option made it."""
+    """Return the digest of the inputs, independent of toolkit version and options.
+
+    If it differs from the recorded digest, the ground truth is stale.
+    """
     camera = scene.camera(scene.frame(frame_id))
     meshes = {
         str(i): scene.mesh_digest(scene.objects.object(i).model)
@@ -84,9 +85,7 @@ def frame_inputs(scene: Scene, frame_id: int) -> str:
 
 
 def truth_is_current(scene: Scene, truth: FrameTruth) -> bool:
-    """Whether a frame was rendered with the poses, camera and meshes that it has now."""
-    # Imported here: the rendering package builds on this one.
-
+    """Return whether a frame was rendered with its current poses, camera and meshes."""
     now = frame_placements(scene, truth.frame)
     then = {row.object: row.pose for row in truth.objects}
     if set(now) != set(then) or truth.inputs != frame_inputs(scene, truth.frame):

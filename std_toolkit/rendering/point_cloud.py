@@ -1,10 +1,8 @@
-"""Point clouds of sensor depth: of one frame, or fused over many.
+"""Point clouds of sensor depth, of one frame or fused over many.
 
-What a sensor reports on glass and metal is in the clouds as it was reported: a cloud shows the
-readings, it does not judge them. Readings at steps in depth, which lie in mid-air between two
-surfaces, are left out of the fused cloud.
-
-Points of many frames averaged in the cells of a grid, in bounded memory.
+Depth on glass and metal is included as measured, without a plausibility check. The fused cloud
+leaves out depth at discontinuities, where points lie between two surfaces. It averages the points
+of many frames in the cells of a voxel grid, in bounded memory.
 """
 
 from __future__ import annotations
@@ -21,36 +19,36 @@ from std_toolkit.geometry.se3 import SE3
 from std_toolkit.rendering.renderer import image_window, normalised_rays
 from std_toolkit.scene.scene import Frame, Scene, require_metres
 
-# Beyond this a table-top sensor's noise is larger than any voxel of use.
+# Beyond this the noise of a table-top sensor is larger than any useful voxel.
 FARTHEST_M = 3.0
 
-# With at least so many frames a place must be seen from two of them.
+# With at least this number of frames, a point must be measured in two of them.
 _FRAMES_FOR_SUPPORT = 4
 
-# Two readings of a surface lie within this many voxels of each other.
+# Two measurements of a surface are within this number of voxels of each other.
 _SUPPORT_VOXELS = 3.0
 
-# Cells are numbered with 21 bits an axis: at 1 mm that is a cube of 2 km.
+# Cell indices have 21 bits per axis, which at 1 mm is a cube of 2 km.
 _BITS = 21
 
 _MIDDLE = 1 << (_BITS - 1)
 
-# Frames are collected up to so many rows (56 bytes each) before they are sorted into the grid.
+# Maximum number of rows (56 bytes each) that are collected before they are added to the grid.
 _PENDING_ROWS = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class FusedCloud:
-    """Sensor depth of several frames in the world.
+    """Point cloud fused from the sensor depth of several frames.
 
     Attributes:
         points: (N, 3) float32, world frame, metres.
         colors: (N, 3) uint8 RGB.
-        voxel_m: edge of the cells over which points and colours are means; larger than asked for
-            if there would have been more points than the limit.
-        frames: ids of the frames in it.
-        skipped: frame id to why it is not in it.
-        missing: share of the pixels of `frames` without a reading, 0 to 1.
+        voxel_m: edge of the cells over which points and colours are averaged; larger than
+            requested if there would have been more points than the limit.
+        frames: ids of the fused frames.
+        skipped: reasons by id of the frames that were skipped.
+        missing: fraction of the pixels of `frames` without depth, 0 to 1.
     """
 
     points: NDArray[np.float32]
@@ -62,19 +60,21 @@ class FusedCloud:
 
 
 class FusionCancelled(Exception):
-    """The caller's `cancel` asked to stop."""
+    """`cancel` of the caller returned True."""
 
 
 def frame_cloud(
     scene: Scene, frame: Frame, *, stride: int = 1
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """The readings of one frame.
+    """Return the point cloud of one frame.
 
     Args:
-        stride: every so many pixels in x and y.
+        scene: the recording.
+        frame: frame with sensor depth.
+        stride: step between pixels in x and y.
 
     Returns:
-        Points (N, 3) float32 in the frame's camera, metres, and their colours (N, 3) uint8 RGB.
+        Points (N, 3) float32 in the camera frame, metres, and their colours (N, 3) uint8 RGB.
 
     Raises:
         ToolkitError: the frame has no sensor depth, or one of its images cannot be read.
@@ -95,21 +95,24 @@ def fuse_clouds(
     progress: Callable[[float], None] | None = None,
     cancel: Callable[[], bool] | None = None,
 ) -> FusedCloud:
-    """The readings of several frames in the world, averaged in voxels.
+    """Fuse the sensor depth of several frames into one cloud in the world, averaged in voxels.
 
-    Readings beside steps in depth are left out, and with four or more frames so are places that
-    only one of them saw. Memory stays bounded whatever the number of frames.
+    Leaves out depth at discontinuities and, with four or more frames, points measured in only one
+    frame. Memory is bounded for any number of frames.
 
     Args:
-        frames: those without depth or camera pose are skipped and named in the result.
+        scene: the recording.
+        frames: frames to fuse; those without depth or camera pose are skipped and listed in the
+            result.
         voxel_m: edge of the cells.
-        limit: most points; the cells grow until it is kept.
-        farthest_m: readings beyond this z-depth are left out.
-        progress: called with the share done, 0 to 1.
-        cancel: asked before every frame.
+        limit: maximum number of points; cells grow to keep it.
+        farthest_m: depth beyond this z is left out.
+        progress: called with the completed fraction, 0 to 1.
+        cancel: called before every frame; True stops the fusion.
 
     Raises:
-        ToolkitError: no frame has both, the poses are of unknown unit, or an image is unreadable.
+        ToolkitError: no frame has both depth and a camera pose, the unit of the poses is unknown,
+            or an image cannot be read.
         FusionCancelled: `cancel` returned True.
     """
     require_metres(scene)
@@ -148,10 +151,11 @@ def fuse_clouds(
 
 
 def sparse_points(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.uint8]] | None:
-    """The points of the reconstruction (poses/points.ply); None if there are none.
+    """Read the points of the reconstruction (poses/points.ply); None if there are none.
 
     Returns:
-        Points (N, 3) in the world, unit of the camera poses, and colours (N, 3) uint8 RGB.
+        Points (N, 3) in the world, in the unit of the camera poses, and their colours (N, 3) uint8
+        RGB.
     """
     path = scene.root / "poses" / "points.ply"
     if not path.is_file():
@@ -173,7 +177,7 @@ def sparse_points(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.uint8]]
 def _points(
     depth: NDArray[np.float32], camera: Camera, stride: int
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Camera-frame points (h, w, 3) of every stride-th pixel, and which of them are readings."""
+    """Camera-frame points (h, w, 3) of every stride-th pixel, and where depth was measured."""
     x, y = normalised_rays(camera, image_window(camera))
     z = depth[_part(stride)]
     step = slice(None, None, stride)
@@ -185,7 +189,7 @@ def _points(
 
 
 def _moved(T: SE3, points: NDArray[np.float32]) -> NDArray[np.float32]:
-    # Written out: a threaded matrix product of N x 3 with 3 x 3 mostly waits for its threads.
+    # Written out, because a threaded product of N x 3 with 3 x 3 mostly waits for its threads.
     R, t = T.R.astype(np.float32), T.t.astype(np.float32)
     x, y, z = points.T
     return np.stack([R[i, 0] * x + R[i, 1] * y + R[i, 2] * z + t[i] for i in range(3)], axis=1)
@@ -198,7 +202,7 @@ def _part(stride: int) -> tuple[slice, slice]:
 
 
 def _stride(depth: NDArray[np.float32], camera: Camera, voxel_m: float) -> int:
-    """About two pixels per edge of a voxel at the middle distance: more would change no mean."""
+    """Step for two pixels per voxel edge at the median depth; more would not change the means."""
     measured = depth[::8, ::8]
     measured = measured[measured > 0]
     if len(measured) == 0:
@@ -231,18 +235,18 @@ def _nothing_to_fuse(frames: Sequence[Frame], skipped: dict[int, str]) -> str:
         return "no sensor depth in these frames, so no point cloud can be fused; show the images"
     if set(skipped.values()) == {"no camera pose"}:
         return (
-            "none of these frames has a camera pose, so their depth cannot be brought together; "
+            "none of these frames has a camera pose, so their depth cannot be fused; "
             "run `std-curate poses`, or show the cloud of one frame"
         )
     return "no frame has both sensor depth and a camera pose, so no point cloud can be fused"
 
 
 class VoxelGrid:
-    """Mean position and colour per occupied cell, and how many frames saw it.
+    """Mean position and colour per occupied cell.
 
     Args:
-        voxel_m: edge of a cell.
-        limit: most cells kept; when there are more, cells grow until they fit.
+        voxel_m: edge of a cell, metres.
+        limit: maximum number of cells; cells grow to keep it.
     """
 
     def __init__(self, voxel_m: float, *, limit: int) -> None:
@@ -258,10 +262,10 @@ class VoxelGrid:
         return len(self._keys)
 
     def add(self, points: NDArray[np.floating], colors: NDArray[np.uint8]) -> NDArray[np.float64]:
-        """Add the points (N, 3) metres and colours (N, 3) of one frame.
+        """Add the points (N, 3), metres, and colours (N, 3) of one frame.
 
         Returns:
-            (M, 3) the means of the frame's own cells.
+            (M, 3) mean points of this frame per cell.
         """
         rows = np.empty((len(points), 7))
         rows[:, :3], rows[:, 3:6], rows[:, 6] = points, colors, 1
@@ -269,13 +273,13 @@ class VoxelGrid:
         self._pending.append((keys, sums))
         if sum(len(k) for k, _ in self._pending) > _PENDING_ROWS:
             self._settle()
-            # Some slack: cells that only one frame saw are dropped in the end.
+            # Slack, because cells measured in only one frame are dropped at the end.
             while len(self._keys) > 3 * self._limit:
                 self._coarsen()
         return sums[:, :3] / sums[:, 6:7]
 
     def shrink(self) -> None:
-        """Let cells grow until there are at most `limit`."""
+        """Grow the cells until there are at most `limit`."""
         while len(self) > self._limit:
             self._coarsen()
 
@@ -303,13 +307,13 @@ class VoxelGrid:
             self._keys, self._sums = _summed(np.concatenate(keys), np.concatenate(sums))
 
     def _coarsen(self) -> None:
-        # The cells hold surfaces: their number falls with the square of the edge.
+        # The points lie on surfaces, so the number of cells falls with the square of the edge.
         self.voxel_m *= float(np.clip(1.05 * np.sqrt(len(self) / self._limit), 1.05, 2.0))
         self._keys, self._sums = _summed(cell_keys(self.points, self.voxel_m), self._sums)
 
 
 class MultiViewCells:
-    """Which cells at least two frames saw.
+    """Set of the cells measured in at least two frames.
 
     Args:
         voxel_m: edge of a cell.
@@ -321,19 +325,19 @@ class MultiViewCells:
         self._twice = np.zeros(0, np.int64)
 
     def add(self, points: NDArray[np.floating]) -> None:
-        """Points (N, 3) of one frame, metres."""
+        """Add the points (N, 3) of one frame, metres."""
         keys = np.unique(cell_keys(points, self._voxel_m))
         again = keys[np.isin(keys, self._once, assume_unique=True)]
         self._twice = np.union1d(self._twice, again)
         self._once = np.union1d(self._once, keys)
 
     def holds(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """(N,) whether each point (N, 3) lies in such a cell."""
+        """Return (N,) whether each point (N, 3) is in such a cell."""
         return np.isin(cell_keys(points, self._voxel_m), self._twice)
 
 
 def cell_keys(points: NDArray[np.floating], voxel_m: float) -> NDArray[np.int64]:
-    """(N,) number of the cell that holds each point (N, 3)."""
+    """Return (N,) the key of the cell of each point (N, 3)."""
     cell = np.floor(np.asarray(points, dtype=np.float64) / voxel_m).astype(np.int64) + _MIDDLE
     cell = np.clip(cell, 0, (1 << _BITS) - 1)
     return (cell[:, 0] << (2 * _BITS)) | (cell[:, 1] << _BITS) | cell[:, 2]

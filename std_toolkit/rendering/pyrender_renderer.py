@@ -1,17 +1,18 @@
-"""Renderer on pyrender (EGL or OSMesa), made exact.
+"""Pixel-exact renderer on pyrender (EGL or OSMesa).
 
-pyrender as it comes is not exact enough for labels: it draws into a four-sample buffer and keeps
-one sample's depth, (-0.125, 0.375) px off the pixel's centre under Mesa; it drops triangles seen
-from behind; it knows an object's colour and not the triangle; and GL counts pixel centres from 0.5.
-Here:
+Unmodified pyrender is not exact enough for labels: it draws into a four-sample buffer and keeps
+the depth of one sample, which is (-0.125, 0.375) px off the pixel centre under Mesa; it culls back
+faces; it outputs the colour of an object but not the triangle; and GL has pixel centres at 0.5.
+This module therefore:
 
-- its segmentation pass is used, in which multisampling is off, with a fragment shader of our own
-  that writes the triangle's number into the 24 bits of colour;
-- meshes that are not closed get every triangle twice, once in each winding;
-- the principal point is moved by half a pixel, from our grid to GL's;
-- near and far planes hug the object, which leaves the 24-bit depth buffer steps below 0.1 um.
+- uses pyrender's segmentation pass, which has no multisampling, with a custom fragment shader that
+  writes the triangle number into the 24 bits of colour;
+- duplicates every triangle of meshes that are not closed, with inverted winding;
+- shifts the principal point by half a pixel, to GL's pixel grid;
+- fits the near and far planes to the object, so that the resolution of the 24-bit depth buffer is
+  below 0.1 um.
 
-The context lives in the thread that made it and is used again for every window.
+The context belongs to the thread that created it and is reused for every window.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ class PyrenderRenderer:
     """Pinhole renderer on pyrender.
 
     Raises:
-        ToolkitError: no GL context can be made here.
+        ToolkitError: no GL context can be created here.
     """
 
     name = "pyrender"
@@ -67,13 +68,13 @@ class PyrenderRenderer:
         platform, reason = find_gl()
         if platform is None:
             raise ToolkitError(
-                f"pyrender cannot make a GL context here ({reason})",
+                f"pyrender cannot create a GL context here ({reason})",
                 hint="install libegl1 and libgl1-mesa-dri, or use --renderer raycast",
             )
         self._canvas = GlCanvas(platform)
 
     def draw(self, camera: Camera, mesh: RenderMesh, T_cam_obj: SE3, *, window: Window) -> Raster:
-        """See `Renderer.draw`. Refuses cameras with distortion."""
+        """See `Renderer.draw`. Rejects cameras with distortion."""
         check_no_distortion(self.name, camera)
         near, far = depth_range(mesh, T_cam_obj)
         depth = np.zeros((window.height, window.width), np.float32)
@@ -109,10 +110,10 @@ class PyrenderRenderer:
 
 
 class GlCanvas:
-    """One off-screen GL context with the meshes uploaded to it.
+    """An off-screen GL context with the meshes uploaded to it.
 
     Args:
-        platform: `egl` or `osmesa`; must not contradict an OpenGL loaded before.
+        platform: `egl` or `osmesa`; must match the platform if OpenGL is already loaded.
     """
 
     def __init__(self, platform: str) -> None:
@@ -151,12 +152,12 @@ class GlCanvas:
         *,
         double_sided: bool = True,
     ) -> Raster:
-        """Draw a mesh, its centred vertices placed by the 4x4 `pose` in the OpenCV camera frame."""
+        """Draw a mesh. The 4x4 `pose` maps centred vertices into the OpenCV camera frame."""
         self._fit(width, height)
         camera = self._camera
-        # GL counts pixel centres from 0.5, this toolkit from 0.
+        # The first pixel centre is at 0.5 in GL and at 0 in the toolkit.
         camera.fx, camera.fy, camera.cx, camera.cy = fx, fy, cx + 0.5, cy + 0.5
-        camera.zfar = max(far, camera.znear * 2)  # its setters insist on near < far at all times
+        camera.zfar = max(far, camera.znear * 2)  # the setters require near < far at all times
         camera.znear, camera.zfar = near, far
         node = self._node(mesh, double_sided)
         self._scene.set_pose(node, _GL_FROM_CV @ pose)
@@ -171,8 +172,8 @@ class GlCanvas:
     def _fit(self, width: int, height: int) -> None:
         """Make the drawing surface at least width x height.
 
-        Surfaces grow in steps, so that windows of about the same size share one. An OSMesa context
-        cannot change its size without being made anew, so there it only ever grows.
+        Sizes are rounded up, so that windows of about the same size share a surface. An OSMesa
+        context has to be recreated to change its size, so there the surface only grows.
         """
         w, h = (-(-n // 64) * 64 for n in (width, height))
         if not self._resizable:
@@ -193,7 +194,7 @@ class GlCanvas:
         self._size = (w, h)
 
     def _forget_meshes(self) -> None:
-        """Leave those of a context that is no more; they are uploaded again when drawn."""
+        """Drop the meshes of a lost context; they are uploaded again when drawn."""
         self._nodes.clear()
         for node in list(self._scene.mesh_nodes):
             self._scene.remove_node(node)
@@ -211,7 +212,7 @@ class GlCanvas:
         return renderer
 
     def _is_lost(self) -> bool:
-        """Whether someone else in this process, VTK perhaps, has ended the display of EGL."""
+        """Whether other code in this process, such as VTK, has terminated the EGL display."""
         from OpenGL.error import GLError
 
         try:
@@ -250,7 +251,7 @@ class GlCanvas:
 
 
 def _own_shaders() -> Any:
-    """A stand-in for pyrender's program cache that knows one program, ours."""
+    """Replacement for pyrender's program cache that returns the custom program."""
     from pyrender.shader_program import ShaderProgram, ShaderProgramCache
 
     class Program(ShaderProgram):
@@ -273,7 +274,7 @@ def _own_shaders() -> Any:
 
 
 def _release_thread(platform: Any) -> None:
-    """Leave the thread without a context; one of EGL keeps Qt from making its own current."""
+    """Release the context of the thread; Qt cannot make its own current while EGL's is."""
     from OpenGL import EGL
 
     EGL.eglMakeCurrent(
@@ -282,7 +283,7 @@ def _release_thread(platform: Any) -> None:
 
 
 def _leave_display(platform: Any) -> None:
-    """Destroy a context alone; pyrender would end the display for other canvases and VTK too."""
+    """Destroy only the context; pyrender would also terminate the display, which others use."""
     from OpenGL import EGL
 
     if platform._egl_context is not None:
@@ -292,9 +293,9 @@ def _leave_display(platform: Any) -> None:
 
 
 def _complete_osmesa() -> None:
-    """Give PyOpenGL 3.1.0, which pyrender pins, the OSMesa call that pyrender needs.
+    """Add the OSMesa function that pyrender needs to PyOpenGL 3.1.0, which pyrender pins.
 
-    Names and numbers are those of Mesa's GL/osmesa.h.
+    Names and constants are from Mesa's GL/osmesa.h.
     """
     from OpenGL import osmesa
 
@@ -303,7 +304,7 @@ def _complete_osmesa() -> None:
     from OpenGL import platform
 
     library = platform.PLATFORM.OSMesa
-    # PyOpenGL keeps data per context in a dictionary, and its own pointer type cannot be a key.
+    # PyOpenGL uses contexts as dictionary keys, and its pointer type is not hashable.
     platform.PLATFORM.GetCurrentContext.restype = ctypes.c_void_p
     create = library.OSMesaCreateContextAttribs
     create.argtypes = [ctypes.POINTER(ctypes.c_int), ctypes.c_void_p]

@@ -1,8 +1,8 @@
-"""Exact renderer without GL: rays through pixel centres against Embree (Open3D).
+"""Exact renderer without GL: ray casting through pixel centres with Embree (Open3D).
 
-Every mesh keeps its own acceleration structure in its own centred coordinates, so that a pose
-changes the rays and never the structure. Ray directions have z = 1 in the camera frame, which
-makes the distance that Embree returns the z-depth.
+The acceleration structure of a mesh is built in its centred coordinates, so a pose changes only
+the rays. Ray directions have z = 1 in the camera frame, so the distance that Embree returns is the
+z-depth.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class RaycastRenderer:
     """Renderer on `RayCaster`.
 
     Args:
-        threads: threads per cast; 1 leaves the cores to the job layer's processes, 0 takes all.
+        threads: threads per cast; 1 leaves the other cores to parallel jobs, 0 uses all cores.
     """
 
     name = "raycast"
@@ -34,11 +34,11 @@ class RaycastRenderer:
 
     def __init__(self, *, threads: int = 1) -> None:
         self._threads = threads
-        # The meshes are kept beside their structures: an id() is unique only among the living.
+        # The meshes are kept too, because an id() is unique only while its object is alive.
         self._structures: OrderedDict[int, tuple[RenderMesh, RayCaster]] = OrderedDict()
 
     def draw(self, camera: Camera, mesh: RenderMesh, T_cam_obj: SE3, *, window: Window) -> Raster:
-        """See `Renderer.draw`. Both sides of triangles are hit; distortion is honoured."""
+        """See `Renderer.draw`. Supports distortion."""
         hits = self._structure(mesh).cast(_rays(camera, mesh, T_cam_obj, window))
         depth = hits.distance
         face = hits.face.view(np.int32)
@@ -50,7 +50,7 @@ class RaycastRenderer:
     def cast_at(
         self, camera: Camera, mesh: RenderMesh, T_cam_obj: SE3, *, where: np.ndarray
     ) -> np.ndarray:
-        """(N,) float32 z-depth at the N true pixels of `where` (H,W), 0 where the mesh is not."""
+        """Return (N,) float32 z-depth at the N true pixels of `where` (H,W), 0 outside the mesh."""
         inside = Window(0, 0, camera.width, camera.height)
         x, y = (np.broadcast_to(a, where.shape)[where] for a in normalised_rays(camera, inside))
         rays = np.empty((len(x), 6), np.float32)

@@ -25,20 +25,20 @@ def render_ground_truth(
 ) -> JobReport[Literal["done", "kept"]]:
     """Render z-depth, mask, NOCS, normals and visible fractions of every labelled frame.
 
-    Finished frames whose inputs did not change are kept; ground truth of frames that are labelled
-    no more is removed. The caller holds the scene's lock.
+    Finished frames whose inputs did not change are kept. Ground truth of frames that are no longer
+    labelled is removed. The caller holds the lock of the scene.
 
     Args:
-        scene: with labels; camera poses where labels were propagated.
-        options: see `RenderOptions`.
-        frames: render these frame ids only, and remove nothing.
+        scene: scene with labels, and with camera poses if the labels were propagated.
+        options: options of the step.
+        frames: render only these frame ids, and remove nothing.
         jobs: where the work runs.
 
     Returns:
-        "done" or "kept" by frame id, and the frames that failed. One bad frame ends nothing.
+        "done" or "kept" by frame id, and the frames that failed. A failure does not stop the run.
 
     Raises:
-        ToolkitError: nothing is labelled, a mesh cannot be read, or an option does not fit.
+        ToolkitError: no frame is labelled, a mesh cannot be read, or an option does not apply.
     """
     options = options or RenderOptions()
     labelled = placements.labelled_frames(scene)
@@ -57,7 +57,7 @@ def render_ground_truth(
         }
     )
     for model in models:
-        scene.mesh(model)  # a bad mesh is one error here, not one per frame
+        scene.mesh(model)  # fail once for a bad mesh, not once per frame
     sweep_temporaries(scene.root / ground_truth.FOLDER)
     if frames is None:
         _remove_stale(scene, set(labelled), policy)
@@ -83,14 +83,14 @@ def render_ground_truth(
 
 
 def _state(scene: Scene, meshes: tuple[tuple[str, str], ...]) -> str:
-    """Digest of what a worker keeps in memory of a scene."""
+    """Digest of the parts of a scene that a worker keeps in memory."""
     names = ("scene.json", "frames.json", "objects.json", "poses.json", "labels.json")
     paths = [scene.root / name for name in names]
     return digest_of([digest_file(p) if p.is_file() else None for p in paths], meshes)
 
 
 def _remove_stale(scene: Scene, labelled: set[int], policy: ground_truth.Policy) -> None:
-    """Remove ground truth of frames that have none any more: nobody should export it."""
+    """Remove ground truth of frames that are no longer labelled, so that it is not exported."""
     stale = [
         int(p.stem)
         for p in sorted((scene.root / ground_truth.FOLDER / "info").glob("*.json"))

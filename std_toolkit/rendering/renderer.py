@@ -1,13 +1,11 @@
-"""The renderer protocol: one mesh into one window of a camera's pixel grid; windows and rays.
+"""Renderer protocol, windows on the pixel grid, and the rays through their pixels.
 
-Everything else (which object is in front, masks, NOCS, normals, occlusion, visible fractions) is
-computed from that in float by the modules beside this one, so that two renderers differ in the
-depth and the triangle they report and in nothing else.
+A renderer draws one mesh into one window and returns depth and triangle per pixel. The other
+modules of this package compute the rest (visibility, masks, NOCS, normals, occlusion, visible
+fractions) in float, so that renderers differ only in depth and triangle.
 
-Pixel centres lie at integer coordinates here; a renderer whose library puts them elsewhere
-corrects that inside itself.
-
-Where on the pixel grid an object can appear, and the rays through a window's pixels.
+Pixel centres are at integer coordinates. A renderer whose library has another convention converts
+internally.
 """
 
 from __future__ import annotations
@@ -29,16 +27,14 @@ if TYPE_CHECKING:
     from std_toolkit.geometry import SE3, Camera
 
 NEAR_M = 0.01
-
-
-"""Nothing closer to the camera plane than this is drawn."""
+"""Surfaces closer to the camera plane than this are not drawn."""
 
 
 @dataclass(frozen=True)
 class Window:
     """A rectangle of pixels `x .. x + width - 1`, `y .. y + height - 1`.
 
-    The numbers are those of the image's own grid and may lie outside the image.
+    Coordinates are those of the image and may be outside it.
     """
 
     x: int
@@ -57,13 +53,13 @@ class Window:
         return self.y + self.height
 
     def intersect(self, other: Window) -> Window | None:
-        """The common rectangle, or None."""
+        """Return the intersection, or None if it is empty."""
         x, y = max(self.x, other.x), max(self.y, other.y)
         x1, y1 = min(self.x1, other.x1), min(self.y1, other.y1)
         return Window(x, y, x1 - x, y1 - y) if x1 > x and y1 > y else None
 
     def slices_in(self, outer: Window) -> tuple[slice, slice]:
-        """Rows and columns of this window in an array that covers `outer`."""
+        """Return rows and columns of this window in an array that covers `outer`."""
         return (
             slice(self.y - outer.y, self.y1 - outer.y),
             slice(self.x - outer.x, self.x1 - outer.x),
@@ -72,11 +68,11 @@ class Window:
 
 @dataclass(frozen=True, eq=False)
 class Raster:
-    """One mesh seen through one window.
+    """One mesh rendered in one window.
 
     Attributes:
-        depth: (h,w) float32 z-depth in metres, 0 where the mesh is not.
-        face: (h,w) int32 index of the triangle seen, -1 where the mesh is not.
+        depth: (h,w) float32 z-depth in metres, 0 outside the mesh.
+        face: (h,w) int32 index of the visible triangle, -1 outside the mesh.
     """
 
     depth: np.ndarray
@@ -99,17 +95,17 @@ class PlacedMesh:
 
     @property
     def prepared(self) -> RenderMesh:
-        """The mesh ready for rendering (cached by content)."""
+        """The prepared mesh (cached by content)."""
         return prepare_mesh(self.mesh)
 
 
 @runtime_checkable
 class Renderer(Protocol):
-    """A renderer. Register one under the entry-point group `std_toolkit.renderers`.
+    """A renderer, registered in the entry-point group `std_toolkit.renderers`.
 
     Attributes:
-        name: what `--renderer` and the records call it.
-        handles_distortion: whether `draw` honours `camera.distortion`.
+        name: name in `--renderer` and in records.
+        handles_distortion: whether `draw` supports `camera.distortion`.
     """
 
     name: str
@@ -122,7 +118,7 @@ class Renderer(Protocol):
             camera: intrinsics; pixel centres at integer coordinates.
             mesh: prepared mesh (its vertices are relative to `mesh.centre`).
             T_cam_obj: maps mesh coordinates (not the centred ones) into the camera frame.
-            window: the pixels wanted; may reach beyond the image.
+            window: pixels to draw; may extend beyond the image.
         """
         ...
 
@@ -137,10 +133,10 @@ RENDERERS: Registry[Callable[[], Renderer]] = Registry(
 
 
 def check_no_distortion(renderer_name: str, camera: Camera) -> None:
-    """Refuse a camera with distortion in a renderer that draws pinholes only."""
+    """Raise ToolkitError for a camera with distortion, for renderers that support pinholes only."""
     if camera.is_distorted:
         raise ToolkitError(
-            f"renderer {renderer_name} draws pinhole cameras only",
+            f"renderer {renderer_name} supports pinhole cameras only",
             field="distortion",
             value=list(camera.distortion),
             hint="use --renderer raycast, or undistort the recording",
@@ -148,12 +144,12 @@ def check_no_distortion(renderer_name: str, camera: Camera) -> None:
 
 
 def image_window(camera: Camera) -> Window:
-    """The window that is the image."""
+    """Return the window of the image."""
     return Window(0, 0, camera.width, camera.height)
 
 
 def canvas_window(camera: Camera, canvas: int) -> Window:
-    """A canvas of `canvas` x `canvas` images with the image in its middle (odd number)."""
+    """Return the window of `canvas` x `canvas` images (odd) with the image in the middle."""
     side = (canvas - 1) // 2
     return Window(
         -side * camera.width, -side * camera.height, canvas * camera.width, canvas * camera.height
@@ -161,12 +157,12 @@ def canvas_window(camera: Camera, canvas: int) -> Window:
 
 
 def camera_points(mesh: RenderMesh, T_cam_obj: SE3) -> np.ndarray:
-    """(K,3) hull points of the mesh in the camera frame."""
+    """Return (K,3) hull points of the mesh in the camera frame."""
     return mesh.hull @ T_cam_obj.R.T + (T_cam_obj.R @ mesh.centre + T_cam_obj.t)
 
 
 def depth_range(mesh: RenderMesh, T_cam_obj: SE3) -> tuple[float, float]:
-    """Smallest and largest z of the mesh in metres."""
+    """Return the smallest and largest z of the mesh in metres."""
     z = camera_points(mesh, T_cam_obj)[:, 2]
     return float(z.min()), float(z.max())
 
@@ -174,10 +170,10 @@ def depth_range(mesh: RenderMesh, T_cam_obj: SE3) -> tuple[float, float]:
 def object_window(
     camera: Camera, mesh: RenderMesh, T_cam_obj: SE3, *, canvas: int = 1
 ) -> Window | None:
-    """Smallest window on the canvas that holds every pixel the mesh can cover, or None.
+    """Return the smallest canvas window with all pixels that the mesh can cover, or None.
 
-    For a camera with distortion `canvas` must be 1 (a distortion model says nothing about the
-    world beyond the image it was fitted on).
+    For a camera with distortion, `canvas` must be 1, because a distortion model is not valid
+    outside the image it was fitted on.
     """
     bounds = _normalised_bounds(camera_points(mesh, T_cam_obj))
     if bounds is None:
@@ -188,7 +184,7 @@ def object_window(
     u0, u1 = camera.fx * x0 + camera.cx, camera.fx * x1 + camera.cx
     v0, v1 = camera.fy * y0 + camera.cy, camera.fy * y1 + camera.cy
     outer = canvas_window(camera, canvas)
-    # A pixel's rounding more on each side keeps the silhouette's border inside the window.
+    # A margin for rounding keeps the border of the silhouette inside the window.
     u0, u1 = np.clip([u0 - 0.01, u1 + 0.01], outer.x - 2, outer.x1 + 2)
     v0, v1 = np.clip([v0 - 0.01, v1 + 0.01], outer.y - 2, outer.y1 + 2)
     left, top = int(np.ceil(u0)), int(np.ceil(v0))
@@ -199,7 +195,7 @@ def object_window(
 
 
 def _normalised_bounds(points: np.ndarray) -> tuple[float, float, float, float] | None:
-    """Bounding box of x/z, y/z; unbounded when the mesh reaches behind the camera."""
+    """Bounding box of x/z, y/z; unbounded if the mesh extends behind the camera."""
     front = points[:, 2] > NEAR_M
     if not front.any():
         return None
@@ -230,11 +226,11 @@ def _distorted_window(camera: Camera, bounds: tuple[float, float, float, float])
 
 
 def normalised_rays(camera: Camera, window: Window) -> tuple[np.ndarray, np.ndarray]:
-    """x/z and y/z of the rays through a window's pixel centres, float64.
+    """Return x/z and y/z of the rays through the pixel centres of a window, float64.
 
     Returns:
-        Arrays that broadcast to (h,w): (1,w) and (h,1) for a pinhole, (h,w) twice with distortion
-        (the window must then lie inside the image).
+        Arrays that broadcast to (h,w): (1,w) and (h,1) for a pinhole, twice (h,w) with distortion
+        (the window must then be inside the image).
     """
     if camera.is_distorted:
         rows, columns = window.slices_in(image_window(camera))

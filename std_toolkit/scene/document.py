@@ -1,8 +1,6 @@
-"""What a scene's files share: strict documents, safe names, provenance records.
+"""Strict documents, names that are safe in file paths, and provenance records of a scene.
 
-Names that are safe as parts of file paths.
-
-What made a derived file: enough to skip a step that is done and to redo one that is stale.
+The record of a step shows whether its outputs are up to date or have to be made again.
 """
 
 from __future__ import annotations
@@ -26,7 +24,7 @@ Positive = Annotated[float, msgspec.Meta(gt=0)]
 
 NonNegative = Annotated[float, msgspec.Meta(ge=0)]
 
-# The largest whole number that every JSON reader keeps exactly is 2^53 - 1.
+# 2^53 - 1 is the largest integer that every JSON reader represents exactly.
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**53 - 1)]
 
 ObjectId = Annotated[int, msgspec.Meta(ge=1, le=254)]
@@ -41,15 +39,14 @@ _SAFE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,127}")
 
 _LONGEST_PATH = 512
 
-
-# An object nearer than 1 cm or further than 20 m is a wrong unit.
+# An object nearer than 1 cm or further than 20 m has a wrong unit.
 NEAREST_M, FURTHEST_M = 0.01, 20.0
 
 
 class Document(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=False
 ):
-    """Base of all documents. Subclasses override `check`, which runs whenever one is made."""
+    """Base class of all documents. Subclasses override `check`, which runs on construction."""
 
     def __post_init__(self) -> None:
         try:
@@ -66,20 +63,20 @@ class Document(
             ) from error
 
     def check(self) -> None:
-        """Raise ToolkitError for what the types of the fields cannot tell."""
+        """Raise ToolkitError for values that violate more than the types of the fields."""
 
 
 def pose_from_list(numbers: list[float]) -> SE3:
-    """SE3 of 16 numbers already validated by a document."""
+    """Return the SE3 of 16 numbers that a document has validated."""
     M = np.asarray(numbers, dtype=np.float64).reshape(4, 4)
     return SE3(M[:3, :3].copy(), M[:3, 3].copy())
 
 
 def check_pose(numbers: list[float] | None, field: str) -> None:
-    """Refuse 16 numbers that are no pose; None passes.
+    """Check that 16 numbers are a pose; None passes.
 
     Raises:
-        ToolkitError: not a rigid transform.
+        ToolkitError: the numbers are not a rigid transform.
     """
     if numbers is None:
         return
@@ -92,10 +89,10 @@ def check_pose(numbers: list[float] | None, field: str) -> None:
 
 
 def check_unique(values: list[str], table: str, field: str) -> None:
-    """Refuse a value that appears in two rows of a table.
+    """Check that no value appears in two rows of a table.
 
     Raises:
-        ToolkitError: naming the second row.
+        ToolkitError: a value appears twice; the message names the second row.
     """
     seen: set[str] = set()
     for i, value in enumerate(values):
@@ -105,10 +102,10 @@ def check_unique(values: list[str], table: str, field: str) -> None:
 
 
 def find_row(table: list[Any], key: str, value: object, kind: str) -> Any:
-    """The row of a table whose `key` is `value`.
+    """Return the row of a table whose `key` is `value`.
 
     Raises:
-        ToolkitError: there is none; the message lists the known ones.
+        ToolkitError: there is no such row; the message lists the known values.
     """
     for row in table:
         if getattr(row, key) == value:
@@ -121,10 +118,11 @@ def find_row(table: list[Any], key: str, value: object, kind: str) -> Any:
 
 
 def check_name(name: str, *, path: Path | str | None = None, field: str = "name") -> str:
-    """Return `name` if it may stand in a path.
+    """Return `name` if it is safe as part of a path.
 
     Raises:
-        ToolkitError: it holds a separator, starts with a dot, is empty or too long.
+        ToolkitError: it has an invalid character, such as a separator, does not start with a
+            letter or digit, is empty or too long.
     """
     if not _SAFE.fullmatch(name):
         raise ToolkitError(
@@ -138,7 +136,7 @@ def check_name(name: str, *, path: Path | str | None = None, field: str = "name"
 
 
 def safe_name(text: str) -> str:
-    """The nearest safe name to `text`: other characters become '_'."""
+    """Return a safe name similar to `text`: other characters become '_'."""
     name = re.sub(r"[^A-Za-z0-9._+-]+", "_", text).lstrip("._+-")[:128]
     return name or "unnamed"
 
@@ -147,10 +145,10 @@ def check_relative(text: str, *, path: Path | str | None = None, field: str = "p
     """Return `text` if it is a relative path that stays inside its folder.
 
     Raises:
-        ToolkitError: absolute, too long, with '..' or a part that is no safe name.
+        ToolkitError: it is absolute, too long, or has '..' or a part that is not a safe name.
     """
-    # Splitting by hand: a path library would forgive "a//b" and "./a", and two spellings of one
-    # file make duplicates that nobody sees.
+    # Not split with pathlib, which accepts "a//b" and "./a": two spellings of one file would be
+    # undetected duplicates.
     if len(text) > _LONGEST_PATH or not all(_SAFE.fullmatch(part) for part in text.split("/")):
         raise ToolkitError(
             "not a relative path inside the scene folder",
@@ -163,14 +161,14 @@ def check_relative(text: str, *, path: Path | str | None = None, field: str = "p
 
 
 class Record(Document, frozen=True, kw_only=True):
-    """The record of one finished step.
+    """Record of a finished step.
 
     Attributes:
         step: name of the step.
-        version: of the toolkit that ran it.
-        digest: of everything that determines the result.
-        outputs: path relative to the scene folder, to digest of the content.
-        parameters: the options of the step, for people.
+        version: version of the toolkit that ran it.
+        digest: digest of everything that determines the result.
+        outputs: digest of the content by path relative to the scene folder.
+        parameters: options of the step, for readers; not evaluated.
     """
 
     step: str
@@ -181,10 +179,10 @@ class Record(Document, frozen=True, kw_only=True):
 
 
 def digest_file(path: Path) -> str:
-    """Hex digest of a file's content.
+    """Return the hex digest of the content of a file.
 
     Raises:
-        ToolkitError: no regular file there (a pipe or device could block or never end).
+        ToolkitError: it is not a regular file (a pipe or device could block or never end).
     """
     if not path.is_file():
         problem = "is not a regular file" if path.exists() else "file not found"
@@ -194,9 +192,13 @@ def digest_file(path: Path) -> str:
 
 
 def digest_of(*parts: Any, versioned: bool = True) -> str:
-    """Hex digest of plain values and documents; the toolkit's version is part of it if asked for.
+    """Return the hex digest of plain values and documents.
 
-    Numbers must be finite: JSON would make null of NaN, and two different inputs would look alike.
+    Numbers must be finite: JSON encodes NaN as null, so different inputs would have one digest.
+
+    Args:
+        parts: the values.
+        versioned: include the version of the toolkit.
     """
     encoded = msgspec.json.encode([__version__ if versioned else "", *parts], order="sorted")
     return hashlib.blake2b(encoded, digest_size=16).hexdigest()
@@ -207,15 +209,15 @@ def record_path(root: Path, step: str) -> Path:
 
 
 def is_fresh(root: Path, step: str, digest: str) -> bool:
-    """Whether the step was finished with these inputs and its outputs are still what it wrote."""
+    """Return whether the step finished with these inputs and its outputs are unchanged."""
     path = record_path(root, step)
     if not path.exists():
         return False
     try:
         record = read_document(path, Record)
     except ToolkitError as error:
-        # A record is a cache: redoing the step is always right, stopping here never helps.
-        logger.warning("%s; the step is done again", error)
+        # A record is only a cache, so running the step again is always correct.
+        logger.warning("%s; running the step again", error)
         return False
     return record.digest == digest and all(
         (root / name).is_file() and digest_file(root / name) == content
@@ -226,7 +228,7 @@ def is_fresh(root: Path, step: str, digest: str) -> bool:
 def write_record(
     root: Path, step: str, digest: str, *, outputs: list[Path], parameters: dict[str, Any]
 ) -> None:
-    """Record a finished step; call it after its outputs are in place."""
+    """Write the record of a finished step, after its outputs."""
     write_document(
         record_path(root, step),
         Record(
@@ -240,10 +242,10 @@ def write_record(
 
 
 def check_in_front(T_cam_obj: SE3, *, path: Path | str | None = None) -> None:
-    """Refuse a pose whose origin no camera sees.
+    """Check that the origin of a pose can be in view of the camera.
 
     Raises:
-        ToolkitError: behind the camera, or at a distance that is the mark of a wrong unit.
+        ToolkitError: it is behind the camera, or its distance suggests a wrong unit.
     """
     z = float(T_cam_obj.t[2])
     if z <= 0:
@@ -251,8 +253,7 @@ def check_in_front(T_cam_obj: SE3, *, path: Path | str | None = None) -> None:
             "the object lies behind the camera",
             path=path,
             value=f"z = {z:.4g} m",
-            hint="is this the inverse pose, or one with OpenGL camera axes "
-            "(--pose-convention opengl)?",
+            hint="check for an inverted pose or OpenGL camera axes (--pose-convention opengl)",
         )
     distance = math.hypot(*T_cam_obj.t)
     if z < NEAREST_M or not distance <= FURTHEST_M:
@@ -260,5 +261,5 @@ def check_in_front(T_cam_obj: SE3, *, path: Path | str | None = None) -> None:
             "the object's distance is implausible",
             path=path,
             value=f"z = {z:.4g} m" + (f", {distance:.4g} m away" if distance > 2 * z else ""),
-            hint="in millimetres? give --pose-unit mm",
+            hint="if the pose is in millimetres, give --pose-unit mm",
         )

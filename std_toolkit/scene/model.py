@@ -1,4 +1,4 @@
-"""The documents of a scene, as typed structures. data_spec.md tells their meaning.
+"""The documents of a scene as typed structures; see data_spec.md for their meaning.
 
 Every structure is strict: an unknown field, a wrong type or a number out of range is an error
 that names the field. Poses are 16 numbers, row-major.
@@ -99,18 +99,18 @@ MATERIAL_IDS: dict[str, int] = {"raw": 0, "diffuse": 1, "transparent": 2, "specu
 # A frame id without leading zeros, so that no frame has two keys.
 _FRAME_KEY = re.compile(r"0|[1-9][0-9]{0,17}")
 
-# Materials that an active stereo sensor measures rightly.
+# Materials that an active stereo sensor measures correctly.
 DIFFUSE_MATERIALS = ("raw", "diffuse")
 
 
 class SceneInfo(Document, frozen=True, kw_only=True):
-    """scene.json: the recording as a whole.
+    """scene.json: properties of the whole recording.
 
     Attributes:
-        cameras: camera id to intrinsics. Depth is aligned to the colour image of its frame.
+        cameras: intrinsics by camera id. Depth is aligned to the colour image of its frame.
         depth_scale: metres per unit of 16-bit depth images; null if all depth is EXR or absent.
-        depth_correction: factor on all sensor depth, known from a calibration of the sensor.
-        source: how the recording came here, such as "import:folder".
+        depth_correction: factor on all sensor depth, from a calibration of the sensor.
+        source: origin of the recording, such as "import:folder".
     """
 
     format: Literal["std-toolkit-scene"] = "std-toolkit-scene"
@@ -133,8 +133,8 @@ class Frame(Document, frozen=True, kw_only=True):
     """One image of a recording.
 
     Attributes:
-        id: unique, in recording order.
-        name: stem of the frame's files.
+        id: unique id, ascending in recording order.
+        name: stem of the file names.
         color: path of the colour image, relative to the scene folder.
         depth: path of the sensor depth, aligned to colour, or null.
         camera: key into `SceneInfo.cameras`.
@@ -156,14 +156,14 @@ class Frame(Document, frozen=True, kw_only=True):
 
 
 class Frames(Document, frozen=True, kw_only=True):
-    """frames.json: the frames in recording order, ids rising."""
+    """frames.json: the frames in recording order, with ascending ids."""
 
     frames: list[Frame]
 
     def check(self) -> None:
         ids = [f.id for f in self.frames]
         if any(b <= a for a, b in pairwise(ids)):
-            raise ToolkitError("frame ids must be unique and rising", field="frames")
+            raise ToolkitError("frame ids must be unique and ascending", field="frames")
         check_unique([f.name for f in self.frames], "frames", "name")
 
 
@@ -197,9 +197,10 @@ class Model(Document, frozen=True, kw_only=True):
     """A CAD model.
 
     Attributes:
-        id: safe name, also the folder below `models/`.
+        id: safe name; also the name of the folder below `models/`.
         mesh: path relative to the scene folder; vertices in metres.
-        category: such as "mug"; `class_id` is its number in the STD and DREDS layouts (0 other).
+        category: category, such as "mug".
+        class_id: number of the category in the STD and DREDS layouts; 0 is any other.
         size_m: extents of the bounding box in the mesh frame, metres.
         diameter_m: largest distance between two vertices, metres.
     """
@@ -222,8 +223,9 @@ class Object(Document, frozen=True, kw_only=True):
     """One physical object in the scene: an instance of a model.
 
     Attributes:
-        id: 1..254, stable over the scene; its value in masks (0 is the background).
-        material: decides which evidence may be trusted ("raw" is the original, diffuse surface).
+        id: 1..254, the same in all frames; its value in masks (0 is the background).
+        material: determines which data are used, such as sensor depth ("raw" is the original,
+            diffuse surface).
     """
 
     id: ObjectId
@@ -249,7 +251,7 @@ class ObjectTable(Document, frozen=True, kw_only=True):
         for i, o in enumerate(self.objects):
             if o.model not in known:
                 raise ToolkitError(
-                    "no model of this id", field=f"objects[{i}].model", value=o.model
+                    "no model has this id", field=f"objects[{i}].model", value=o.model
                 )
 
     def model(self, model_id: str) -> Model:
@@ -270,16 +272,16 @@ class Label(Document, frozen=True, kw_only=True):
 
     Attributes:
         object: object id.
-        frame: the frame in which it was annotated.
+        frame: id of the frame in which it was annotated.
         T_cam_obj: mesh frame to the camera of that frame, as annotated, metres.
-        T_world_obj: mesh frame to the world, after propagation and refinement; null before.
-        refined: `T_world_obj` was adjusted over several frames.
-        covariance: 6x6 row-major of a right perturbation `T_world_obj @ SE3.exp(xi)`.
+        T_world_obj: mesh frame to the world, metres; null before propagation.
+        refined: whether `T_world_obj` was refined over several frames.
+        covariance: 6x6, row-major, of a right perturbation `T_world_obj @ SE3.exp(xi)`.
         weak_direction: sentence on the least determined direction, or "".
-        method: how it was annotated, such as "file", "pnp", "import:bop".
-        annotator: who did it.
+        method: method of annotation, such as "file", "pnp", "import:bop".
+        annotator: name of the annotator.
         views: poses of the same object annotated in further frames, by frame id.
-        provenance: when, with which tool and how; absent where nobody recorded it.
+        provenance: time, tool and refinement of the pose; absent if not recorded.
     """
 
     object: ObjectId
@@ -315,13 +317,13 @@ class Labels(Document, frozen=True, kw_only=True):
         return next((x for x in self.labels if x.object == object_id), None)
 
     def with_label(self, label: Label) -> Labels:
-        """A copy in which `label` replaces or joins the others, sorted by object id."""
+        """Return a copy with `label` added or replaced, sorted by object id."""
         others = [x for x in self.labels if x.object != label.object]
         return Labels(labels=sorted([*others, label], key=lambda x: x.object))
 
 
 def annotated_views(label: Label) -> dict[int, SE3]:
-    """T_cam_obj by frame id of every frame in which the object was annotated, the first first."""
+    """Return T_cam_obj by frame id of all annotated frames, beginning with `label.frame`."""
     views = {label.frame: SE3.from_matrix(label.T_cam_obj)}
     for key, T in label.views.items():
         views.setdefault(int(key), SE3.from_matrix(T))
@@ -329,7 +331,7 @@ def annotated_views(label: Label) -> dict[int, SE3]:
 
 
 def without_derived(label: Label) -> Label:
-    """The label as annotated: what propagation and refinement added is dropped."""
+    """Return the label as annotated, without the results of propagation and refinement."""
     return msgspec.structs.replace(
         label, T_world_obj=None, refined=False, covariance=None, weak_direction=""
     )

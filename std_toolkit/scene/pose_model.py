@@ -1,8 +1,6 @@
-"""Documents of cameras, camera poses and annotations; `scene.model` holds the others.
+"""Documents of intrinsics, camera poses and annotations; `scene.model` has the others.
 
-Intrinsics as they are written to documents.
-
-What an annotator leaves beside the labels: how each came about, and the work on each object.
+Annotations are the provenance of labels and the state of the work on each object.
 """
 
 from __future__ import annotations
@@ -24,11 +22,12 @@ class FramePose(document.Document, frozen=True, kw_only=True):
     """Camera pose of one frame.
 
     Attributes:
-        status: "registered", or "unregistered" (then there is no pose: poses are never guessed).
+        frame: frame id.
+        status: "registered", or "unregistered" (without a pose; poses are never guessed).
         T_world_cam: camera to world, metres.
-        reprojection_px: mean reprojection error of the frame's inliers.
+        reprojection_px: mean reprojection error of the inliers.
         points: number of inliers.
-        covariance: 6x6 row-major of a right perturbation `T @ SE3.exp(xi)`,
+        covariance: 6x6, row-major, of a right perturbation `T @ SE3.exp(xi)`,
             xi = (rho, phi) in metres and radians.
     """
 
@@ -50,15 +49,15 @@ class FramePose(document.Document, frozen=True, kw_only=True):
 
 
 class ScaleEstimate(document.Document, frozen=True, kw_only=True):
-    """What one source says about the metres of a reconstruction.
+    """Estimate of the metric scale of a reconstruction by one source.
 
     Attributes:
-        source: plug-in name: "depth", "cad", "board".
+        source: name of the plug-in: "depth", "cad", "board".
         factor: metres per unit of the reconstruction before scaling.
         spread: interquartile range of the single estimates, relative to the factor.
-        standard_error: of the factor, relative to it.
+        standard_error: standard error of the factor, relative to the factor.
         count: number of single estimates.
-        note: what it was measured on.
+        note: description of the measurements.
     """
 
     source: str
@@ -70,11 +69,12 @@ class ScaleEstimate(document.Document, frozen=True, kw_only=True):
 
 
 class ScaleReport(document.Document, frozen=True, kw_only=True):
-    """Where the metres come from.
+    """Metric scale of the camera poses.
 
     Attributes:
-        unit: "metre", or "unknown" when poses were asked for without any scale source.
-        chosen: the source that was used; "given" for poses imported in metres.
+        unit: "metre", or "unknown" if no source of metric scale was used.
+        chosen: source that was used; "given" for poses imported in metres.
+        estimates: estimates of all sources.
         disagreement: largest relative difference between two sources.
     """
 
@@ -85,7 +85,7 @@ class ScaleReport(document.Document, frozen=True, kw_only=True):
 
 
 class Gate(document.Document, frozen=True, kw_only=True):
-    """One quality gate: a measured value against its limit."""
+    """A quality gate: a measured value and its limit."""
 
     name: str
     value: float
@@ -98,11 +98,13 @@ class CameraPoses(document.Document, frozen=True, kw_only=True):
     """poses.json: camera poses of all frames.
 
     Attributes:
-        cameras: intrinsics that were refined together with the poses; they replace those of
-            scene.json for everything that uses these poses. Empty if fixed.
-        scale: null only for imported poses that were metric from the start.
-        gates: the quality gates and their outcome.
-        source: "sfm" or how the poses were imported.
+        frames: poses of the frames.
+        cameras: intrinsics refined together with the poses, by camera id; they replace those of
+            scene.json wherever these poses are used. Empty if the intrinsics were fixed.
+        scale: scale report; null only for poses imported in metres.
+        gates: quality gates with their results.
+        source: "sfm", or the importer of the poses.
+        notes: sentences on the reconstruction.
     """
 
     frames: list[FramePose]
@@ -147,21 +149,21 @@ class CameraModel(document.Document, frozen=True, kw_only=True):
         )
 
 
-# Asked for with every frame; its checks take longer than looking it up.
+# Needed for every frame; its checks take longer than a look-up.
 _camera = lru_cache(maxsize=32)(Camera)
 
 
 class LabelProvenance(document.Document, frozen=True, kw_only=True):
-    """How a label came about, beside its `method` and `annotator`.
+    """Provenance of a label, in addition to its `method` and `annotator`.
 
     Attributes:
-        time: of the last edit of the pose, UTC, ISO 8601.
-        tool: such as "std-annotate".
-        version: of the tool.
-        refinement: sentence on the refinement whose result the pose is, or "" if a hand moved it
+        time: time of the last edit of the pose, UTC, ISO 8601.
+        tool: name of the tool, such as "std-annotate".
+        version: version of the tool.
+        refinement: sentence on the refinement that gave the pose, or "" if it was edited manually
             since.
-        hands_on_s: seconds that the annotator worked on this object, a lower bound: pauses count
-            with 30 s at most. Null if no hand was at work, as in a script.
+        hands_on_s: seconds that the annotator worked on this object, a lower bound, because each
+            pause counts 30 s at most. Null without manual work, as in a script.
     """
 
     time: Time
@@ -176,8 +178,8 @@ class ClickedPoint(document.Document, frozen=True, kw_only=True):
 
     Attributes:
         frame: frame id.
-        u, v: pixel in the recorded image (lens distortion included), centres at integers.
-        point: the same point on the mesh, metres, mesh frame.
+        u, v: pixel in the recorded (distorted) image, pixel centres at integers.
+        point: corresponding point on the mesh, mesh frame, metres.
     """
 
     frame: document.Count
@@ -191,9 +193,9 @@ class ObjectAnnotation(document.Document, frozen=True, kw_only=True):
 
     Attributes:
         object: object id.
-        status: "done" when the annotator was content with the pose.
-        note: free text, such as what to look at again.
-        clicks: in the order in which they were made, frame by frame.
+        status: "done" if the annotator accepted the pose.
+        note: free text, such as what to check again.
+        clicks: clicked points per frame in the order in which they were made.
     """
 
     object: document.ObjectId
@@ -211,6 +213,6 @@ class Annotation(document.Document, frozen=True, kw_only=True):
         document.check_unique([str(x.object) for x in self.objects], "objects", "object")
 
     def of(self, object_id: int) -> ObjectAnnotation:
-        """The row of an object; an empty one if it has none."""
+        """Return the row of an object, or an empty one."""
         found = next((x for x in self.objects if x.object == object_id), None)
         return found or ObjectAnnotation(object=object_id)

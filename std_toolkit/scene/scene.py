@@ -1,7 +1,4 @@
-"""A scene folder: documents read once and validated, images read when asked for.
-
-Metres or not: poses of unknown unit must never meet anything metric.
-"""
+"""A scene folder: documents are read once and validated, images are read on demand."""
 
 from __future__ import annotations
 
@@ -57,7 +54,7 @@ class Scene:
         """Open and validate the documents of a scene folder.
 
         Raises:
-            ToolkitError: no scene there, or a document that breaks its schema.
+            ToolkitError: the folder has no scene, or a document violates its schema.
         """
         root = Path(root)
         if not (root / "scene.json").is_file():
@@ -80,10 +77,12 @@ class Scene:
     def create(
         root: Path | str, info: SceneInfo, frames: Frames, objects: ObjectTable | None = None
     ) -> Scene:
-        """Write the documents of a new scene; scene.json comes last, so half a scene is none.
+        """Write the documents of a new scene.
+
+        scene.json is written last, so that an incomplete scene is not a scene.
 
         Raises:
-            ToolkitError: there is a scene already.
+            ToolkitError: the folder already has a scene.
         """
         root = Path(root)
         if (root / "scene.json").exists():
@@ -97,11 +96,11 @@ class Scene:
         return scene
 
     def copy(self, *, objects: ObjectTable | None = None) -> Scene:
-        """A scene of the same documents that later changes of this one do not reach.
+        """Return a copy of the scene that later changes of this one do not affect.
 
         Args:
-            objects: in place of this scene's models and objects. Labels are left out then: they
-                might be of other objects.
+            objects: replaces the models and objects of this scene. The copy then has no labels,
+                because they may refer to other objects.
         """
         twin = Scene(self.root, self.info, self.frame_table, objects or self.objects)
         twin.__dict__["poses"] = self.poses
@@ -117,7 +116,7 @@ class Scene:
 
     @cached_property
     def poses(self) -> CameraPoses | None:
-        """Camera poses, or None before they were recovered or imported."""
+        """Camera poses, or None if they have not been recovered or imported."""
         path = self.root / "poses.json"
         if not path.exists():
             return None
@@ -133,7 +132,7 @@ class Scene:
 
     @cached_property
     def annotation(self) -> Annotation:
-        """State of the annotation by hand; empty before the first."""
+        """State of the manual annotation; empty before the first annotation."""
         path = self.root / "annotation.json"
         if not path.exists():
             return Annotation()
@@ -149,18 +148,30 @@ class Scene:
         self.objects = objects
 
     def save_poses(self, poses: CameraPoses) -> None:
-        """Raises ToolkitError for poses of frames or cameras that the scene does not have."""
+        """Save the camera poses.
+
+        Raises:
+            ToolkitError: a frame or camera is not in the scene.
+        """
         documents.write_document(self.root / "poses.json", self._checked_poses(poses))
         self.__dict__["poses"] = poses
         self.__dict__.pop("_pose_by_frame", None)
 
     def save_labels(self, labels: Labels) -> None:
-        """Raises ToolkitError for labels of objects or frames that the scene does not have."""
+        """Save the labels.
+
+        Raises:
+            ToolkitError: an object or frame is not in the scene.
+        """
         documents.write_document(self.root / "labels.json", self._checked_labels(labels))
         self.__dict__["labels"] = labels
 
     def save_annotation(self, annotation: Annotation) -> None:
-        """Raises ToolkitError for objects or frames that the scene does not have."""
+        """Save the state of the annotation.
+
+        Raises:
+            ToolkitError: an object or frame is not in the scene.
+        """
         documents.write_document(
             self.root / "annotation.json", self._checked_annotation(annotation)
         )
@@ -235,17 +246,17 @@ class Scene:
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """Hold the scene for writing, with its documents as they are now; see `scene_lock`."""
+        """Lock the scene for writing and reread its documents; see `scene_lock`."""
         with atomic.scene_lock(self.root):
             # Another process may have written between `open` and the lock.
             self.reread()
             yield
 
     def reread(self) -> None:
-        """Take the documents as they are now; those besides the first three when asked for.
+        """Reread scene.json, frames.json and objects.json; other documents on next access.
 
         Raises:
-            ToolkitError: as `open`; then nothing has changed.
+            ToolkitError: see `open`; the scene is unchanged then.
         """
         now = Scene.open(self.root)
         self.info, self.frame_table, self.objects = now.info, now.frame_table, now.objects
@@ -262,10 +273,10 @@ class Scene:
         return {f.id: f for f in self.frames}
 
     def frame(self, frame_id: int) -> Frame:
-        """The frame of this id.
+        """Return the frame with this id.
 
         Raises:
-            ToolkitError: there is none.
+            ToolkitError: there is no such frame.
         """
         if frame_id in self._frame_by_id:
             return self._frame_by_id[frame_id]
@@ -274,7 +285,7 @@ class Scene:
         )
 
     def camera(self, frame: Frame) -> Camera:
-        """Intrinsics of a frame: those refined with the poses, else those of scene.json."""
+        """Return the intrinsics of a frame, refined with the poses or else from scene.json."""
         refined = self.poses.cameras if self.poses is not None else {}
         return refined.get(frame.camera, self.info.cameras[frame.camera]).camera()
 
@@ -282,14 +293,14 @@ class Scene:
         return self.root / frame.color
 
     def read_color(self, frame: Frame) -> NDArray[np.uint8]:
-        """(H, W, 3) uint8 RGB."""
+        """Read the colour image, (H, W, 3) uint8 RGB."""
         return images.read_color(self.color_path(frame), size=self.camera(frame).size)
 
     def read_depth(self, frame: Frame) -> NDArray[np.float32] | None:
-        """Sensor z-depth (H, W) in metres with the sensor's correction factor; None if absent.
+        """Read the sensor z-depth (H, W), metres, times `depth_correction`; None if absent.
 
         Raises:
-            ToolkitError: unreadable, of another size, or evidently in another unit.
+            ToolkitError: the image cannot be read, or has a wrong size or an implausible unit.
         """
         if frame.depth is None:
             return None
@@ -305,25 +316,25 @@ class Scene:
         return {} if self.poses is None else {p.frame: p for p in self.poses.frames}
 
     def T_world_cam(self, frame_id: int) -> SE3 | None:
-        """Camera pose of a frame; None if it is not registered."""
+        """Return the camera pose of a frame; None if it is not registered."""
         pose = self._pose_by_frame.get(frame_id)
         if pose is None or pose.T_world_cam is None:
             return None
         return pose_from_list(pose.T_world_cam)
 
     def registered_frames(self) -> list[Frame]:
-        """Frames that have a camera pose."""
+        """Return the frames that have a camera pose."""
         return [f for f in self.frames if self.T_world_cam(f.id) is not None]
 
     def T_world_obj(self, object_id: int) -> SE3 | None:
-        """Propagated pose of an object; None if it has no label or was not propagated."""
+        """Return the propagated pose of an object; None without label or propagation."""
         label: Label | None = self.labels.of(object_id)
         if label is None or label.T_world_obj is None:
             return None
         return pose_from_list(label.T_world_obj)
 
     def T_cam_obj(self, frame_id: int, object_id: int) -> SE3 | None:
-        """Pose of an object in a frame's camera; None where either pose is missing."""
+        """Return the pose of an object in the camera of a frame; None if a pose is missing."""
         T_world_cam, T_world_obj = self.T_world_cam(frame_id), self.T_world_obj(object_id)
         if T_world_cam is None or T_world_obj is None:
             return None
@@ -333,7 +344,7 @@ class Scene:
         return self.root / model.mesh
 
     def mesh(self, model_id: str) -> trimesh.Trimesh:
-        """Mesh of a model, vertices in metres; read once."""
+        """Return the mesh of a model, vertices in metres; read once."""
         if model_id not in self._meshes:
             from std_toolkit.geometry.mesh import load_mesh
 
@@ -341,7 +352,7 @@ class Scene:
         return self._meshes[model_id]
 
     def mesh_digest(self, model_id: str) -> str:
-        """Hex digest of a model's mesh file; computed once."""
+        """Return the hex digest of the mesh file of a model; computed once."""
         if model_id not in self._mesh_digests:
             path = self.mesh_path(self.objects.model(model_id))
             self._mesh_digests[model_id] = digest_file(path)
@@ -360,10 +371,10 @@ def _check_cameras(root: Path, info: SceneInfo, frames: Frames) -> None:
 
 
 def require_metres(scene: Scene) -> None:
-    """Refuse poses of unknown unit; for every step that mixes poses with metric things.
+    """Check that the camera poses are metric; for steps that combine them with metric data.
 
     Raises:
-        ToolkitError: the scene's poses come from a run without any source of metres.
+        ToolkitError: the unit of the camera poses is unknown.
     """
     poses = scene.poses
     if poses is not None and poses.scale is not None and poses.scale.unit != "metre":

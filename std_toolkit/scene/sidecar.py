@@ -1,8 +1,8 @@
-"""std_toolkit.json: what the foreign layouts have no place for.
+"""std_toolkit.json: data of an export that the layouts of other data sets cannot represent.
 
-STD, DREDS and NOCS ship neither intrinsics nor camera poses; no layout tells where its metres
-come from or what may hide an object. Loaders of those layouts ignore this file; the importers
-read it, so that an export can become a scene again.
+STD, DREDS and NOCS have neither intrinsics nor camera poses. No layout stores the source of the
+metric scale or the occlusion policy. Loaders of those layouts ignore this file; the importers read
+it, so that an export can be converted back to a scene.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ class ExportedObject(Document, frozen=True, kw_only=True):
 
     Attributes:
         object: object id.
-        mask_id: its value in the layout's mask (BOP: its index in scene_gt).
+        mask_id: value in the mask of the layout (BOP: index in scene_gt).
         T_cam_obj: mesh frame (of the scene, not recentred) to camera, metres.
-        visible_fraction: visible pixels over all pixels of its silhouette on a 3x3 canvas.
+        visible_fraction: visible pixels over all pixels of the silhouette on a 3x3 canvas.
     """
 
     object: ObjectId
@@ -50,9 +50,10 @@ class ExportedFrame(Document, frozen=True, kw_only=True):
 
     Attributes:
         id, name, camera, timestamp: as in the scene.
-        stem: what the layout's file names start with.
-        T_world_cam: camera pose, metres; null where the frame was not registered.
-        sensor_depth: false where the layout's depth file is a placeholder of zeros.
+        stem: prefix of the file names in the layout.
+        T_world_cam: camera pose, metres; null if the frame was not registered.
+        sensor_depth: false if the depth file of the layout is a placeholder of zeros.
+        objects: the objects in the frame.
     """
 
     id: int
@@ -66,7 +67,7 @@ class ExportedFrame(Document, frozen=True, kw_only=True):
 
 
 class LeftOut(Document, frozen=True, kw_only=True):
-    """A frame of the scene that was not exported, and why."""
+    """A frame of the scene that was not exported, and the reason."""
 
     id: int
     name: str
@@ -74,15 +75,15 @@ class LeftOut(Document, frozen=True, kw_only=True):
 
 
 class ExportedModel(Document, frozen=True, kw_only=True):
-    """How a mesh of the scene became a mesh of the layout.
+    """Relation between a mesh of the scene and the mesh of the layout.
 
-    `p_scene = metres_per_unit * p_layout + centre_m`, both in their mesh frames.
+    `p_scene = metres_per_unit * p_layout + centre_m`, each in its mesh frame.
 
     Attributes:
         model: model id.
-        layout_id: the layout's own name or number of it.
-        path: of the layout's mesh, relative to the export.
-        diagonal_m: bounding-box diagonal: the NOCS scale.
+        layout_id: name or number of the model in the layout.
+        path: path of the mesh of the layout, relative to the export.
+        diagonal_m: bounding-box diagonal (the NOCS scale), metres.
     """
 
     model: str
@@ -94,13 +95,13 @@ class ExportedModel(Document, frozen=True, kw_only=True):
 
 
 class Visibility(Document, frozen=True, kw_only=True):
-    """What decided about visible pixels.
+    """How the visible pixels were determined.
 
     Attributes:
         policy: "models", "sensor" or "fused"; see data_spec.md.
         delta_m: tolerance in metres of distance (not z); null for "models".
-        renderer: that drew the ground truth.
-        pixel_centres: of masks, depth and K alike.
+        renderer: renderer of the ground truth.
+        pixel_centres: pixel convention of masks, depth and K.
     """
 
     policy: str
@@ -113,15 +114,16 @@ class Sidecar(Document, frozen=True, kw_only=True):
     """std_toolkit.json at the top of an export; written last.
 
     Attributes:
-        layout: exporter's name.
-        folder: of the scene's frames, relative to the export.
-        version: of the toolkit.
-        digest: of everything that determines the export.
-        scene: with the cameras of the exported colour images (pinholes: images were undistorted).
-        label_cameras: camera of the exported labels, where their size differs from colour.
-        poses: of the exported frames, with their scale report and gates.
-        quaternion: convention of quaternions in the layout's own files, if it has any.
-        files: every file of the export relative to it, to digest of its content.
+        layout: name of the exporter.
+        folder: folder of the frames, relative to the export.
+        version: version of the toolkit.
+        digest: digest of everything that determines the export.
+        scene: scene.json with the cameras of the exported colour images (pinholes, because images
+            are undistorted).
+        label_cameras: cameras of the exported labels, if their size differs from colour.
+        poses: poses of the exported frames, with scale report and gates.
+        quaternion: convention of quaternions in the files of the layout, if it has any.
+        files: digest of the content of every file by path relative to the export.
     """
 
     format: Literal["std-toolkit-export"] = "std-toolkit-export"
@@ -147,14 +149,14 @@ class Sidecar(Document, frozen=True, kw_only=True):
 
 
 def find_sidecar(source: Path, layout: str) -> tuple[Sidecar, Path] | None:
-    """The sidecar that tells of `source`, and the export's top folder.
+    """Return the sidecar that describes `source`, and the top folder of the export.
 
     Args:
         source: an export, or the folder of its frames.
-        layout: a sidecar of another layout counts as none.
+        layout: name of the layout; sidecars of other layouts are ignored.
 
     Raises:
-        ToolkitError: there is one, but it is damaged.
+        ToolkitError: the sidecar is damaged.
     """
     start = source.resolve()
     for top in (start, *list(start.parents)[:3]):
@@ -162,7 +164,7 @@ def find_sidecar(source: Path, layout: str) -> tuple[Sidecar, Path] | None:
         if path.is_file():
             sidecar = read_document(path, Sidecar)
             folder = check_relative(sidecar.folder, path=path, field="folder")
-            # Something else may have been put below an export.
+            # A folder below an export need not belong to it.
             told = start in (top, top / folder)
             return (sidecar, top) if told and sidecar.layout == layout else None
     return None

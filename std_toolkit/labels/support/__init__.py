@@ -1,4 +1,4 @@
-"""What guides an object whose depth is missing or wrong: the table, its neighbours, the cloud."""
+"""Aids to place objects whose depth is missing or wrong: table, other objects, point cloud."""
 
 from std_toolkit.labels.support.penetration import (
     TABLE,

@@ -1,11 +1,9 @@
-"""What the frames of a scene say about the table: points, cameras and placed objects.
+"""Points for the search for the table, and correction of the depth bias of the sensor.
 
-A depth sensor that reads too far puts the table too low: by how much, and how to tell.
-
-Every reading of a camera at height h above the table is too deep by the same factor, which moves
-the table down by the same share of h. Two objects tell the factor: points of the reconstruction on
-the table, which know nothing of the sensor; and, more weakly, cameras at different heights, whose
-tables must be one.
+A sensor that overestimates depth puts the table too low. The depth of a camera at height h above
+the table is too large by a constant factor, which moves the table down by the same fraction of h.
+Two sources determine the factor: reconstructed points on the table, which are independent of the
+sensor; and, less accurately, cameras at different heights, which must agree on the table.
 """
 
 from __future__ import annotations
@@ -29,32 +27,33 @@ Array = NDArray[np.float64]
 
 _POINTS_PER_FRAME = 6000
 
-# Sensors spread an object's outline, and invent surfaces around glass and metal.
+# Sensors blur the outlines of objects, and report false surfaces around glass and metal.
 _OUTLINE_MARGIN_PX = 9
 
-# Standard deviation of a table reading at z metres, bias and pose errors included: a + b z^2.
+# Standard deviation of the depth of the table at z metres, with bias and pose errors: a + b z^2.
 _NOISE_M, _NOISE_PER_M2 = 0.001, 0.003
 
-# Of a reconstructed point at a distance.
+# Standard deviation of a reconstructed point: constant part, and part per metre of distance.
 _SPARSE_NOISE_M, _SPARSE_NOISE = 0.0005, 0.002
 
-# The table is what the camera is pointed at: spread of the weight, in half images.
+# The camera points at the table: standard deviation of the weight, in half images.
 _CENTRE = 0.7
 
-# Sensors are off by 2 %; beyond this what was found is something else.
+# Sensors have a bias of up to 2 %; a larger estimate has another cause.
 _LARGEST_BIAS = 0.04
 
 _FEWEST_POINTS = 80
 
 _FEWEST_FRAMES = 6
 
-# Of the bias. Camera poses are off too, and in sensors the bias changes with the distance: what
-# different heights tell counts only where they agree to a fraction of a millimetre.
+# Largest standard errors: of the table, relative to the camera height, and of the bias. Camera
+# poses have errors too, and the bias of sensors varies with distance: the estimate from heights
+# is used only if they agree to a fraction of a millimetre.
 _LARGEST_ERROR_BY_POINTS = 0.002
 
 _LARGEST_ERROR_BY_HEIGHTS = 0.0007
 
-# Errors of neighbouring points of a reconstruction are not independent.
+# Number of points per independent one: errors of neighbouring points are correlated.
 _CORRELATED = 5.0
 
 
@@ -64,9 +63,9 @@ class Points:
 
     Attributes:
         xyz: (N, 3) metres, common frame.
-        sigma: (N,) standard deviation of each, metres.
-        weight: (N,) how much each counts in the search for the largest plane.
-        view: (N,) index of the view that saw it, -1 for none in particular.
+        sigma: (N,) standard deviation of each point, metres.
+        weight: (N,) weight of each point in the search for the largest plane.
+        view: (N,) index of the view of each point, -1 for reconstructed points.
     """
 
     xyz: Array
@@ -77,14 +76,14 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One frame and where its camera stands in the common frame."""
+    """One frame and its camera pose in the common frame."""
 
     frame: Frame
     T_frame_cam: SE3
 
 
 def placed_objects(scene: Scene, camera_frame: int | None) -> list[PlacedObject]:
-    """The labelled objects in the world, or in the camera of a frame."""
+    """Return the labelled objects in the world, or in the camera of a frame."""
     if camera_frame is None:
         poses = {o.id: scene.T_world_obj(o.id) for o in scene.objects.objects}
     else:
@@ -99,7 +98,7 @@ def placed_objects(scene: Scene, camera_frame: int | None) -> list[PlacedObject]
 def depth_points(
     scene: Scene, views: Sequence[View], objects: Sequence[PlacedObject]
 ) -> Points | None:
-    """Sensor depth outside the outlines of placed objects; None if there is none."""
+    """Return the sensor depth outside the outlines of placed objects; None if there is none."""
     renderer = raycast.RaycastRenderer(threads=0)
     parts = []
     for index, view in enumerate(views):
@@ -116,7 +115,7 @@ def depth_points(
 def reconstructed_points(
     scene: Scene, cameras: Array, objects: Sequence[PlacedObject]
 ) -> Points | None:
-    """Points of the reconstruction that lie on no placed object, in the world; None if none."""
+    """Return the reconstructed points that are not on placed objects, world; None if none."""
     found = point_cloud.sparse_points(scene)
     if found is None:
         return None
@@ -126,7 +125,6 @@ def reconstructed_points(
     keep = near < point_cloud.FARTHEST_M
     for obj in objects:
         local = obj.T_frame_obj.inverse() @ xyz - obj.solid.centre
-        # All of the object but what its foot shares with the table.
         margin = 0.004
         inside = (local > obj.solid.low - margin) & (local < obj.solid.high + margin)
         keep &= ~inside.all(axis=1)
@@ -145,7 +143,7 @@ def _readings(
     index: int,
 ) -> Points:
     stride = max(1, int(np.sqrt(np.count_nonzero(usable) / _POINTS_PER_FRAME)))
-    # The middle of every cell of stride x stride pixels: the same share of every surface.
+    # The middle pixel of every stride x stride cell samples all surfaces evenly.
     grid = np.zeros_like(usable)
     grid[stride // 2 :: stride, stride // 2 :: stride] = True
     v, u = np.nonzero(usable & grid)
@@ -191,13 +189,13 @@ def _joined(parts: Sequence[Points]) -> Points | None:
 
 @dataclass(frozen=True)
 class Correction:
-    """Where the table is, relative to where the sensor sees it.
+    """Correction of the table plane for the depth bias of the sensor.
 
     Attributes:
-        shift_m: along the plane's normal, from the sensor's plane to the table.
+        shift_m: shift along the normal from the measured plane to the table, metres.
         depth_factor: sensor depth over true depth.
-        uncertainty_m: of the shift, two standard errors.
-        note: for people.
+        uncertainty_m: two standard errors of the shift, metres.
+        note: description of the correction.
     """
 
     shift_m: float
@@ -209,22 +207,24 @@ class Correction:
 def correction_by_points(
     plane: Plane, points: Array, height_m: float, centre: Array, radius_m: float
 ) -> Correction | None:
-    """From reconstructed points (N, 3) near a plane that was found in depth.
+    """Estimate the correction from reconstructed points near a plane that was found in depth.
 
     Args:
-        height_m: of the cameras above the plane.
-        centre, radius_m: the part of the plane that the sensor saw.
+        plane: plane found in sensor depth.
+        points: (N, 3) reconstructed points, metres.
+        height_m: height of the cameras above the plane.
+        centre, radius_m: measured part of the plane.
 
     Returns:
-        None where too few of the points lie together near the plane.
+        None if too few of the points are close together near the plane.
     """
     reach = np.linalg.norm(plane.project(points) - centre, axis=1)
     distance = plane.signed_distance(points[reach < 1.3 * radius_m])
     distance = np.sort(distance[np.abs(distance) < _LARGEST_BIAS * height_m])
     if len(distance) < _FEWEST_POINTS:
         return None
-    # Most of what lies so near the table is the table: the shortest interval with half of the
-    # points is where they crowd.
+    # Most of the points so close to the table are on it. The mode of their distances is in the
+    # shortest interval with half of the points.
     half = len(distance) // 2
     start = int((distance[half:] - distance[:-half]).argmin())
     shift = float(np.median(distance[start : start + half]))
@@ -246,14 +246,16 @@ def correction_by_points(
 def correction_by_heights(
     plane: Plane, points: Points, inliers: NDArray[np.bool_], centres: Array
 ) -> Correction | None:
-    """From cameras at different heights, whose tables do not agree.
+    """Estimate the correction from cameras at different heights, which disagree on the table.
 
     Args:
-        plane: fitted to the points of all views together.
-        centres: (M, 3) of the cameras.
+        plane: plane fitted to the points of all views.
+        points: points from sensor depth.
+        inliers: (N,) bool, which points are on the plane.
+        centres: (M, 3) camera centres.
 
     Returns:
-        None where the heights are too alike or the scatter is too large to tell.
+        None if the heights are too similar or the scatter is too large.
     """
     heights, errors = [], []
     for view in np.unique(points.view[inliers]):
@@ -264,8 +266,8 @@ def correction_by_heights(
     h, e = np.array(heights), np.array(errors)
     if len(h) < _FEWEST_FRAMES or np.ptp(h) < 0.1 * h.mean():
         return None
-    # A camera at height h above the sensors' common plane sees it off by
-    # e = (1 + b) shift - b h, where b is the relative bias and `shift` leads to the table.
+    # A camera at height h above the fitted plane measures it with an offset of
+    # e = (1 + b) shift - b h, with the relative bias b and the shift to the table.
     A = np.stack([np.ones_like(h), -h], axis=1)
     (constant, bias), *_ = np.linalg.lstsq(A, e, rcond=None)
     scatter = float(np.sum((e - A @ [constant, bias]) ** 2)) / (len(h) - 2)
@@ -279,16 +281,16 @@ def correction_by_heights(
         shift,
         factor,
         2 * float(np.sqrt(covariance[0, 0])) + 0.0005,
-        _explanation(shift, factor, "what cameras at different heights see"),
+        _explanation(shift, factor, "the depth of cameras at different heights"),
     )
 
 
 def _explanation(shift_m: float, factor: float, evidence: str) -> str:
-    """Note on a correction; what is below the digits that are told is none."""
+    """Note on a correction; a shift or bias that rounds to zero is not reported."""
     millimetres, percent = f"{1000 * shift_m:+.1f}", f"{100 * abs(factor - 1):.1f}"
     if float(millimetres) == 0:
         return f"confirmed by {evidence}"
     sensor = f"the sensor reads {percent} % too {'far' if factor > 1 else 'near'}"
     if float(percent) == 0:
-        sensor = "the sensor reads right to 0.1 %"
+        sensor = "the sensor is accurate to 0.1 %"
     return f"moved by {millimetres} mm onto {evidence}: {sensor}"

@@ -1,6 +1,7 @@
-"""The table as placed objects tell it: the plane on which most of them stand.
+"""Table from placed objects: the plane on which most of them stand, and scores of planes.
 
-Which of several planes carries the objects: a table, not a wall, the floor or a box's side.
+The score of a plane as support distinguishes the table from a wall, the floor or the side of a
+box.
 """
 
 from __future__ import annotations
@@ -16,31 +17,32 @@ from std_toolkit.labels.support.solid import PlacedObject
 
 Array = NDArray[np.float64]
 
-# How exactly hand-made labels stand: standard deviations of height and slope.
+# Standard deviations of height and slope of manual labels relative to their support.
 _UNEVEN_M = 0.006
 
 _SLANT = np.radians(6.0)
 
-# An object stands on the plane if it is likely by this much, relative to an exact fit.
+# An object stands on the plane if its likelihood, relative to an exact fit, is larger than this.
 _LIKELY = 0.2
 
 _CUT_M = 0.015
 
 _TOUCHES_M = 0.0015
 
-# Below this spread the contacts do not fix the plane's slope by themselves.
+# With a smaller spread, the contacts alone do not determine the slope of the plane.
 _WIDE_M = 0.03
 
-# An object stands on a plane that its lowest point meets to within this, plus what a sensor's bias
-# may shift the plane by.
+# An object stands on a plane if the distance of its lowest point is at most this, plus the shift
+# of the plane by the bias of a sensor.
 _MEETS_M = 0.015
 
 _SENSOR_BIAS = 0.02
 
-# Cosine between the normal and the image's upward direction: above, a table; below, a wall.
+# Cosine between the normal and the upward direction of the image: a table is above the first
+# limit; below the second, the normal points down in the image.
 _UPRIGHT, _SIDEWAYS = 0.15, -0.15
 
-# Sine of the angle at which a camera looks down on it: nobody records a table edge-on.
+# Sine of the viewing angle to the plane; recordings do not show a table edge-on.
 _EDGE_ON = 0.15
 
 
@@ -51,8 +53,8 @@ class CommonSupport:
     Attributes:
         contacts: (N, 3) lowest points of the objects that stand on it.
         standing: names of these objects.
-        rms_m: of the contacts' distances.
-        upright: mean cosine between the normal and the images' upward direction.
+        rms_m: root mean square of the distances of the contacts, metres.
+        upright: mean cosine between the normal and the upward direction of the images.
     """
 
     normal: Array
@@ -64,7 +66,7 @@ class CommonSupport:
 
 
 def common_support(objects: Sequence[PlacedObject], cameras: Cameras) -> CommonSupport | None:
-    """The plane on which most objects stand level; None if no camera looks at one from above."""
+    """Return the plane on which most objects stand; None if cameras see none from above."""
     best: tuple[float, Array, list[PlacedObject]] | None = None
     for obj in objects:
         faces = obj.solid.resting
@@ -77,8 +79,8 @@ def common_support(objects: Sequence[PlacedObject], cameras: Cameras) -> CommonS
             if view.score == 0 or view.normal @ normal < 0:
                 continue
             likely, cut = _standing(objects, normal, offset)
-            # Among planes with as many objects the one that the cameras see from above, then the
-            # one on which the object stands more firmly.
+            # Among planes with equally many objects, prefer the one that the cameras see from
+            # above, then the one on which the object is more stable.
             merit = float(likely.sum()) - 2 * cut + 0.6 * view.score + 0.3 * min(float(steady), 1.0)
             if best is None or merit > best[0]:
                 standing = [t for t, p in zip(objects, likely, strict=True) if p > _LIKELY]
@@ -89,7 +91,7 @@ def common_support(objects: Sequence[PlacedObject], cameras: Cameras) -> CommonS
 
 
 def _standing(objects: Sequence[PlacedObject], normal: Array, offset: float) -> tuple[Array, int]:
-    """How likely each object stands level on a plane, 0 to 1, and how many the plane cuts."""
+    """Likelihood of each object to stand on a plane, 0 to 1, and number of objects it cuts."""
     likely, cut = np.zeros(len(objects)), 0
     for i, obj in enumerate(objects):
         low = float((obj.T_frame_obj @ obj.solid.hull @ normal + offset).min())
@@ -108,7 +110,7 @@ def _fitted(normal: Array, standing: Sequence[PlacedObject], cameras: Cameras) -
         levels.append(own)
         along = hull @ own
         contacts.append(hull[along <= along.min() + _TOUCHES_M])
-    # One vote per object, however finely its foot is meshed.
+    # Each object has the same total weight, independent of its mesh resolution.
     middles = np.array([c.mean(axis=0) for c in contacts])
     weight = np.concatenate([np.full(len(c), 1 / len(c)) for c in contacts])
     points = np.concatenate(contacts)
@@ -129,11 +131,11 @@ def _fitted(normal: Array, standing: Sequence[PlacedObject], cameras: Cameras) -
 
 @dataclass(frozen=True, eq=False)
 class Cameras:
-    """Where the cameras stand in the common frame.
+    """Camera positions and orientations in the common frame.
 
     Attributes:
         centres: (M, 3) metres.
-        up: (M, 3) the upward direction of each image.
+        up: (M, 3) upward direction of each image.
     """
 
     centres: Array
@@ -141,19 +143,19 @@ class Cameras:
 
     @staticmethod
     def of(poses: Sequence[SE3]) -> Cameras:
-        """From T_frame_cam of each."""
+        """Build from T_frame_cam of each camera."""
         return Cameras(np.array([T.t for T in poses]), np.array([-T.R[:, 1] for T in poses]))
 
 
 @dataclass(frozen=True, eq=False)
 class SupportScore:
-    """A plane `normal . p + offset = 0` as a support.
+    """Score of a plane `normal . p + offset = 0` as support.
 
     Attributes:
-        normal, offset: turned towards the cameras.
-        score: 0 if it cannot be a support.
-        upright: mean cosine between the normal and the images' upward direction.
-        height_m: median height of the cameras above it.
+        normal, offset: the plane, with the normal towards the cameras.
+        score: 0 if it cannot be a support; higher is better.
+        upright: mean cosine between the normal and the upward direction of the images.
+        height_m: median height of the cameras above the plane, metres.
         carried: names of the objects that stand on it.
     """
 
@@ -173,18 +175,21 @@ def score_support(
     cameras: Cameras,
     objects: Sequence[PlacedObject],
 ) -> SupportScore:
-    """How well a plane may be what the objects stand on.
+    """Score a plane `normal . p + offset = 0` as the support of the objects.
 
     Args:
-        weight: share of the points that lie in it.
-        middle: (3,) middle of these points.
+        normal, offset: the plane.
+        weight: fraction of the points in the plane.
+        middle: (3,) mean of these points.
+        cameras: cameras of the views.
+        objects: placed objects.
     """
     heights = cameras.centres @ normal + offset
     if np.median(heights) < 0:
         normal, offset, heights = -normal, -offset, -heights
     height = float(np.median(heights))
     upright = float((cameras.up @ normal).mean())
-    # Every camera looks at the table from above.
+    # Every camera must be above the table.
     score = weight if (heights > 0.02).all() else 0.0
     if upright < _UPRIGHT:
         score *= 0.7 if upright > _SIDEWAYS else 0.3

@@ -1,12 +1,12 @@
-"""Where placed objects run into each other or into the table.
+"""Detection of placed objects that penetrate each other or the table, and their separation.
 
-Points all over the surface of one object are asked whether they lie inside the other, by rays
-(`Solid.inside`). Objects inside the hollow of another, such as a spoon in a mug, lie in air and
-count for nothing. Scans have holes: how many of the rays agree is part of the answer. A mesh that
-is open widely, such as a cup one triangle thick, has no inside: objects that poke through it are
-found by the part of it that lies inside them.
+Points sampled on the surface of one object are tested against the volume of the other by ray
+casting (`Solid.inside`). Objects in the cavity of another one, such as a spoon in a mug, do not
+penetrate it. Scans have holes, so the fraction of the rays that agree is part of the result. A
+widely open mesh, such as a cup one triangle thick, has no inside; objects that penetrate it are
+found by the part of it inside them.
 
-The shortest way found to pull two solids apart.
+Separation is the shortest translation found that resolves a penetration.
 """
 
 from __future__ import annotations
@@ -28,38 +28,38 @@ Array = NDArray[np.float64]
 
 TABLE = "table"
 
-# So many points of one object are asked about another one; the first of them are spread evenly.
+# Number of points of one object that are tested against another; the first are evenly spread.
 _MOST_ASKED = 800
 
-# Of these, those that may be deepest are measured.
+# Number of these whose depth is measured, beginning with those that may be deepest.
 _MOST_MEASURED = 96
 
-# Further points, for the picture only, take the answer of the nearest one.
+# Further points, for display only, take the result of the nearest tested one.
 _MOST_PAINTED = 3000
 
-# Between these shares of rays that say inside a point is uncertain.
+# With a smaller fraction of rays that report inside, a penetration is uncertain.
 _SURE = 0.9
 
-# Directions are compared by so many points each.
+# Number of points by which each direction is compared.
 _ASKED = 200
 
 _DIRECTIONS = 24
 
-# The most promising directions are followed to their end.
+# Number of best directions that are followed until the objects are separate.
 _TRIED = 5
 
-# Beyond the surface by this much, so that the next look finds them apart.
+# Added to a separation, so that the next test finds none.
 _CLEARANCE_M = 0.0001
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """The part of an object's surface that lies inside the other one.
+    """The part of the surface of an object that is inside the other one.
 
     Attributes:
-        vertices: (N,) indices into the mesh's vertices.
-        faces: (M,) indices of the faces that have such a vertex or another such point.
-        points: (K, 3) points of the surface, common frame, metres.
+        vertices: (N,) indices of the vertices inside.
+        faces: (M,) indices of the faces with such a vertex or a sampled point inside.
+        points: (K, 3) sampled points inside, common frame, metres.
     """
 
     vertices: NDArray[np.int64]
@@ -69,14 +69,14 @@ class Surface:
 
 @dataclass(frozen=True, eq=False)
 class Penetration:
-    """Two objects that occupy the same place.
+    """Two objects that overlap.
 
     Attributes:
         first, second: names; `second` may be the table (`TABLE`).
-        depth_m: how deep the deepest point found lies below the other's surface.
-        first_surface, second_surface: what lies inside the other; empty for the table.
-        certainty: share of the rays that agree that these points are inside, 0.5 to 1. Below 0.9
-            a mesh has holes or inner faces there: look before believing it.
+        depth_m: depth of the deepest point found below the surface of the other object, metres.
+        first_surface, second_surface: parts inside the other object; empty for the table.
+        certainty: fraction of the rays that report these points as inside, 0.5 to 1. Below 0.9 a
+            mesh has holes or inner faces there, and the result needs a visual check.
     """
 
     first: str
@@ -89,9 +89,9 @@ class Penetration:
 
     @cached_property
     def separation(self) -> Array:
-        """(3,) translation of `first`, common frame, metres, that ends it.
+        """(3,) translation of `first` that resolves it, common frame, metres.
 
-        It leads not into the table, if that is known. Computed when asked for.
+        Does not move the object into the table, if that is known. Computed on first access.
         """
         return self._separate()
 
@@ -103,17 +103,17 @@ class Penetration:
 def find_penetrations(
     objects: Sequence[PlacedObject], *, plane: Plane | None = None, tolerance_m: float = 0.0005
 ) -> list[Penetration]:
-    """All pairs that run into each other by more than a tolerance, and objects in the table.
+    """Find the pairs of objects that penetrate each other, and objects that penetrate the table.
 
-    What needs to be known of a mesh is made on first use and kept (`prepare_objects`).
+    Data derived from a mesh are computed on first use and cached (`prepare_objects`).
 
     Args:
-        objects: meshes at their poses in one frame; names should differ.
-        plane: the table in the same frame, its normal up; None to leave it out.
-        tolerance_m: contacts are never exact; what is not deeper than this is none.
+        objects: meshes at their poses in one frame, with unique names.
+        plane: the table in the same frame, normal up; None to leave it out.
+        tolerance_m: smaller depths are ignored, because contacts are never exact.
 
     Returns:
-        The deepest first.
+        Penetrations in descending order of depth.
     """
     found = []
     for a, b in combinations(objects, 2):
@@ -128,7 +128,7 @@ def find_penetrations(
 
 
 def prepare_objects(objects: Sequence[PlacedObject]) -> None:
-    """Make what `find_penetrations` needs of the meshes: a fraction of a second for each."""
+    """Compute and cache the mesh data for `find_penetrations`; a fraction of a second each."""
     for obj in objects:
         obj.solid.prepare()
 
@@ -173,9 +173,9 @@ class _Inner:
     """The part of a solid inside another one.
 
     Attributes:
-        points: (N, 3) samples found inside, the other solid's centred frame.
-        votes: (N,) share of the rays that say so.
-        samples: (K,) indices of these samples, and of their like among those not asked about.
+        points: (N, 3) samples found inside, in the centred frame of the other solid.
+        votes: (N,) fraction of the rays that report inside.
+        samples: (K,) indices of these samples, and of untested samples next to them.
     """
 
     points: Array
@@ -200,7 +200,7 @@ def _inside(of: Solid, within: Solid, T_within_of: SE3, tolerance_m: float) -> _
 
 
 def _boxes_meet(of: Solid, within: Solid, T_within_of: SE3) -> bool:
-    """Whether one solid's box reaches the other's, seen along the axes of the second one."""
+    """Whether the bounding boxes overlap along the axes of the second solid."""
     middle = T_within_of @ ((of.low + of.high) / 2)
     reach = np.abs(T_within_of.R) @ ((of.high - of.low) / 2)
     return bool(((middle - reach < within.high) & (middle + reach > within.low)).all())
@@ -209,7 +209,7 @@ def _boxes_meet(of: Solid, within: Solid, T_within_of: SE3) -> bool:
 def _in_box(
     samples: NDArray[np.float32], within: Solid, T: SE3, tolerance_m: float
 ) -> NDArray[np.int64]:
-    """Indices of the samples inside another solid's bounding box, axis by axis."""
+    """Indices of the samples inside the bounding box of another solid."""
     chosen = np.arange(len(samples))
     p = samples
     for axis in range(3):
@@ -224,10 +224,10 @@ def _in_box(
 
 
 def _deepest(solid: Solid, points: Array) -> float:
-    """Distance of the deepest of inner points (N, 3) from the surface.
+    """Largest distance of inner points (N, 3) from the surface.
 
-    The nearest surface is costly to find. Rays bound it from above, so that only a few points need
-    it: once a point is deeper than the next one's bound, the rest cannot be.
+    The exact distance is expensive. The distance along rays is an upper bound: points are measured
+    in descending order of their bounds until no bound exceeds the largest distance.
     """
     if len(points) == 0:
         return 0.0
@@ -254,7 +254,7 @@ def _surface(obj: PlacedObject, inside: NDArray[np.int64]) -> Surface:
 
 
 def _in_table(obj: PlacedObject, plane: Plane, tolerance_m: float) -> Penetration | None:
-    # In the mesh frame: one normal instead of all vertices is turned.
+    # In the mesh frame, because rotating the normal is cheaper than rotating all vertices.
     local = plane.moved(_centred(obj).inverse(), "mesh")
     mesh = obj.solid.mesh
     lowest = float(local.signed_distance(obj.solid.hull - obj.solid.centre).min())
@@ -293,18 +293,18 @@ def separate(
     *,
     up: Array | None = None,
 ) -> Array:
-    """Translation (3,) of solid a, in b's centred frame, after which it lies outside b.
+    """Return a translation (3,) of solid a, in the centred frame of b, that moves it out of b.
 
-    Along each of several directions the points inside the other solid need some way to come out,
-    and with them the points that run into it on the way; the direction that needs least is taken.
-    Pulling the convex hulls apart bounds the way: for hooked or nested solids it is the answer.
+    Tries several directions. Along each, the translation must move all points out of the other
+    solid, including points that enter it on the way. Returns the shortest one. Separating the
+    convex hulls is an upper bound, and the result for hooked or nested solids.
 
     Args:
         a, b: the solids.
-        T_b_a: between their centred frames.
-        points_a: (N, 3) points of a's surface inside b, b's centred frame.
-        points_b: (M, 3) points of b's surface inside a, a's centred frame.
-        up: (3,) direction against which a must not go, b's centred frame: the table's normal.
+        T_b_a: transform between their centred frames.
+        points_a: (N, 3) points on the surface of a inside b, centred frame of b.
+        points_b: (M, 3) points on the surface of b inside a, centred frame of a.
+        up: (3,) normal of the table, centred frame of b; a must not move against it.
     """
     inner_a, inner_b = points_a[:_ASKED], points_b[:_ASKED]
     directions = _directions(b, T_b_a, inner_a)
@@ -323,7 +323,7 @@ def separate(
 
 
 def _followed(a: Solid, b: Solid, T_b_a: SE3, d: Array, way: float, limit: float) -> float:
-    """Length of the way along d after which nothing is inside any more; inf beyond the limit."""
+    """Distance along d at which the solids are separate; inf beyond the limit."""
     while way < limit:
         moved = SE3(T_b_a.R, T_b_a.t + (way + _CLEARANCE_M) * d)
         still_a = _still_inside(a, b, moved)
@@ -335,14 +335,14 @@ def _followed(a: Solid, b: Solid, T_b_a: SE3, d: Array, way: float, limit: float
 
 
 def _directions(b: Solid, T_b_a: SE3, inner_a: Array) -> Array:
-    """(K, 3) unit directions worth trying: to the nearest surface, the meshes' axes, all around."""
+    """(K, 3) unit directions to try: to the nearest surface, axes of the meshes, all around."""
     axes = np.vstack([np.eye(3), T_b_a.R.T])
     apart = T_b_a.t / max(float(np.linalg.norm(T_b_a.t)), 1e-9)
     tried = [*axes, *-axes, apart, *sphere_directions(_DIRECTIONS)]
     if len(inner_a):
         surface, distance = b.nearest(inner_a[:50])
         outward = surface - inner_a[:50]
-        # The mean is weighted by depth; the deepest point's own direction is that of flat faces.
+        # The mean is weighted by depth; the direction of the deepest point suits flat faces.
         tried += [outward.sum(axis=0), outward[int(distance.argmax())]]
     directions = np.array(tried)
     length = np.linalg.norm(directions, axis=1)
@@ -350,7 +350,7 @@ def _directions(b: Solid, T_b_a: SE3, inner_a: Array) -> Array:
 
 
 def _way(a: Solid, b: Solid, T_b_a: SE3, inner_a: Array, inner_b: Array, d: Array) -> float:
-    """How far a must go along d until these points have left the other solid."""
+    """Distance that a must move along d until these points are outside the other solid."""
     way = 0.0
     if len(inner_a):
         way = float(b.exit_distance(inner_a, d).max())
@@ -361,7 +361,7 @@ def _way(a: Solid, b: Solid, T_b_a: SE3, inner_a: Array, inner_b: Array, d: Arra
 
 
 def _still_inside(of: Solid, within: Solid, T_within_of: SE3) -> Array:
-    """(N, 3) some samples of one solid inside another, in the other's centred frame."""
+    """(N, 3) samples of one solid inside another, in the centred frame of the other one."""
     points = T_within_of @ of.samples.points[:8000].astype(np.float64)
     boxed = points[((points > within.low) & (points < within.high)).all(axis=1)][:_ASKED]
     return boxed[within.inside(boxed)[0]]

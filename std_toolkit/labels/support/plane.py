@@ -1,7 +1,4 @@
-"""The plane on which objects stand.
-
-Putting an object onto a plane: down until it touches, or also level on its nearest facet.
-"""
+"""The plane on which objects stand, and placement of objects on it."""
 
 from __future__ import annotations
 
@@ -30,12 +27,12 @@ class Plane:
     """An oriented plane: `normal . p + offset = 0`.
 
     Attributes:
-        normal: (3,) unit vector; of a table it points up, to where the cameras are.
+        normal: (3,) unit vector; that of a table points up, towards the cameras.
         offset: metres.
-        frame: the coordinate frame: "world", or "camera 12" for the camera of frame 12.
+        frame: coordinate frame: "world", or "camera 12" for the camera of frame 12.
 
     Raises:
-        ToolkitError: a normal of no length, or a number that is not finite.
+        ToolkitError: the normal has no length, or a number is not finite.
     """
 
     normal: NDArray[np.float64]
@@ -54,43 +51,43 @@ class Plane:
         object.__setattr__(self, "offset", float(self.offset) / length)
 
     def signed_distance(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Metres (...,) of points (..., 3) above the plane, negative below."""
+        """Return the height (...,) of points (..., 3) above the plane, metres; negative below."""
         return np.asarray(points, dtype=np.float64) @ self.normal + self.offset
 
     def project(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Nearest points of the plane (..., 3)."""
+        """Project points (..., 3) onto the plane."""
         p = np.asarray(points, dtype=np.float64)
         return p - self.signed_distance(p)[..., None] * self.normal
 
     def moved(self, T_b_a: SE3, frame: str) -> Plane:
-        """The same plane in another frame b, whose name is `frame`."""
+        """Return the same plane in another frame b, called `frame`."""
         normal = T_b_a.R @ self.normal
         return Plane(normal, self.offset - float(normal @ T_b_a.t), frame)
 
 
 def camera_frame_name(frame_id: int) -> str:
-    """Name of the coordinate frame of a frame's camera."""
+    """Return the name of the coordinate frame of a frame's camera."""
     return f"camera {frame_id}"
 
 
 @dataclass(frozen=True, eq=False)
 class TablePlane:
-    """A plane that carries the objects, and how well it is known.
+    """The plane that supports the objects, and its accuracy.
 
     Attributes:
-        plane: in the world, or in a camera.
-        source: what it was found in: sensor depth, points of the reconstruction, or the resting
-            faces of objects that were placed already.
-        rms_m: of the distances of the points that lie in it.
+        plane: plane in the world, or in a camera.
+        source: data in which it was found: sensor depth, points of the reconstruction, or the
+            resting faces of placed objects.
+        rms_m: root mean square of the distances of the points in the plane, metres.
         points: number of these points.
         frames: number of frames whose depth was used; 0 without depth.
-        centre: (3,) middle of these points, in the plane.
-        radius_m: nine tenths of them lie within it.
-        uncertainty_m: how far the plane may be off along its normal.
-        depth_factor: how much too far the sensor reads (1.01: 1 %), where that could be told; the
-            plane has been corrected for it.
-        quality: "doubtful" planes are to be looked at before anything is put on them.
-        notes: sentences on what was corrected, and why it is doubtful.
+        centre: (3,) mean of these points, in the plane.
+        radius_m: radius around `centre` that contains nine tenths of the points, metres.
+        uncertainty_m: possible error of the plane along its normal, metres.
+        depth_factor: sensor depth over true depth (1.01: 1 % too far), if it could be determined;
+            the plane is corrected for it.
+        quality: check a "doubtful" plane before placing objects on it.
+        notes: sentences on corrections, and on reasons for doubt.
     """
 
     plane: Plane
@@ -108,7 +105,7 @@ class TablePlane:
 
 @dataclass(frozen=True, eq=False)
 class TableSearch:
-    """Outcome of a search: the table, or a sentence that says why there is none."""
+    """Result of a search: the table, or a sentence on why none was found."""
 
     table: TablePlane | None
     reason: str = ""
@@ -122,21 +119,21 @@ def snap_to_plane(
     mode: Literal["drop", "rest"] = "drop",
     largest_tilt: float = LARGEST_TILT,
 ) -> SE3:
-    """The pose that touches the plane with the object's lowest point.
+    """Return the pose in which the lowest point of the object touches the plane.
 
-    Snapping twice is snapping once.
+    Idempotent.
 
     Args:
-        mesh: in metres; need not be watertight.
-        T_frame_obj: mesh to the frame in which the plane is given.
-        plane: its normal points to the side on which the object stands.
-        mode: "drop" moves the object along the normal and turns nothing. "rest" first turns it
-            about its centre of mass by the smallest angle that lays a facet on which it can stand
-            onto the plane; a round object keeps its roll.
-        largest_tilt: radians; "rest" refuses to turn further.
+        mesh: mesh in metres; need not be watertight.
+        T_frame_obj: mesh to the frame of the plane.
+        plane: plane whose normal points to the side on which the object stands.
+        mode: "drop" only moves the object along the normal. "rest" first rotates it about its
+            centre of mass by the smallest angle that puts a facet on which it can stand onto the
+            plane; a round object keeps its roll.
+        largest_tilt: largest rotation of "rest", radians.
 
     Raises:
-        ToolkitError: an unknown mode, or "rest" with no standing facet within `largest_tilt`.
+        ToolkitError: the mode is unknown, or "rest" finds no stable facet within `largest_tilt`.
     """
     solid = solid_of(mesh)
     if mode == "rest":
@@ -145,21 +142,21 @@ def snap_to_plane(
         if angle > largest_tilt:
             raise ToolkitError(
                 f"the object would have to turn by {np.degrees(angle):.0f} degrees to stand on "
-                f"the table; at most {np.degrees(largest_tilt):.0f} are done unasked",
-                hint="turn it roughly as it stands first, or only drop it",
+                f"the table; the limit is {np.degrees(largest_tilt):.0f}",
+                hint="rotate it approximately upright first, or only drop it",
             )
         middle = T_frame_obj @ solid.centre_of_mass
         turn = _smallest_rotation(T_frame_obj.R @ resting, -plane.normal)
         R = turn @ T_frame_obj.R
         T_frame_obj = SE3(R, middle - R @ solid.centre_of_mass)
     elif mode != "drop":
-        raise ToolkitError("unknown way to snap", value=mode, hint="one of drop, rest")
+        raise ToolkitError("unknown mode", value=mode, hint="one of drop, rest")
     lowest = float(plane.signed_distance(T_frame_obj @ solid.hull).min())
     return SE3(T_frame_obj.R, T_frame_obj.t - lowest * plane.normal)
 
 
 def _smallest_rotation(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(3, 3) rotation by the smallest angle that turns unit vector a into b."""
+    """(3, 3) rotation by the smallest angle that maps unit vector a to b."""
     axis = np.cross(a, b)
     sine = float(np.linalg.norm(axis))
     if sine < 1e-12:

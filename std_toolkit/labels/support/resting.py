@@ -1,9 +1,9 @@
-"""How an object can lie on a plane: the directions that may point down, in its mesh frame.
+"""Stable resting poses of an object on a plane, as directions in its mesh frame that point down.
 
-An object rests on a facet of its convex hull over which its centre of mass lies. Scans are never
-quite flat: vertices within a small tolerance of a facet's plane count as contacts, and facets that
-differ by a few degrees as one. A round body also rests on the edges between narrow facets: rolling
-raises its centre of mass by next to nothing, and nobody may roll a label about without reason.
+An object rests on a facet of its convex hull if its centre of mass projects into the facet. Scans
+are not exactly flat: vertices within a small tolerance of the plane of a facet count as contacts,
+and facets that differ by a few degrees count as one. A round body also rests on the edges between
+narrow facets, because rolling hardly raises its centre of mass. This keeps the roll of a label.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-# Of the object's size, with a floor: how far from a plane a vertex may be and still touch it.
+# Largest distance of a contact from the plane, relative to the object size, and its lower limit.
 _CONTACT = 0.002
 _CONTACT_FLOOR_M = 0.0001
 _SAME_FACET = np.radians(5.0)
-# Rolling over an edge may raise the centre of mass by this share of the object's size.
+# Rolling over an edge may raise the centre of mass by this fraction of the object size.
 _ROLLING = 0.001
 _ROLLING_REACH = np.radians(15.0)
-# An object that topples when tipped by less than this does not stand there.
+# A facet is stable if the object does not topple when tipped by this angle.
 _STEADY = np.radians(2.5)
-# A ball: tipped by this in any direction its centre stays as high.
+# An object is a ball if the height of its centre stays constant when tipped by this angle.
 _BALL_TIP = np.radians(4.0)
 _BALL = 0.003
 
@@ -33,8 +33,8 @@ class RestingFaces:
     """Directions (unit, mesh frame) that point down when the object rests.
 
     Attributes:
-        down: (K, 3) one per facet.
-        steady: (K,) radians by which the object may be tipped before it topples.
+        down: (K, 3) direction per facet.
+        steady: (K,) angle to which the object can be tipped before it topples, radians.
         rolling: (E, 2) pairs of facets between which it rolls.
     """
 
@@ -45,7 +45,7 @@ class RestingFaces:
     _size: float
 
     def nearest(self, down: Array) -> tuple[Array, float]:
-        """The resting direction nearest to a unit direction (3,), and the angle to it in radians.
+        """Return the resting direction nearest to a unit direction (3,), and the angle in radians.
 
         A ball rests in every direction.
         """
@@ -70,10 +70,10 @@ class RestingFaces:
 
 
 def resting_faces(hull: Array, facets: NDArray[np.int64], centre_of_mass: Array) -> RestingFaces:
-    """Where an object can rest; at least one direction for any mesh.
+    """Compute the resting directions of an object; at least one for any mesh.
 
     Args:
-        hull: (H, 3) vertices of its convex hull, mesh frame, metres.
+        hull: (H, 3) vertices of the convex hull, mesh frame, metres.
         facets: (K, 3) triangles of the hull; none if the mesh is flat.
         centre_of_mass: (3,) mesh frame, metres.
     """
@@ -100,14 +100,14 @@ def resting_faces(hull: Array, facets: NDArray[np.int64], centre_of_mass: Array)
 
 
 def _stable(hull: Array, facets: NDArray[np.int64], contact_m: float) -> tuple[Array, Array]:
-    """Outward normals of the facets over which the origin lies, and how steady they are."""
+    """Outward normals of the facets into which the origin projects, and their tipping angles."""
     a, b, c = (hull[facets[:, i]] for i in range(3))
     normals = np.cross(b - a, c - a)
     double_area = np.linalg.norm(normals, axis=1)
     good = double_area > 1e-14
     normals = normals[good] / double_area[good, None]
     height = np.einsum("ij,ij->i", normals, a[good])
-    # The origin lies inside the hull: outward is where the facet is.
+    # The origin is inside the hull, so an outward normal points to the side of its facet.
     normals[height < 0] *= -1
     down, steady = [], []
     for normal in normals:
@@ -118,14 +118,14 @@ def _stable(hull: Array, facets: NDArray[np.int64], contact_m: float) -> tuple[A
             down.append(_facet_normal(contacts, normal))
             steady.append(tip)
     if not down:
-        # Rounding: the lowest position of the centre of mass is stable in any case.
+        # Due to rounding. The facet with the lowest centre of mass is always stable.
         lowest = normals[int(_heights(hull, normals).argmin())]
         return lowest[None], np.zeros(1)
     return np.array(down), np.array(steady)
 
 
 def _tipping(contacts: Array, normal: Array, height: float) -> float:
-    """Angle to the nearest edge of the contact polygon, seen from the centre of mass; 0 outside."""
+    """Angle at the centre of mass to the nearest edge of the contact polygon; 0 outside."""
     side = np.cross(normal, np.eye(3)[int(np.abs(normal).argmin())])
     side /= np.linalg.norm(side)
     plane = np.stack([contacts @ side, contacts @ np.cross(normal, side)], axis=1)
@@ -133,26 +133,26 @@ def _tipping(contacts: Array, normal: Array, height: float) -> float:
     gaps = np.diff(np.append(angle, angle[0] + 2 * np.pi))
     if len(plane) < 3 or gaps.max() >= np.pi:
         return 0.0
-    # Distance of the polygon's edges from the origin: the least reach over all directions.
+    # The distance of the nearest edge is the smallest extent of the polygon over all directions.
     turn = np.linspace(0, 2 * np.pi, 72, endpoint=False)
     reach = (plane @ np.stack([np.cos(turn), np.sin(turn)])).max(axis=0).min()
     return float(np.arctan2(reach, max(height, 1e-9)))
 
 
 def _facet_normal(contacts: Array, normal: Array) -> Array:
-    """Normal of the plane through the contacts, near `normal`; `normal` itself for an exact one."""
+    """Normal of the plane fitted to the contacts; `normal` if they are exactly in its plane."""
     centred = contacts - contacts.mean(axis=0)
     if np.abs(centred @ normal).max() < 1e-7:
         return normal
     scatter, axes = np.linalg.eigh(centred.T @ centred)
     fitted = axes[:, 0] if axes[:, 0] @ normal >= 0 else -axes[:, 0]
-    # A narrow strip of contacts says nothing about the turn along it.
+    # A narrow strip of contacts does not determine the rotation about its axis.
     narrow = scatter[1] < 0.01 * scatter[2]
     return normal if narrow or _angle(fitted, normal) > _SAME_FACET else fitted
 
 
 def _merged(down: Array, steady: Array, heights: Array) -> tuple[Array, Array]:
-    """One direction for every group of facets that differ by a few degrees: the lowest one."""
+    """Merge facets that differ by a few degrees into the one with the lowest centre of mass."""
     left = list(np.argsort(heights, kind="stable"))
     kept, best = [], []
     while left:
@@ -165,7 +165,7 @@ def _merged(down: Array, steady: Array, heights: Array) -> tuple[Array, Array]:
 
 
 def _rolling(hull: Array, down: Array, tolerance_m: float) -> NDArray[np.int64]:
-    """Pairs of directions with no higher centre of mass on the way between them."""
+    """Pairs of directions between which the height of the centre of mass stays constant."""
     i, j = np.triu_indices(len(down), 1)
     near = np.einsum("ij,ij->i", down[i], down[j]) > np.cos(_ROLLING_REACH)
     i, j = i[near], j[near]
@@ -186,7 +186,7 @@ def _heights(hull: Array, down: Array) -> Array:
 
 
 def _nearest_on_arc(direction: Array, a: Array, b: Array) -> Array | None:
-    """The point of the arc from a to b nearest to a direction, if it is not an end."""
+    """Point on the arc from a to b nearest to a direction; None if it is an end."""
     pole = np.cross(a, b)
     pole /= np.linalg.norm(pole)
     foot = direction - (direction @ pole) * pole
@@ -199,16 +199,16 @@ def _nearest_on_arc(direction: Array, a: Array, b: Array) -> Array | None:
 
 
 def _angle(a: Array, b: Array) -> float:
-    """Radians between unit vectors, exact for small angles too."""
+    """Angle between unit vectors in radians, accurate for small angles too."""
     return float(2 * np.arctan2(np.linalg.norm(a - b), np.linalg.norm(a + b)))
 
 
 def sphere_directions(count: int) -> Array:
-    """(N, 3) unit vectors spread evenly over the sphere (golden-angle spiral)."""
+    """Return (N, 3) unit vectors spread evenly over the sphere (golden-angle spiral)."""
     i = np.arange(count) + 0.5
     z = 1 - 2 * i / count
     turn = np.pi * (1 + 5**0.5) * i + 0.3
     r = np.sqrt(1 - z**2)
-    # Tilted: the spiral's pole would be an axis of many a mesh.
+    # Tilted, because the pole of the spiral would coincide with an axis of many meshes.
     tilt = np.array([[0.8, 0.0, 0.6], [0.36, 0.8, -0.48], [-0.48, 0.6, 0.64]])
     return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1) @ tilt.T

@@ -1,4 +1,4 @@
-"""Meshes as solids: hull, inside test, samples of the surface. Made once per mesh, then kept."""
+"""Meshes as solids: hull, inside test, surface samples. Computed once per mesh and cached."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
     import trimesh
 
 Array = NDArray[np.float64]
-# Samples lie about this far apart, as far as their number allows.
+# Approximate distance between samples, within the limits of their number.
 _SPACING_M = 0.0015
 _FEWEST_SAMPLES, _MOST_SAMPLES = 2000, 16000
 _FEW_VERTICES = 500
-# Odd, and along no axis that a mesh is likely to be aligned with.
+# Odd numbers of rays, in directions that are not axes of typical meshes.
 _RAYS, _FIRST_RAYS = 11, 3
-# Of a mesh with gaps this share of the rays must say that a point is inside.
+# In a mesh with gaps, this fraction of the rays must report that a point is inside.
 _VOTES_IF_OPEN = 0.8
-# A gap larger than this share of the mesh is an opening: what is open so widely is a sheet.
+# A mesh with a gap larger than this fraction of its diagonal is a sheet.
 _OPENING = 0.35
 _MOST_HULL_FACETS = 1400
 _KEPT = 64
@@ -50,7 +50,7 @@ class Samples:
 
 
 class Solid:
-    """A mesh with what contact and support need of it; centred coordinates are `p - centre`.
+    """A mesh with derived data for contact and support; centred coordinates are `p - centre`.
 
     Args:
         mesh: prepared mesh.
@@ -90,7 +90,7 @@ class Solid:
 
     @cached_property
     def coarse_hull(self) -> tuple[Array, NDArray[np.int64]]:
-        """`hull` and `facets` of a body that has few: those of a ball are countless."""
+        """`hull` and `facets`, reduced to few facets; a ball would have very many."""
         if len(self.facets) <= _MOST_HULL_FACETS:
             return self.hull, self.facets
         from scipy.spatial import ConvexHull
@@ -110,12 +110,12 @@ class Solid:
 
     @property
     def sheet(self) -> bool:
-        """Whether it is open so widely that nothing can be inside: a cup one triangle thick."""
+        """Whether the mesh is too open to have an inside, such as a cup one triangle thick."""
         return self.gap_m > _OPENING * self.mesh.diagonal
 
     @cached_property
     def gap_m(self) -> float:
-        """Size of the largest gap in the surface (its bounding box's diagonal); 0 if closed."""
+        """Bounding-box diagonal of the largest gap in the surface, metres; 0 if closed."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 
@@ -137,7 +137,7 @@ class Solid:
 
     @cached_property
     def centre_of_mass(self) -> Array:
-        """(3,) mesh frame, metres, for a uniform filling; of the hull where the mesh is open."""
+        """(3,) mesh frame, metres, for uniform density; that of the hull if the mesh is open."""
         import trimesh
 
         if self.mesh.closed:
@@ -151,12 +151,12 @@ class Solid:
 
     @cached_property
     def resting(self) -> RestingFaces:
-        """How it can lie on a plane."""
+        """Resting directions on a plane."""
         return resting_faces(*self.coarse_hull, self.centre_of_mass)
 
     @cached_property
     def samples(self) -> Samples:
-        """All vertices (of a very fine mesh some) and points spread over the faces."""
+        """All vertices (a subset for a very fine mesh) and points spread over the faces."""
         rng = np.random.default_rng(0)
         v, faces = self.mesh.vertices, self.mesh.faces
         a, b, c = (v[faces[:, i]] for i in range(3))
@@ -180,38 +180,39 @@ class Solid:
         face = np.concatenate([face_of[vertices], chosen])
         order = rng.permutation(len(points))
         if len(vertices) <= _FEW_VERTICES:
-            # The corners of a coarse mesh are where it reaches farthest.
+            # Vertices first, because the extreme points of a coarse mesh are its corners.
             order = np.concatenate([order[order < len(vertices)], order[order >= len(vertices)]])
         return Samples(points[order], vertex[order], face[order])
 
     @cached_property
     def caster(self) -> RayCaster:
-        """The centred mesh."""
+        """Ray caster of the centred mesh."""
         caster = RayCaster(self.mesh.vertices, self.mesh.faces)
-        # The first question builds the tree: not while another thread asks.
+        # The first query builds the tree, which must not happen while another thread queries.
         caster.distance(np.zeros((1, 3)))
         return caster
 
     def prepare(self) -> None:
-        """Make what `inside` and `depth` need; safe to call from several threads."""
+        """Compute the data that `inside` and the depth measurement need. Thread-safe."""
         with self._lock:
             _ = self.caster, self.gap_m, self.samples, self.hull, self._corners
 
     def inside(self, points: NDArray[np.floating]) -> tuple[NDArray[np.bool_], Array]:
-        """Whether points (N, 3), centred coordinates, lie inside.
+        """Return whether points (N, 3), centred coordinates, are inside.
 
-        Rays in several directions vote by the parity of their crossings. The majority decides for
-        a closed surface, four fifths of them for one with gaps; a sheet encloses nothing.
+        Rays in several directions vote by the parity of their crossings. A point is inside a closed
+        surface with a majority of the votes, and inside one with gaps with more than four fifths.
+        A sheet has no inside.
 
         Returns:
-            (N,) the verdict, and (N,) the share of the rays that say inside.
+            (N,) bool, and (N,) fraction of the rays that report inside.
         """
         if len(points) == 0 or self.sheet:
             return np.zeros(len(points), dtype=bool), np.zeros(len(points))
         directions = sphere_directions(_RAYS)
         first = self._odd(points, directions[:_FIRST_RAYS])
         votes = first / _FIRST_RAYS
-        # Most points lie in the open, where all rays agree.
+        # For most points the first rays agree.
         clear = (first == 0) | (self.closed & (first == _FIRST_RAYS))
         rest = np.flatnonzero(~clear)
         if len(rest):
@@ -219,14 +220,14 @@ class Solid:
         return votes > (0.5 if self.closed else _VOTES_IF_OPEN), votes
 
     def _odd(self, points: NDArray[np.floating], directions: Array) -> NDArray[np.int64]:
-        """(N,) how many of the rays from a point (N, 3) cross the surface oddly often."""
+        """(N,) number of rays from each point (N, 3) with an odd number of surface crossings."""
         rays = np.empty((len(directions), len(points), 6), np.float32)
         rays[..., :3] = points
         rays[..., 3:] = directions[:, None]
         return (self.caster.crossings(rays) & 1).sum(axis=0, dtype=np.int64)
 
     def faces_with(self, marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(F,) which faces have a marked vertex (V,)."""
+        """Return (F,) which faces have a marked vertex (V,)."""
         a, b, c = self._corners
         return marked[a] | marked[b] | marked[c]
 
@@ -235,19 +236,22 @@ class Solid:
         return tuple(np.ascontiguousarray(self.mesh.faces[:, i]) for i in range(3))
 
     def nearest(self, points: NDArray[np.floating]) -> tuple[Array, Array]:
-        """Nearest points of the surface (N, 3), centred coordinates, and their distances (N,)."""
+        """Return the nearest surface points (N, 3), centred coordinates, and distances (N,)."""
         query = np.ascontiguousarray(points, dtype=np.float32)
         surface = self.caster.closest(query)[0].astype(np.float64)
         x, y, z = (surface - query).T
         return surface, np.sqrt(x * x + y * y + z * z)
 
     def shortest_ray(self, points: NDArray[np.floating]) -> Array:
-        """(N,) metres to the surface along the shortest of some rays: a bound for `nearest`."""
+        """Return (N,) metres to the surface along the shortest ray: an upper bound of `nearest`."""
         directions = sphere_directions(_RAYS)[:_FIRST_RAYS]
         return np.min([self.exit_distance(points, d) for d in directions], axis=0)
 
     def exit_distance(self, points: NDArray[np.floating], direction: Array) -> Array:
-        """(N,) metres from points (N, 3), centred, along a unit direction to the surface; inf."""
+        """Return (N,) metres from points (N, 3), centred, along a unit direction to the surface.
+
+        inf if the ray does not hit the surface.
+        """
         rays = np.empty((len(points), 6), np.float32)
         rays[:, :3], rays[:, 3:] = points, direction
         return self.caster.cast(rays).distance.astype(np.float64)
@@ -255,11 +259,11 @@ class Solid:
 
 @dataclass(frozen=True, eq=False)
 class PlacedObject:
-    """A mesh at a pose, such as an object that was labelled already.
+    """A mesh at a pose, such as a labelled object.
 
     Attributes:
-        name: for messages.
-        mesh: in metres.
+        name: name for messages.
+        mesh: mesh in metres.
         T_frame_obj: maps mesh coordinates into the common frame (the world, or one camera).
     """
 
@@ -269,7 +273,7 @@ class PlacedObject:
 
     @property
     def solid(self) -> Solid:
-        """What is known of its mesh (kept by content)."""
+        """Derived data of the mesh (cached by content)."""
         return solid_of(self.mesh)
 
 
@@ -278,12 +282,12 @@ _kept_lock = threading.Lock()
 
 
 def solid_of(mesh: trimesh.Trimesh | RenderMesh) -> Solid:
-    """The solid of a mesh, from a cache keyed by its content."""
+    """Return the solid of a mesh, from a cache keyed by its content."""
     prepared = prepare_mesh(mesh)
     with _kept_lock:
         found = _kept.get(id(prepared))
         if found is None:
-            # The solid keeps its mesh alive, so that the id stays its own.
+            # The solid keeps its mesh alive, so that the id stays unique.
             found = _kept[id(prepared)] = Solid(prepared)
             while len(_kept) > _KEPT:
                 _kept.popitem(last=False)

@@ -1,4 +1,4 @@
-"""The table of a scene: from sensor depth, from reconstructed points, or from placed objects."""
+"""Search for the table in sensor depth, in reconstructed points, or under placed objects."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _PLANES = 4
 
 _FEWEST_POINTS = 60
 
-# A sensor that nobody calibrated reads up to this share too far or too near.
+# Largest relative depth bias of an uncalibrated sensor.
 UNKNOWN_BIAS = 0.02
 
 _CALIBRATED_BIAS = 0.005
@@ -40,13 +40,13 @@ _SMALL_M = 0.08
 
 _ROUGH = 0.01
 
-# Of the distance: gaps in a table that do not part it.
+# Gaps in a table, relative to the distance, that do not split it.
 _GAP = 0.04
 
 
 @dataclass(frozen=True)
 class _Place:
-    """Where to look: the views, their cameras and the common frame's name."""
+    """Input of the search: views, their cameras, objects and name of the common frame."""
 
     scene: Scene
     views: list[evidence.View]
@@ -62,19 +62,20 @@ def search_table(
     objects: Sequence[PlacedObject] | None = None,
     camera_frame: int | None = None,
 ) -> TableSearch:
-    """Find the plane on which the objects of a scene stand, or say why there is none.
+    """Find the plane on which the objects of a scene stand, or the reason why none was found.
 
-    Sensor depth comes first, then points of the reconstruction, then the faces on which objects
-    that are placed already rest. Depth inside the outlines of these objects plays no part.
+    Searches in sensor depth, then in reconstructed points, then under the resting faces of placed
+    objects. Ignores depth inside the outlines of these objects.
 
     Args:
-        frames: frames to look at, at most a dozen of them; default: spread over the recording.
-        objects: placed objects in the common frame; default: the scene's labels.
-        camera_frame: id of a frame: look in it alone, and give the plane in its camera. For
+        scene: the recording.
+        frames: frames to use, at most 12 of them; default: spread over the recording.
+        objects: placed objects in the common frame; default: the labels of the scene.
+        camera_frame: id of a frame: use only this frame, and return the plane in its camera. For
             frames without camera pose.
 
     Raises:
-        ToolkitError: no such frame, or a file of the scene that cannot be read.
+        ToolkitError: there is no such frame, or a file of the scene cannot be read.
     """
     if camera_frame is None:
         views, problem = _world_views(scene, frames)
@@ -146,7 +147,7 @@ def _from_depth(place: _Place) -> TablePlane | str:
 
 
 def _metres_of_the_sensor(scene: Scene) -> bool:
-    """The scale of the camera poses was taken from the depth itself: the two agree by force."""
+    """Whether the scale of the camera poses is from depth, so that the two cannot disagree."""
     scale = None if scene.poses is None else scene.poses.scale
     return scale is not None and scale.chosen == "depth"
 
@@ -176,11 +177,11 @@ def _from_objects(place: _Place) -> TablePlane | str:
     notes = [f"the plane under {', '.join(found.standing)}"]
     doubts = []
     if len(found.standing) < 2:
-        doubts.append("only one object tells where the table is")
+        doubts.append("only one object determines the table")
     elif 2 * len(found.standing) <= len(place.objects):
         doubts.append("half of the objects or more stand elsewhere")
     if found.rms_m > 0.003:
-        doubts.append(f"the objects stand {1000 * found.rms_m:.0f} mm unevenly")
+        doubts.append(f"the objects deviate from the plane by {1000 * found.rms_m:.0f} mm")
     if found.upright < 0:
         doubts.append("the cameras would see it upside down")
     return TablePlane(
@@ -200,7 +201,7 @@ def _from_objects(place: _Place) -> TablePlane | str:
 def _support(
     points: evidence.Points, place: _Place
 ) -> tuple[PlaneFit, neighbours.SupportScore, str] | str:
-    """The best support among the planes in points, and a doubt about it; or what was seen."""
+    """The best support among the planes in points, and a doubt about it; or why there is none."""
     if len(points.xyz) < _FEWEST_POINTS:
         return "too few points"
     planes = find_planes(points.xyz, points.sigma, points.weight, count=_PLANES)
@@ -237,7 +238,7 @@ def _described(
     radius = float(np.quantile(reach, 0.9))
     doubts = [doubt] if doubt else []
     if fit.weight < _SMALL_SHARE:
-        doubts.append(f"only {100 * fit.weight:.0f} % of the points lie in it")
+        doubts.append(f"only {100 * fit.weight:.0f} % of the points are in it")
     if verdict.upright < 0.15:
         doubts.append("it could be a wall: the cameras do not look down on it")
     if radius < _SMALL_M:
@@ -280,9 +281,8 @@ def find_table(
     objects: Sequence[PlacedObject] | None = None,
     camera_frame: int | None = None,
 ) -> TablePlane | None:
-    """The table of a scene, or None; `table.search_table` also says why there is none.
+    """Return the table of a scene, or None; `search_table` also returns the reason.
 
     See `search_table` for the arguments and errors.
     """
-
     return search_table(scene, frames=frames, objects=objects, camera_frame=camera_frame).table

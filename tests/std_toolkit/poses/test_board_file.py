@@ -77,7 +77,7 @@ def test_charuco(tmp_path: Path) -> None:
         ('{"1": [[0,0,0]]}', "4 corners"),
         ('{"1": "x"}', "4 corners"),
         ('{"1": [[0,0,0],[1,0,0],[1,1,0],[null,1,0]]}', "4 corners"),
-        ('{"dictionary": "DICT_NONE", "1": []}', "no such marker dictionary"),
+        ('{"dictionary": "DICT_NONE", "1": []}', "unknown OpenCV marker dictionary"),
         ('{"charuco": 3}', "must be an object"),
         ('{"charuco": {"squares_x": 6}}', "positive number"),
         (

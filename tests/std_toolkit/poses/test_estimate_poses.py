@@ -130,7 +130,7 @@ def test_nothing_to_tell_the_metres(recording, tmp_path: Path, caplog) -> None:
     assert poses.scale is not None and poses.scale.unit == "unknown"
     with pytest.raises(ToolkitError, match="no board is described"):
         estimate_poses(scene, PoseOptions(threads=1, scale="board"))
-    with pytest.raises(ToolkitError, match="no such scale source"):
+    with pytest.raises(ToolkitError, match="unknown scale source"):
         estimate_poses(scene, PoseOptions(threads=1, scale="ruler"))
 
 
@@ -214,7 +214,7 @@ def test_files_of_the_user_survive_a_new_run(copy: Scene) -> None:
 
 def test_an_unknown_scale_source_is_refused_before_the_mapping(recording, tmp_path: Path) -> None:
     scene = recording.write(tmp_path / "scene")
-    with pytest.raises(ToolkitError, match="no such scale source"):
+    with pytest.raises(ToolkitError, match="unknown scale source"):
         estimate_poses(scene, PoseOptions(scale="bord"))
     assert not (scene.root / ".std" / "poses").exists()
 

@@ -81,7 +81,7 @@ def test_silhouettes_ignore_what_is_in_front(renderer: Renderer) -> None:
 
 
 def test_ids_must_differ(renderer: Renderer) -> None:
-    with pytest.raises(ToolkitError, match="differ"):
+    with pytest.raises(ToolkitError, match="must be unique"):
         render_scene_maps(renderer, CAMERA, [PlacedMesh(3, *plate(0, 0))] * 2)
     with pytest.raises(ToolkitError, match=r"1\.\.254"):
         render_scene_maps(renderer, CAMERA, [PlacedMesh(0, *plate(0, 0))])

@@ -30,7 +30,7 @@ def test_no_correction_to_speak_of_is_a_confirmation(shift_m: float) -> None:
 
 def test_a_small_one_does_not_blame_the_sensor() -> None:
     assert note(0.0002) == (
-        "moved by +0.2 mm onto the points of the reconstruction: the sensor reads right to 0.1 %"
+        "moved by +0.2 mm onto the points of the reconstruction: the sensor is accurate to 0.1 %"
     )
 
 

@@ -168,7 +168,7 @@ def test_one_object_alone_is_a_doubtful_witness(tmp_path: Path) -> None:
     table = find_table(scene)
     assert table is not None
     assert table.quality == "doubtful"
-    assert "only one object tells where the table is" in table.notes
+    assert "only one object determines the table" in table.notes
     assert off(table.plane)[0] < 0.01
 
 
