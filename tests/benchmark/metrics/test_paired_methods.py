@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from scipy.stats import wilcoxon
 
+from benchmark.metrics import significance
 from benchmark.metrics.significance import compare_methods, holm, paired_test
 from std_toolkit.errors import ToolkitError
 
@@ -131,3 +132,9 @@ def test_what_is_refused() -> None:
     twice = pd.concat([rows(a=first), rows(a=first)])
     with pytest.raises(ToolkitError, match="twice for one method"):
         compare_methods(twice)
+
+
+def test_the_least_p_of_drawn_flips_counts_what_was_observed() -> None:
+    sums = np.linspace(1.0, 1.5, 40)
+    found = significance._flip_test(sums, np.random.default_rng(0))
+    assert found == 1 / (significance.FLIPS + 1)

@@ -318,3 +318,19 @@ def test_depth_beyond_16_bits_is_dropped_and_not_clipped(tmp_path):
 def test_the_box_of_what_is_not_seen() -> None:
     assert _box(None) == [-1, -1, -1, -1]
     assert _box([3, 4, 10, 20]) == [3, 4, 7, 16]
+
+
+@pytest.mark.parametrize(("farthest_m", "unit_mm"), [(6.55, 0.1), (6.56, 1.0)])
+def test_depth_is_as_fine_as_its_range_allows(tmp_path, farthest_m, unit_mm):
+    scene = make_scene(tmp_path / "scene", frames=1, depth=False, render=False)
+    frame = scene.frames[0]
+    width, height = scene.camera(frame).size
+    depth = np.full((height, width), 0.9, np.float32)
+    depth[3, 4] = farthest_m
+    path = scene.root / "depth/view_0.exr"
+    path.parent.mkdir()
+    write_depth_exr(path, depth)
+    units = depth_units(scene, msgspec.structs.replace(frame, depth="depth/view_0.exr"))
+    assert units.scale_mm == unit_mm
+    assert units.values[0, 0] == 900 / unit_mm
+    assert units.values[3, 4] == round(1000 * farthest_m / unit_mm)

@@ -16,10 +16,13 @@ from scene_factory import SERIAL, make_scene
 from std_toolkit.checks.summary import summarise
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters import EXPORTERS, ExportOptions, export_scene
+from std_toolkit.exporters.staging import state_of
 from std_toolkit.exporters.std_exporter import StdExporter
 from std_toolkit.geometry import SE3
+from std_toolkit.io.documents import read_document
 from std_toolkit.jobs import JobOptions
 from std_toolkit.scene import Labels, Scene
+from std_toolkit.scene.sidecar import SIDECAR_NAME, Sidecar
 
 FORMATS = ["std", "bop", "nocs"]
 
@@ -175,3 +178,13 @@ def test_a_third_party_exporter_is_found_by_its_path(scene, tmp_path):
     assert sidecar.layout == "std_toolkit.exporters.std_exporter:STD"
     with pytest.raises(ToolkitError, match="known: std, bop, nocs"):
         export_scene(scene, "coco", tmp_path / "y")
+
+
+def test_an_export_of_other_inputs_is_another(tmp_path: Path) -> None:
+    scene = make_scene(tmp_path / "scene", frames=1, size=(160, 120))
+    export_scene(scene, "nocs", tmp_path / "nocs", jobs=SERIAL)
+    out = next((tmp_path / "nocs").rglob(SIDECAR_NAME)).parent
+    digest = read_document(out / SIDECAR_NAME, Sidecar).digest
+    assert state_of(out, digest) == "same"
+    assert state_of(out, "0" * len(digest)) == state_of(out, "f" * len(digest)) == "other"
+    assert state_of(tmp_path / "nothing", digest) == "vacant"

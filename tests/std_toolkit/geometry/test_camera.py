@@ -10,7 +10,12 @@ from hypothesis import strategies as st
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import Camera, undistort_image
-from std_toolkit.geometry.camera import on_depth_step, unproject_depth, z_to_distance
+from std_toolkit.geometry.camera import (
+    largest_radius2,
+    on_depth_step,
+    unproject_depth,
+    z_to_distance,
+)
 
 PINHOLE = Camera(1280, 720, 912.3, 910.1, 645.2, 355.9)
 DISTORTIONS = {
@@ -240,3 +245,17 @@ def test_a_depth_step_is_one_pixel_wide_on_either_side(turned: bool) -> None:
     found = on_depth_step(camera_depth.T if turned else camera_depth)
     assert np.flatnonzero((found.T if turned else found).any(axis=0)).tolist() == [5, 6]
     assert (found.T if turned else found)[:, 5:7].all()
+
+
+@pytest.mark.parametrize(
+    ("distortion", "expected"),
+    [
+        ((-0.25, 0.0, 0.0, 0.0), 4 / 3),
+        ((-0.5, 0.0, 0.0, 0.0), 2 / 3),
+        ((0.1, 0.0, 0.0, 0.0), np.inf),
+        ((0.0, 0.0, 0.0, 0.0, 0.0, -2.0, 0.0, 0.0), 0.5),  # the denominator
+    ],
+)
+def test_the_radius_at_which_a_lens_folds(distortion: tuple[float, ...], expected: float) -> None:
+    """r (1 + k1 r^2) increases while 1 + 3 k1 r^2 is positive."""
+    assert largest_radius2(distortion) == pytest.approx(expected)

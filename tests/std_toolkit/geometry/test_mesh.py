@@ -16,6 +16,7 @@ from std_toolkit.geometry.mesh import (
     mesh_diameter,
     mesh_extents,
     nocs_frame,
+    round_axis,
 )
 
 BOX = trimesh.creation.box((0.1, 0.06, 0.03))
@@ -172,3 +173,28 @@ def test_nocs_is_centred_on_the_box_and_divided_by_its_diagonal() -> None:
     nocs = (mesh.vertices - centre) / diagonal + 0.5
     np.testing.assert_allclose((nocs.min(0) + nocs.max(0)) / 2, [0.5] * 3)
     assert np.linalg.norm(np.ptp(nocs, axis=0)) == pytest.approx(1)
+
+
+def turned_profile(axis: int, centre: tuple[float, float, float]) -> trimesh.Trimesh:
+    """A bottle about a coordinate axis, anywhere."""
+    profile = np.array([[0, 0], [0.03, 0], [0.04, 0.08], [0.015, 0.13], [0.015, 0.18], [0, 0.18]])
+    mesh = trimesh.creation.revolve(profile, sections=48)
+    order = {0: [2, 0, 1], 1: [1, 2, 0], 2: [0, 1, 2]}[axis]
+    return trimesh.Trimesh(np.asarray(mesh.vertices)[:, order] + centre, mesh.faces, process=False)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_the_axis_of_a_turned_shape_wherever_it_is(axis: int) -> None:
+    mesh = turned_profile(axis, (0.3, -0.2, 0.5))
+    assert round_axis(np.asarray(mesh.vertices), np.asarray(mesh.faces)) == axis
+
+
+def test_a_handle_does_not_hide_the_axis_and_a_box_has_none() -> None:
+    bottle = turned_profile(2, (0.1, 0.2, 0.0))
+    handle = trimesh.creation.box((0.02, 0.01, 0.06))
+    handle.apply_translation((0.16, 0.2, 0.06))
+    mug = trimesh.util.concatenate([bottle, handle])
+    assert round_axis(np.asarray(mug.vertices), np.asarray(mug.faces)) == 2
+    assert round_axis(np.asarray(BOX.vertices), np.asarray(BOX.faces)) is None
+    ball = trimesh.creation.icosphere(radius=0.05)
+    assert round_axis(np.asarray(ball.vertices), np.asarray(ball.faces)) is None

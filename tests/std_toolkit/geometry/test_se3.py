@@ -184,3 +184,10 @@ def test_the_translation_of_a_small_twist_is_the_sum_of_its_series(angle: float)
         expected = expected + term
     T = SE3.exp(np.concatenate([[1.0, -2.0, 3.0], angle * axis]))
     assert np.abs(T.t - expected @ [1.0, -2.0, 3.0]).max() < 3e-15
+
+
+def test_a_quaternion_of_about_unit_length_gives_a_rotation() -> None:
+    q = SE3.exp([0, 0, 0, 0.4, -0.3, 1.0]).quat()
+    T = SE3.from_quat(1.005 * q, [0, 0, 0])
+    assert np.abs(T.R @ T.R.T - np.eye(3)).max() < 1e-14
+    assert_same(T, SE3.from_quat(q, [0, 0, 0]), 1e-14)

@@ -17,8 +17,15 @@ from std_toolkit.cli.main import main
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Similarity, rotation_angle, umeyama
 from std_toolkit.poses import PoseOptions
-from std_toolkit.poses.pose_step import _position_sigma, estimate_poses, failed_gates
-from std_toolkit.scene import FramePose, Label, Labels, Model, Object, ObjectTable, Scene
+from std_toolkit.poses.pose_step import (
+    _at_least,
+    _at_most,
+    _position_sigma,
+    _stretches,
+    estimate_poses,
+    failed_gates,
+)
+from std_toolkit.scene import Frame, FramePose, Label, Labels, Model, Object, ObjectTable, Scene
 from std_toolkit.scene.scene import require_metres
 
 SERIAL = PoseOptions(threads=1)
@@ -281,3 +288,17 @@ def test_the_deviation_of_a_position_is_that_of_all_three_axes() -> None:
 
     assert _position_sigma([pose(1, 2, 2), pose(2, 3, 6), pose(4, 4, 7)], 2.0) == pytest.approx(3.5)
     assert _position_sigma([], 2.0) == float("inf")
+
+
+def test_a_gate_passes_at_its_limit_and_on_its_side_of_it() -> None:
+    assert [_at_least("g", v, 0.9, "do").passed for v in (0.89, 0.9, 0.95)] == [False, True, True]
+    assert [_at_most("g", v, 0.9, "do").passed for v in (0.89, 0.9, 0.95)] == [True, True, False]
+    unknown = _at_most("g", float("nan"), 0.9, "do")
+    assert (unknown.passed, unknown.value, unknown.advice) == (False, 1e9, "do")
+
+
+def test_lost_frames_are_told_as_runs() -> None:
+    frames = [Frame(id=i, name=f"f{i}", color=f"color/f{i}.png") for i in range(8)]
+    assert _stretches(frames, ["f1", "f3", "f4", "f5"]) == "frame f1, f3..f5"
+    lost = ["f0", "f2", "f4", "f6", "f7"]
+    assert _stretches(frames, lost) == "frame f0, f2, f4, f6..f7"

@@ -89,3 +89,16 @@ def test_weighted_median() -> None:
     values = np.array([3.0, 1.0, 2.0])
     assert weighted_median(values, np.array([1.0, 1.0, 1.0])) == 2.0
     assert weighted_median(values, np.array([10.0, 1.0, 1.0])) == 3.0
+
+
+def test_a_hole_among_the_sixteen_pixels_around_leaves_a_point_out() -> None:
+    depth, seen = perfect_view()
+    one = Observations(seen.T_cam_world, seen.uv[:1], seen.xyz[:1], CAMERA, seen.track_length[:1])
+    u, v = np.floor(seen.uv[0]).astype(int)
+    assert len(z_ratios(depth, one)) == 1
+    for dv in range(-2, 4):
+        for du in range(-2, 4):
+            holed = depth.copy()
+            holed[v + dv, u + du] = 0
+            around = -1 <= dv <= 2 and -1 <= du <= 2
+            assert len(z_ratios(holed, one)) == (0 if around else 1), (du, dv)

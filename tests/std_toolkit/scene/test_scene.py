@@ -184,7 +184,9 @@ def test_far_outliers_and_nearly_empty_depth_are_no_unit_error(scene: Scene) -> 
 
 def test_images_of_another_size_are_refused(scene: Scene) -> None:
     write_color(scene.root / "color/000001.png", np.zeros((36, 48, 3), np.uint8))
-    with pytest.raises(ToolkitError, match=r"000001\.png: image size differs from that of the camera, 96x72"):
+    with pytest.raises(
+        ToolkitError, match=r"000001\.png: image size differs from that of the camera, 96x72"
+    ):
         scene.read_color(scene.frame(1))
     write_png(scene.root / "depth/000001.png", np.ones((36, 48), np.uint16))
     with pytest.raises(ToolkitError, match="depth must be aligned to colour"):

@@ -118,3 +118,13 @@ def test_even_points_are_the_samples_nearest_to_the_middle_of_their_cube() -> No
     expected = samples[[i for _, i in best.values()]]
     found = even_points(vertices, faces, spacing)
     assert sorted(map(tuple, found)) == sorted(map(tuple, expected))
+
+
+def test_normals_have_unit_length_on_faces_of_any_size() -> None:
+    box = trimesh.creation.box((0.02, 0.05, 0.3))
+    mesh = GraspedMesh(np.asarray(box.vertices), np.asarray(box.faces))
+    tips = np.zeros((3, 3))
+    found = mesh.contacts_of(tips, np.eye(3), np.full(3, 0.4))
+    assert found.found.tolist() == [True, True, True]
+    expected = np.stack([-np.eye(3), np.eye(3)], axis=1)
+    assert np.abs(found.normals - expected).max() < 1e-9

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from pose_cases import pose, poses
 
 from benchmark.metrics.pose import rotation_errors_deg, translation_errors_cm
+from benchmark.metrics.pose.pose_frames import _is_similarity
 from std_toolkit.errors import ToolkitError
 
 YES = np.array([True])
@@ -61,3 +62,13 @@ def test_distance_is_in_centimetres() -> None:
 def test_shapes() -> None:
     with pytest.raises(ToolkitError, match="two equal arrays"):
         rotation_errors_deg(np.eye(4)[None], np.eye(4))
+
+
+@pytest.mark.parametrize("scale", [0.01, 0.3, 1.0, 40.0])
+def test_skewed_matrices_are_refused_at_any_scale(scale: float) -> None:
+    good = np.eye(4)
+    good[:3, :3] *= scale
+    skewed, mirrored = good.copy(), good.copy()
+    skewed[0, 1] = 0.05 * scale
+    mirrored[0, 0] *= -1
+    assert _is_similarity(np.stack([good, skewed, mirrored])).tolist() == [True, False, False]
