@@ -22,7 +22,7 @@ def test_what_cannot_be_stopped_has_no_button_for_it(bench: Bench, alone: bool) 
     bench.controller.start("Work", lambda _: go_on.wait(20), lambda _: None, alone=alone)
     bench.qtbot.waitUntil(status.progress.isVisible)
     assert status.cancel.isVisible() is not alone
-    bench.qtbot.waitUntil(lambda: status.hint.text().startswith("Work is under way"))
+    bench.qtbot.waitUntil(lambda: status.hint.text().startswith("Work is running"))
     go_on.set()
     bench.qtbot.waitUntil(lambda: not status.progress.isVisible())
     assert not status.cancel.isVisible()

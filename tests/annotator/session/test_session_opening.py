@@ -171,7 +171,7 @@ class TestReadOnly:
                 session.propagate,
                 session.reload,
             ):
-                with pytest.raises(ToolkitError, match="for looking only"):
+                with pytest.raises(ToolkitError, match="read-only"):
                     attempt()
 
     def test_looking_needs_no_lock(self, root: Path) -> None:
