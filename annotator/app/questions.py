@@ -203,7 +203,7 @@ def recovery_question(
         if found.changed:
             text += (
                 f"\n\n{', '.join(found.changed)} was written by others since. Their changes are "
-                "kept where these edits touched nothing."
+                "kept unless these edits conflict."
             )
         if found.damage:
             text += f"\n\nThe end of the journal cannot be read ({found.damage}): the rest can."

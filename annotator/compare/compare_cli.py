@@ -42,7 +42,7 @@ def _add_merge(subparsers: Subparsers[argparse.ArgumentParser]) -> None:
         help="one set of labels from those of several annotators of one recording",
         description="Merge the labels of two or more annotators of one recording, called A, B, "
         "C, ... in the order of the folders. Where they agree, the object gets the mean of their "
-        "poses; where they do not, it stays without a label, unless told otherwise. The merged "
+        "poses; otherwise it gets no label unless an option resolves it. The merged "
         "folders are not changed. Exit status 0 if every object has a label, 1 if some were left "
         "open.",
     )

@@ -75,7 +75,7 @@ class StatusLine(Panel):
             self._watch.start()
         session = c.session
         if not session.writable:
-            text, ink, tip = "read-only", theme.WARNING, "Nothing of this scene can be changed."
+            text, ink, tip = "read-only", theme.WARNING, "This scene cannot be changed."
         elif session.unsaved:
             text, ink = "● not saved, journalled", theme.WARNING
             tip = (

@@ -132,7 +132,7 @@ class SceneView(overlay.OverlaidView):
         return self.layers.read()
 
     def close(self) -> None:
-        """Take everything out of the plotter, which stays open."""
+        """Remove everything from the plotter, which stays open."""
         self.layers.window.RemoveObserver(self._observer)
         self.objects.close()
         self.captions.close()

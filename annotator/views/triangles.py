@@ -35,6 +35,7 @@ _FACES_TO_DECIMATE = 80_000
 CREASE_DEG = 40.0
 
 Color = tuple[float, float, float, float]
+"""Red, green, blue, opacity; each 0 to 1."""
 
 
 class Surface:
@@ -194,8 +195,6 @@ def lighter(polydata: vtkPolyData, faces: int) -> vtkPolyData:
     decimation.Update()
     return decimation.GetOutput()
 
-
-"""Red, green, blue, opacity; each 0 to 1."""
 
 # Width of the soft edge, pixels.
 FADE_PX = 1.0

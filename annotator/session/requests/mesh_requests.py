@@ -166,7 +166,7 @@ def _plain_hint(error: ToolkitError) -> ToolkitError:
     hint = error.hint
     if "large in metres" in error.problem:
         hint = "is the file in millimetres? Then give its unit as mm (or cm)"
-    elif "with another mesh" in error.problem:
+    elif "has another mesh" in error.problem:
         hint = "give this one another id"
     return ToolkitError(
         error.problem, path=error.path, field=error.field, value=error.value, hint=hint

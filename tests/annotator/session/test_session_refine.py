@@ -41,7 +41,7 @@ class TestWhatIsAskedOf:
             with pytest.raises(ToolkitError, match="no such object"):
                 session.perform(Refine(objects=["mug"]))
             session.apply(AddObject(object="box_2", model="box"))
-            with pytest.raises(ToolkitError, match="no pose to start from"):
+            with pytest.raises(ToolkitError, match="no initial pose"):
                 session.perform(Refine(objects=["box_2"], frame=0))
         with pytest.raises(ToolkitError, match="no object is named"):
             Refine(objects=[])
