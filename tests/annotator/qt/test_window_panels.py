@@ -36,11 +36,11 @@ def test_depth_alone_is_not_called_a_fit(bench: Bench) -> None:
         FrameResidual(1, 900, edge_px=None, depth_mm=-12.0),
     ]
     panel.refresh()
-    assert "judge the contour by eye" in panel.summary.text()
+    assert "check the contour by eye" in panel.summary.text()
     assert "fits in every" not in panel.summary.text()
     row = summarize(c)[0]
     assert row.badge == "11 mm"
-    assert "judge the contour by eye" in row.explanation
+    assert "check the contour by eye" in row.explanation
     c.residuals["box_1"][0] = FrameResidual(0, 900, edge_px=0.6, edge_chance_px=4.0, depth_mm=-2.0)
     panel.refresh()
     assert "fits in every" in panel.summary.text()
