@@ -1,4 +1,4 @@
-"""`std-annotate`: the window, the browser, a script, or labels of several annotators."""
+"""`std-annotate`: annotate in a window, a browser or a script; compare and merge annotators."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ def open_scene(options: AnnotateOptions) -> int:
         needs = ("aiohttp", "pyvista", "trame", "trame_vuetify")
         app = _front_end("annotator.web.web_app", "web", needs, "a browser")
         return int(app.run(replace(options, token=token)))
-    # What is missing is told before the display: installing it may be done without one.
+    # Report missing packages before a missing display: installing needs no display.
     app = _front_end("annotator.qt.qt_app", "gui", ("PySide6", "pyvista", "pyvistaqt"), "a window")
     return int(app.run(options))
 
 
 def compare(options: CompareCommand) -> int:
-    """Compare two annotators; 1 if an object labelled by both does not agree."""
+    """Compare two annotators; returns 1 if an object labelled by both disagrees."""
     from annotator.compare import compare_labels
     from annotator.compare.comparison_report import (
         comparison_document,
@@ -75,14 +75,14 @@ def compare(options: CompareCommand) -> int:
 
 
 def merge(options: MergeCommand) -> int:
-    """Merge annotators; 1 if an object was left without a label."""
+    """Merge annotators; returns 1 if an object is left without a label."""
     from annotator.compare import merge_labels
     from annotator.compare.comparison_report import merge_lines
     from annotator.compare.merge_output import check_target, write_into, write_scene
     from std_toolkit.io.atomic import check_vacant
     from std_toolkit.scene.scene import Scene
 
-    # Refused before the work, not after it.
+    # Fail before the computation, not after it.
     if options.out is not None:
         check_vacant(options.out)
     if options.into is not None:
@@ -102,7 +102,7 @@ def _front_end(module: str, extra: str, needs: tuple[str, ...], what: str) -> Mo
     """Import a front end.
 
     Raises:
-        ToolkitError: its libraries are not installed, or do not load; or there is no display.
+        ToolkitError: its libraries are not installed or do not load, or there is no display.
     """
     missing = [name for name in needs if importlib.util.find_spec(name) is None]
     if missing:
@@ -116,7 +116,7 @@ def _front_end(module: str, extra: str, needs: tuple[str, ...], what: str) -> Mo
         with quick_imports():
             return importlib.import_module(module)
     except ImportError as error:
-        # Such as a system library that Qt or VTK is linked to.
+        # For example a missing system library of Qt or VTK.
         raise ToolkitError(
             f"annotating in {what} cannot start: {error}",
             hint=f"pip install 'std-toolkit[{extra}]' and the system libraries that it names",
@@ -124,18 +124,18 @@ def _front_end(module: str, extra: str, needs: tuple[str, ...], what: str) -> Mo
 
 
 def _require_display() -> None:
-    """Qt without a display ends the process with a page of text about plug-ins."""
+    """Raise an error without a display, where Qt would abort the process with a long message."""
     known = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
     if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in known):
         raise ToolkitError(
             "there is no display for a window here",
-            hint="use --web PORT and a browser (ssh -L PORT:127.0.0.1:PORT from afar), "
+            hint="use --web PORT and a browser (remotely: ssh -L PORT:127.0.0.1:PORT), "
             "or --script FILE",
         )
 
 
 def _with_command(words: list[str]) -> list[str]:
-    """`std-annotate SCENE` opens it; a folder called like a command is written `./compare`."""
+    """Insert the default command; a folder named like a command is written `./compare`."""
     first = next((word for word in words if word not in ("--quiet", "--debug")), "")
     others = ("open", "compare", "merge", "-h", "--help", "--version", "--print-completion")
     return words if first in others else ["open", *words]

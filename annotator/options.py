@@ -1,4 +1,4 @@
-"""Options of `std-annotate`; they import nothing heavy."""
+"""Options of `std-annotate`, without expensive imports."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from std_toolkit.errors import ToolkitError, check_options
 class AnnotateOptions:
     """Align the CAD meshes of objects to a recorded scene.
 
-    It happens in a window, in a browser (--web), or by a script (--script). Every edit is on disk
-    at once; what was not saved is offered for recovery when the scene is opened again.
+    Opens a window, serves a browser (--web) or runs a script (--script). Every edit is written to
+    disk immediately; unsaved edits are offered for recovery when the scene is opened again.
     """
 
     scene: Path | None = field(default=None, metadata={"option": ""})
@@ -26,10 +26,10 @@ class AnnotateOptions:
     annotator: str | None = None
     """who annotates (the user of this computer)"""
     read_only: bool = False
-    """look only: nothing can be edited or saved"""
+    """open read-only: nothing can be edited or saved"""
     recover: Literal["ask", "yes", "no"] = "ask"
-    """edits of an earlier session that were not saved: restore them, or keep them aside; a script
-    needs yes or no then"""
+    """unsaved edits of an earlier session: restore them (yes), set them aside (no) or ask; a script
+    with such edits needs yes or no"""
     script: Path | None = None
     """carry out the edits in a JSON file; data_spec.md describes it"""
     web: Annotated[int | None, msgspec.Meta(ge=0, le=65535)] = None
@@ -37,27 +37,27 @@ class AnnotateOptions:
     host: str = "127.0.0.1"
     """address to listen on"""
     token: str | None = None
-    """secret that a browser must give; needed beyond 127.0.0.1 ($STD_ANNOTATE_TOKEN, which other
-    users of this computer cannot see)"""
+    """secret that a browser must send; required for addresses other than 127.0.0.1
+    ($STD_ANNOTATE_TOKEN, which other users of this computer cannot see)"""
 
     def __post_init__(self) -> None:
         check_options(self)
         if self.script is not None and self.web is not None:
             raise ToolkitError("--script and --web exclude each other")
         if self.script is not None and self.read_only:
-            raise ToolkitError("a script edits: it cannot be run with --read-only")
+            raise ToolkitError("a script edits the scene and cannot be run with --read-only")
         if self.web is None and (self.host != "127.0.0.1" or self.token is not None):
-            raise ToolkitError("--host and --token go with --web")
+            raise ToolkitError("--host and --token need --web")
         if self.scene is None and (self.script is not None or self.web is not None):
             raise ToolkitError("--script and --web need SCENE")
 
 
 @dataclass(frozen=True, kw_only=True)
 class CompareOptions:
-    """How labels are compared."""
+    """Options of the comparison of labels."""
 
     threshold_mm: Annotated[float, msgspec.Meta(gt=0)] = 5.0
-    """largest MSSD of two labels that agree, in the annotated frame and in the median over all
+    """largest MSSD at which two labels agree, in the annotated frame and in the median over all
     common frames"""
     as_annotated: bool = False
     """take the poses as set by hand, before any refinement over several frames"""
@@ -70,7 +70,7 @@ class CompareOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class MergeOptions(CompareOptions):
-    """What becomes of objects on which annotators do not agree."""
+    """Options for objects on which annotators disagree."""
 
     prefer: str | None = None
     """where they disagree, take the label of this annotator: A, B, ..."""
@@ -79,16 +79,16 @@ class MergeOptions(CompareOptions):
     single: bool = False
     """take labels that only one annotator made"""
     majority: bool = False
-    """of three or more, more than half that agree outvote the others"""
+    """with three or more annotators, take the label on which more than half agree"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CompareCommand:
     """Compare the labels of two annotators of one recording, or of one annotator at two times.
 
-    Distance of the surfaces (MSSD), rotation, shift along the viewing ray and across it, symmetry
-    aware. Disagreements come first, with what differs mostly. Changes neither scene. Exit status 0
-    if all objects labelled by both agree, 1 if some do not.
+    Reports the symmetry-aware surface distance (MSSD), rotation, and translation along and across
+    the viewing ray. Disagreements are listed first, with the main difference. Changes neither
+    scene. Exit status 0 if all objects labelled by both agree, 1 if some do not.
     """
 
     a: Path
@@ -97,7 +97,7 @@ class CompareCommand:
     """scene folder of the other"""
     options: CompareOptions = field(default_factory=CompareOptions)
     out: Path | None = None
-    """folder for agreement.csv, frames.csv, agreement.json and a picture of every disagreement"""
+    """folder for agreement.csv, frames.csv, agreement.json and an image of every disagreement"""
     csv: Path | None = None
     """file for the table of objects"""
     json: bool = False
@@ -108,10 +108,9 @@ class CompareCommand:
 class MergeCommand:
     """Merge the labels of two or more annotators of one recording.
 
-    They are called A, B, C, ... in the order of the folders. Where they agree, the object gets the
-    mean of their poses; where they do not, it stays without a label, unless an option decides. The
-    merged folders are not changed. Exit status 0 if every object has a label, 1 if some were left
-    open.
+    Annotators are named A, B, C, ... in the order of the folders. If they agree, the object gets
+    the mean of their poses; otherwise it gets no label unless an option resolves it. The input
+    folders are not changed. Exit status 0 if every object has a label, 1 otherwise.
     """
 
     scenes: tuple[Path, ...]
@@ -121,11 +120,11 @@ class MergeCommand:
     into: Path | None = None
     """another scene of the recording to write the labels into"""
     overwrite: bool = False
-    """with --into: replace all labels that are there"""
+    """with --into: replace all existing labels"""
     options: MergeOptions = field(default_factory=MergeOptions)
 
     def __post_init__(self) -> None:
         if (self.out is None) == (self.into is None):
             raise ToolkitError("give either --out or --into")
         if self.overwrite and self.into is None:
-            raise ToolkitError("--overwrite goes with --into; a new scene replaces nothing")
+            raise ToolkitError("--overwrite needs --into; a new scene replaces nothing")

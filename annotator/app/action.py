@@ -12,22 +12,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Action:
-    """One named thing to do.
+    """Command with a menu entry and shortcuts.
 
     Attributes:
-        id: stable name, as scripts of the window and tests use it.
-        menu: menu it stands in.
+        id: stable name, used by front ends and tests.
+        menu: menu of the entry.
         title: text of the menu entry.
         keys: shortcuts, as Qt writes them; the first is shown.
-        tip: what it does, in one sentence.
-        run: does it.
-        checked: for switches: whether it is on.
-        enabled: whether it makes sense now.
-        repeats: a key held down does it again and again.
-        group: entries of one group stand together in the menu; those of a group that starts with
-            a capital letter stand in a submenu of that name.
-        label: the title as it is now, such as "Undo Move mug"; default: always `title`.
-        asks: name of the dialog that it opens; a front end that has no such dialog leaves it out.
+        tip: description in one sentence.
+        run: executes the action.
+        checked: for switches: returns whether it is on.
+        enabled: returns whether the action is available now.
+        repeats: whether holding the key repeats the action.
+        group: entries of one group are adjacent in the menu; a group whose name starts with a
+            capital letter is a submenu of that name.
+        label: returns the current title, such as "Undo Move mug"; default: always `title`.
+        asks: name of the dialog that it opens; front ends without this dialog omit the action.
     """
 
     id: str
@@ -45,7 +45,7 @@ class Action:
 
     @property
     def submenu(self) -> str:
-        """Name of the submenu that it stands in, or ""."""
+        """Name of the submenu that contains the entry, or ""."""
         return self.group if self.group[:1].isupper() else ""
 
 
@@ -60,7 +60,7 @@ def dialog_action(
     enabled: Callable[[Controller], bool] = lambda _: True,
     group: str = "",
 ) -> Action:
-    """An action that opens a dialog of the front end."""
+    """Return an action that opens a dialog of the front end."""
     return Action(
         id,
         menu,
@@ -75,32 +75,32 @@ def dialog_action(
 
 
 def has_selected(c: Controller) -> bool:
-    """An object is selected, and may be edited."""
+    """Whether an object is selected and can be edited."""
     return c.selected is not None and c.session.writable
 
 
 def has_placed(c: Controller) -> bool:
-    """The selected object has a pose in the frame of the view in hand."""
+    """Whether the selected object has a pose in the frame of the active view."""
     return has_selected(c) and c.session.pose(str(c.selected), c.active_frame) is not None
 
 
 def is_idle(c: Controller) -> bool:
-    """No computation is under way."""
+    """Whether no computation is running."""
     return c.task is None
 
 
 def can_compute(c: Controller) -> bool:
-    """The selected object has a pose, and no computation is under way."""
+    """Whether the selected object has a pose and no computation is running."""
     return has_placed(c) and is_idle(c)
 
 
 @dataclass(frozen=True)
 class MouseGesture:
-    """One thing that the mouse does.
+    """Mouse gesture and its effect, as text.
 
     Attributes:
-        gesture: what the hand does.
-        effect: what comes of it.
+        gesture: the user's input, such as "Ctrl + drag an object".
+        effect: the result.
     """
 
     gesture: str

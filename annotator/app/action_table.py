@@ -1,4 +1,4 @@
-"""All actions in one table, from which menus, tool bar, keys and the guide are made.
+"""Table of all actions, the source of menus, tool bar, shortcuts and the tables in the guide.
 
 `python -m annotator.app.action_table GUIDE` rewrites the tables between the marks in the guide.
 """
@@ -36,7 +36,7 @@ TOOLS = (
     ("done",),
 )
 
-# These have a name beside the icon where there is room: they are what the program is for.
+# Main actions: shown with a name beside the icon if there is room.
 SHORT_TITLES = {
     "mode_image": "Image",
     "mode_cloud": "Cloud",
@@ -55,12 +55,12 @@ END = "<!-- end of keys -->"
 
 
 def available_actions(dialogs: Collection[str]) -> tuple[Action, ...]:
-    """The actions of a front end that has these dialogs; see `Action.asks`."""
+    """Return the actions of a front end that has these dialogs; see `Action.asks`."""
     return tuple(a for a in ACTIONS if not a.asks or a.asks in dialogs)
 
 
 def key_rows(dialogs: Collection[str]) -> tuple[questions.Group, ...]:
-    """Keys (or gestures) and what they do, by menu, for the sheet of a front end."""
+    """Return keys (or gestures) and their effects by menu, for the shortcut sheet."""
     actions = [a for a in available_actions(dialogs) if a.keys]
     groups = [
         questions.Group(
@@ -73,7 +73,7 @@ def key_rows(dialogs: Collection[str]) -> tuple[questions.Group, ...]:
 
 
 def key_table() -> str:
-    """Markdown: the mouse, then the actions of each menu with their keys."""
+    """Return Markdown tables of mouse gestures and of the actions of each menu with their keys."""
     lines = ["| mouse | does |", "|---|---|"]
     lines += [f"| {m.gesture} | {m.effect} |" for m in MOUSE]
     lines += ["", "| menu | key | action | |", "|---|---|---|---|"]
@@ -86,10 +86,10 @@ def key_table() -> str:
 
 
 def with_key_table(guide: str) -> str:
-    """The text of the guide with the tables as they are now.
+    """Return the text of the guide with current tables.
 
     Raises:
-        ValueError: the marks are not there.
+        ValueError: the guide has no marks.
     """
     before, _, rest = guide.partition(BEGIN)
     _, mark, after = rest.partition(END)

@@ -1,6 +1,6 @@
-"""What is computed without being asked for: table, penetrations, residuals, the next images.
+"""Automatic background computations: table, penetrations, residuals, image prefetch.
 
-All of it runs in the second lane of the runner and never holds up what a person started.
+They run in the second thread of the runner and never delay computations that the user started.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ if TYPE_CHECKING:
     from std_toolkit.labels.support.penetration import Penetration
     from std_toolkit.labels.support.plane import TablePlane, TableSearch
 
-# A burst of key presses is worked off once.
+# A burst of key presses triggers one computation.
 PENETRATION_DELAY_S = 0.3
 RESIDUAL_DELAY_S = 0.8
 TABLE_DELAY_S = 1.0
 _KEYS = ("Table", "Penetration", "Residuals", operations.OTHER_RESIDUALS)
-# Images read ahead on each side of the one in the main view.
+# Number of images prefetched on each side of the one in the main view.
 FRAMES_AHEAD = 4
 
 
 class BackgroundUpdates:
-    """Listens to a controller and keeps `table`, `penetrations` and `residuals` up to date."""
+    """Updates `table`, `penetrations` and `residuals` of a controller after its events."""
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
@@ -45,10 +45,10 @@ class BackgroundUpdates:
     def _on_event(self, event: Event) -> None:
         c = self._controller
         if event.kind == "preview" and c.dragging is not None:
-            # The machine belongs to the hand; what ends the drag asks for all of it anew.
+            # Dragging needs the CPU; the end of the drag requests all updates again.
             c.cancel_aside(*_KEYS)
         elif event.kind == "edited" and c.session.cameras is not self._cameras:
-            # The table that was found lies elsewhere in the new world.
+            # The previous table is invalid in the new world frame.
             self._cameras = c.session.cameras
             self._set_table(None)
             self._begin()
@@ -64,7 +64,7 @@ class BackgroundUpdates:
                 self._find_penetrations()
 
     def _begin(self, *, table_delay: float = TABLE_DELAY_S) -> None:
-        """Ask for everything that the last edit may have changed."""
+        """Request everything that the last edit may have changed."""
         self._find_penetrations()
         operations.measure_residuals(self._controller, delay=RESIDUAL_DELAY_S)
         table = self._controller.table
@@ -95,7 +95,7 @@ class BackgroundUpdates:
             try:
                 return search_table(snapshot.scene, objects=objects, camera_frame=camera_frame)
             except ToolkitError as error:
-                # Told when somebody asks for the table.
+                # Reported when the user requests the table.
                 return TableSearch(None, str(error))
 
         def finish(found: TableSearch) -> None:
@@ -123,7 +123,7 @@ class BackgroundUpdates:
 
             objects = placed_objects(snapshot, camera_frame)
             plane = None if table is None or table.quality != "good" else table.plane
-            # How far a table is off is no penetration.
+            # An error of the table plane is not a penetration.
             tolerance = 0.0005 if plane is None else max(0.0005, table.uncertainty_m)  # type: ignore[union-attr]
             found = find_penetrations(objects, plane=plane, tolerance_m=tolerance)
             return tuple(p for p in found if p.sure)
@@ -137,7 +137,7 @@ class BackgroundUpdates:
 
 
 def _import_heavy(_: Task) -> None:
-    """What the computations need: imported when a key is pressed, it would hold up the views."""
+    """Import modules of the computations early; importing them on a key press delays the views."""
     for name in (
         "annotator.session.requests",
         "annotator.session.residuals",
@@ -148,5 +148,5 @@ def _import_heavy(_: Task) -> None:
 
 
 def _common_camera(c: Controller) -> int | None:
-    """None for the world; the frame whose camera takes its place where there is none."""
+    """Return None for the world frame, or the frame whose camera replaces it if there is none."""
     return None if c.session.posed else c.frame

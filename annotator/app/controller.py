@@ -1,7 +1,7 @@
-"""What every front end shares: a session with a selection, views, tools and work under way.
+"""Controller shared by all front ends: session, selection, views, tools and computations.
 
-No Qt and no VTK here: the window and the browser call the same methods, and tests call them
-without a display.
+It imports neither Qt nor VTK: the window and the browser call the same methods, and tests call
+them without a display.
 """
 
 from __future__ import annotations
@@ -33,30 +33,31 @@ STEPS = (10.0, 1.0, 0.1)
 
 
 class Controller:
-    """State of the front end, and the calls that change it; owned by the front end's thread.
+    """State of the front end and the methods that change it; belongs to the front end's thread.
 
     Attributes:
         session: the annotations.
         images: undistorted images of the frames.
         selected: name of the selected object, or None.
         view_frames: frame of each view; the first is the main view.
-        active_view: index of the view in hand: keyboard steps are along its camera's axes.
-        mode: what the main view shows.
-        options: how the views draw.
+        active_view: index of the active view; keyboard steps are along its camera's axes.
+        mode: content of the main view.
+        options: drawing options of the views.
         step: size of a keyboard step, mm and degrees.
-        axes: what keyboard steps and the gizmo are along.
-        gizmo: the handles shown on the selected object.
-        clicking: clicks set 2D-3D correspondences instead of moving the object.
-        pending_point: (x, y, z) on the mesh, clicked and waiting for its pixel; metres.
-        residuals: of each object as last measured; gone when its pose changes.
-        dialogs: names of the dialogs that the front end has; see `Action.asks`.
-        conflict: what others changed too when saving was last tried, for people.
-        weak_directions: sentence on what the last refinement of an object could tell least.
-        table: the plane on which the objects stand, as far as it was found.
-        table_problem: why there is none, for people.
-        penetrations: where objects run into each other or into the table, the deepest first.
-        penetrations_frame: the frame in which they do; None if it is so in all frames.
-        unmeasured: names of objects whose residuals went with their last edit.
+        axes: axes of keyboard steps and of the gizmo.
+        gizmo: handles shown on the selected object.
+        clicking: whether clicks set 2D-3D correspondences instead of moving the object.
+        pending_point: (x, y, z) clicked on the mesh whose pixel is not clicked yet; metres.
+        residuals: last measured residuals by object; removed when the pose changes.
+        dialogs: names of the dialogs of the front end; see `Action.asks`.
+        conflict: text on the concurrent changes that the last attempt to save found.
+        weak_directions: sentence by object on the direction that its last refinement determined
+            least.
+        table: the plane on which the objects stand, if found.
+        table_problem: text on why there is no table.
+        penetrations: penetrations between objects or with the table, deepest first.
+        penetrations_frame: the frame for which they hold; None for all frames.
+        unmeasured: names of objects whose residuals were removed by their last edit.
     """
 
     def __init__(
@@ -91,7 +92,7 @@ class Controller:
     # --- listening ---------------------------------------------------------------------------
 
     def subscribe(self, listener: Callable[[events.Event], None]) -> Callable[[], None]:
-        """Have `listener` called with every event; returns what ends it."""
+        """Call `listener` with every event; returns a function that unsubscribes it."""
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener)
 
@@ -100,15 +101,15 @@ class Controller:
             listener(event)
 
     def tell(self, text: str, level: events.Level = "info") -> None:
-        """A sentence for the person."""
+        """Show a message to the user."""
         self.emit(events.Event("message", text=text, level=level))
 
     def ask(self, dialog: str) -> None:
-        """Have the front end open a dialog, such as "add_mesh"."""
+        """Request a dialog of the front end, such as "add_mesh"."""
         self.emit(events.Event("ask", text=dialog))
 
     def attempt(self, action: Callable[[], Any]) -> bool:
-        """Run something a person asked for; an error becomes a message. True if it went well."""
+        """Run an action of the user and show an error as a message. Returns True on success."""
         try:
             action()
         except ToolkitError as error:
@@ -126,7 +127,7 @@ class Controller:
             self.emit(events.Event("selected"))
         if self._drag is not None and self._drag[0] not in names:
             self._drag = None
-        # A mesh that is added moves no object; a scene that was read again may move all.
+        # Adding a mesh moves no object; reading the scene again may move all.
         moved = change.objects
         if not moved and change.kind == "reread":
             moved = (*self.residuals, *self.weak_directions)
@@ -145,11 +146,11 @@ class Controller:
 
     @property
     def active_frame(self) -> int:
-        """Frame of the view in hand."""
+        """Frame of the active view."""
         return self.view_frames[self.active_view]
 
     def pose(self, name: str, frame: int) -> SE3 | None:
-        """T_cam_obj as it is to be drawn: that of a drag under way, else the session's."""
+        """Return T_cam_obj to draw: that of the current drag, otherwise that of the session."""
         if self._drag is None or self._drag[0] != name:
             return self.session.pose(name, frame)
         _, dragged_in, T = self._drag
@@ -165,11 +166,11 @@ class Controller:
 
     @property
     def dragging(self) -> str | None:
-        """Name of the object under the mouse, if one is being dragged."""
+        """Name of the object that is being dragged, or None."""
         return None if self._drag is None else self._drag[0]
 
     def select(self, name: str | None) -> None:
-        """Raises ToolkitError for an object that is not there."""
+        """Select an object; raises ToolkitError if it does not exist."""
         if name is not None:
             self.session.object(name)
         if name != self.selected:
@@ -191,13 +192,13 @@ class Controller:
             self.emit(events.Event("frames"))
 
     def step_frame(self, by: int) -> None:
-        """Main view to the next or an earlier frame; stops at the ends."""
+        """Move the main view by a number of frames; stops at the ends."""
         ids = [f.id for f in self.session.scene.frames]
         at = min(max(ids.index(self.frame) + by, 0), len(ids) - 1)
         self.show_frame(ids[at])
 
     def swap_into_main(self, view: int) -> None:
-        """The frame of a side view becomes the main one and the other way round."""
+        """Swap the frames of a side view and the main view."""
         frames = self.view_frames
         frames[0], frames[view] = frames[view], frames[0]
         self.emit(events.Event("frames"))
@@ -223,7 +224,7 @@ class Controller:
         self.emit(events.Event("tool"))
 
     def activate_view(self, view: int) -> None:
-        """The view in hand: the one last clicked in."""
+        """Set the active view: the one last clicked in."""
         if view != self.active_view:
             self.active_view = view
             self.emit(events.Event("tool"))
@@ -231,20 +232,20 @@ class Controller:
     # --- editing ------------------------------------------------------------------------------
 
     def apply(self, edit: AnyEdit) -> bool:
-        """Make an edit; False and a message if it cannot be made.
+        """Apply an edit; shows a message and returns False if it fails.
 
-        What is being dragged stays where it is first: the edit builds upon what is seen.
+        A current drag is committed first, so that the edit starts from the displayed state.
         """
         self.end_drag()
         return self._edit(lambda: self.session.apply(edit))
 
     def undo(self) -> None:
-        """Take the last edit back; what is being dragged, or was by the wheel just now, is it."""
+        """Undo the last edit, which may be a current drag or wheel motion."""
         if self.end_drag():
             self._edit(self.session.undo)
 
     def redo(self) -> None:
-        """Make an edit again that was taken back; after something was moved there is none."""
+        """Redo the last undone edit; a current drag clears the edits to redo."""
         if self._drag is not None:
             self.end_drag()
         else:
@@ -255,7 +256,7 @@ class Controller:
         return self._drag is not None or self.session.undoable is not None
 
     def penetrations_in(self, frame: int) -> tuple[Penetration, ...]:
-        """Those that are known of a frame."""
+        """Return the known penetrations of a frame."""
         return self.penetrations if self.penetrations_frame in (None, frame) else ()
 
     def _edit(self, action: Callable[[], None]) -> bool:
@@ -270,7 +271,7 @@ class Controller:
         shift: tuple[float, float, float] = (0, 0, 0),
         turn: tuple[float, float, float] = (0, 0, 0),
     ) -> None:
-        """Move the selected object by steps along the chosen axes; units are steps."""
+        """Move the selected object along the selected axes; values are in steps."""
         if self.selected is None:
             self.tell("Select an object first.", "warning")
             return
@@ -285,7 +286,7 @@ class Controller:
         )
 
     def flip(self, axis: int, degrees: float = 180.0) -> None:
-        """Turn the selected object about one of its own axes through its centre."""
+        """Rotate the selected object about one of its own axes through its centre."""
         if self.selected is None:
             self.tell("Select an object first.", "warning")
             return
@@ -301,12 +302,12 @@ class Controller:
             self.apply(ChangeObject(object=self.selected, status=status))  # type: ignore[arg-type]
 
     def drag_to(self, name: str, frame: int, T_cam_obj: SE3) -> None:
-        """The object under the mouse is here now; nothing is decided until `end_drag`."""
+        """Set the preview pose of a dragged object; `end_drag` commits it."""
         self._drag = (name, frame, T_cam_obj)
         self.emit(events.Event("preview", objects=(name,)))
 
     def end_drag(self, method: str = "drag") -> bool:
-        """What was dragged stays where it is: one edit. False if that cannot be made."""
+        """Commit the drag as one edit; False if it fails."""
         if self._drag is None:
             return True
         name, frame, T = self._drag
@@ -317,7 +318,7 @@ class Controller:
         return False
 
     def cancel(self) -> None:
-        """Give up the drag, the half-clicked point or the computation under way."""
+        """Cancel the drag, the half-clicked point or the running computation."""
         if self._drag is not None:
             self.cancel_drag()
         elif self.pending_point is not None:
@@ -328,7 +329,7 @@ class Controller:
             self.emit(events.Event("busy"))
 
     def cancel_drag(self) -> None:
-        """What was dragged goes back to where it was."""
+        """Discard the drag; the object returns to its previous pose."""
         if self._drag is not None:
             name = self._drag[0]
             self._drag = None
@@ -338,7 +339,7 @@ class Controller:
 
     @property
     def task(self) -> tasks.Task | None:
-        """The computation that a person started and that is under way."""
+        """The running computation that the user started, or None."""
         return self._work.task
 
     def start(
@@ -349,10 +350,10 @@ class Controller:
         *,
         alone: bool = False,
     ) -> tasks.Task | None:
-        """Run `work(task)` aside, then `finish(result)` here; one computation at a time.
+        """Run `work(task)` in the background, then `finish(result)` here; one at a time.
 
         Args:
-            alone: nothing may be edited meanwhile, and it cannot be cancelled.
+            alone: block edits meanwhile; the computation cannot be cancelled.
         """
         return self._work.start(title, work, finish, alone=alone)
 
@@ -364,9 +365,9 @@ class Controller:
         *,
         delay: float = 0.0,
     ) -> None:
-        """Run `work(task)` beside everything else, then `finish(result)` here; see `Work`."""
+        """Run `work(task)` as an automatic update, then `finish(result)` here; see `Work`."""
         self._work.start_aside(key, work, finish, delay=delay)
 
     def cancel_aside(self, *keys: str) -> None:
-        """What runs beside under these keys is not wanted any more."""
+        """Cancel the automatic updates with these keys."""
         self._work.cancel_aside(*keys)

@@ -1,4 +1,4 @@
-"""The dialogs of the program: which question is asked, and what its answers do."""
+"""Dialogs of the program: their questions and the effects of the answers."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from std_toolkit.labels.symmetry_argument import parse_symmetry
 
 
 class Dialogs:
-    """Asks one question at a time.
+    """Shows one question at a time.
 
     Args:
-        controller: what the answers change; its `dialogs` are set to those that there are.
-        show: shows a question, or none any more; a front end may answer it before it returns.
-        own: dialogs of the front end itself, by name.
-        drawn_by: name of what draws the views, for the person who reports a defect.
+        controller: changed by the answers; its `dialogs` are set to the available ones.
+        show: shows a question, or closes it (None); a front end may answer before it returns.
+        own: dialogs implemented by the front end, by name.
+        drawn_by: name of the renderer, for defect reports.
     """
 
     def __init__(
@@ -52,15 +52,15 @@ class Dialogs:
         controller.dialogs = frozenset(self._dialogs)
 
     def ask(self, name: str) -> None:
-        """Open a dialog; one that must be answered is not pushed aside."""
+        """Open a dialog; does not replace a question that must be answered."""
         if name in self._dialogs and not (self._open is not None and self._open.must_answer):
             self._dialogs[name]()
 
     def answer(self, number: int, pressed: str, answers: questions.Answers) -> None:
-        """A button of a question was pressed; "" is cancel.
+        """Handle a pressed button of a question; "" is cancel.
 
         Args:
-            number: of the question: another page may have answered it already.
+            number: of the question; ignored if another page has already answered it.
         """
         question = self._open
         if question is None or question.number != number:
@@ -95,7 +95,7 @@ class Dialogs:
         )
 
     def add_meshes(self, paths: Sequence[Path]) -> None:
-        """Add mesh files to the library; asks for the unit where metres cannot be meant."""
+        """Add mesh files to the library; asks for the unit if metres are implausible."""
 
         def measure(_: object) -> list[tuple[Path, MeshSize | ToolkitError]]:
             found: list[tuple[Path, MeshSize | ToolkitError]] = []
@@ -149,11 +149,11 @@ class Dialogs:
         self._ask(questions.conflict_question(self._c.conflict, react))
 
     def recovery(self) -> None:
-        """Edits of an earlier session were found: ask what to do with them."""
+        """Ask what to do with the recoverable edits of an earlier session."""
         session = self._c.session
 
         def react(pressed: str, _: questions.Answers) -> None:
-            # In another page it may have been decided already.
+            # Another page may have answered already.
             if session.recovery is not None:
                 session.recover() if pressed == "recover" else session.discard_recovery()
 
@@ -216,10 +216,10 @@ class Dialogs:
         self._ask(questions.symmetry_question(model, react))
 
     def ask_pose(self, frames: str, paste: Callable[[str], object]) -> None:
-        """Ask for a pose as text, where the clipboard cannot be read.
+        """Ask for a pose as text, for front ends that cannot read the clipboard.
 
         Args:
-            frames: from which frame into which, for the person.
+            frames: text on the source and target coordinate frames.
             paste: called with the text.
         """
         self._ask(

@@ -1,4 +1,4 @@
-"""Events of the controller, and the messages that stay until they are read."""
+"""Events of the controller and its messages."""
 
 from __future__ import annotations
 
@@ -8,35 +8,35 @@ from dataclasses import dataclass
 from typing import Literal
 
 Kind = Literal[
-    "edited",  # an edit, undo or redo: `objects` lost or gained something
-    "preview",  # objects under the mouse moved; nothing is decided yet
+    "edited",  # an edit, undo or redo changed `objects`
+    "preview",  # dragged objects moved; not committed yet
     "selected",  # another object is selected
     "frames",  # a view shows another frame
     "view",  # image or cloud, style, opacity, what is drawn
-    "look",  # the views should show the whole image ("fit") or come close ("object"): `text`
-    "residuals",  # the residuals of `objects` were measured anew
-    "penetration",  # where objects run into each other was found anew
-    "table",  # the table was found, or found anew
+    "look",  # views show the whole image ("fit") or zoom to the object ("object"): `text`
+    "residuals",  # the residuals of `objects` were measured
+    "penetration",  # penetrations were computed
+    "table",  # the table was found
     "tool",  # gizmo, steps, axes, clicking
-    "busy",  # a computation began, went on or ended
+    "busy",  # a computation started, progressed or ended
     "saved",
-    "message",  # something to tell the person
-    "ask",  # a dialog is wanted: `text` is its name, see `Action.asks`
+    "message",  # text for the user
+    "ask",  # a dialog is requested: `text` is its name, see `Action.asks`
 ]
 
 Level = Literal["info", "warning", "error"]
 
-# News vanish when there was time to read them; what has no time here stays until it is closed.
+# Display time by level; messages of other levels stay until closed.
 SHOWN_S: dict[Level, float] = {"info": 8.0}
 
 
 @dataclass(frozen=True)
 class Event:
-    """One thing that happened.
+    """Change reported to listeners.
 
     Attributes:
-        objects: names concerned; empty if it concerns all.
-        text: of a message, for people.
+        objects: names of the changed objects; empty for all.
+        text: of a message.
         level: of a message.
     """
 
@@ -56,13 +56,13 @@ class Notice:
 
 
 class Notices:
-    """The messages that are shown, the newest last.
+    """The displayed messages, newest last.
 
     Args:
         show: called with all of them.
-        later: calls a function after some seconds.
-        seconds: for which messages of a level are shown.
-        most: this many are shown at most.
+        later: calls a function after a delay in seconds.
+        seconds: display time by level.
+        most: largest number of messages shown.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class Notices:
         self.notices: list[Notice] = []
 
     def tell(self, text: str, level: Level = "info") -> None:
-        """Show a message; the same one again is not shown twice, and news replace each other."""
+        """Show a message; a repeated one is shown once, and an info replaces the previous info."""
         notice = Notice(next(self._numbers), text, level)
         kept = [
             n
@@ -94,7 +94,7 @@ class Notices:
         self._set([])
 
     def close(self, number: int) -> None:
-        """A message was read."""
+        """Close a message."""
         if any(n.number == number for n in self.notices):
             self._set([n for n in self.notices if n.number != number])
 

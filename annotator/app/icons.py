@@ -1,8 +1,8 @@
-"""Icons as strokes on a grid of 24: one set for every front end."""
+"""Icons as strokes on a 24x24 grid, shared by all front ends."""
 
 from __future__ import annotations
 
-# SVG paths by name, most of them that of an action; "#" marks one that is filled.
+# SVG paths by name, mostly action ids; "#" marks a filled one.
 STROKES = {
     "open": "M3 6h6l2 2h10v11H3z",
     "save": "M4 4h13l3 3v13H4z M8 4v5h8V4 M7 20v-7h10v7",
@@ -50,7 +50,7 @@ STROKES = {
     "folder": "M3 6h6l2 2h10v11H3z",
 }
 
-# Actions that share a picture.
+# Actions that share an icon.
 ALIASES = {
     "next_frame": "next",
     "previous_frame": "previous",
@@ -74,7 +74,7 @@ _DOTS = ("cloud",)
 
 
 def drawing(name: str, color: str = "currentColor") -> str:
-    """The `<path>` of an icon, on a `viewBox` of 0 0 24 24."""
+    """Return the `<path>` of an icon, for a `viewBox` of 0 0 24 24."""
     name = ALIASES.get(name, name)
     path = STROKES[name]
     fill = color if path.startswith("#") else "none"
@@ -86,13 +86,13 @@ def drawing(name: str, color: str = "currentColor") -> str:
 
 
 def svg(name: str, color: str) -> str:
-    """The icon as a picture of its own."""
+    """Return the icon as a complete SVG document."""
     view_box = 'xmlns="http://www.w3.org/2000/svg" viewBox="0 0 24 24"'
     return f"<svg {view_box}>{drawing(name, color)}</svg>"
 
 
 def symbols() -> str:
-    """All icons as the symbols of one SVG, under the names `icon-NAME`."""
+    """Return all icons as symbols of one SVG, named `icon-NAME`."""
     parts = [
         f'<symbol id="icon-{name}" viewBox="0 0 24 24">{drawing(name)}</symbol>'
         for name in (*STROKES, *ALIASES)

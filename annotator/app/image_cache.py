@@ -1,9 +1,4 @@
-"""Colour images of a scene without lens distortion, read lazily and kept within a bound.
-
-A store that never holds more bytes than allowed, shared by threads.
-
-A few threads that work off a list which may be replaced or dropped at any time.
-"""
+"""Thread-safe cache of undistorted colour images with a memory limit and background prefetch."""
 
 from __future__ import annotations
 
@@ -31,11 +26,11 @@ MEGABYTE = 2**20
 
 
 class BackgroundReader:
-    """Calls `read(item)` for items in order; threads live only while there is work.
+    """Calls `read(item)` for items in order in threads that exist only while there is work.
 
     Args:
-        read: what to do; a ToolkitError is logged and the next item taken.
-        threads: how many work at once.
+        read: processes an item; a ToolkitError is logged and the next item follows.
+        threads: number of threads.
     """
 
     def __init__(self, read: Callable[[int], object], *, threads: int = 1) -> None:
@@ -47,7 +42,7 @@ class BackgroundReader:
         self._changed = threading.Condition()
 
     def request(self, items: Iterable[int]) -> None:
-        """Read these, instead of what is still waiting. Nothing once closed."""
+        """Read these items instead of those still waiting. No effect after `close`."""
         with self._changed:
             if self._closed:
                 return
@@ -57,18 +52,18 @@ class BackgroundReader:
                 threading.Thread(target=self._work, name="read-frames").start()
 
     def cancel(self) -> None:
-        """Drop what is waiting; what is being read now ends by itself."""
+        """Drop the waiting items; items being read are finished."""
         self.request(())
 
     def close(self) -> None:
-        """Cancel, and wait for what is being read now; call it from outside of `read`."""
+        """Cancel, and wait for items being read; must not be called from `read`."""
         with self._changed:
             self._waiting.clear()
             self._closed = True
         self.wait()
 
     def wait(self, timeout_s: float | None = None) -> bool:
-        """Wait until nothing is left to read; False if that took longer than `timeout_s`."""
+        """Wait until all items are read; False after `timeout_s`."""
         with self._changed:
             return self._changed.wait_for(lambda: self._running == 0, timeout_s)
 
@@ -85,21 +80,21 @@ class BackgroundReader:
             try:
                 self._read(item)
             except ToolkitError as error:
-                # Whoever needs it gets the error when asking for it.
+                # A direct request raises the error.
                 logger.debug("reading ahead: %s", error)
             except Exception:
                 logger.exception("reading ahead failed")
 
 
 class BoundedStore(Generic[K, V]):
-    """What was made and used last, up to a number of bytes; the rest is made again when asked for.
+    """Least-recently-used cache bounded in bytes; evicted values are computed again on demand.
 
-    A value that several threads ask for at once is made once, and a failure is not kept. What is
-    larger than the bound is handed out without being kept.
+    A value that several threads request at once is computed once. Failures are not cached. A value
+    larger than the bound is returned without being cached.
 
     Args:
-        max_bytes: bound on the values held here; callers may hold others.
-        size: bytes of a value.
+        max_bytes: bound on the cached values; callers may hold others.
+        size: returns the bytes of a value.
     """
 
     def __init__(self, max_bytes: int, size: Callable[[V], int]) -> None:
@@ -112,7 +107,7 @@ class BoundedStore(Generic[K, V]):
         self._epoch = 0
 
     def get(self, key: K, make: Callable[[], V]) -> V:
-        """The value of `key`, by `make()` if it is not held; raises what `make` raises."""
+        """Return the value of `key`, from `make()` if not cached; raises what `make` raises."""
         with self._lock:
             if key in self._values:
                 self._values.move_to_end(key)
@@ -139,12 +134,12 @@ class BoundedStore(Generic[K, V]):
         return value
 
     def peek(self, key: K) -> V | None:
-        """The value if it is held; does not count as a use."""
+        """Return the value if it is cached; does not count as a use."""
         with self._lock:
             return self._values.get(key)
 
     def clear(self) -> None:
-        """Forget everything, also what is being made now."""
+        """Remove all values, including those being computed."""
         with self._lock:
             self._values.clear()
             self._under_way.clear()
@@ -157,12 +152,12 @@ class BoundedStore(Generic[K, V]):
             return self._bytes
 
     def held(self) -> list[K]:
-        """Keys of what is held; the first is the next to go."""
+        """Return the cached keys, next to be evicted first."""
         with self._lock:
             return list(self._values)
 
     def _end(self, key: K, result: Future[V]) -> None:
-        # After `clear` the same key may be under way a second time.
+        # After `clear` the same key may be computed a second time.
         if self._under_way.get(key) is result:
             del self._under_way[key]
 
@@ -179,12 +174,12 @@ class BoundedStore(Generic[K, V]):
 
 @dataclass(frozen=True, eq=False)
 class FrameImage:
-    """The image of a frame as a camera without lens distortion would have seen it.
+    """Undistorted colour image of a frame.
 
     Attributes:
         frame: frame id.
-        rgb: (H, W, 3) uint8, read-only; black where the lens saw nothing.
-        camera: the camera that fits the image; its distortion is empty.
+        rgb: (H, W, 3) uint8, read-only; black outside the recorded image.
+        camera: camera of the undistorted image; its distortion is empty.
     """
 
     frame: int
@@ -193,16 +188,16 @@ class FrameImage:
 
 
 class ImageCache:
-    """Images by frame id; may be used from several threads.
+    """Images by frame id; thread-safe.
 
-    Nothing is read before it is asked for. A file that is missing or damaged raises each time it is
-    asked for, until it is mended.
+    Images are read on demand. A missing or damaged file raises an error on each request until it
+    is repaired.
 
     Args:
-        scene: where the frames are; refined intrinsics are used as soon as the scene has them.
-        max_bytes: bound on the images kept.
-        max_thumbnail_bytes: bound on the thumbnails kept, besides the images.
-        threads: how many images `prefetch` reads at once.
+        scene: scene of the frames; refined intrinsics are used as soon as the scene has them.
+        max_bytes: bound on the cached images.
+        max_thumbnail_bytes: bound on the cached thumbnails, in addition to the images.
+        threads: number of images that `prefetch` reads at once.
     """
 
     def __init__(
@@ -232,7 +227,7 @@ class ImageCache:
     # --- asking ------------------------------------------------------------------------------
 
     def image(self, frame_id: int) -> FrameImage:
-        """The image of a frame, read now if it is not held.
+        """Return the image of a frame, reading it if it is not cached.
 
         Raises:
             ToolkitError: no such frame, or its file is missing, damaged or of another size.
@@ -242,7 +237,7 @@ class ImageCache:
         return self._images.get((frame_id, camera), lambda: self._read(frame, camera))
 
     def held(self, frame_id: int) -> FrameImage | None:
-        """The image of a frame if it is held, without reading anything.
+        """Return the image of a frame if it is cached, without reading.
 
         Raises:
             ToolkitError: no such frame.
@@ -250,10 +245,10 @@ class ImageCache:
         return self._images.peek((frame_id, self._scene.camera(self._scene.frame(frame_id))))
 
     def thumbnail(self, frame_id: int, width: int) -> NDArray[np.uint8]:
-        """A small image (h, width, 3) uint8 without lens distortion, read-only.
+        """Return an undistorted thumbnail (h, width, 3) uint8, read-only.
 
         Args:
-            width: pixels; at most the image's own width is given.
+            width: pixels; clipped to the width of the image.
 
         Raises:
             ToolkitError: as `image` does.
@@ -268,7 +263,7 @@ class ImageCache:
             if whole is not None:
                 return _frozen(cv2.resize(whole.rgb, small.size, interpolation=cv2.INTER_AREA))
             rgb = self._scene.read_color(frame)
-            # The image is not kept: hundreds of thumbnails would drive out the images in use.
+            # The image is not cached: hundreds of thumbnails would evict the images in use.
             rgb = cv2.resize(rgb, small.size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
             return _frozen(undistort_image(rgb, small))
 
@@ -279,9 +274,9 @@ class ImageCache:
     def prefetch(
         self, frame_ids: Iterable[int], *, on_ready: Callable[[int], None] | None = None
     ) -> None:
-        """Read these in the background, in this order, instead of what was asked for before.
+        """Read these frames in the background, in this order, instead of earlier requests.
 
-        At most half of the cache is filled so, and frames that cannot be read are passed over.
+        Fills at most half of the cache and skips frames that cannot be read.
 
         Args:
             on_ready: called with the frame's id, in the thread that read it.
@@ -297,31 +292,31 @@ class ImageCache:
         self._background.request(wanted)
 
     def cancel_prefetch(self) -> None:
-        """Read no further ahead; the image being read now still comes."""
+        """Stop prefetching; the image being read is finished."""
         self._background.cancel()
 
     def wait_for_prefetch(self, timeout_s: float | None = None) -> bool:
-        """Wait until everything is read ahead; False if that took longer."""
+        """Wait until prefetching is finished; False after `timeout_s`."""
         return self._background.wait(timeout_s)
 
     def close(self) -> None:
-        """Stop reading ahead and let go of all images. `image` still works, unhurriedly."""
+        """Stop prefetching and release all images. `image` still works."""
         self._background.close()
         self.clear()
 
     def clear(self) -> None:
-        """Forget all images, as when files were replaced."""
+        """Remove all images, for example after files were replaced."""
         self._images.clear()
         self._thumbnails.clear()
 
     @property
     def bytes_held(self) -> int:
-        """Bytes of the images held, thumbnails not counted."""
+        """Return the bytes of the cached images, without thumbnails."""
         return self._images.bytes_held
 
     @property
     def frames_held(self) -> list[int]:
-        """Frames whose images are held; the first is the next to go."""
+        """Return the frames of the cached images, next to be evicted first."""
         return [frame_id for frame_id, _ in self._images.held()]
 
     # --- reading -----------------------------------------------------------------------------
@@ -339,7 +334,7 @@ class ImageCache:
 
 
 def _frozen(rgb: NDArray[np.generic] | cv2.typing.MatLike) -> NDArray[np.uint8]:
-    """Read-only, as many share it."""
+    """Make an array read-only, because several callers share it."""
     shared = np.asarray(rgb, dtype=np.uint8)
     shared.flags.writeable = False
     return shared

@@ -229,7 +229,7 @@ OBJECT_ACTIONS: tuple[action.Action, ...] = (
 
 
 def _has_points(c: Controller) -> bool:
-    """Points of the selected object are clicked in the view in hand."""
+    """Whether the selected object has clicked points in the frame of the active view."""
     return bool(c.session.object(str(c.selected)).clicks.get(c.active_frame))
 
 

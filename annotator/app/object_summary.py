@@ -1,4 +1,4 @@
-"""The state of the work on each object in one line, and a hint at the next step."""
+"""Annotation progress of each object in one line, and a hint for the next step."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ State = Literal["not placed", "placed", "refined", "done"]
 
 Grade = Literal["good", "fair", "poor", "unknown"]
 
-# A contour closer to the image edges than this, in pixels, is as good as hands and refinement
-# make it; one farther off than the second is visibly off.
+# Contour to image edges, pixels: below the first value the pose is as good as annotation and
+# refinement get; above the second it is visibly wrong.
 EDGE_PX = (1.5, 3.0)
 
-# The same for the depth of a diffuse object, mm: sensors of this kind read up to 2 % wrong, which
-# is 14 mm at 0.7 m, so that edges tell more where there are any.
+# The same for the depth of a diffuse object, mm: these sensors have errors up to 2 %, which is
+# 14 mm at 0.7 m, so edges are more informative if there are any.
 DEPTH_MM = (15.0, 30.0)
 
-# An edge distance says something only when it is clearly below what chance gives.
+# An edge distance is informative only if it is clearly below the chance level.
 CHANCE_SHARE = 0.6
 
 # A pose from points needs four that do not lie in one line.
@@ -34,15 +34,15 @@ POINTS_FOR_A_POSE = 4
 
 @dataclass(frozen=True)
 class ObjectSummary:
-    """One object of the list.
+    """Progress of one object of the list.
 
     Attributes:
-        state: how far the work is.
-        badge: residual in a word, such as "0.8 px"; "" if not measured.
+        state: progress of the annotation.
+        badge: short residual, such as "0.8 px"; "" if not measured.
         grade: of the residual.
-        alarm: what it runs into, such as "3 mm into mug"; "" if it is free.
-        noted: somebody wrote down what is to be looked at again.
-        explanation: both in sentences.
+        alarm: penetration, such as "3 mm into mug"; "" if there is none.
+        noted: whether the object has a note.
+        explanation: residual and penetration in sentences.
     """
 
     id: int
@@ -58,19 +58,19 @@ class ObjectSummary:
 
 
 def summarize(c: Controller) -> list[ObjectSummary]:
-    """Every object in the order of the list."""
+    """Return a summary of every object in the order of the list."""
     return [_summary(c, obj) for obj in c.session.state.objects]
 
 
 def progress(c: Controller) -> str:
-    """How many objects are done, such as "2 of 5 done"; "" if there are none."""
+    """Return the number of finished objects, such as "2 of 5 done"; "" without objects."""
     objects = c.session.state.objects
     done = sum(o.status == "done" for o in objects)
     return f"{done} of {len(objects)} done" if objects else ""
 
 
 def work_state(obj: ObjectState) -> State:
-    """How far the work on an object is."""
+    """Return the progress of an object."""
     if obj.status == "done":
         return "done"
     if not obj.placements:
@@ -79,19 +79,19 @@ def work_state(obj: ObjectState) -> State:
 
 
 def is_refined(placement: Placement) -> bool:
-    """The pose was fitted to images or depth; being put onto the table is not that."""
+    """Whether the pose was fitted to images or depth; snapping to the table does not count."""
     return bool(placement.refinement) and placement.method != "snap"
 
 
 def grade_row(row: FrameResidual) -> Grade:
-    """How good one object is in one frame, by what was measured there."""
+    """Return the grade of an object's residuals in one frame."""
     grades = [g for g in (edge_grade(row), depth_grade(row)) if g is not None]
     order: list[Grade] = ["poor", "fair", "good"]
     return min(grades, key=order.index) if grades else "unknown"
 
 
 def edge_grade(row: FrameResidual) -> Grade | None:
-    """None where the edges tell nothing: not measured, or no nearer than chance."""
+    """Return the grade of the edge residual; None if not measured or at chance level."""
     if row.edge_px is None:
         return None
     if row.edge_chance_px is not None and row.edge_px > CHANCE_SHARE * row.edge_chance_px:
@@ -100,7 +100,7 @@ def edge_grade(row: FrameResidual) -> Grade | None:
 
 
 def depth_grade(row: FrameResidual) -> Grade | None:
-    """None where the depth was not measured or is not trusted."""
+    """Return the grade of the depth residual; None if not measured or not trusted."""
     return None if row.depth_mm is None else _graded(abs(row.depth_mm), DEPTH_MM)
 
 
@@ -140,7 +140,7 @@ def _summary(c: Controller, obj: ObjectState) -> ObjectSummary:
 
 
 def _alarm(c: Controller, name: str) -> str:
-    """The deepest penetration of an object."""
+    """Return the deepest penetration of an object as text."""
     for found in c.penetrations_in(c.frame):
         if name in (found.first, found.second):
             other = found.second if name == found.first else found.first
@@ -150,7 +150,7 @@ def _alarm(c: Controller, name: str) -> str:
 
 
 def _residual(rows: Sequence[FrameResidual]) -> tuple[str, Grade, str]:
-    """Badge, grade and a sentence; the middle frame decides, so that one hidden view does not."""
+    """Return badge, grade and a sentence; the median over frames is robust to an occluded view."""
     if not rows:
         return "", "unknown", ""
     edges = [r.edge_px for r in rows if edge_grade(r) is not None and r.edge_px is not None]
@@ -163,23 +163,23 @@ def _residual(rows: Sequence[FrameResidual]) -> tuple[str, Grade, str]:
         value = median(depths)
         told = (
             f"Surface {value:.0f} mm from the sensor depth, median of {len(depths)} frames; edges "
-            "tell nothing here, so judge the contour by eye."
+            "are not informative here, so check the contour by eye."
         )
         return f"{value:.0f} mm", _graded(value, DEPTH_MM), told
-    return "?", "unknown", "No edge and no depth told its place apart from chance: judge by eye."
+    return "?", "unknown", "Neither edges nor depth are above chance level: check by eye."
 
 
 def next_hint(c: Controller) -> str:
-    """What a person would do next, as the controller is now."""
+    """Return a hint for the user's next step in the current state."""
     state = c.session.state
     if c.dragging is not None:
-        return f"Moving {c.dragging}: let go to keep it, Esc to put it back."
+        return f"Moving {c.dragging}: release to keep the pose, Esc to restore it."
     if c.task is not None and c.task.alone:
-        return f"{c.task.title} is under way: look around; nothing can be changed until it is done."
+        return f"{c.task.title} is running: views can be moved; edits are blocked until it is done."
     if c.task is not None and not c.clicking:
-        return f"{c.task.title} is under way: go on meanwhile, or press Esc to cancel it."
+        return f"{c.task.title} is running: you can continue, or press Esc to cancel it."
     if not c.session.writable:
-        return "This scene is open for looking only: nothing can be changed."
+        return "This scene is open read-only: nothing can be changed."
     if not state.models:
         return "Add the CAD mesh of an object with File > Add mesh (Ctrl+M)."
     if not state.objects:

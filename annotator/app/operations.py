@@ -1,7 +1,7 @@
-"""The computations that a user starts: refine, snap, solve, save, propagate, import.
+"""Computations that the user starts: refine, snap, solve, save, propagate, import.
 
-Each takes a snapshot, computes aside, and comes back with one edit. An object that was edited
-meanwhile keeps the hand's pose: the person is told, and nothing is overwritten.
+Each takes a snapshot, computes in the background and applies one edit. If an object of the result
+was edited meanwhile, the result is dropped with a message and nothing is overwritten.
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ if TYPE_CHECKING:
 
 Unit = Literal["m", "cm", "mm"]
 UNITS: tuple[Unit, ...] = ("m", "mm", "cm")
-# Usual size of an object on a table; it decides which of two plausible units comes first.
+# Usual size of an object on a table; determines which of two plausible units is first.
 _USUAL_SIZE_M = 0.15
-# A message of more lines would hide the view.
+# Longer messages hide the view.
 MOST_LINES = 8
-# What the residuals of objects that are not selected are measured under.
+# Key of the task that measures residuals of objects that are not selected.
 OTHER_RESIDUALS = "Residuals of the others"
 
 
 def tell_opening(controller: Controller) -> None:
-    """What a person must know of a scene that was just opened."""
+    """Show warnings about a scene that was just opened."""
     session = controller.session
     for warning in (*session.warnings, session.pose_problem):
         if warning is not None:
             controller.tell(warning, "warning")
     if not session.writable:
-        controller.tell("This scene is open for looking only: nothing can be changed.")
+        controller.tell("This scene is open read-only: nothing can be changed.")
 
 
 def refine(controller: Controller, *, all_objects: bool = False) -> None:
-    """Fit the selected object, or all placed ones together, to the images and the depth."""
+    """Fit the selected object, or all placed ones jointly, to the images and the depth."""
     from annotator.session.requests import Refine
 
     session, frame = controller.session, controller.active_frame
@@ -73,7 +73,7 @@ def snap(controller: Controller, mode: Literal["drop", "rest"]) -> None:
 
 
 def solve_points(controller: Controller) -> None:
-    """Pose of the selected object from the points clicked in the view in hand."""
+    """Compute the pose of the selected object from the points clicked in the active view."""
     from annotator.session.requests import SolvePnP
 
     name = controller.selected
@@ -85,7 +85,7 @@ def solve_points(controller: Controller) -> None:
 def perform(
     controller: Controller, title: str, request: Request, names: Sequence[str]
 ) -> Task | None:
-    """Resolve a request aside and apply its edit, unless its objects were edited meanwhile."""
+    """Resolve a request in the background; drop its edit if its objects were edited meanwhile."""
     session = controller.session
     snapshot = session.snapshot()
     before = {n: session.object(n).placements for n in names}
@@ -116,10 +116,10 @@ def perform(
 def measure_residuals(controller: Controller, *, delay: float = 0.0) -> None:
     """Measure the selected object against the edges and the depth of the frames in the views.
 
-    Others whose poses changed follow, in the background: refining all changes all.
+    Other objects whose poses changed are then measured in the background.
 
     Args:
-        delay: seconds to wait first, as when it moves with every key.
+        delay: seconds to wait first, such as during repeated key presses.
     """
     name = controller.selected
     if name is None or not controller.session.object(name).placements:
@@ -143,7 +143,7 @@ def _measure(
     *,
     delay: float,
 ) -> None:
-    """Measure objects, and `then` go on."""
+    """Measure the residuals of objects, then call `then`."""
     from annotator.session.residuals import FrameResidual, measure_residuals
 
     snapshot = controller.session.snapshot()
@@ -181,17 +181,17 @@ def toggle_done(controller: Controller) -> None:
 
 
 def unplace(controller: Controller) -> None:
-    """Take the selected object's pose away."""
+    """Remove the pose of the selected object."""
     if controller.selected is not None:
         controller.apply(ClearPose(object=controller.selected, frame=controller.active_frame))
 
 
 def save(controller: Controller, *, on_conflict: Side | None = None) -> bool:
-    """Write the labels into the scene; False, and a question or a message, if it did not work.
+    """Write the labels into the scene; on failure, shows a question or message and returns False.
 
     Args:
-        on_conflict: whose version to keep where others changed the same objects; default: the
-            front end's dialog "conflict" asks.
+        on_conflict: which version to keep of objects that others also changed; default: ask with
+            the dialog "conflict" of the front end.
     """
     from annotator.session.session import SaveConflict
 
@@ -213,7 +213,7 @@ def save(controller: Controller, *, on_conflict: Side | None = None) -> bool:
 
 
 def propagate(controller: Controller, options: PropagateOptions | None = None) -> None:
-    """Save, then carry every label to all frames; nothing can be edited meanwhile."""
+    """Save, then propagate every label to all frames; edits are blocked meanwhile."""
     session = controller.session
     if not save(controller):
         return
@@ -233,29 +233,29 @@ def propagate(controller: Controller, options: PropagateOptions | None = None) -
 
 @dataclass(frozen=True)
 class MeshSize:
-    """Size of a mesh, and the units in which a table-top object has it.
+    """Size of a mesh, and the units in which it is plausible for a table-top object.
 
     Attributes:
         extents: (x, y, z) of the bounding box in the numbers of the file.
-        units: plausible ones, the likeliest first; metres alone where they are plausible.
+        units: plausible units, most likely first; only metres if they are plausible.
     """
 
     extents: tuple[float, float, float]
     units: tuple[Unit, ...]
 
     def in_mm(self, unit: Unit) -> tuple[float, float, float]:
-        """Extents in millimetres if the file is in `unit`."""
+        """Return the extents in millimetres if the file is in `unit`."""
         factor = 1000 * UNITS_IN_M[unit]
         x, y, z = self.extents
         return x * factor, y * factor, z * factor
 
 
 def measure_mesh(path: Path) -> MeshSize:
-    """Size and plausible units of a mesh file.
+    """Return size and plausible units of a mesh file.
 
     Raises:
-        ToolkitError: unreadable, without faces, or of a size that no table-top object has in any
-            unit.
+        ToolkitError: the file is unreadable or has no faces, or its size is implausible for a
+            table-top object in every unit.
     """
     found: dict[Unit, np.ndarray] = {}
     first: ToolkitError | None = None
@@ -288,7 +288,7 @@ def import_meshes(controller: Controller, files: Sequence[tuple[Path, Unit]]) ->
     """Copy mesh files into the scene's library, as one edit.
 
     Args:
-        files: each with the unit of its numbers.
+        files: paths with the units of their coordinates.
     """
     from annotator.session.edits import CompoundEdit, EnterModel, SingleEdit
     from annotator.session.requests import ImportMesh

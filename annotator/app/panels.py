@@ -1,4 +1,4 @@
-"""What the panels show: residuals and their verdict, clicked points, marks on the frame slider."""
+"""Content of the panels: residuals with a verdict, clicked points, marks on the frame slider."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ResidualRow:
-    """How well the selected object fits one frame, as text.
+    """Residuals of the selected object in one frame, as text.
 
     Attributes:
-        edges, chance, depth: a number with its unit, "" if it was not measured.
-        edge_grade, depth_grade: how good they are; edges at the level of chance are unknown.
-        problem: why nothing was measured, or "".
+        edges, chance, depth: number with unit, "" if not measured.
+        edge_grade, depth_grade: their grades; "unknown" for edges at chance level.
+        problem: reason why nothing was measured, or "".
     """
 
     frame: int
@@ -35,7 +35,7 @@ class ResidualRow:
 
 
 def residual_rows(c: Controller) -> list[ResidualRow]:
-    """Residuals of the selected object in the shown frames."""
+    """Return the residuals of the selected object in the shown frames."""
     return [_residual_row(row) for row in _residuals(c)]
 
 
@@ -57,7 +57,7 @@ def _residual_row(row: FrameResidual) -> ResidualRow:
 
 
 def verdict(c: Controller) -> str:
-    """Whether the selected object fits, in one sentence."""
+    """Return a sentence on whether the selected object fits."""
     rows = _residuals(c)
     if c.selected is None:
         return "Select an object to see how well it fits."
@@ -67,31 +67,31 @@ def verdict(c: Controller) -> str:
         return f"Not measured since {c.selected} moved."
     grades = [grade_row(r) for r in rows if not r.problem]
     if not grades or all(g == "unknown" for g in grades):
-        return "Nothing in these frames tells its place apart from chance: judge by eye."
+        return "The residuals in these frames are at chance level: check by eye."
     worst = [r.frame for r in rows if grade_row(r) == "poor"]
     if worst:
-        return f"Off in frame {', '.join(map(str, worst))}: look there."
+        return f"Off in frame {', '.join(map(str, worst))}: check there."
     if all(edge_grade(r) is None for r in rows):
-        return "The depth agrees, but the edges tell nothing here: judge the contour by eye."
+        return "The depth agrees, but edges are not informative here: check the contour by eye."
     return "It fits in every frame where it could be measured."
 
 
 def weak_direction(c: Controller) -> str:
-    """What the last refinement of the selected object could tell least, as a sentence, or ""."""
+    """Return a sentence on the direction least determined by the last refinement, or ""."""
     weak = c.weak_directions.get(c.selected or "", "")
     return f"{weak[:1].upper()}{weak[1:]}." if weak else ""
 
 
 @dataclass(frozen=True)
 class ClickRow:
-    """One clicked point.
+    """Clicked point with its residual.
 
     Attributes:
-        frame: in which it was clicked.
-        number: its place among the points of the object in this frame, from 0.
+        frame: frame in which it was clicked.
+        number: index among the points of the object in this frame, from 0.
         u, v: pixel in the recorded image.
-        residual_px: distance to its point on the mesh at the object's pose now; None without a
-            pose, or behind the camera.
+        residual_px: distance to the projection of its mesh point at the current pose; None
+            without a pose, or behind the camera.
     """
 
     frame: int
@@ -102,7 +102,7 @@ class ClickRow:
 
 
 def click_rows(c: Controller, name: str) -> list[ClickRow]:
-    """All clicked points of an object, those of the view in hand first."""
+    """Return all clicked points of an object, those of the active view first."""
     obj = c.session.object(name)
     scene = c.session.scene
     rows = []
@@ -121,7 +121,7 @@ def click_rows(c: Controller, name: str) -> list[ClickRow]:
 
 @dataclass(frozen=True)
 class FrameMarks:
-    """Places of frames in the recording, from 0.
+    """Marked positions on the frame slider, as indices into the recording from 0.
 
     Attributes:
         runs: first and last frame of each run with camera poses.
@@ -135,7 +135,7 @@ class FrameMarks:
 
 
 def frame_marks(c: Controller) -> FrameMarks:
-    """What is marked on the slider over the frames."""
+    """Return the marks of the frame slider."""
     session = c.session
     place = {frame.id: i for i, frame in enumerate(session.scene.frames)}
     known = sorted(place[f] for f in session.frames) if session.posed else []
@@ -149,7 +149,7 @@ def frame_marks(c: Controller) -> FrameMarks:
 
 
 def _runs(places: Sequence[int]) -> tuple[tuple[int, int], ...]:
-    """First and last of each run of successive numbers."""
+    """Return first and last of each run of consecutive numbers."""
     runs: list[tuple[int, int]] = []
     for i in places:
         if runs and runs[-1][1] == i - 1:

@@ -1,13 +1,4 @@
-"""Where a mesh lands that is dropped onto an image: upright, on what is under the pointer.
-
-Which way up a mesh stands.
-
-Which way up the meshes of a library were made, as far as some of them tell.
-
-What dropping a mesh or an object onto an image does.
-
-From where a mesh is looked at when it is shown alone.
-"""
+"""Initial pose of a mesh dropped onto an image: upright, on the surface under the pointer."""
 
 from __future__ import annotations
 
@@ -29,21 +20,21 @@ from std_toolkit.scene.document import safe_name
 if TYPE_CHECKING:
     from std_toolkit.labels.support.plane import Plane
 
-# A table-top camera's usual distance, where nothing tells a better one.
+# Usual distance of a table-top camera, the default.
 USUAL_DISTANCE_M = 0.7
 
-# The way up as a camera sees it that looks down at the usual slant.
+# Up direction in a camera that looks down at the usual angle.
 USUAL_UP = (0.0, -0.8, -0.6)
 
-# Sensor depth is looked for so far around the pointer.
+# Search radius for sensor depth around the pointer.
 _REACH_PX = 12
 
-# An axis of a mesh that leans no more than this against the table's normal is meant to be up.
+# A mesh axis with a smaller angle to the table's normal is taken as its up axis.
 _UPRIGHT = np.cos(np.deg2rad(20.0))
 
 Array = NDArray[np.float64]
 
-# From the front right and above: of the three sides of a thing most people draw these.
+# View from the front right and above, the usual view of a product.
 AZIMUTH_DEG, ELEVATION_DEG = 35.0, 24.0
 
 
@@ -56,16 +47,16 @@ def dropped_pose(
     depth: NDArray[np.floating] | None = None,
     table: Plane | None = None,
 ) -> SE3:
-    """T_cam_obj of a mesh dropped at a pixel: the middle of its bounding box appears there.
+    """Return T_cam_obj of a mesh whose bounding box centre projects to the pixel.
 
-    On a table that is known it stands on it; else it lies behind what the sensor saw there, or at
-    the usual distance.
+    The mesh stands on the table if it is known. Otherwise it is placed behind the sensor depth
+    under the pointer, or at the usual distance.
 
     Args:
         camera: intrinsics of the frame.
         uv: pixel under the pointer, lens distortion included.
         vertices: (N, 3) of the mesh, metres.
-        R_cam_obj: (3, 3) how it is turned.
+        R_cam_obj: (3, 3) rotation of the mesh.
         depth: (H, W) sensor depth of the frame, metres, or None.
         table: the table in this camera's frame, or None.
     """
@@ -75,36 +66,36 @@ def dropped_pose(
     low, high = points.min(axis=0), points.max(axis=0)
     centre = (low + high) / 2
     if table is not None:
-        # The middle as high above the table as above the mesh's lowest point.
+        # The centre is as high above the table as above the mesh's lowest point.
         height = float(np.max((centre - points) @ (R.T @ table.normal)))
         slope = float(table.normal @ ray)
         distance = (height - table.offset) / slope if abs(slope) > 1e-6 else -1.0
         if 0.05 < distance < 5:
             return SE3(R, ray * distance - R @ centre)
     z = _depth_near(depth, uv)
-    # The sensor sees the front; the centre lies half a mesh behind it.
+    # The sensor measures the front; the centre is half a mesh behind it.
     reach = float(np.linalg.norm(high - low)) / 4 if z is not None else 0.0
     return SE3(R, ray * ((z or USUAL_DISTANCE_M) + reach) - R @ centre)
 
 
 def upright_rotation(up_cam: ArrayLike, axis: int = 2) -> NDArray[np.float64]:
-    """R_cam_obj (3, 3) of a mesh that stands upright, seen from its front.
+    """Return R_cam_obj (3, 3) of an upright mesh seen from its front.
 
     Args:
-        up_cam: (3,) the way up in the camera's frame.
-        axis: the mesh axis that is up (0, 1, 2). The next but one axis points away from the
-            camera if z is up, and the next one towards it if y is: the front, as data sets have
-            it.
+        up_cam: (3,) up direction in the camera's frame.
+        axis: the mesh axis that is up (0, 1, 2). If z is up, the next but one axis points away from
+            the camera; if y is up, the next one points towards it. Data sets define the front this
+            way.
     """
     up = np.asarray(up_cam, dtype=np.float64)
     up = up / np.linalg.norm(up)
     away = np.array([0.0, 0.0, 1.0])
     away = away - (away @ up) * up
-    if np.linalg.norm(away) < 1e-3:  # looked at from straight above
+    if np.linalg.norm(away) < 1e-3:  # camera directly above
         away = np.array([0.0, -1.0, 0.0]) + up[1] * up
     away /= np.linalg.norm(away)
     right = np.cross(away, up)
-    # Columns: the mesh's x, y and z axes in the camera's frame.
+    # Columns: x, y and z axes of the mesh in the camera's frame.
     if axis == 2:
         columns = [right, away, up]
     elif axis == 1:
@@ -115,7 +106,7 @@ def upright_rotation(up_cam: ArrayLike, axis: int = 2) -> NDArray[np.float64]:
 
 
 def _depth_near(depth: NDArray[np.floating] | None, uv: tuple[float, float]) -> float | None:
-    """Median of the sensor depth around a pixel, metres; None if there is none."""
+    """Return the median sensor depth around a pixel, metres; None if there is none."""
     if depth is None:
         return None
     u, v = (round(x) for x in uv)
@@ -127,12 +118,12 @@ def _depth_near(depth: NDArray[np.floating] | None, uv: tuple[float, float]) -> 
 
 
 def up_axis(own: int | None, *others: Iterable[int | None]) -> int:
-    """The coordinate axis (0, 1, 2) of a mesh that is up when it is shown or placed.
+    """Return the coordinate axis (0, 1, 2) of a mesh that is up when it is shown or placed.
 
     Args:
-        own: the axis about which its shape is turned; None where that does not tell.
-        others: the axes that are up in meshes that most likely follow the same habit; of several
-            groups the first that tells anything decides. Where none does, z is up.
+        own: rotation axis of its shape; None if unknown.
+        others: groups of up axes of related meshes; the first group with a known axis is used.
+            Default: z.
     """
     if own is not None:
         return own
@@ -144,9 +135,9 @@ def up_axis(own: int | None, *others: Iterable[int | None]) -> int:
 
 
 def standing_axis(session: Queries, model: Model) -> int:
-    """The coordinate axis of a model that is up where it is shown alone.
+    """Return the coordinate axis of a model that is up when it is shown alone.
 
-    As it is placed, as long as nothing else is.
+    It is the axis used when the model is placed first.
 
     Raises:
         ToolkitError: its mesh cannot be read.
@@ -156,16 +147,16 @@ def standing_axis(session: Queries, model: Model) -> int:
 
 
 def library_axes(session: Queries) -> list[int]:
-    """The axes about which the round meshes of a session's or snapshot's library are turned.
+    """Return the rotation axes of the round meshes in the library of a session or snapshot.
 
-    The meshes of one data set have the same axis up, so that these tell it for boxes, too. Reads
-    every mesh that was not read before.
+    The meshes of one data set have the same up axis, so these also apply to boxes. Reads every mesh
+    that is not cached.
     """
     axes = []
     for model in session.state.models:
         try:
             axis = session.meshes.round_axis(model)
-        except ToolkitError:  # told where the mesh itself is wanted
+        except ToolkitError:  # reported where the mesh itself is used
             continue
         if axis is not None:
             axes.append(axis)
@@ -173,13 +164,13 @@ def library_axes(session: Queries) -> list[int]:
 
 
 def drop_model(c: Controller, model_id: str, frame: int, uv: tuple[float, float]) -> bool:
-    """A mesh of the library lands on an image: an object of it is placed there, as one edit.
+    """Place an object of a library mesh dropped onto an image, as one edit.
 
-    The selected object is placed if it is of this mesh and has no pose yet, else any such object;
-    where there is none, a new one joins the list.
+    Places the selected object if it has this mesh and no pose, otherwise any such object, otherwise
+    a new one.
 
     Args:
-        frame: the frame whose image it was dropped onto.
+        frame: frame of the image.
         uv: pixel of the recorded image.
     """
     waiting = [
@@ -204,7 +195,7 @@ def drop_model(c: Controller, model_id: str, frame: int, uv: tuple[float, float]
 
 
 def drop_object(c: Controller, name: str, frame: int, uv: tuple[float, float]) -> bool:
-    """An object of the list lands on an image; one that has a pose keeps how it is turned."""
+    """Place an object of the list dropped onto an image; a posed object keeps its rotation."""
 
     def place() -> None:
         known = c.session.pose(name, frame)
@@ -217,7 +208,7 @@ def drop_object(c: Controller, name: str, frame: int, uv: tuple[float, float]) -
 
 
 def add_object(c: Controller, model_id: str) -> bool:
-    """A mesh of the library becomes an object where the main view looks at."""
+    """Place an object of a library mesh in the centre of the main view."""
     camera = c.session.scene.camera(c.session.scene.frame(c.frame))
     return drop_model(c, model_id, c.frame, (camera.width / 2, camera.height / 2))
 
@@ -253,10 +244,10 @@ def _landing(
 def _first_rotation(
     c: Controller, model_id: str, frame: int, table: Plane | None
 ) -> NDArray[np.float64]:
-    """How a mesh is turned that was not placed before.
+    """Return the initial rotation of a mesh.
 
-    As another object of the same mesh; else upright, by its shape, by how objects of other meshes
-    stand, by the round meshes of the library, or with z up.
+    The rotation of another object of the same mesh; otherwise upright according to its shape, to
+    the objects of other meshes, to the round meshes of the library, or with z up.
     """
     up_cam = np.asarray(USUAL_UP if table is None else table.normal)
     axes: list[int] = []
@@ -274,7 +265,7 @@ def _first_rotation(
 
 
 def table_in(c: Controller, frame: int) -> Plane | None:
-    """The table in the coordinates of a frame's camera, as far as it is known."""
+    """Return the table in the coordinates of a frame's camera, or None if unknown."""
     from std_toolkit.labels.support.plane import WORLD, camera_frame_name
 
     if c.table is None:
@@ -296,7 +287,7 @@ def _free_name(c: Controller, model_id: str) -> str:
 
 
 def front_rotation(axis: int) -> Array:
-    """(3, 3) mesh axes into eye axes (x right, y down, z forward), the mesh standing upright.
+    """Return (3, 3) mesh axes to eye axes (x right, y down, z forward) of an upright mesh.
 
     Args:
         axis: the coordinate axis of the mesh (0, 1, 2) that is up.

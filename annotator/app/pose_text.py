@@ -1,4 +1,4 @@
-"""Poses and times as users read and type them: millimetres, degrees, 4x4 matrices."""
+"""Text form of poses and times: millimetres, degrees, 4x4 matrices."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _ORNAMENT = re.compile(r"\b(?:np\.|numpy\.)?(?:array|matrix|asarray)\b|\bdtype=\
 
 
 class RotationForm(StrEnum):
-    """How a rotation is written: three numbers in degrees, or a quaternion w x y z."""
+    """Text form of a rotation: three numbers in degrees, or a quaternion w x y z."""
 
     EULER = "euler"
     VECTOR = "vector"
@@ -46,10 +46,10 @@ FORM_TIPS = {
 
 
 def rotation_numbers(R: NDArray[np.floating], form: RotationForm) -> NDArray[np.float64]:
-    """(3,) degrees, or (4,) unit quaternion w x y z, of a rotation (3, 3).
+    """Return (3,) degrees, or (4,) unit quaternion w x y z, of a rotation (3, 3).
 
-    Euler angles are about the fixed axes x, then y, then z: R = Rz Ry Rx. Where y is +-90 degrees
-    x and z are one; x is told as 0 then. A rotation vector is the axis times the angle.
+    Euler angles are about the fixed axes x, then y, then z: R = Rz Ry Rx. At y = +-90 degrees
+    (gimbal lock) x is reported as 0. A rotation vector is the axis times the angle.
     """
     if form is RotationForm.VECTOR:
         return np.degrees(so3_log(R))
@@ -57,16 +57,16 @@ def rotation_numbers(R: NDArray[np.floating], form: RotationForm) -> NDArray[np.
         return SE3(np.asarray(R, dtype=np.float64), np.zeros(3)).quat()
     y = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
     if np.hypot(R[0, 0], R[1, 0]) < 1e-9:
-        # Gimbal lock: only the sum or the difference of x and z is told.
+        # Gimbal lock: only the sum or the difference of x and z is determined.
         return np.degrees([0.0, y, np.arctan2(-R[0, 1], R[1, 1])])
     return np.degrees([np.arctan2(R[2, 1], R[2, 2]), y, np.arctan2(R[1, 0], R[0, 0])])
 
 
 def rotation_from_numbers(numbers: ArrayLike, form: RotationForm) -> NDArray[np.float64]:
-    """(3, 3) rotation of its numbers: the inverse of `rotation_numbers`.
+    """Return the rotation (3, 3) of numbers: the inverse of `rotation_numbers`.
 
     Raises:
-        ToolkitError: a quaternion far from length 1.
+        ToolkitError: a quaternion whose length is far from 1.
     """
     if form is RotationForm.QUATERNION:
         return SE3.from_quat(numbers, np.zeros(3)).R
@@ -77,20 +77,20 @@ def rotation_from_numbers(numbers: ArrayLike, form: RotationForm) -> NDArray[np.
 
 
 def quaternion_text(wxyz: NDArray[np.floating]) -> str:
-    """Four numbers, rounded to a hundredth of a degree or less."""
+    """Return four numbers, rounded to a hundredth of a degree or less."""
     return " ".join(f"{x:.5f}" for x in wxyz)
 
 
 def matrix_text(T: SE3) -> str:
-    """The 4x4 matrix in four lines, metres, with all digits: what `parse_matrix` reads."""
+    """Return the 4x4 matrix in four lines, metres, with all digits, as `parse_matrix` reads it."""
     return "\n".join(" ".join(repr(float(x)) for x in row) for row in T.matrix())
 
 
 def parse_matrix(text: str) -> SE3:
-    """A pose from pasted text: 16 or 12 numbers, row by row, metres, brackets and commas or not.
+    """Parse a pose from text: 16 or 12 numbers row by row, metres; brackets and commas optional.
 
     Raises:
-        ToolkitError: other than 16 or 12 numbers, words in between, or no rigid transform.
+        ToolkitError: not 16 or 12 numbers, other words, or not a rigid transform.
     """
     bare = _ORNAMENT.sub(" ", text)
     words = bare.split()
@@ -110,7 +110,7 @@ _EXPECTED = "paste a 4x4 matrix [R t; 0 0 0 1] with t in metres"
 
 
 def local_minute(time: str) -> str:
-    """Day and minute of an ISO 8601 time in UTC, in the time of this place."""
+    """Format an ISO 8601 time as date and minute in the local time zone."""
     try:
         return datetime.fromisoformat(time).astimezone().strftime("%Y-%m-%d %H:%M")
     except ValueError:
@@ -118,11 +118,11 @@ def local_minute(time: str) -> str:
 
 
 class PoseFields:
-    """The selected object's pose in numbers, to read, type, copy and paste.
+    """The selected object's pose as numbers to read, type, copy and paste.
 
     Attributes:
-        in_world: numbers in the world, instead of the camera of the view in hand.
-        form: how the rotation is written.
+        in_world: whether numbers are in the world frame instead of the active view's camera.
+        form: text form of the rotation.
     """
 
     def __init__(self, controller: Controller) -> None:
@@ -132,7 +132,7 @@ class PoseFields:
 
     @property
     def pose(self) -> SE3 | None:
-        """What the fields show; None if the selected object has no pose here."""
+        """The displayed pose; None if the selected object has no pose here."""
         c = self._c
         T_cam_obj = None if c.selected is None else c.pose(c.selected, c.active_frame)
         if T_cam_obj is None or not self.in_world:
@@ -146,14 +146,14 @@ class PoseFields:
         return "world" if self.in_world else f"camera of frame {self._c.active_frame}"
 
     def numbers(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(3,) position in mm and the numbers of the rotation; zeros without a pose."""
+        """Return the position (3,) in mm and the numbers of the rotation; zeros without a pose."""
         T = self.pose
         if T is None:
             return np.zeros(3), np.zeros(4 if self.form is RotationForm.QUATERNION else 3)
         return 1000 * T.t, rotation_numbers(T.R, self.form)
 
     def set_pose(self, T: SE3, *, method: str = "typed") -> bool:
-        """Set the pose, in the frame of the numbers; False if it cannot be set."""
+        """Set the pose, in the frame of the numbers; False on failure."""
         c = self._c
         if self.in_world:
             T_world_cam = c.session.T_world_cam(c.active_frame)
@@ -180,10 +180,10 @@ class PoseFields:
         return self.set_pose(SE3(R, t))
 
     def type_number(self, what: Literal["position", "rotation"], axis: int, text: str) -> bool:
-        """`set_number` of what was typed.
+        """Call `set_number` with typed text.
 
         Raises:
-            ToolkitError: it is no number.
+            ToolkitError: the text is not a number.
         """
         return self.set_number(what, axis, _number(text, what))
 
@@ -191,7 +191,7 @@ class PoseFields:
         """Set the rotation from four numbers w x y z.
 
         Raises:
-            ToolkitError: other than four numbers, or not of length 1.
+            ToolkitError: not four numbers, or a length other than 1.
         """
         T = self.pose
         words = _ORNAMENT.sub(" ", text).split()
@@ -202,7 +202,7 @@ class PoseFields:
         return T is not None and self.set_pose(SE3(R, T.t))
 
     def copied(self) -> str:
-        """The 4x4 matrix as text, "" without a pose."""
+        """Return the 4x4 matrix as text, "" without a pose."""
         T = self.pose
         return "" if T is None else matrix_text(T)
 
@@ -214,7 +214,7 @@ class PoseFields:
         return self.set_pose(parse_matrix(text), method="pasted")
 
     def provenance(self) -> str:
-        """Who set this pose, when, and with what."""
+        """Return a sentence on who set this pose, when and by which method."""
         c = self._c
         if c.selected is None:
             return "Select an object to see its pose."

@@ -1,4 +1,4 @@
-"""Questions as data: text, fields and buttons, which every front end renders."""
+"""Dialogs as data: text, fields and buttons that every front end renders."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ class Button:
     """A button of a question.
 
     Attributes:
-        id: what the reaction is called with; "" cancels the question.
-        tip: what it does.
+        id: argument of the reaction; "" cancels the question.
+        tip: description of its effect.
     """
 
     id: str
@@ -51,7 +51,7 @@ CANCEL = Button("", "Cancel")
 
 @dataclass(frozen=True)
 class Choice:
-    """One value of a field that lets choose."""
+    """Value of a field with a list of choices."""
 
     value: str
     text: str
@@ -59,16 +59,16 @@ class Choice:
 
 @dataclass(frozen=True)
 class Field:
-    """Something to be filled in.
+    """Input field of a question.
 
     Attributes:
         name: key of its value in the answers.
-        value: what it holds first.
+        value: initial value.
         choices: of a field of the kind "choice".
         least, most: range of a number.
         unit: of a number, such as "frames".
-        tip: what it means, in a sentence.
-        when: another field and its values with which this one is asked; None: always.
+        tip: its meaning in one sentence.
+        when: another field and the values of it for which this field is enabled; None: always.
     """
 
     name: str
@@ -83,14 +83,14 @@ class Field:
     when: tuple[str, tuple[str | bool, ...]] | None = None
 
     def is_asked(self, answers: Answers) -> bool:
-        """Whether it is to be filled in now."""
+        """Whether the field is enabled for these answers."""
         return self.when is None or answers.get(self.when[0]) in self.when[1]
 
     def read(self, answers: Answers) -> Any:
-        """Its value in the answers: str, int or bool by its kind; its first one where not asked.
+        """Return its value in the answers: str, int or bool by kind; the initial value if disabled.
 
         Raises:
-            ToolkitError: not a number in the range, or none of the choices.
+            ToolkitError: not a number in the range, or not one of the choices.
         """
         value = answers.get(self.name, self.value)
         if not self.is_asked(answers):
@@ -101,7 +101,7 @@ class Field:
             return self._number(value)
         text = str(value).strip()
         if self.kind == "choice" and text not in [c.value for c in self.choices]:
-            raise ToolkitError("this is none of the choices", field=self.name, value=value)
+            raise ToolkitError("this is not one of the choices", field=self.name, value=value)
         return text
 
     def _number(self, value: Any) -> int:
@@ -120,10 +120,10 @@ class Field:
 
 @dataclass(frozen=True)
 class Group:
-    """A table to read.
+    """Read-only table in a question.
 
     Attributes:
-        keys: the first cell of each row names keys: "Ctrl+Y or Ctrl+Shift+Z".
+        keys: whether the first cell of each row holds keys: "Ctrl+Y or Ctrl+Shift+Z".
     """
 
     heading: str
@@ -133,15 +133,15 @@ class Group:
 
 @dataclass(frozen=True)
 class Question:
-    """A dialog.
+    """Dialog with text, fields and buttons.
 
     Attributes:
-        react: called with the button's id and the values of the fields, unless it is cancelled.
+        react: called with the button's id and the values of the fields, unless cancelled.
         cancelled: called if it is cancelled.
-        buttons: the first is the usual answer.
-        searchable: the groups have a search field.
-        must_answer: it closes only by one of its buttons.
-        number: tells it from every other.
+        buttons: the first is the default.
+        searchable: whether the groups have a search field.
+        must_answer: whether only its buttons close it.
+        number: unique number.
     """
 
     title: str
@@ -157,7 +157,7 @@ class Question:
     number: int = field(default_factory=lambda: next(_numbers))
 
     def as_dict(self) -> dict[str, Any]:
-        """As plain JSON values, without its reactions."""
+        """Return the question as JSON values, without its reactions."""
         names = [f.name for f in dataclasses.fields(self) if f.name not in ("react", "cancelled")]
         shown: dict[str, Any] = msgspec.to_builtins({n: getattr(self, n) for n in names})
         return shown
@@ -166,10 +166,10 @@ class Question:
         return {f.name: f.value for f in self.fields}
 
     def answer(self, pressed: str, answers: Answers) -> None:
-        """React to a button and what was filled in.
+        """Run the reaction to a button with the field values.
 
         Raises:
-            ToolkitError: see `Field.read`; and what the reaction raises.
+            ToolkitError: see `Field.read`; also raises what the reaction raises.
         """
         if pressed:
             self.react(pressed, {f.name: f.read(answers) for f in self.fields})
@@ -186,7 +186,7 @@ def recovery_question(
     """Ask what to do with edits of an earlier session: "recover", "discard" or "" for later.
 
     Args:
-        can_leave: the scene may stay closed, so that this is decided later.
+        can_leave: whether the scene may be closed to decide later.
     """
     edits = "1 edit" if found.count == 1 else f"{found.count} edits"
     who = f" by {found.annotator}" if found.annotator else ""
@@ -203,7 +203,7 @@ def recovery_question(
         if found.changed:
             text += (
                 f"\n\n{', '.join(found.changed)} was written by others since. Their changes are "
-                "kept where these edits touched nothing."
+                "kept unless these edits conflict."
             )
         if found.damage:
             text += f"\n\nThe end of the journal cannot be read ({found.damage}): the rest can."
@@ -256,7 +256,7 @@ def conflict_question(names: str, react: Reaction) -> Question:
 def unit_question(
     name: str, size: MeshSize, react: Reaction, cancelled: Callable[[], object]
 ) -> Question:
-    """Ask for the unit of a mesh file: one of the plausible ones."""
+    """Ask for the unit of a mesh file among the plausible ones."""
     numbers = " × ".join(f"{x:.4g}" for x in size.extents)
     extents = {u: " × ".join(f"{x:.4g}" for x in size.in_mm(u)) + " mm" for u in size.units}
     lines = [f"As {_UNITS[unit]} it is {extent}." for unit, extent in extents.items()]
@@ -275,7 +275,7 @@ def unit_question(
 
 
 def symmetry_text(symmetry: SymmetryModel) -> str:
-    """A symmetry in full, for who is about to change it."""
+    """Return the full description of a symmetry."""
     parts = []
     for one in symmetry.continuous:
         axis = next((a for a, x in zip(_AXES, one.axis, strict=True) if abs(x) > 0.999), None)
@@ -286,7 +286,7 @@ def symmetry_text(symmetry: SymmetryModel) -> str:
 
 
 def symmetry_summary(symmetry: SymmetryModel) -> str:
-    """A symmetry in a few words, for a tool tip."""
+    """Return a short description of a symmetry, for a tool tip."""
     if symmetry.continuous:
         return "symmetric about an axis"
     if symmetry.discrete:
@@ -328,7 +328,7 @@ def symmetry_question(model: Model, react: Reaction) -> Question:
 
 
 def symmetry_words(answers: Answers) -> list[str] | None:
-    """What was chosen, as `parse_symmetry` reads it; None if it stays as it is."""
+    """Return the choice as input of `parse_symmetry`; None for no change."""
     chosen = answers["symmetry"]
     if chosen == "keep":
         return None
@@ -341,7 +341,7 @@ def symmetry_words(answers: Answers) -> list[str] | None:
 
 
 def propagate_question(session: Session, react: Reaction) -> Question:
-    """Ask for the options of propagating; see `propagate_options`."""
+    """Ask for the options of propagation; see `propagate_options`."""
     placed = [o for o in session.state.objects if o.placements]
     undone = [o.name for o in placed if o.status != "done"]
     objects = "1 object" if len(placed) == 1 else f"{len(placed)} objects"
@@ -399,7 +399,7 @@ def propagate_question(session: Session, react: Reaction) -> Question:
 
 
 def propagate_options(answers: Answers) -> PropagateOptions:
-    """The options that were chosen."""
+    """Return the selected options."""
     return PropagateOptions(
         refine=answers["refine"],
         refine_scale=answers["scale"],

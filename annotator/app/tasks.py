@@ -1,4 +1,4 @@
-"""Long computations: where they run, and which of them are under way."""
+"""Background computations: runners, cancellation and progress."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ Done = Callable[[Any, Exception | None], None]
 
 
 class Task:
-    """A computation under way; it looks at `cancelled` now and then and reports its progress.
+    """Running computation; it polls `cancelled` and reports its progress.
 
     Attributes:
-        title: for people.
-        fraction: done so far, 0 to 1, or None where it cannot be told.
-        alone: nothing may be edited meanwhile, and it cannot be stopped halfway.
+        title: displayed name.
+        fraction: completed fraction, 0 to 1, or None if unknown.
+        alone: whether edits are blocked meanwhile; such a task cannot be cancelled.
     """
 
     def __init__(self, title: str, *, alone: bool = False) -> None:
@@ -43,31 +43,31 @@ class Task:
 
 
 class Runner(Protocol):
-    """Runs work away from the front end's thread and calls `done` back in that thread."""
+    """Runs work outside the front end's thread and calls `done` in that thread."""
 
     def submit(self, task: Task, work: WorkFunction, done: Done) -> None:
-        """What a person started."""
+        """Run a computation that the user started."""
 
     def submit_aside(
         self, key: str, task: Task, work: WorkFunction, done: Done, *, delay: float = 0.0
     ) -> None:
-        """What keeps the panels up to date: it never holds up what a person started.
+        """Run an automatic update, which never delays computations that the user started.
 
-        Newer work of the same key replaces older: what waits is dropped, what runs is cancelled,
-        and its result with it.
+        Newer work of the same key replaces older: waiting work is dropped; running work is
+        cancelled and its result discarded.
 
         Args:
-            delay: seconds to wait first, so that a burst of edits is worked off once.
+            delay: seconds to wait first, so that a burst of edits triggers one update.
         """
 
 
 class InlineRunner:
-    """Runs at once, in the caller's thread: for scripts and tests."""
+    """Runs work immediately in the caller's thread, for scripts and tests."""
 
     def submit(self, task: Task, work: WorkFunction, done: Done) -> None:
         done(*_outcome(task, work))
 
-    def submit_aside(  # nothing waits here, so that nothing is replaced
+    def submit_aside(  # nothing waits, so nothing is replaced
         self,
         key: str,  # noqa: ARG002
         task: Task,
@@ -83,8 +83,8 @@ class ThreadRunner:
     """Two threads, one for each kind of work, started when first needed.
 
     Args:
-        deliver: has a function called in the front end's thread, soon; may be called from any
-            thread, such as `loop.call_soon_threadsafe`.
+        deliver: schedules a function in the front end's thread; callable from any thread, such
+            as `loop.call_soon_threadsafe`.
     """
 
     def __init__(self, deliver: Callable[[Callable[[], None]], None]) -> None:
@@ -114,9 +114,9 @@ class ThreadRunner:
         self._lanes[1].put(key, delay, lambda: self._run(task, work, finished))
 
     def close(self, timeout: float = 5.0) -> bool:
-        """Deliver nothing any more and wait for the threads; False if one has not ended in time.
+        """Stop delivering and wait for the threads; False if one does not end in time.
 
-        The tasks under way are the caller's to cancel.
+        The caller must cancel running tasks.
         """
         self._closed = True
         for task in self._aside.values():
@@ -134,12 +134,12 @@ class ThreadRunner:
 def _outcome(task: Task, work: WorkFunction) -> tuple[Any, Exception | None]:
     try:
         return (None if task.cancelled else work()), None
-    except Exception as error:  # handed on to the front end's thread
+    except Exception as error:  # passed to the front end's thread
         return None, error
 
 
 class _Lane:
-    """One worker thread; of one key at most one job waits."""
+    """Worker thread with at most one waiting job per key."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -184,10 +184,10 @@ class _Lane:
 
 
 class Work:
-    """Starts computations and tells how they end.
+    """Starts computations and reports their results.
 
     Attributes:
-        task: what a person started and is under way, or None.
+        task: the running computation that the user started, or None.
     """
 
     def __init__(self, runner: Runner, emit: Callable[[Event], None]) -> None:
@@ -205,10 +205,10 @@ class Work:
         *,
         alone: bool = False,
     ) -> Task | None:
-        """Run `work(task)` aside, then `finish(result)` here; one computation at a time.
+        """Run `work(task)` in the background, then `finish(result)` here; one at a time.
 
         Args:
-            alone: nothing may be edited meanwhile; see `Task`.
+            alone: block edits meanwhile; see `Task`.
         """
         if self.task is not None:
             self._tell(f"{self.task.title} is still running.", "warning")
@@ -239,13 +239,13 @@ class Work:
         *,
         delay: float = 0.0,
     ) -> None:
-        """Run `work(task)` beside everything else, then `finish(result)` here.
+        """Run `work(task)` as an automatic update, then `finish(result)` here.
 
-        Newer work of the same key replaces older, so panels may ask for it after every edit.
+        Newer work of the same key replaces older, so panels can request it after every edit.
 
         Args:
-            key: what it is, for people.
-            delay: seconds to wait first: a burst of edits is worked off once.
+            key: displayed name.
+            delay: seconds to wait first, so that a burst of edits triggers one update.
         """
         task = self._aside[key] = Task(key)
 
@@ -256,7 +256,7 @@ class Work:
                 return
             if error is not None:
                 text = str(error) if isinstance(error, ToolkitError) else repr(error)
-                # Once: the same trouble comes after every edit.
+                # Report once: the same error occurs after every edit.
                 if self._told.get(key) != text:
                     self._told[key] = text
                     self._tell(f"{key}: {text}", "warning")
@@ -267,7 +267,7 @@ class Work:
         self._runner.submit_aside(key, task, lambda: work(task), done, delay=delay)
 
     def cancel_aside(self, *keys: str) -> None:
-        """What runs beside under these keys is not wanted any more."""
+        """Cancel the automatic updates with these keys."""
         for key in keys:
             if key in self._aside:
                 self._aside[key].cancel()

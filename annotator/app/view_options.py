@@ -1,7 +1,4 @@
-"""What the views show: the frames they start with, and how meshes and clouds are drawn.
-
-Which frames to look at beside the first one: spread around what is to be labelled.
-"""
+"""Drawing options of the views and selection of their initial frames."""
 
 from __future__ import annotations
 
@@ -16,22 +13,22 @@ from std_toolkit.scene import Scene
 
 Array = NDArray[np.float64]
 
-# Where nothing tells the distance of a table-top scene.
+# Default distance of a table-top scene.
 _USUAL_DISTANCE_M = 0.7
 
-# What is looked at should lie this far inside the image, as a share of its size.
+# Smallest distance of the target from the image border, as a fraction of the image size.
 _MARGIN = 0.08
 
 
 class Mode(StrEnum):
-    """What the main view shows."""
+    """Content of the main view."""
 
     IMAGE = "image"
     CLOUD = "cloud"
 
 
 class Style(StrEnum):
-    """How a mesh lies over the image."""
+    """Drawing style of a mesh over the image."""
 
     SOLID = "solid"
     WIREFRAME = "wireframe"
@@ -39,7 +36,7 @@ class Style(StrEnum):
 
 
 class CloudSource(StrEnum):
-    """Which points the cloud shows."""
+    """Source of the points in the cloud."""
 
     FRAME = "frame"
     FUSED = "fused"
@@ -55,16 +52,16 @@ class Gizmo(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class ViewOptions:
-    """How the views draw.
+    """Drawing options of the views.
 
     Attributes:
         opacity: of solid meshes over the image, 0.1 to 1.
-        blink: the meshes come and go, so that the image beneath can be compared.
-        hidden: the meshes are not drawn at all.
-        only_selected: the other objects are not drawn.
-        table: the table plane is drawn in the cloud.
-        penetration: where objects run into each other they are painted red.
-        contour_always: the contour is drawn over solid and wireframe meshes, too.
+        blink: alternate between drawing and hiding the meshes, to compare with the image.
+        hidden: do not draw meshes.
+        only_selected: do not draw other objects.
+        table: draw the table plane in the cloud.
+        penetration: draw penetrating faces in red.
+        contour_always: also draw the contour over solid and wireframe meshes.
     """
 
     style: Style = Style.SOLID
@@ -79,15 +76,15 @@ class ViewOptions:
 
 
 def choose_view_frames(scene: Scene, session: Queries, *, side_views: int = 3) -> list[int]:
-    """The frame of the main view, then those of the side views in recording order.
+    """Return the frame of the main view, then those of the side views in recording order.
 
-    The main view shows the first frame in which a pose can be set. The others are chosen one by one
-    as those whose line of sight to the objects (or, before the first is placed, to what the cameras
-    look at) differs most from all chosen before. Without camera poses they are spread evenly over
-    the recording. No image is read.
+    The main view shows the first frame in which a pose can be set. Side views are selected
+    greedily: each next frame is the one whose viewing direction to the objects (before the first is
+    placed: to the point that the cameras face) differs most from all previous ones. Without camera
+    poses they are evenly spaced over the recording. Reads no images.
 
     Args:
-        side_views: most side views; a short recording has fewer.
+        side_views: largest number of side views; a short recording has fewer.
     """
     ids = [f.id for f in scene.frames]
     main = session.frames[0] if session.frames else ids[0]
@@ -133,7 +130,7 @@ def _middle_of_objects(session: Queries) -> Array | None:
 
 
 def _looked_at(eyes: Array, forward: Array, main: int) -> Array:
-    """The point nearest to all optical axes, as far as they meet in front of the cameras."""
+    """Return the point nearest to all optical axes that is in front of the cameras."""
     across = np.eye(3) - forward[:, :, None] * forward[:, None, :]
     total = across.sum(axis=0)
     usual = eyes[main] + _USUAL_DISTANCE_M * forward[main]

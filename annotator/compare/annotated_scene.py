@@ -1,7 +1,4 @@
-"""The labels of one annotator, and which object of one is which of the other.
-
-What one annotator says: the poses of a scene's objects in the frames of the shared recording.
-"""
+"""Labels of one annotator in the frames of the shared recording, and matching of objects."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ from std_toolkit.scene import Label, Model, Object, Scene
 from std_toolkit.scene.model import annotated_views, pose_from_list
 from std_toolkit.scene.scene import require_metres
 
-# Two copies of one mesh, as far as exporters and file formats keep it.
+# Largest vertex difference of two copies of one mesh, due to exporters and file formats.
 _SAME_MESH_M = 1e-4
 
 _FAR = 1e6
@@ -33,8 +30,8 @@ class Match:
     """Two labels of one physical object.
 
     Attributes:
-        by: "name", or "place": the names differ, but the mesh is the same and no other object of
-            it lies nearer.
+        by: "name", or "place": the names differ, but the mesh is the same and no other object
+            with it is nearer.
     """
 
     a: LabelledObject
@@ -44,7 +41,7 @@ class Match:
 
 @dataclass(frozen=True, eq=False)
 class Matching:
-    """Outcome of a matching; what is labelled by one only is left over."""
+    """Result of a matching, with the objects that only one annotator labelled."""
 
     matches: list[Match]
     only_a: list[LabelledObject]
@@ -54,8 +51,8 @@ class Matching:
 def match_objects(a: Sequence[LabelledObject], b: Sequence[LabelledObject]) -> Matching:
     """Match the labelled objects of two annotators.
 
-    Objects of equal names belong together. Of the others, those of the same mesh do whose centres
-    lie nearest to each other, and less than the object's diameter apart.
+    Objects of equal names match. Of the others, those of the same mesh match whose centres are
+    nearest to each other, and less than the object's diameter apart.
     """
     from scipy.optimize import linear_sum_assignment  # slow to import
 
@@ -88,7 +85,7 @@ def same_mesh(x: LabelledObject, y: LabelledObject) -> bool:
 
 
 def same_shape(scene_a: Scene, a: Model, scene_b: Scene, b: Model) -> bool:
-    """As `same_mesh`, of models of two scenes."""
+    """As `same_mesh`, for models of two scenes."""
     if scene_a.mesh_digest(a.id) == scene_b.mesh_digest(b.id):
         return True
     # The same mesh in another file format.
@@ -99,7 +96,7 @@ def same_shape(scene_a: Scene, a: Model, scene_b: Scene, b: Model) -> bool:
 
 
 def distance_between(x: LabelledObject, y: LabelledObject) -> float:
-    """Distance of the centres in metres, median over the common frames; inf without any."""
+    """Return the distance of the centres in metres, median over common frames; inf without any."""
     common = sorted(x.poses.keys() & y.poses.keys())
     if not common:
         return float("inf")
@@ -118,13 +115,13 @@ def _place_cost(x: LabelledObject, y: LabelledObject) -> float:
 
 @dataclass(frozen=True, eq=False)
 class AnnotatedScene:
-    """One annotator's scene, its frames counted as in the scene it is compared with.
+    """One annotator's scene, with the frame ids of the scene that it is compared with.
 
     Attributes:
-        name: of the annotator in a comparison: "A", "B", ...
+        name: name of the annotator in a comparison: "A", "B", ...
         scene: the scene.
-        own_frame: frame id in the shared counting to frame id in this scene.
-        as_annotated: take the poses as set by hand, before any refinement over several frames.
+        own_frame: shared frame id to frame id in this scene.
+        as_annotated: use the poses as set by hand, before any refinement over several frames.
     """
 
     name: str
@@ -134,7 +131,7 @@ class AnnotatedScene:
 
     @cached_property
     def posed(self) -> bool:
-        """The camera poses are known in metres, so that one pose holds for all frames."""
+        """Whether camera poses are metric, so that one pose holds for all frames."""
         try:
             require_metres(self.scene)
         except ToolkitError:
@@ -143,12 +140,12 @@ class AnnotatedScene:
 
     @cached_property
     def shared_frame(self) -> dict[int, int]:
-        """Frame id in this scene to frame id in the shared counting."""
+        """Frame id in this scene to shared frame id."""
         return {own: shared for shared, own in self.own_frame.items()}
 
     @cached_property
     def objects(self) -> list[LabelledObject]:
-        """The objects that have a label."""
+        """The labelled objects."""
         table = self.scene.objects
         return [
             LabelledObject(self, obj, table.model(obj.model), label)
@@ -162,18 +159,18 @@ class AnnotatedScene:
         return [o.name for o in self.scene.objects.objects if not self.scene.labels.of(o.id)]
 
     def camera(self, frame: int) -> Camera:
-        """Intrinsics of a frame of the shared counting."""
+        """Return the intrinsics of a shared frame."""
         return self.scene.camera(self.scene.frame(self.own_frame[frame]))
 
     def T_world_cam(self, frame: int) -> SE3 | None:
-        """Camera pose in this scene's own world, metres; None where there is none."""
+        """Return the camera pose in this scene's world, metres; None if there is none."""
         own = self.own_frame.get(frame)
         return self.scene.T_world_cam(own) if own is not None and self.posed else None
 
 
 @dataclass(frozen=True, eq=False)
 class LabelledObject:
-    """One object as one annotator labelled it."""
+    """Label of one object by one annotator."""
 
     owner: AnnotatedScene
     object: Object
@@ -200,7 +197,7 @@ class LabelledObject:
 
     @cached_property
     def views(self) -> dict[int, SE3]:
-        """T_cam_obj as set by hand, by frame of the shared counting."""
+        """T_cam_obj as set by hand, by shared frame id."""
         shared = self.owner.shared_frame
         return {
             shared[frame]: T for frame, T in annotated_views(self.label).items() if frame in shared
@@ -208,7 +205,7 @@ class LabelledObject:
 
     @cached_property
     def T_world_obj(self) -> SE3 | None:
-        """Pose in this scene's own world; None without metric camera poses.
+        """Pose in this scene's world; None without metric camera poses.
 
         Raises:
             ToolkitError: several annotations of the object contradict each other.
@@ -222,7 +219,7 @@ class LabelledObject:
 
     @cached_property
     def poses(self) -> dict[int, SE3]:
-        """T_cam_obj in every shared frame in which this annotator's label holds."""
+        """T_cam_obj in every shared frame for which this label holds."""
         found = {}
         for frame in self.owner.own_frame:
             T_world_cam = self.owner.T_world_cam(frame)
@@ -236,7 +233,7 @@ class LabelledObject:
 
 
 def work_notes(annotated: AnnotatedScene) -> list[str]:
-    """What an annotator has not finished, one sentence each."""
+    """Return sentences on the unfinished work of an annotator."""
     scene, name = annotated.scene, annotated.name
     notes = []
     path = journal_path(scene.root)

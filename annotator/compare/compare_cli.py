@@ -9,7 +9,7 @@ Subparsers = argparse._SubParsersAction  # argparse has no public name for it
 
 
 def add_parsers(subparsers: Subparsers[argparse.ArgumentParser]) -> None:
-    """Enter both commands; each sets `run(args) -> exit status`."""
+    """Add both commands; each sets `run(args) -> exit status`."""
     _add_compare(subparsers)
     _add_merge(subparsers)
 
@@ -42,7 +42,7 @@ def _add_merge(subparsers: Subparsers[argparse.ArgumentParser]) -> None:
         help="one set of labels from those of several annotators of one recording",
         description="Merge the labels of two or more annotators of one recording, called A, B, "
         "C, ... in the order of the folders. Where they agree, the object gets the mean of their "
-        "poses; where they do not, it stays without a label, unless told otherwise. The merged "
+        "poses; otherwise it gets no label unless an option resolves it. The merged "
         "folders are not changed. Exit status 0 if every object has a label, 1 if some were left "
         "open.",
     )
@@ -103,7 +103,7 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
 
 
 def run_compare(args: argparse.Namespace) -> int:
-    """Exit status 1 if an object labelled by both does not agree."""
+    """Compare two annotators; returns 1 if an object labelled by both disagrees."""
     from annotator.compare import CompareOptions, compare_labels
     from annotator.compare.comparison_report import comparison_lines, write_csv, write_tables
     from std_toolkit.scene import Scene
@@ -122,7 +122,7 @@ def run_compare(args: argparse.Namespace) -> int:
 
 
 def run_merge(args: argparse.Namespace) -> int:
-    """Exit status 1 if an object was left without a label."""
+    """Merge annotators; returns 1 if an object is left without a label."""
     from annotator.compare import MergeOptions, merge_labels
     from annotator.compare.comparison_report import merge_lines
     from annotator.compare.merge_output import check_target, write_into, write_scene
@@ -131,7 +131,7 @@ def run_merge(args: argparse.Namespace) -> int:
     from std_toolkit.scene import Scene
 
     if args.overwrite and args.into is None:
-        raise ToolkitError("--overwrite goes with --into; a new scene replaces nothing")
+        raise ToolkitError("--overwrite needs --into; a new scene replaces nothing")
     options = MergeOptions(
         threshold_mm=args.threshold_mm,
         as_annotated=args.as_annotated,
@@ -140,7 +140,7 @@ def run_merge(args: argparse.Namespace) -> int:
         single=args.single,
         majority=args.majority,
     )
-    # Refused before the work, not after it.
+    # Fail before the computation, not after it.
     if args.out is not None:
         check_vacant(args.out)
     else:

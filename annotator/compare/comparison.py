@@ -1,4 +1,4 @@
-"""Agreement of two annotators: their labels of one recording, object by object."""
+"""Comparison of the labels of two annotators of one recording, object by object."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from std_toolkit.scene import Scene
 
 Verdict = Literal["agree", "disagree", "not comparable"]
 
-# Poses that differ by less are told apart by rounding only.
+# Smaller differences of poses are due to rounding.
 _ROUNDING_M = 1e-9
 
 
@@ -34,17 +34,17 @@ _DIGITS = 4
 
 @dataclass(frozen=True, eq=False)
 class ObjectAgreement:
-    """Two labels of one object.
+    """Comparison of two labels of one object.
 
     Attributes:
-        a, b: the object as each annotator labelled it.
-        by: how it was known to be one object: "name" or "place".
-        verdict: "not comparable" if `problem` says why.
-        frame: frame of the first scene in which `difference` was taken: of the frames that were
-            annotated, the one where the poses are farthest apart.
+        a, b: the labels of the two annotators.
+        by: how the labels were matched: "name" or "place".
+        verdict: "not comparable" if the poses cannot be compared; `mostly` has the reason.
+        frame: frame of the first scene in which `difference` was computed: of the annotated frames,
+            the one where the poses are farthest apart.
         difference: None if not comparable.
         mssd_by_frame: metres, by frame id of the first scene, in all common frames.
-        mostly: what differs, in words.
+        mostly: text on the main difference.
     """
 
     a: annotated_scene.LabelledObject
@@ -72,7 +72,7 @@ class ObjectAgreement:
 
     @property
     def worst_m(self) -> float:
-        """What is held against the threshold, metres; NaN if not comparable."""
+        """Value compared with the threshold, metres; NaN if not comparable."""
         if self.difference is None:
             return float("nan")
         return max(self.difference.mssd_m, self.median_m)
@@ -80,14 +80,14 @@ class ObjectAgreement:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """The labels of two annotators beside each other.
+    """Comparison of the labels of two annotators.
 
     Attributes:
-        a, b: the two.
-        options: what was asked for.
-        objects: labelled by both, for review: disagreements first, the largest on top.
-        only_a, only_b: names of objects that one of the two labelled.
-        notes: what a reader should know, one sentence each.
+        a, b: the scenes of the two annotators.
+        options: options of the comparison.
+        objects: objects labelled by both, in order of review: disagreements first, largest first.
+        only_a, only_b: names of objects that only one of the two labelled.
+        notes: sentences to report.
     """
 
     a: annotated_scene.AnnotatedScene
@@ -100,17 +100,17 @@ class Comparison:
 
     @property
     def disagreements(self) -> tuple[ObjectAgreement, ...]:
-        """To be looked at again: above the threshold, or not comparable."""
+        """Objects to review: above the threshold, or not comparable."""
         return tuple(x for x in self.objects if x.verdict != "agree")
 
     @property
     def median_mm(self) -> float:
-        """Median over the objects of the MSSD, millimetres; NaN without any."""
+        """Median MSSD over the objects, millimetres; NaN without any."""
         return float(np.median(self._compared() or [np.nan]))
 
     @property
     def max_mm(self) -> float:
-        """Largest MSSD of an object, millimetres; NaN without any."""
+        """Largest MSSD over the objects, millimetres; NaN without any."""
         return max(self._compared(), default=float("nan"))
 
     def _compared(self) -> list[float]:
@@ -118,13 +118,13 @@ class Comparison:
 
     @property
     def table(self) -> pd.DataFrame:
-        """One row per object labelled by both; lengths in mm, angles in degrees, image in px."""
+        """Return one row per object labelled by both: lengths in mm, angles in degrees, px."""
 
         return object_table(self)
 
     @property
     def frame_table(self) -> pd.DataFrame:
-        """One row per object and common frame: the MSSD in mm."""
+        """Return one row per object and common frame with the MSSD in mm."""
 
         return frame_table(self)
 
@@ -135,10 +135,10 @@ def compare_labels(
     """Compare the labels of two annotators of one recording.
 
     Poses are compared in the cameras of common frames, because each scene may have its own world
-    frame and scale. Symmetric variants count as the same pose, for symmetries that both declare.
+    frame and scale. Symmetric variants count as equal, for symmetries that both declare.
 
     Raises:
-        ToolkitError: another recording, or a scene without labels.
+        ToolkitError: the recordings differ, or a scene has no labels.
     """
     options = options or CompareOptions()
     shared = shared_recording(scene_a, scene_b)
@@ -175,7 +175,7 @@ def compare_labels(
 
 
 def agreement_of(match: annotated_scene.Match, options: CompareOptions) -> ObjectAgreement:
-    """Compare two labels of one object; what forbids it is told in the result."""
+    """Compare two labels of one object; the result contains the reason if not comparable."""
     a, b = match.a, match.b
 
     def problem(text: str) -> ObjectAgreement:
@@ -183,7 +183,7 @@ def agreement_of(match: annotated_scene.Match, options: CompareOptions) -> Objec
 
     try:
         if not annotated_scene.same_mesh(a, b):
-            return problem("the meshes differ, so poses say nothing about each other")
+            return problem("the meshes differ, so poses are not comparable")
         common = sorted(a.poses.keys() & b.poses.keys())
         outline = a.outline
         symmetry = common_symmetry(a.symmetry, b.symmetry, outline)
@@ -192,11 +192,11 @@ def agreement_of(match: annotated_scene.Match, options: CompareOptions) -> Objec
     if not common:
         return problem(
             "no frame in which both have a pose: labelled in different frames, and without "
-            "camera poses in metres they cannot be carried over"
+            "metric camera poses they cannot be propagated"
         )
     by_frame = _distances(a, b, common, symmetry)
     annotated = sorted((a.views.keys() | b.views.keys()) & set(common)) or common
-    # Rounding must not decide between frames of one camera trajectory.
+    # Independent of rounding, which would otherwise select among equal frames.
     frame = max(annotated, key=lambda f: (round(by_frame[f] / _ROUNDING_M), -f))
     names = (a.owner.name, b.owner.name)
     difference = pose_difference(
@@ -225,7 +225,7 @@ def _distances(
     frames: Sequence[int],
     symmetry: Symmetry,
 ) -> dict[int, float]:
-    """MSSD in metres by frame; two labels in one world are apart the same in all frames."""
+    """Return the MSSD in metres by frame; it is constant for two labels in one world."""
     known: dict[bytes, float] = {}
     found = {}
     for frame in frames:
@@ -246,7 +246,7 @@ def _replaced(row: ObjectAgreement, verdict: Verdict, mostly: str) -> ObjectAgre
 def _with_swap(
     row: ObjectAgreement, others: Sequence[annotated_scene.LabelledObject]
 ) -> ObjectAgreement:
-    """Two of a kind are easily named the other way round."""
+    """Detect objects of the same mesh whose names are swapped."""
     near = row.a.model.diameter_m / 2
     if row.difference is None or row.by != "name" or row.difference.translation_m < near:
         return row
@@ -264,12 +264,12 @@ def _object_notes(rows: Sequence[ObjectAgreement]) -> list[str]:
     for row in rows:
         if row.by == "place":
             notes.append(
-                f"{row.a.name} of {row.a.owner.name} is taken to be {row.b.name} of "
-                f"{row.b.owner.name}: same mesh, nearest place"
+                f"{row.a.name} of {row.a.owner.name} is matched with {row.b.name} of "
+                f"{row.b.owner.name}: same mesh, nearest position"
             )
         if row.a.symmetry != row.b.symmetry and row.difference is not None:
             notes.append(
-                f"{row.name}: the two declare different symmetries; those that both hold count"
+                f"{row.name}: the two declare different symmetries; only common ones are used"
             )
         if row.a.object.material != row.b.object.material:
             notes.append(
@@ -280,12 +280,12 @@ def _object_notes(rows: Sequence[ObjectAgreement]) -> list[str]:
 
 
 def object_table(comparison: Comparison) -> pd.DataFrame:
-    """One row per object labelled by both, in the order of review."""
+    """Return one row per object labelled by both, in the order of review."""
     return pd.DataFrame([_row(comparison, x) for x in comparison.objects], columns=list(_COLUMNS))
 
 
 def frame_table(comparison: Comparison) -> pd.DataFrame:
-    """One row per object and common frame."""
+    """Return one row per object and common frame."""
     frames = {f.id: f.name for f in comparison.a.scene.frames}
     rows = [
         (x.name, frame, frames[frame], round(1000 * apart, _DIGITS))

@@ -1,7 +1,4 @@
-"""A comparison as text, CSV and JSON, and as pictures of the disagreements.
-
-Both annotators' outlines over the image, for every disagreement.
-"""
+"""Reports of a comparison: text, CSV, JSON, and images of every disagreement."""
 
 from __future__ import annotations
 
@@ -23,7 +20,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.io import atomic, documents, images
 
-# What the terminal shows of `object_table`, and under which heading.
+# Columns of `object_table` shown in the terminal, with their headings.
 _SHOWN = {
     "object": "object",
     "frame": "frame",
@@ -43,7 +40,7 @@ PANEL = (640, 480)
 
 CAPTION_PX = 58
 
-# Blue and orange: told apart with every kind of colour vision, and on most tables.
+# Blue and orange: distinguishable with colour blindness, and visible on most tables.
 COLORS = ((60, 150, 255), (255, 140, 0))
 
 _HALO = (10, 12, 16)
@@ -62,7 +59,7 @@ _ID = 1
 
 
 def comparison_lines(comparison: Comparison) -> list[str]:
-    """What the terminal shows: what to review, the table, the rest, a summary."""
+    """Return the terminal output: objects to review, table, notes, summary."""
     c = comparison
     threshold = f"{c.options.threshold_mm:g} mm"
     lines = [
@@ -85,12 +82,12 @@ def comparison_lines(comparison: Comparison) -> list[str]:
 
 
 def describe_difference(x: ObjectAgreement) -> str:
-    """How far two labels are apart and what differs mostly."""
+    """Return the distance of two labels and their main difference as text."""
     return f"{1000 * x.worst_m:.1f} mm apart; {x.mostly}"
 
 
 def summary_line(c: Comparison) -> str:
-    """The outcome in one sentence."""
+    """Return the result in one sentence."""
     compared = [x for x in c.objects if x.difference is not None]
     if not compared:
         return "no object could be compared"
@@ -104,7 +101,7 @@ def summary_line(c: Comparison) -> str:
 
 
 def merge_lines(merge: Merge, root: Path) -> list[str]:
-    """What the terminal shows of a merge: a table, what is open, a summary."""
+    """Return the terminal output of a merge: table, unresolved objects, summary."""
     rows = [
         {
             "object": x.object.name,
@@ -132,7 +129,7 @@ def merge_lines(merge: Merge, root: Path) -> list[str]:
 
 
 def write_csv(comparison: Comparison, path: Path) -> None:
-    """The table of objects as CSV."""
+    """Write the table of objects as CSV."""
     atomic.write_bytes_atomic(path, comparison.table.to_csv(index=False).encode())
 
 
@@ -162,7 +159,7 @@ def comparison_document(c: Comparison) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """JSON has no NaN: what is not known is null."""
+    """Replace NaN by null, because JSON has no NaN."""
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
@@ -173,9 +170,9 @@ def _indented(lines: list[str]) -> list[str]:
 def write_pictures(comparison: Comparison, folder: Path) -> list[Path]:
     """Write `pictures/OBJECT.png` for every disagreement; returns their paths.
 
-    Left the annotated frame, where the two are farthest apart; right, if there is one, the frame
-    in which they are farthest apart in the image: what differs along the viewing ray of one frame
-    is seen from the side in another.
+    Left is the annotated frame in which the poses differ most. Right, if there is one, is the frame
+    in which they differ most in the image: a difference along the viewing ray of one frame is
+    visible from the side in another.
     """
     written = []
     for row in comparison.disagreements:
@@ -212,7 +209,7 @@ def _sheet(row: ObjectAgreement, panels: list[NDArray[np.uint8]]) -> NDArray[np.
 
 
 def _panel(comparison: Comparison, row: ObjectAgreement, frame: int) -> NDArray[np.uint8]:
-    """The image around the object, with both outlines."""
+    """Return the image around the object, with both outlines."""
     outlines = [_outline(x, frame) for x in (row.a, row.b)]
     image = _image(row, frame)
     height, width = image.shape[:2]
@@ -253,7 +250,7 @@ def _panel(comparison: Comparison, row: ObjectAgreement, frame: int) -> NDArray[
 
 
 def _outline(x: LabelledObject, frame: int) -> Contour | None:
-    """The outline of an object alone; None where it is out of view or too small."""
+    """Return the unoccluded outline of an object; None if it is out of view or too small."""
     mesh = x.owner.scene.mesh(x.model.id)
     vertices = x.poses[frame] @ np.asarray(mesh.vertices)
     caster = LabelCaster({_ID: (vertices, np.asarray(mesh.faces))})
@@ -268,7 +265,7 @@ def _outline(x: LabelledObject, frame: int) -> Contour | None:
 
 
 def _image(row: ObjectAgreement, frame: int) -> NDArray[np.uint8]:
-    """The frame's image from whichever scene has it; grey where none can be read."""
+    """Return the frame's image from either scene; grey if none can be read."""
     for owner in (row.a.owner, row.b.owner):
         try:
             return owner.scene.read_color(owner.scene.frame(owner.own_frame[frame]))
@@ -279,7 +276,7 @@ def _image(row: ObjectAgreement, frame: int) -> NDArray[np.uint8]:
 
 
 def _telling_frame(row: ObjectAgreement) -> int | None:
-    """The frame in which the two outlines lie farthest apart, of frames that show the object."""
+    """Return the frame showing the object in which the two outlines differ most, or None."""
     frames = sorted(row.mssd_by_frame)
     spread = {frames[int(i)] for i in np.linspace(0, len(frames) - 1, _SPREAD).round()}
     best: tuple[float, int] | None = None
@@ -287,7 +284,7 @@ def _telling_frame(row: ObjectAgreement) -> int | None:
         camera = row.a.owner.camera(frame)
         shown = camera.project(row.a.poses[frame] @ row.a.outline)
         other = row.b.owner.camera(frame).project(row.b.poses[frame] @ row.b.outline)
-        # Where most of the object lies outside the image there is nothing to look at.
+        # Skip frames in which most of the object is outside the image.
         inside = (shown > 0).all(axis=1) & (shown < camera.size).all(axis=1)
         if inside.mean() < 0.7:
             continue

@@ -1,4 +1,4 @@
-"""One label from those of several annotators: the mean of their poses."""
+"""Joint label of several annotators: the mean of their poses."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from std_toolkit.geometry.symmetry import nearest_variant
 from std_toolkit.labels.propagate import AnnotatedView, fuse_views
 from std_toolkit.scene import Label, LabelProvenance
 
-# Frames through which a label goes to a world in which none of its annotated frames is registered.
+# Number of frames used to transfer a label to a world without its annotated frames.
 _SPREAD = 9
 
 Array = NDArray[np.float64]
@@ -34,20 +34,20 @@ def joint_label(
     symmetry: Symmetry,
     time: str,
 ) -> Label:
-    """One label of the target scene from the labels of one or several annotators.
+    """Compute one label of the target scene from the labels of one or several annotators.
 
-    Several give the mean of their poses. In a scene with camera poses in metres that is one pose in
-    its world; else one pose in every annotated frame in which all of them have one.
+    Several labels give the mean of their poses. In a scene with metric camera poses that is one
+    pose in its world; otherwise one pose in every annotated frame in which all of them have one.
 
     Args:
-        members: the labels, of one object; their frames count as in `target`.
+        members: labels of one object, with the frame ids of `target`.
         target: the scene that gets the label.
-        object_id: of the object in the target scene.
-        symmetry: of the object.
+        object_id: id of the object in the target scene.
+        symmetry: symmetry of the object.
         time: UTC, ISO 8601, for the provenance.
 
     Raises:
-        ToolkitError: the labels cannot be carried into the target scene.
+        ToolkitError: the labels cannot be transferred to the target scene.
     """
     if len(members) == 1 and members[0].owner.scene is target.scene:
         return msgspec.structs.replace(members[0].label, object=object_id)
@@ -126,7 +126,7 @@ def _pose_of(
 
 
 def _in_world_of(target: AnnotatedScene, member: LabelledObject, symmetry: Symmetry) -> SE3 | None:
-    """Pose in the target's world; None where its camera poses do not reach the label."""
+    """Return the pose in the target's world; None if no camera poses connect the label to it."""
     if not target.posed:
         return None
     if member.owner.scene is target.scene:
@@ -134,7 +134,7 @@ def _in_world_of(target: AnnotatedScene, member: LabelledObject, symmetry: Symme
     reachable = sorted(f for f in member.poses if target.T_world_cam(f) is not None)
     annotated = [f for f in reachable if f in member.views]
     if not annotated and reachable:
-        # Never annotated in a frame with a pose here: through frames spread over the recording.
+        # Not annotated in a frame with a pose here: use frames spread over the recording.
         spread = np.linspace(0, len(reachable) - 1, min(_SPREAD, len(reachable)))
         annotated = [reachable[int(i)] for i in spread]
     views = []
@@ -146,7 +146,7 @@ def _in_world_of(target: AnnotatedScene, member: LabelledObject, symmetry: Symme
 
 
 def _annotated_frame(members: Sequence[LabelledObject], target: AnnotatedScene) -> int:
-    """The frame that the joint label names: the first annotator's, if it has a camera pose."""
+    """Return the frame of the joint label: the first annotator's, if it has a camera pose."""
     for member in members:
         for frame in member.views:
             if target.T_world_cam(frame) is not None:
@@ -155,7 +155,7 @@ def _annotated_frame(members: Sequence[LabelledObject], target: AnnotatedScene) 
 
 
 def _covariance(member: LabelledObject, target: AnnotatedScene) -> np.ndarray | None:
-    """Of the world pose: right perturbations are the same in every world."""
+    """Return the covariance of the world pose; right perturbations are equal in every world."""
     numbers = member.label.covariance
     if numbers is None or member.owner.as_annotated or not target.posed:
         return None
@@ -181,12 +181,12 @@ def _hands_on(label: Label) -> float | None:
 
 @dataclass(frozen=True, eq=False)
 class MeanPose:
-    """A mean and how well it is known.
+    """Mean pose and its covariance.
 
     Attributes:
-        pose: in the frame of the poses.
-        covariance: (6, 6) of a right perturbation `pose @ SE3.exp(xi)`; None if that of a pose is
-            unknown.
+        pose: mean in the frame of the poses.
+        covariance: (6, 6) of a right perturbation `pose @ SE3.exp(xi)`; None if the covariance of
+            an input pose is unknown.
     """
 
     pose: SE3
@@ -199,29 +199,29 @@ def mean_pose(
     symmetry: Symmetry,
     covariances: Sequence[NDArray[np.floating] | None] = (),
 ) -> MeanPose:
-    """The pose in the middle of several, on SE(3).
+    """Return the mean of several poses on SE(3).
 
-    It is where the twists to all poses cancel; for two poses that is half-way along the screw that
-    leads from one to the other, wherever the mesh frame has its origin. If all covariances are
-    known, they are the weights. Annotators look at the same images, so their errors are not
-    independent, and nobody knows how far: the covariance is that of covariance intersection with
-    equal weights, which claims no more than the poses know together in the worst case.
+    At the mean the twists to all poses sum to zero. For two poses it is half-way along the screw
+    motion between them, independent of the origin of the mesh frame. If all covariances are known,
+    they are the weights. Annotators see the same images, so their errors are correlated to an
+    unknown degree. The covariance is therefore that of covariance intersection with equal weights,
+    which is consistent for any correlation.
 
     Source: S. Julier, J. Uhlmann, "A non-divergent estimation algorithm in the presence of unknown
     correlations", American Control Conference 1997.
 
     Args:
-        poses: at least one; the symmetric variant of the first one is kept.
-        points: (P, 3) hull vertices of the mesh, mesh frame, metres: they decide which symmetric
-            variants belong together.
-        symmetry: of the object.
+        poses: at least one; the result has the symmetric variant of the first one.
+        points: (P, 3) hull vertices of the mesh, mesh frame, metres; used to match symmetric
+            variants.
+        symmetry: symmetry of the object.
         covariances: one per pose: (6, 6) of right perturbations, or None.
 
     Raises:
         ToolkitError: no poses.
     """
     if not poses:
-        raise ToolkitError("no poses to take the mean of")
+        raise ToolkitError("no poses to average")
     variants = [poses[0], *(nearest_variant(T, poses[0], points, symmetry) for T in poses[1:])]
     known = [
         _carried(np.asarray(c, dtype=np.float64), T, V)
@@ -244,7 +244,7 @@ def mean_pose(
 
 
 def _carried(covariance: Array, T: SE3, variant: SE3) -> Array:
-    """Covariance of `variant = T @ S` from that of T: T exp(xi) S = T S exp(Ad(S^-1) xi)."""
+    """Return the covariance of `variant = T @ S`: T exp(xi) S = T S exp(Ad(S^-1) xi)."""
     back = variant.inverse() @ T
     adjoint = np.block([[back.R, skew(back.t) @ back.R], [np.zeros((3, 3)), back.R]])
     return np.asarray(adjoint @ covariance @ adjoint.T)

@@ -1,7 +1,4 @@
-"""One set of labels from those of several annotators of one recording.
-
-Whose labels of an object count when several annotators are merged.
-"""
+"""Merge of the labels of several annotators of one recording, and the resolution rules."""
 
 from __future__ import annotations
 
@@ -28,16 +25,16 @@ Outcome = Literal["merged", "taken", "open"]
 
 @dataclass(frozen=True, eq=False)
 class MergedObject:
-    """What became of one object.
+    """Merge result of one object.
 
     Attributes:
         object: its row in the target scene.
-        labelled: everybody who labelled it.
-        used: those whose labels count; empty where it stays open.
-        outcome: "merged" from several labels, "taken" from one, or "open": left without a label.
-        apart_m: largest MSSD between two of `labelled`; NaN for one alone or if not comparable.
-        note: why, for people.
-        label: None where it stays open.
+        labelled: labels of all annotators.
+        used: labels used for the result; empty if the object is open.
+        outcome: "merged" from several labels, "taken" from one, or "open": without a label.
+        apart_m: largest MSSD between two of `labelled`; NaN for a single one or if not comparable.
+        note: text on the reason.
+        label: resulting label; None if the object is open.
     """
 
     object: Object
@@ -51,13 +48,13 @@ class MergedObject:
 
 @dataclass(frozen=True, eq=False)
 class Merge:
-    """A merge that is not yet written.
+    """Merge that is not yet written.
 
     Attributes:
-        target: the scene whose frames and camera poses the labels belong to.
+        target: scene with the frames and camera poses of the labels.
         annotators: the scenes that are merged.
         objects: sorted by object id.
-        notes: what a reader should know, one sentence each.
+        notes: sentences to report.
     """
 
     target: annotated_scene.AnnotatedScene
@@ -67,11 +64,11 @@ class Merge:
 
     @property
     def open(self) -> tuple[MergedObject, ...]:
-        """Objects that a person has to decide on."""
+        """Objects that need a manual decision."""
         return tuple(x for x in self.objects if x.outcome == "open")
 
     def annotation(self) -> Annotation:
-        """annotation.json: done is what all whose labels count had marked as done."""
+        """Contents of annotation.json; an object is done if all annotators used marked it done."""
         return Annotation(
             objects=[
                 ObjectAnnotation(
@@ -93,17 +90,17 @@ def merge_labels(
     target: Scene | None = None,
     time: str | None = None,
 ) -> Merge:
-    """Merge the labels of several annotators; reads only.
+    """Merge the labels of several annotators, without writing.
 
     Args:
-        scenes: two or more, called "A", "B", ... in this order.
-        target: the scene that the labels are for, of the same recording; default: the first one's
-            recording and camera poses.
+        scenes: two or more, named "A", "B", ... in this order.
+        target: scene of the same recording that receives the labels; default: the recording and
+            camera poses of the first scene.
         time: UTC, ISO 8601, for the provenance; default: now.
 
     Raises:
-        ToolkitError: fewer than two scenes, another recording, or options that name what is not
-            there.
+        ToolkitError: there are fewer than two scenes, the recordings differ, or an option names an
+            unknown annotator or object.
     """
     options = options or MergeOptions()
     compare = options
@@ -119,8 +116,8 @@ def merge_labels(
             groups[[g[0] for g in groups].index(match.a)].append(match.b)
             if match.by == "place":
                 notes.append(
-                    f"{match.a.name} of {match.a.owner.name} is taken to be {match.b.name} of "
-                    f"{match.b.owner.name}: same mesh, nearest place"
+                    f"{match.a.name} of {match.a.owner.name} is matched with {match.b.name} of "
+                    f"{match.b.owner.name}: same mesh, nearest position"
                 )
         groups += [[x] for x in matching.only_b]
     notes += [note for annotated in annotators for note in annotated_scene.work_notes(annotated)]
@@ -178,7 +175,7 @@ def _merged(
             symmetry = _symmetry_of(used)
             label = joint_label(used, target, object_id=row.id, symmetry=symmetry, time=time)
         except ToolkitError as error:
-            used, note = (), f"cannot be carried over: {error}"
+            used, note = (), f"cannot be transferred: {error}"
     outcome: Outcome = "open" if label is None else "merged" if len(used) > 1 else "taken"
     return MergedObject(row, tuple(group), tuple(used), outcome, apart, note, label)
 
@@ -192,7 +189,7 @@ def _symmetry_of(members: Sequence[annotated_scene.LabelledObject]) -> Symmetry:
 def _object_rows(
     target: Scene, groups: Sequence[Sequence[annotated_scene.LabelledObject]]
 ) -> list[Object]:
-    """The row of each object in the target scene; what it does not know gets a free id."""
+    """Return the row of each object in the target scene; new objects get free ids."""
     table = {o.name: o for o in target.objects.objects}
     taken = {o.id for o in table.values()}
     rows = []
@@ -212,7 +209,7 @@ def _object_rows(
 
 
 def _check_mesh(x: annotated_scene.LabelledObject, row: Object, target: Scene) -> None:
-    """The target may know an object of this name, unlabelled, with a mesh of its own."""
+    """Check that an unlabelled object of this name in the target has the same mesh."""
     known = next((o for o in target.objects.objects if o.id == row.id), None)
     if known is None or x.owner.scene is target:
         return
@@ -240,7 +237,7 @@ def chosen_labels(
     pairs: Sequence[ObjectAgreement],
     options: MergeOptions,
 ) -> tuple[Sequence[annotated_scene.LabelledObject], str]:
-    """The labels that count, and why; none where a person has to decide."""
+    """Return the labels to use, and the reason; none if a manual decision is needed."""
     by_owner = {x.owner.name: x for x in group}
     wanted = options.take.get(group[0].name)
     if wanted is not None:
@@ -273,7 +270,7 @@ def _why(pair: ObjectAgreement) -> str:
 def _majority(
     group: Sequence[annotated_scene.LabelledObject], apart: Sequence[ObjectAgreement]
 ) -> Sequence[annotated_scene.LabelledObject]:
-    """The largest set of labels that agree pairwise, if it is more than half and the only one."""
+    """Return the largest set of pairwise agreeing labels, if unique and more than half."""
     foes = {frozenset((p.a.owner.name, p.b.owner.name)) for p in apart}
     for size in range(len(group) - 1, len(group) // 2, -1):
         found = [
@@ -291,7 +288,7 @@ def _majority(
 def check_names(
     options: MergeOptions, annotators: Sequence[annotated_scene.AnnotatedScene]
 ) -> None:
-    """Raises ToolkitError for an option that names an annotator that there is not."""
+    """Raise ToolkitError for an option that names an unknown annotator."""
     known = [a.name for a in annotators]
     asked = {"--prefer": options.prefer, **{f"--take {k}": v for k, v in options.take.items()}}
     for field_name, name in asked.items():
@@ -307,7 +304,7 @@ def check_names(
 def check_taken(
     options: MergeOptions, groups: Sequence[Sequence[annotated_scene.LabelledObject]]
 ) -> None:
-    """Raises ToolkitError for `take` of an object that is not there or that nobody labelled."""
+    """Raise ToolkitError for `take` of an unknown or unlabelled object."""
     by_name = {g[0].name: g for g in groups}
     for name, owner in options.take.items():
         if name not in by_name:

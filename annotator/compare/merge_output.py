@@ -1,4 +1,4 @@
-"""Writes a merge: a new scene folder, or labels into an existing scene."""
+"""Output of a merge as a new scene folder, or as labels in an existing scene."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from std_toolkit.labels.mesh_copies import plan_mesh_copy, write_mesh_copy
 from std_toolkit.scene import Annotation, Labels, ObjectAnnotation, ObjectTable, Scene
 from std_toolkit.scene.document import digest_file, record_path
 
-# Of the recording and what was recovered from it; labels and what follows from them stay behind.
+# Copied folders of recording and reconstruction; labels and data derived from them are not copied.
 _FOLDERS = ("reference", "poses")
 _BOARD = "board.json"
 
 
 def write_scene(merge: Merge, out: Path) -> Scene:
-    """Make a new scene of the merge: the recording, the camera poses, the merged labels.
+    """Create a new scene with the recording, the camera poses and the merged labels.
 
-    Everything is copied, so that no later change in one folder reaches another. The folder appears
-    when everything is in it.
+    All files are copied, so the folders are independent. The folder appears atomically when it is
+    complete.
 
     Raises:
-        ToolkitError: something is at `out`, or a file is missing or cannot be written.
+        ToolkitError: `out` exists, or a file is missing or cannot be written.
     """
     for annotated in merge.annotators:
         if out.resolve().is_relative_to(annotated.scene.root.resolve()):
             raise ToolkitError(
-                "the merged scene cannot lie inside a scene", path=out, field="--out"
+                "the merged scene cannot be inside another scene", path=out, field="--out"
             )
     source = merge.target.scene
     with new_folder(out) as staging:
@@ -50,11 +50,11 @@ def write_scene(merge: Merge, out: Path) -> Scene:
 
 
 def write_into(merge: Merge, *, overwrite: bool = False) -> Scene:
-    """Write the merged labels into the merge's target scene, under its lock.
+    """Write the merged labels into the target scene, under its lock.
 
     Raises:
-        ToolkitError: the target is one of the merged scenes, has labels already and `overwrite` is
-            not set, has changed since the merge, or is locked.
+        ToolkitError: the target is one of the merged scenes, has labels and `overwrite` is not set,
+            has changed since the merge, or is locked.
     """
     scene = merge.target.scene
     check_target(scene.root, [a.scene.root for a in merge.annotators])
@@ -78,7 +78,7 @@ def write_into(merge: Merge, *, overwrite: bool = False) -> Scene:
 
 
 def check_target(target: Path, annotators: Sequence[Path]) -> None:
-    """Refuse to write into the scene of one of the annotators.
+    """Check that the target is not the scene of an annotator.
 
     Raises:
         ToolkitError: the target is one of them.
@@ -99,7 +99,7 @@ def _save(scene: Scene, merge: Merge, *, worked: Annotation | None = None) -> No
 
 
 def _joined(merged: Annotation, worked: Annotation) -> Annotation:
-    """What the merge says of each object, with the clicks and notes that the scene had before."""
+    """Combine the merged annotation with the clicks and notes that the scene already had."""
     rows = {row.object: row for row in merged.objects}
     for old in worked.objects:
         row = rows.get(old.object, ObjectAnnotation(object=old.object))
@@ -109,11 +109,11 @@ def _joined(merged: Annotation, worked: Annotation) -> Annotation:
 
 
 def _table(merge: Merge, root: Path) -> ObjectTable:
-    """objects.json of the merge; meshes that the target lacks are copied to `root`."""
+    """Return objects.json of the merge; copies meshes that the target lacks to `root`."""
     scene = merge.target.scene
     models = {m.id: m for m in scene.objects.models}
     objects = {o.id: o for o in scene.objects.objects}
-    # Whose mesh stands behind each model id.
+    # Source scene of the mesh of each model id.
     sources = {m.id: (scene, m) for m in scene.objects.models}
     for merged in merge.objects:
         if merged.object.id in objects:
@@ -136,19 +136,19 @@ def _table(merge: Merge, root: Path) -> ObjectTable:
 
 
 def _recording_files(scene: Scene) -> list[str]:
-    """Scene-relative paths of what a copy of the unlabelled scene holds."""
+    """Return the scene-relative paths of the files of the unlabelled scene."""
     names = [f.color for f in scene.frames]
     names += [f.depth for f in scene.frames if f.depth is not None]
     for model in scene.objects.models:
         folder = scene.mesh_path(model).parent
-        # Materials and textures lie beside the mesh.
+        # Materials and textures are in the folder of the mesh.
         beside = sorted(folder.iterdir()) if folder.parent.name == "models" else []
         files = [p for p in beside if p.is_file() and not p.name.startswith(".")]
         names += [p.relative_to(scene.root).as_posix() for p in files] or [model.mesh]
     for folder_name in _FOLDERS:
         found = sorted(p for p in (scene.root / folder_name).rglob("*") if p.is_file())
         names += [p.relative_to(scene.root).as_posix() for p in found]
-    # With the record the step that made the poses knows that they are up to date.
+    # With its record, the pose step detects that the poses are up to date.
     for path in (scene.root / _BOARD, record_path(scene.root, "poses")):
         if path.is_file():
             names.append(path.relative_to(scene.root).as_posix())
@@ -156,7 +156,7 @@ def _recording_files(scene: Scene) -> list[str]:
 
 
 def _copy(source: Path, target: Path) -> None:
-    digest_file(source)  # a regular file that can be read, or an error that names it
+    digest_file(source)  # raises an error with the path if it is not a readable regular file
     target.parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(source, target)
     with target.open("rb") as file:

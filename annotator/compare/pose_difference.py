@@ -1,4 +1,4 @@
-"""How two poses of one object differ, in the terms in which annotators err."""
+"""Difference of two poses of one object, split into typical annotation errors."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# A turn this near to half or a quarter of a full one is a wrong choice, not a lack of care.
+# A rotation this close to 180 or 90 degrees is a wrong orientation, not an inaccuracy.
 _CHOICE_DEG = 25.0
-# What contributes less than this share of the largest part is not worth a word.
+# Parts below this fraction of the largest one are not mentioned.
 _WORTH_TELLING = 0.5
-# Within this angle a turn is said to be about an axis of the mesh.
+# Within this angle a rotation is reported as about an axis of the mesh.
 _NEAR_AXIS_DEG = 15.0
 
 
 @dataclass(frozen=True, eq=False)
 class PoseDifference:
-    """Two poses of one object in one camera. Symmetric variants count as the same pose.
+    """Difference of two poses of one object in one camera. Symmetric variants count as equal.
 
     Attributes:
         mssd_m: largest distance between corresponding surface points, metres.
         rotation_rad: angle between the orientations.
         translation_m: distance between the object's centres.
-        along_ray_m: part of it along the viewing ray; positive where the second pose is farther.
-        sideways_m: part of it across the viewing ray.
-        shift_px: largest distance between the images of corresponding surface points; NaN where
-            nothing is in front of the camera.
+        along_ray_m: its component along the viewing ray; positive if the second pose is farther.
+        sideways_m: its component across the viewing ray.
+        shift_px: largest image distance of corresponding surface points; NaN if none is in front
+            of the camera.
         turn: (3,) rotation vector from the first to the second pose, mesh frame, radians.
-        turn_m: how far that turn alone moves the surface.
+        turn_m: surface displacement by that rotation alone, metres.
     """
 
     mssd_m: float
@@ -58,18 +58,18 @@ def pose_difference(
     *,
     cameras: tuple[Camera, Camera] | None = None,
 ) -> PoseDifference:
-    """Compare two poses of one object; exchanging them changes signs and nothing else.
+    """Compare two poses of one object; exchanging them only changes signs.
 
     Args:
         T_a, T_b: mesh frame to the camera, metres.
         points: (P, 3) hull vertices of the mesh, mesh frame, metres.
-        symmetry: of the object, mesh frame.
-        cameras: intrinsics that each was annotated with; none gives no `shift_px`.
+        symmetry: symmetry of the object, mesh frame.
+        cameras: intrinsics with which each was annotated; without them there is no `shift_px`.
     """
     X = np.asarray(points, dtype=np.float64)
     centre = fixed_point(symmetry, (X.min(axis=0) + X.max(axis=0)) / 2)
     at_a, at_b = T_a @ centre, T_b @ centre
-    # The ray to the middle of both, so that neither of the two is the measure of the other.
+    # The ray to the midpoint, so that the result is symmetric in the two poses.
     ray = (at_a + at_b) / 2
     ray = ray / max(float(np.linalg.norm(ray)), 1e-12)
     along = float((at_b - at_a) @ ray)
@@ -90,10 +90,10 @@ def pose_difference(
 def surface_distance(
     T_a: SE3, T_b: SE3, points: NDArray[np.floating], symmetry: Symmetry, *, steps: int = 72
 ) -> float:
-    """MSSD in metres, the same whichever of the two poses comes first.
+    """Return the MSSD in metres, symmetric in the two poses.
 
-    A mesh is never exactly as symmetric as its object: between T_a and T_b the nearest vertices
-    differ a little from those between T_b and T_a. The larger of the two counts.
+    A mesh is never exactly as symmetric as its object, so the values from T_a to T_b and from T_b
+    to T_a differ slightly. The larger one is returned.
     """
     forth = mssd(T_a, T_b, points, symmetry, steps=steps)
     if symmetry.is_trivial:
@@ -102,10 +102,10 @@ def surface_distance(
 
 
 def what_differs(difference: PoseDifference, names: tuple[str, str] = ("A", "B")) -> str:
-    """What two poses mostly differ in, in a few words for the one who looks at them again.
+    """Return a short text on the main difference of two poses, for review.
 
     Args:
-        names: of those who made the first and the second pose.
+        names: annotators of the first and the second pose.
     """
     degrees = float(np.rad2deg(np.linalg.norm(difference.turn)))
     axis = _axis_name(difference.turn)

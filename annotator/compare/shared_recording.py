@@ -1,4 +1,4 @@
-"""Whether scene folders are of the same recording, and which frame is which."""
+"""Check that scenes are of the same recording, and pairing of their frames."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from std_toolkit.io.images import read_color
 from std_toolkit.scene import Frame, Scene
 from std_toolkit.scene.document import digest_file
 
-# Images compared besides those in which something is labelled.
+# Number of images compared in addition to those of labelled frames.
 _SPREAD_IMAGES = 8
-# Relative difference of focal lengths from which poses along the viewing ray suffer.
+# Relative difference of focal lengths that affects positions along the viewing ray.
 _SAME_FOCAL = 1e-4
 _SAME_POSE = 1e-9
 
 
 @dataclass(frozen=True)
 class SharedRecording:
-    """The frames that two scenes have in common.
+    """Common frames of two scenes.
 
     Attributes:
         frames: frame id in the first scene to frame id in the second.
-        notes: what differs and matters for a comparison, one sentence each.
+        notes: sentences on differences that matter for a comparison.
     """
 
     frames: dict[int, int]
@@ -34,17 +34,18 @@ class SharedRecording:
 
 
 def shared_recording(a: Scene, b: Scene, names: tuple[str, str] = ("A", "B")) -> SharedRecording:
-    """Pair the frames of two scenes by their names, or by their ids where no name is common.
+    """Pair the frames of two scenes by name, or by id if no name is common.
 
-    The images of the labelled frames and of a few spread ones must be the same: the files, or at
-    least the pixels. Where an image is missing in one of the two, names and sizes decide.
+    The images of the labelled frames and of a few others spread over the recording must have equal
+    files or pixels. If an image is missing in one scene, names and sizes are compared instead.
 
     Raises:
-        ToolkitError: the same folder twice, no common frame, or another image size or content.
+        ToolkitError: the folders are the same, there is no common frame, or image size or content
+            differ.
     """
     if a.root.resolve() == b.root.resolve():
         raise ToolkitError(
-            "the two scenes are one and the same folder",
+            "the two scenes are the same folder",
             path=b.root,
             hint="give the folders of two annotators",
         )
@@ -61,8 +62,8 @@ def shared_recording(a: Scene, b: Scene, names: tuple[str, str] = ("A", "B")) ->
         notes.append("no frame names are common, so frames are matched by their ids")
     if not compared:
         notes.append(
-            "no image is there in both scenes: that they are of one recording is known only from "
-            "frame names and image sizes"
+            "no image is available in both scenes: only frame names and image sizes confirm that "
+            "they are of one recording"
         )
     for scene, name in ((a, names[0]), (b, names[1])):
         alone = len(scene.frames) - len(pairs)
@@ -89,7 +90,7 @@ def _pairs(a: Scene, b: Scene) -> tuple[list[tuple[Frame, Frame]], bool]:
 
 
 def _compare_images(a: Scene, b: Scene, pairs: list[tuple[Frame, Frame]]) -> int:
-    """Number of images that were compared and are the same."""
+    """Return the number of compared images, all of which are equal."""
     labelled_a = {f for x in a.labels.labels for f in (x.frame, *map(int, x.views))}
     labelled_b = {f for x in b.labels.labels for f in (x.frame, *map(int, x.views))}
     spread = {int(i) for i in np.linspace(0, len(pairs) - 1, _SPREAD_IMAGES).round()}
@@ -102,7 +103,7 @@ def _compare_images(a: Scene, b: Scene, pairs: list[tuple[Frame, Frame]]) -> int
             continue
         same = path_a.stat().st_size == path_b.stat().st_size
         if not (same and digest_file(path_a) == digest_file(path_b)):
-            # The same pixels may have been compressed anew.
+            # The files may be compressed differently with equal pixels.
             size = a.camera(one).size
             if not np.array_equal(read_color(path_a, size=size), read_color(path_b, size=size)):
                 raise _other_recording(a, b, f"the images of frame {one.name} differ")
@@ -122,15 +123,15 @@ def _camera_notes(
         if abs(ca.fx / cb.fx - 1) > _SAME_FOCAL or abs(ca.fy / cb.fy - 1) > _SAME_FOCAL:
             yield (
                 f"the focal length of camera {one.camera} is {ca.fx:.2f} px in {names[0]} and "
-                f"{cb.fx:.2f} px in {names[1]}: distances differ by {abs(ca.fx / cb.fx - 1):.2%} "
-                "from that alone"
+                f"{cb.fx:.2f} px in {names[1]}: this changes distances by "
+                f"{abs(ca.fx / cb.fx - 1):.2%}"
             )
 
 
 def _pose_note(
     a: Scene, b: Scene, pairs: list[tuple[Frame, Frame]], names: tuple[str, str]
 ) -> str | None:
-    """How the camera poses of the two are related, if they are not the same."""
+    """Return a sentence on how the camera poses of the two differ, or None."""
     poses = [
         (Ta, Tb)
         for one, other in pairs

@@ -1,1 +1,1 @@
-"""The Qt window: panels and dialogs around the views, all of it calls of the controller."""
+"""Qt front end: window, panels and dialogs that call the controller."""

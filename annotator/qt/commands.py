@@ -1,4 +1,4 @@
-"""The table of actions as Qt's: menus, tool bar and keys, kept up to date with the controller."""
+"""Qt actions from the table of actions: menus, tool bar and shortcuts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TEXT_FIELDS = (
 
 
 class Commands(QObject):
-    """Every action as a `QAction` of one window.
+    """All actions as `QAction`s of one window, synchronized with the controller.
 
     Attributes:
         actions: by the action's id.
@@ -48,7 +48,7 @@ class Commands(QObject):
             self._window.removeAction(action)
 
     def update(self) -> None:
-        """Enable, check and name every action as the controller is now."""
+        """Update enabled state, check mark and title of all actions from the controller."""
         for id, action in self.actions.items():
             item = self._items[id]
             action.setEnabled(item.enabled(self._controller))
@@ -58,15 +58,15 @@ class Commands(QObject):
                 action.setText(item.label(self._controller))
 
     def run(self, id: str) -> None:
-        """Do it, if it makes sense now: what the menu shows may be a moment old."""
+        """Run an action if it is enabled; the menu may be slightly out of date."""
         item = self._items[id]
         if item.enabled(self._controller):
             self._controller.attempt(lambda: item.run(self._controller))
-        # A checkable action changes its mark by itself, whatever came of it.
+        # Qt toggles the mark of a checkable action itself, even if the action failed.
         self._soon.start()
 
     def fill_menu_bar(self) -> None:
-        """The menus of the window; entries of a group stand together."""
+        """Fill the menus of the window; entries of a group are adjacent."""
         bar = self._window.menuBar()
         bar.clear()
         for name in MENUS:
@@ -90,7 +90,7 @@ class Commands(QObject):
     def _made(self, item: Action) -> QAction:
         action = QAction(theme.icon(item.id), item.title, self._window)
         action.setShortcuts([QKeySequence(key) for key in item.keys])
-        # The views, the panels and whatever else has the focus: keys reach all of the window.
+        # Shortcuts work wherever the focus is in the window.
         action.setShortcutContext(Qt.ShortcutContext.WindowShortcut)
         action.setAutoRepeat(item.repeats)
         keys = " or ".join(QKeySequence(k).toString(_NATIVE) for k in item.keys)
@@ -104,7 +104,7 @@ class Commands(QObject):
 
     def _on_event(self, event: Event) -> None:
         moving = self._controller.dragging is not None
-        # What is being moved can be undone; how far it moved changes nothing.
+        # A drag can be undone, so only its start and end change the actions.
         begins_or_ends = event.kind == "preview" and moving != self._moving
         self._moving = moving
         if begins_or_ends or event.kind not in ("preview", "message", "look"):
@@ -115,10 +115,10 @@ _NATIVE = QKeySequence.SequenceFormat.NativeText
 
 
 class TypingGuard(QObject):
-    """Keys typed into a field stay there: they move no object and switch no view.
+    """Event filter that keeps keys typed into a field from triggering shortcuts.
 
-    Qt asks whoever has the focus whether it wants a key before it looks for shortcuts; fields
-    claim letters but neither page keys nor Tab, which would then reach the window.
+    Qt lets the focused widget override shortcuts. Fields claim letters but neither page keys nor
+    Tab, which would then reach the window.
     """
 
     def __init__(self, app: QtWidgets.QApplication) -> None:
@@ -137,14 +137,14 @@ class TypingGuard(QObject):
                 event.accept()
                 return True
             if isinstance(watched, number_field.NumberField) and not watched.edited:
-                # Nothing was typed since: undo means the edit, not the text.
+                # Nothing was typed: undo applies to the edit, not to the text.
                 event.ignore()
                 return True
         return super().eventFilter(watched, event)
 
 
 def _is_command(event: QKeyEvent) -> bool:
-    """Keys with Ctrl or Alt, and function keys, are commands wherever they are pressed."""
+    """Whether a key is always a command: with Ctrl or Alt, or a function key."""
     if Qt.Key.Key_F1 <= event.key() <= Qt.Key.Key_F12:
         return True
     strong = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.AltModifier
@@ -152,7 +152,7 @@ def _is_command(event: QKeyEvent) -> bool:
 
 
 class OpacitySlider(panel.Panel):
-    """How much of the image shines through the meshes."""
+    """Slider for the opacity of the meshes."""
 
     KINDS = ("view",)
 
@@ -179,7 +179,7 @@ class OpacitySlider(panel.Panel):
 
 
 class ActionBar(QtWidgets.QToolBar):
-    """Made from the table of actions."""
+    """Tool bar built from the table of actions."""
 
     def __init__(
         self, window: QtWidgets.QMainWindow, controller: Controller, commands: Commands
@@ -213,7 +213,7 @@ class ActionBar(QtWidgets.QToolBar):
         return button
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """Where the names do not fit, the icons must."""
+        """Show icons only if the names do not fit."""
         style = Qt.ToolButtonStyle
         wanted = style.ToolButtonTextBesideIcon
         if self.width() < self._needed:
@@ -224,7 +224,7 @@ class ActionBar(QtWidgets.QToolBar):
 
 
 def _line() -> QtWidgets.QWidget:
-    """A thin line between groups of buttons."""
+    """Return a thin line between groups of buttons."""
     line = QtWidgets.QWidget()
     line.setObjectName("line")
     line.setAttribute(Qt.WidgetAttribute.WA_StyledBackground)

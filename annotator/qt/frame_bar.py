@@ -1,4 +1,4 @@
-"""The recording as a strip: which frame is shown, where the side views look, what is registered."""
+"""Frame slider with marks for side views and registered frames, and its buttons."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class FrameStrip(QWidget):
     """A slider over all frames.
 
     Signals:
-        chosen: place of the frame among the frames, from 0.
+        chosen: index of the frame, from 0.
     """
 
     chosen = Signal(int)
@@ -35,7 +35,7 @@ class FrameStrip(QWidget):
         return QSize(200, 26)
 
     def x_of(self, index: int) -> float:
-        """Middle of a frame's cell, logical pixels."""
+        """Return the centre of a frame's cell, logical pixels."""
         return 8 + (index + 0.5) * (self.width() - 16) / max(self.count, 1)
 
     def index_at(self, x: float) -> int:
@@ -50,7 +50,7 @@ class FrameStrip(QWidget):
         painter.setBrush(QColor(theme.BASE))
         painter.drawRoundedRect(groove, 2, 2)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing, False)
-        # Runs of frames whose camera pose is known.
+        # Runs of frames with a camera pose.
         cell = groove.width() / max(self.count, 1)
         for first, last in self.marks.runs:
             run = QRectF(8 + first * cell, 10, (last + 1 - first) * cell, 6)
@@ -82,7 +82,7 @@ class FrameStrip(QWidget):
         self.chosen.emit(min(max(self.at + step, 0), max(self.count - 1, 0)))
 
     def is_registered(self, index: int) -> bool:
-        """Whether the camera pose of a frame is known."""
+        """Whether a frame has a camera pose."""
         return any(first <= index <= last for first, last in self.marks.runs)
 
     def _told(self, index: int) -> str:
@@ -98,10 +98,10 @@ class FrameStrip(QWidget):
 
 
 class FrameBar(Panel):
-    """Strip, buttons and name of the frame in the main view.
+    """Slider, buttons and name of the frame in the main view.
 
     Signals:
-        left: a number was entered, and keys should reach the views again.
+        left: a number was entered; the focus should return to the views.
     """
 
     KINDS = ("edited", "frames")
@@ -133,7 +133,7 @@ class FrameBar(Panel):
         row.addWidget(self.number)
         row.addWidget(self.strip, 1)
         row.addWidget(self.label)
-        # Frames passed over by a quick hand are not loaded.
+        # Frames skipped by fast slider motion are not loaded.
         self._wanted: int | None = None
         self._soon = QTimer(self, singleShot=True, interval=0)
         self._soon.timeout.connect(self._show_wanted)
@@ -170,7 +170,7 @@ class FrameBar(Panel):
             self._controller.attempt(lambda: self._controller.show_frame(wanted))
 
     def _go_to_number(self) -> None:
-        # Ids may have gaps: the nearest frame is meant.
+        # Ids may have gaps: select the nearest frame.
         nearest = min(self._ids, key=lambda id: abs(id - self.number.value()))
         self._controller.attempt(lambda: self._controller.show_frame(nearest))
         self.number.setValue(nearest)

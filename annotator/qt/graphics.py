@@ -1,4 +1,4 @@
-"""What draws the views: a graphics card, or the processor in its place."""
+"""OpenGL setup, and detection of hardware or software rendering."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _SOFTWARE = ("llvmpipe", "softpipe", "swrast", "swr", "software", "gdi generic",
 
 
 def set_surface_format() -> None:
-    """What VTK needs of OpenGL, for every window made from now on: 3.2 core, no multisampling.
+    """Set the OpenGL format that VTK needs for all new windows: 3.2 core, no multisampling.
 
-    The views ask for the same, but too late for the window that they are put into.
+    The views request the same format, but too late for their parent window.
     """
     wanted = QSurfaceFormat()
     wanted.setRenderableType(QSurfaceFormat.RenderableType.OpenGL)
@@ -28,9 +28,9 @@ def set_surface_format() -> None:
 
 
 def prepare_window(window: QWidget) -> None:
-    """Have a window ready for views before it is shown.
+    """Prepare a window for OpenGL views before it is shown.
 
-    Qt makes a window anew when the first view is put into it: it would flicker, and lose the focus.
+    Otherwise Qt recreates the window when the first view is added: it flickers and loses the focus.
     """
     seed = QOpenGLWidget(window)
     seed.resize(1, 1)
@@ -39,7 +39,7 @@ def prepare_window(window: QWidget) -> None:
 
 @cache
 def renderer_name() -> str:
-    """OpenGL's name of what draws; "" if there is no OpenGL at all."""
+    """Return the OpenGL renderer name; "" without OpenGL."""
     context, surface = QOpenGLContext(), QOffscreenSurface()
     surface.create()
     if not context.create() or not context.makeCurrent(surface):
@@ -50,6 +50,6 @@ def renderer_name() -> str:
 
 
 def multi_samples() -> int:
-    """Samples per pixel: smooth edges on a card; in software they make drawing much slower."""
+    """Return the samples per pixel: none for software rendering, which they slow down a lot."""
     name = renderer_name().lower()
     return 0 if not name or any(word in name for word in _SOFTWARE) else 4

@@ -1,4 +1,4 @@
-"""The mesh library: thumbnails to drag onto an image."""
+"""Panel of the mesh library, with thumbnails to drag onto an image."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class LibraryPanel(Panel):
     """Meshes of the scene.
 
     Signals:
-        files_dropped: mesh files (list of Path) that were dropped onto the library.
+        files_dropped: mesh files (list of Path) dropped onto the library.
     """
 
     KINDS = ("edited",)
@@ -65,14 +65,14 @@ class LibraryPanel(Panel):
             self._thumbnails.close()
 
     def refresh(self) -> None:
-        """Show the meshes that the session has now."""
+        """Show the current meshes of the session."""
         models = self._controller.session.state.models
         shown = [self.list.item(i).text() for i in range(self.list.count())]
         if shown != [m.id for m in models]:
             self.list.clear()
             for model in models:
                 item = QtWidgets.QListWidgetItem(model.id)
-                # All alike, or long names would crowd the others.
+                # Equal sizes, so that long names do not displace other items.
                 item.setSizeHint(self.list.gridSize())
                 item.setData(Qt.ItemDataRole.UserRole, model.id)
                 self.list.addItem(item)
@@ -83,7 +83,7 @@ class LibraryPanel(Panel):
         self.stack.setCurrentIndex(0 if models else 1)
 
     def draw_pictures(self) -> None:
-        """Draw the thumbnails, beside the work, and those of the meshes that come later."""
+        """Render thumbnails in the background, also for meshes added later."""
         size = round(THUMBNAIL * self.devicePixelRatioF())
         self._thumbnails = Thumbnails(self._controller, self._show_pictures, size=size)
 
@@ -141,7 +141,7 @@ def _as_icon(rgb: NDArray[np.uint8] | None) -> QIcon:
 
 
 def mesh_files(data: QMimeData) -> list[Path]:
-    """Mesh files among what is dragged."""
+    """Return the mesh files in drag data."""
     paths = [Path(url.toLocalFile()) for url in data.urls() if url.isLocalFile()]
     return [p for p in paths if p.suffix.lower() in MESH_SUFFIXES]
 

@@ -1,7 +1,4 @@
-"""The main window: the start page, or a scene with everything around it.
-
-Threads whose results come back into Qt's event loop.
-"""
+"""Main window with the start page or an open scene, and the Qt runner of computations."""
 
 from __future__ import annotations
 
@@ -31,10 +28,10 @@ USUAL = (1440, 900)
 
 
 class Shell(QMainWindow):
-    """One window, one scene at a time.
+    """Main window for one scene at a time.
 
     Args:
-        annotator: who edits; default: the user of this computer.
+        annotator: name of the annotator; default: the user of this computer.
     """
 
     def __init__(self, *, annotator: str | None = None) -> None:
@@ -59,9 +56,9 @@ class Shell(QMainWindow):
     def open_scene(
         self, root: Path | str, *, read_only: bool = False, recover: Recover = "ask"
     ) -> bool:
-        """Open a scene in place of what is shown; False if it was not opened.
+        """Open a scene in place of the current content; False if it was not opened.
 
-        What goes wrong is told on the start page.
+        The start page shows errors.
         """
         if not self.leave_scene():
             return False
@@ -87,7 +84,7 @@ class Shell(QMainWindow):
         return True
 
     def browse(self) -> None:
-        """Let the person look for a scene folder."""
+        """Select a scene folder in a file dialog."""
         folder = QFileDialog.getExistingDirectory(self, "Open scene folder")
         if folder:
             self.open_scene(folder)
@@ -95,7 +92,7 @@ class Shell(QMainWindow):
     def show_start_page(
         self, problem: ToolkitError | None = None, tried: Path | None = None
     ) -> None:
-        """What is shown without a scene."""
+        """Show the start page."""
         if self.start_page is None:
             self.start_page = start_page.StartPage()
             self.start_page.browse.connect(self.browse)
@@ -108,7 +105,7 @@ class Shell(QMainWindow):
         self.start_page.refresh(problem, tried)
 
     def _decide_recovery(self, session: Session) -> bool:
-        """Ask about edits that were not saved; False to leave the scene alone for now."""
+        """Ask about unsaved edits of an earlier session; False to not open the scene."""
         assert session.recovery is not None
         answer, _ = question_dialog.QuestionDialog(
             self, questions.recovery_question(session.recovery)
@@ -124,7 +121,7 @@ class Shell(QMainWindow):
         images = image_cache.ImageCache(session.scene)
         self._show_first_image(session, images, frames[0])
         images.prefetch(frames[1:])  # decoded while the window is built
-        # What draws in three dimensions is loaded after the first image is seen.
+        # 3D libraries are loaded after the first image is shown.
         with quick_imports():
             from annotator.qt.workspace import Workspace
 
@@ -152,7 +149,7 @@ class Shell(QMainWindow):
         try:
             rgb = images.image(frame).rgb
         except ToolkitError:
-            rgb = None  # told in the view
+            rgb = None  # reported in the view
         self.start_page = None
         self.setCentralWidget(start_page.OpeningPage(session.scene.info.name, rgb))
         QApplication.processEvents(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)
@@ -164,9 +161,9 @@ class Shell(QMainWindow):
     # --- closing ---------------------------------------------------------------------------------
 
     def leave_scene(self) -> bool:
-        """Close the scene that is open; False if the person would rather stay.
+        """Close the open scene; False if the user cancels.
 
-        No edit is lost either way: what is not saved stays in the journal.
+        No edit is lost: unsaved edits stay in the journal.
         """
         if self.controller is None or self.workspace is None:
             return True
@@ -201,19 +198,19 @@ class Shell(QMainWindow):
             event.ignore()
 
     def tell_trouble(self, text: str) -> None:
-        """An error that nobody foresaw, where the person looks."""
+        """Show an unexpected error in the window."""
         if self.controller is not None:
             self.controller.tell(text, "error")
         elif self.start_page is not None:
             self.start_page.refresh(ToolkitError(text))
 
     def close_soon(self) -> None:
-        """Close after what is being handled now, such as the menu that asked for it."""
+        """Close after the current event, such as that of the menu entry."""
         QTimer.singleShot(0, self, self.close)
 
 
 class _Postman(QObject):
-    """Calls functions in the thread it was made in; they may be handed in from any thread."""
+    """Calls functions in the thread that created it; thread-safe."""
 
     _handed_in = Signal(object)
 
@@ -230,7 +227,7 @@ class _Postman(QObject):
 
 
 class QtRunner(tasks.ThreadRunner):
-    """Results are delivered in the thread that makes it, while its event loop runs."""
+    """Delivers results in the thread that created it, through its event loop."""
 
     def __init__(self) -> None:
         self._postman = _Postman()

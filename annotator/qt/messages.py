@@ -1,4 +1,4 @@
-"""The line below with hint, progress and saved state, and the messages over the views."""
+"""Status line with hint, progress and saved state, and messages over the views."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from annotator.qt import theme
 from annotator.qt.panel import Panel, tool_button
 from annotator.qt.theme import icon, pixmap
 
-# Long enough to read; errors stay until they are closed or newer messages replace them.
+# Display time, seconds; errors stay until they are closed or newer messages replace them.
 SHOWN_S: dict[Level, float] = {"info": 8, "warning": 20}
 
 MOST = 3
@@ -51,7 +51,7 @@ class StatusLine(Panel):
         row.addWidget(self.cancel)
         row.addSpacing(8)
         row.addWidget(self.saved)
-        # What comes and goes in it must not change the size of the views above.
+        # Changes of its content must not resize the views above.
         self.setFixedHeight(self.cancel.sizeHint().height() + 4)
         self._soon = QTimer(self, singleShot=True, interval=0)
         self._soon.timeout.connect(self.refresh)
@@ -75,11 +75,11 @@ class StatusLine(Panel):
             self._watch.start()
         session = c.session
         if not session.writable:
-            text, ink, tip = "read-only", theme.WARNING, "Nothing of this scene can be changed."
+            text, ink, tip = "read-only", theme.WARNING, "This scene cannot be changed."
         elif session.unsaved:
             text, ink = "● not saved, journalled", theme.WARNING
             tip = (
-                "Every edit stands in the scene's journal already: a crash loses none. "
+                "Every edit is already in the scene's journal: a crash loses none. "
                 "Save (Ctrl+S) writes the labels."
             )
         else:
@@ -91,7 +91,7 @@ class StatusLine(Panel):
 
     def _show_progress(self) -> None:
         task = self._controller.task
-        # What nothing may be edited beside cannot be stopped halfway.
+        # Tasks that block edits cannot be cancelled.
         shown = {self.busy: task, self.progress: task}
         shown[self.cancel] = None if task is None or task.alone else task
         for widget, reason in shown.items():
@@ -109,16 +109,16 @@ class StatusLine(Panel):
 
     def _on_event(self, event: Event) -> None:
         if event.kind == "preview" and self._moving == (self._controller.dragging is not None):
-            return  # only how far it moved is new
+            return  # only the pose of the drag has changed
         self._moving = self._controller.dragging is not None
         if event.kind not in ("message", "look") and not self._soon.isActive():
             self._soon.start()
 
 
 class Banner(QtWidgets.QWidget):
-    """The latest messages, newest below; hidden while there are none.
+    """The latest messages, newest at the bottom; hidden if there are none.
 
-    It floats over the foot of a widget: the views keep their place and size.
+    It floats over the bottom of a widget, so that the views keep position and size.
     """
 
     def __init__(self, over: QtWidgets.QWidget) -> None:
@@ -152,7 +152,7 @@ class Banner(QtWidgets.QWidget):
         message = Message(notice)
         message.close_button.clicked.connect(lambda: self.notices.close(notice.number))
         self._layout.addWidget(message)
-        # Until it is shown the layout has no room for it.
+        # The layout reserves no space for it until it is shown.
         message.show()
         return message
 
@@ -162,7 +162,7 @@ class Banner(QtWidgets.QWidget):
         return super().eventFilter(watched, event)
 
     def _arrange(self) -> None:
-        """At the foot, as wide as is easy to read."""
+        """Place it at the bottom, with a readable width."""
         self.setVisible(bool(self.messages))
         if self.messages:
             width = min(self._over.width() - 2 * MARGIN, WIDEST)
@@ -175,7 +175,7 @@ class Banner(QtWidgets.QWidget):
 
 
 class Message(QtWidgets.QFrame):
-    """One message: what it is by a coloured edge and an icon."""
+    """One message, with a coloured edge and an icon for its level."""
 
     def __init__(self, notice: Notice) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""A field for one number of a pose."""
+"""Input field for one number of a pose."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from PySide6.QtWidgets import QDoubleSpinBox, QWidget
 
 
 class NumberField(QDoubleSpinBox):
-    """Shows a number rounded, and says when a person gave another one.
+    """Shows a rounded number and signals typed changes.
 
     Attributes:
-        edited: what is being typed is not entered yet.
+        edited: whether there is typed text that is not entered yet.
 
     Signals:
-        typed: a person entered this number, or stepped to it.
-        left: Esc was pressed: what was typed is forgotten, and the field wants to be left.
+        typed: the user entered this number, or stepped to it.
+        left: Esc was pressed: typed text is discarded, and the focus should leave the field.
     """
 
     typed = Signal(float)
@@ -38,7 +38,7 @@ class NumberField(QDoubleSpinBox):
         self.editingFinished.connect(self._enter)
 
     def show_number(self, value: float) -> None:
-        """Show a number that nobody typed."""
+        """Show a number without emitting `typed`."""
         self._exact = value
         if not self.edited:
             self.setValue(value)
@@ -50,7 +50,7 @@ class NumberField(QDoubleSpinBox):
         self.edited = True
 
     def _enter(self) -> None:
-        # Leaving a field that nobody changed must not round the number behind it.
+        # Leaving an unchanged field must not round the underlying number.
         if self.edited:
             self._tell(self.value())
 
@@ -67,14 +67,14 @@ class NumberField(QDoubleSpinBox):
             self.left.emit()
             return
         if event.text() == ",":
-            # The comma of a keyboard that has one as its decimal sign.
+            # Accept a comma as the decimal separator.
             self.lineEdit().insert(".")
             self.edited = True
             return
         super().keyPressEvent(event)
 
     def wheelEvent(self, event: QWheelEvent) -> None:
-        # A wheel that scrolls the panel must not move the object.
+        # Scrolling the panel must not move the object.
         if self.hasFocus():
             super().wheelEvent(event)
         else:

@@ -1,4 +1,4 @@
-"""The objects of the scene, and what there is to set of the selected one."""
+"""Panel with the list of objects and the settings of the selected one."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _MENU = (
     ("unplace", "remove_object"),
 )
 
-# What to do about it stands in the view and in the status line.
+# The view and the status line show what to do.
 _EMPTY = "No objects yet."
 
 Index = QModelIndex | QPersistentModelIndex
@@ -56,7 +56,7 @@ _ROLE = Qt.ItemDataRole
 
 
 class ObjectPanel(Panel):
-    """List, material and the most used commands."""
+    """Object list, material and frequent commands."""
 
     KINDS = ("edited", "selected", "residuals", "penetration", "saved")
 
@@ -87,8 +87,7 @@ class ObjectPanel(Panel):
             tip = commands.actions[f"material_{name}"].statusTip()
             self.material.setItemData(self.material.count() - 1, tip, Qt.ItemDataRole.ToolTipRole)
         self.material.setToolTip(
-            "<b>Material</b><br>Decides which evidence is trusted: the depth sensor is right on "
-            "raw and diffuse surfaces only."
+            "<b>Material</b><br>Sensor depth is used on raw and diffuse surfaces only."
         )
         self.material.activated.connect(self._set_material)
         below = QtWidgets.QHBoxLayout()
@@ -149,14 +148,14 @@ class ObjectPanel(Panel):
 
 
 class ObjectListModel(QAbstractListModel):
-    """The objects as summarized last."""
+    """Qt model of the object summaries."""
 
     def __init__(self) -> None:
         super().__init__()
         self.rows: list[ObjectSummary] = []
 
     def show_rows(self, rows: list[ObjectSummary]) -> None:
-        """Rows that stay keep their place, selection and scroll position."""
+        """Update the rows; remaining rows keep position, selection and scroll position."""
         if [r.id for r in rows] != [r.id for r in self.rows]:
             self.beginResetModel()
             self.rows = rows
@@ -194,7 +193,7 @@ class ObjectListModel(QAbstractListModel):
 
 
 class ObjectDelegate(QtWidgets.QStyledItemDelegate):
-    """Two lines to an object."""
+    """Draws an object in two lines."""
 
     def sizeHint(self, option: QtWidgets.QStyleOptionViewItem, index: Index) -> QSize:  # noqa: ARG002
         return QSize(160, round(2.9 * QFontMetrics(option.font).height()))
@@ -212,7 +211,7 @@ class ObjectDelegate(QtWidgets.QStyledItemDelegate):
         box: QRect = option.rect
         if selected or hovered:
             painter.fillRect(box, QColor(theme.ACCENT_DEEP if selected else theme.RAISED))
-        # The object's colour, as in the views.
+        # Same colour as in the views.
         color = QRectF(box.left() + 6, box.top() + 6, 6, box.height() - 12)
         painter.setPen(Qt.PenStyle.NoPen)
         painter.setBrush(QColor(model.color(row)))
@@ -265,7 +264,7 @@ class ObjectDelegate(QtWidgets.QStyledItemDelegate):
 
 
 class ObjectList(QtWidgets.QListView):
-    """The view of the list; objects can be dragged from it onto an image."""
+    """List view; objects can be dragged from it onto an image."""
 
     def __init__(self, model: ObjectListModel, parent: QtWidgets.QWidget | None = None) -> None:
         super().__init__(parent)
@@ -277,5 +276,5 @@ class ObjectList(QtWidgets.QListView):
         self.setVerticalScrollMode(QtWidgets.QListView.ScrollMode.ScrollPerPixel)
         self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
-        # Keys belong to the views: the arrows move the object, N and P go through the list.
+        # No focus, so that keys reach the views: arrows move the object, N and P select another.
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)

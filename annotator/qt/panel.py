@@ -1,4 +1,4 @@
-"""Panels of the window that follow the controller, and the small widgets they are made of."""
+"""Base class of panels that show the controller's state, and small widgets for them."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from annotator.app.events import Event, Kind
 
 
 class Panel(QtWidgets.QWidget):
-    """Shows a part of the controller's state.
+    """Widget that shows a part of the controller's state.
 
     Attributes:
-        KINDS: kinds of the events after which it is refreshed.
+        KINDS: kinds of events that refresh it.
     """
 
     KINDS: ClassVar[tuple[Kind, ...]] = ()
@@ -28,15 +28,15 @@ class Panel(QtWidgets.QWidget):
         self._unsubscribe: Callable[[], None] = lambda: None
 
     def follow(self) -> None:
-        """Show the state as it is, and from now on as it changes."""
+        """Show the state now and after every change."""
         self._unsubscribe = self._controller.subscribe(self._on_event)
         self.refresh()
 
     def refresh(self) -> None:
-        """Show the state as it is."""
+        """Show the current state."""
 
     def close_panel(self) -> None:
-        """Let go of the controller."""
+        """Unsubscribe from the controller."""
         self._unsubscribe()
 
     def _on_event(self, event: Event) -> None:
@@ -45,10 +45,10 @@ class Panel(QtWidgets.QWidget):
 
 
 def tool_button(action: QAction | None = None, *, labelled: bool = False) -> QtWidgets.QToolButton:
-    """A button that leaves the keys to the views.
+    """Return a tool button that does not take the keyboard focus.
 
     Args:
-        labelled: the action's name is beside its icon.
+        labelled: show the action's name beside its icon.
     """
     button = QtWidgets.QToolButton()
     if labelled:
@@ -61,7 +61,7 @@ def tool_button(action: QAction | None = None, *, labelled: bool = False) -> QtW
 
 
 def label(name: str, text: str = "") -> QtWidgets.QLabel:
-    """A text in the style of a name: "heading", "muted" or "empty" (of a list)."""
+    """Return a label with a named style: "heading", "muted" or "empty" (of a list)."""
     made = QtWidgets.QLabel(text)
     made.setObjectName(name)
     if name == "empty":
@@ -74,7 +74,7 @@ def label(name: str, text: str = "") -> QtWidgets.QLabel:
 
 
 def number_table(titles: Sequence[str]) -> QtWidgets.QTableWidget:
-    """An empty table of rows of numbers."""
+    """Return an empty table for rows of numbers."""
     table = QtWidgets.QTableWidget(0, len(titles))
     table.setHorizontalHeaderLabels(list(titles))
     table.verticalHeader().setVisible(False)

@@ -1,4 +1,4 @@
-"""2D-3D correspondences: the mesh to click on, and the list of clicked points."""
+"""Panel of 2D-3D correspondences: a mesh to click on and the list of clicked points."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from annotator.views import ModelView
 from annotator.views.mesh_picker import MeshPicker
 from annotator.views.meshes import ShapeStore
 
-# Clicks of a careful hand are about a pixel off; a point much farther was clicked wrongly.
+# Careful clicks have an error of about a pixel; a much larger residual is a wrong click.
 GOOD_PX, BAD_PX = 2.0, 5.0
 
 _EMPTY = (
@@ -28,7 +28,7 @@ _EMPTY = (
 
 
 class PointsPanel(Panel):
-    """Clicked points of the selected object, with what each is off after PnP."""
+    """Clicked points of the selected object, with their residuals."""
 
     KINDS = ("edited", "selected", "frames", "tool")
 
@@ -46,7 +46,7 @@ class PointsPanel(Panel):
         self.table.itemChanged.connect(self._on_typed)
         self.table.itemSelectionChanged.connect(self._update_buttons)
         self.table.setToolTip(
-            "Pixels of the recorded image; the residual is what the pose misses.<br>Drag a cross "
+            "Pixels of the recorded image; the residual is the reprojection error.<br>Drag a cross "
             "in the image to correct it, or double-click a number here."
         )
 
@@ -56,7 +56,7 @@ class PointsPanel(Panel):
         self.stack.addWidget(label("empty", _EMPTY))
 
         self.remove_button = QtWidgets.QPushButton(icon("remove"), "Delete point")
-        self.remove_button.setToolTip("Take the chosen point of the list away.")
+        self.remove_button.setToolTip("Delete the selected point.")
         self.remove_button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.remove_button.clicked.connect(self.remove)
         buttons = QtWidgets.QHBoxLayout()
@@ -86,7 +86,7 @@ class PointsPanel(Panel):
         return self.rows[chosen[0].row()] if chosen else None
 
     def correct(self, row: ClickRow, column: int, text: str) -> None:
-        """A pixel coordinate was typed."""
+        """Set a pixel coordinate from typed text."""
         name = self._controller.selected
         try:
             value = float(text.replace(",", "."))
@@ -109,7 +109,7 @@ class PointsPanel(Panel):
             self.correct(self.rows[item.row()], item.column(), item.text())
 
     def remove(self) -> None:
-        """Take the selected point away."""
+        """Delete the selected point."""
         row, name = self.selected_row(), self._controller.selected
         if row is not None and name is not None:
             edit = ChangeClick(object=name, frame=row.frame, index=row.number, click=None)
@@ -149,7 +149,7 @@ def _ink(residual_px: float) -> str:
 
 
 class MeshPickerWidget(QtWidgets.QWidget):
-    """Built when it is first seen: most objects are labelled without it."""
+    """Mesh view, built when first shown, because most objects are labelled without it."""
 
     def __init__(self, controller: Controller) -> None:
         super().__init__()
@@ -160,14 +160,14 @@ class MeshPickerWidget(QtWidgets.QWidget):
         self._layout = QtWidgets.QVBoxLayout(self)
         self._layout.setContentsMargins(0, 0, 0, 0)
         self.setMinimumHeight(120)
-        self.setToolTip("Drag to turn the mesh, wheel to come closer, click to choose a point.")
+        self.setToolTip("Drag to rotate the mesh, scroll to zoom, click to select a point.")
 
     @property
     def view(self) -> ModelView | None:
         return None if self._picker is None else self._picker.view
 
     def start(self, shapes: ShapeStore) -> None:
-        """From now on meshes can be had."""
+        """Provide the meshes."""
         self._shapes = shapes
         if self.isVisible():
             self._build()

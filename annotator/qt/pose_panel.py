@@ -1,4 +1,4 @@
-"""The selected object's pose in numbers: to read, to type, to copy and to paste."""
+"""Panel with the selected object's pose as numbers to read, type, copy and paste."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from annotator.qt.commands import Commands
 
 
 class PosePanel(panel.Panel):
-    """Numbers in the camera of the view in hand, or in the world.
+    """Pose in the camera of the active view, or in the world.
 
     Signals:
-        left: typing is over, and keys should reach the views again.
+        left: typing has ended; the focus should return to the views.
     """
 
     KINDS = ("edited", "selected", "frames", "tool")
@@ -78,7 +78,7 @@ class PosePanel(panel.Panel):
         self.provenance.setWordWrap(True)
         self.provenance.setTextFormat(Qt.TextFormat.PlainText)
         self.provenance.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.provenance.setToolTip("Who set this pose, when, and with what.")
+        self.provenance.setToolTip("Annotator, time and method of this pose.")
 
         frames = QtWidgets.QHBoxLayout()
         frames.addWidget(self._frame_box, 1)
@@ -92,7 +92,7 @@ class PosePanel(panel.Panel):
         layout.addLayout(self._steps_row(commands))
         layout.addWidget(self.provenance)
         layout.addStretch(1)
-        # Numbers that change faster cannot be read, and would slow a drag down.
+        # Faster updates are unreadable and slow down dragging.
         self._soon = QTimer(self, singleShot=True, interval=100)
         self._soon.timeout.connect(self.refresh)
         self.follow()
@@ -107,7 +107,7 @@ class PosePanel(panel.Panel):
         row.addWidget(panel.label("muted", "Key steps"))
         row.addStretch(1)
         for size, name in zip(STEPS, ("coarse", "middle", "fine"), strict=True):
-            # The action's long title would replace it with every update.
+            # Every update would replace it by the action's long title.
             commands.actions[f"step_{name}"].setIconText(f"{size:g}")
             button = panel.tool_button(commands.actions[f"step_{name}"])
             button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextOnly)
@@ -135,13 +135,13 @@ class PosePanel(panel.Panel):
             self.refresh()
 
     def copy(self) -> None:
-        """The shown pose onto the clipboard."""
+        """Copy the shown pose to the clipboard."""
         if text := self.fields.copied():
             QtWidgets.QApplication.clipboard().setText(text)
             self.fields.tell_copied()
 
     def paste(self) -> None:
-        """The pose from the clipboard."""
+        """Set the pose from the clipboard."""
         text = QtWidgets.QApplication.clipboard().text()
         self._controller.attempt(lambda: self.fields.paste(text))
 

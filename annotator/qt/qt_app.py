@@ -1,4 +1,4 @@
-"""`std-annotate SCENE` in a window."""
+"""Entry point of the Qt window of `std-annotate SCENE`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-# The library between Qt and VTK must take the same Qt as this package.
+# pyvistaqt must use the same Qt binding as this package.
 os.environ.setdefault("QT_API", "pyside6")
 
 from PySide6.QtCore import QTimer
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def run(args: AnnotateOptions) -> int:
-    """Open the window and work until it is closed.
+    """Open the window and run the event loop until it is closed.
 
     Args:
         args: `scene` (a folder, or None for the start page), `annotator`, `read_only`, `recover`.
@@ -40,15 +40,15 @@ def run(args: AnnotateOptions) -> int:
     shell.activateWindow()
     if args.scene is not None:
         scene = Path(args.scene)
-        # The window stands first, so that what opening has to tell or ask has a place.
+        # The window is shown first, to display messages and questions of opening.
         QTimer.singleShot(
             0,
             shell,
             lambda: shell.open_scene(scene, read_only=args.read_only, recover=args.recover),
         )
-    # Computations run in threads beside the views: these come to their turn five times as fast.
+    # Computations run in other threads: a shorter interval lets the views run five times as often.
     sys.setswitchinterval(0.001)
-    # Ctrl-C in the terminal ends the program; Python sees it when it is woken now and then.
+    # Ctrl-C in the terminal ends the program; Python handles it when a timer wakes it.
     signal.signal(signal.SIGINT, lambda *_: app.quit())
     awake = QTimer(interval=300)
     awake.timeout.connect(lambda: None)
@@ -57,21 +57,21 @@ def run(args: AnnotateOptions) -> int:
 
 
 def tell_troubles(shell: Shell) -> None:
-    """Errors that nobody foresaw appear in the window; the traceback goes to the terminal."""
+    """Show unexpected errors in the window; the traceback goes to the terminal."""
 
     def tell(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         sys.__excepthook__(kind, error, trace)
         if isinstance(error, Exception):
             shell.tell_trouble(
-                f"Something went wrong ({kind.__name__}: {error}). Every edit stands in the "
-                "journal; the terminal shows more."
+                f"Something went wrong ({kind.__name__}: {error}). Every edit is in the "
+                "journal; the terminal shows the traceback."
             )
 
     sys.excepthook = tell
 
 
 def make_application() -> QApplication:
-    """The Qt application of this process, in our colours."""
+    """Return the Qt application of this process with the theme applied."""
     set_surface_format()
     app = QApplication.instance() or QApplication(sys.argv[:1])
     assert isinstance(app, QApplication)

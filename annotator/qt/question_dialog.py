@@ -1,4 +1,4 @@
-"""Questions as windows of Qt, and the dialogs of a workspace."""
+"""Questions as Qt dialogs, and the dialogs of a workspace."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _COLUMNS = 3
 
 
 class WindowDialogs(QObject):
-    """Shows the dialogs that the actions of one controller ask for.
+    """Shows the dialogs requested by the actions of one controller.
 
     Args:
         parent: window over which they appear.
-        own: dialogs of the window itself, by name.
+        own: dialogs implemented by the window, by name.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class WindowDialogs(QObject):
         if question is None:
             return
         dialog = QuestionDialog(self._parent, question)
-        if question.groups:  # a table stays open beside the work
+        if question.groups:  # a table is modeless
             dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
             dialog.show()
         else:
@@ -69,7 +69,7 @@ class WindowDialogs(QObject):
 
 
 class QuestionDialog(QtWidgets.QDialog):
-    """Asks a question; closing it or Esc cancels, unless it must be answered.
+    """Dialog of a question; closing it or Esc cancels, unless it must be answered.
 
     Attributes:
         buttons: by the button's id.
@@ -115,12 +115,12 @@ class QuestionDialog(QtWidgets.QDialog):
             first.selectAll()
 
     def ask(self) -> tuple[str, questions.Answers]:
-        """Show it and wait; the id of the button ("" if it was cancelled) and the answers."""
+        """Show it and wait; returns the id of the button ("" if cancelled) and the answers."""
         self.exec()
         return self._pressed, self.answers()
 
     def answers(self) -> questions.Answers:
-        """What the fields hold, by name."""
+        """Return the values of the fields, by name."""
         return {name: _value(widget) for name, widget in self.widgets.items()}
 
     def reject(self) -> None:
@@ -132,7 +132,7 @@ class QuestionDialog(QtWidgets.QDialog):
         self.accept()
 
     def _enable(self, form: QtWidgets.QFormLayout) -> None:
-        """Only the fields that are asked now."""
+        """Enable only the fields that apply."""
         answers = self.answers()
         for field in self._question.fields:
             widget = self.widgets[field.name]
@@ -163,7 +163,7 @@ class QuestionDialog(QtWidgets.QDialog):
             elif field.kind == "lines":
                 form.addRow(QtWidgets.QLabel(field.label))
                 form.addRow(widget)
-            else:  # a switch has its label, choices speak for themselves
+            else:  # switches and choices contain their labels
                 form.addRow(widget)
         for widget in self.widgets.values():
             for button in widget.findChildren(QtWidgets.QRadioButton) or [widget]:
@@ -180,7 +180,7 @@ class QuestionDialog(QtWidgets.QDialog):
 
 
 class GroupTables(QtWidgets.QWidget):
-    """Tables to read in columns of about the same height, with a field to search them."""
+    """Read-only tables in columns of similar height, with a search field."""
 
     def __init__(self, groups: Sequence[questions.Group], *, searchable: bool) -> None:
         super().__init__()
@@ -213,7 +213,7 @@ class GroupTables(QtWidgets.QWidget):
         self._show("")
 
     def rows(self, wanted: str = "") -> dict[str, list[tuple[str, str]]]:
-        """The rows that hold `wanted`, by heading."""
+        """Return the rows that contain `wanted`, by heading."""
         wanted = wanted.lower()
         return {
             heading: found
@@ -282,7 +282,7 @@ def _value(widget: Any) -> str | int | bool:
 
 
 def _native(text: str, keys: bool) -> str:
-    """Keys as the system writes them; any other text as it is."""
+    """Return keys in the notation of the system; other text unchanged."""
     native = QKeySequence.SequenceFormat.NativeText
     if not keys:
         return text

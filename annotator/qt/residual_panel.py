@@ -1,4 +1,4 @@
-"""How well the selected object fits what the shown frames show."""
+"""Panel with the residuals of the selected object in the shown frames."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from annotator.qt.panel import Panel, label, number_table, tool_button
 _LEGEND = (
     "<b>Edges</b>: median distance of the drawn contour to the nearest image edge. Up to "
     f"{EDGE_PX[0]:g} px is good, above {EDGE_PX[1]:g} px something is off.<br>"
-    "<b>Chance</b>: what a contour at a random place nearby would have. Edges that are not below "
-    f"{CHANCE_SHARE:.0%} of it say nothing: judge by eye there.<br>"
+    "<b>Chance</b>: the value for a contour at a random place nearby. Edges that are not below "
+    f"{CHANCE_SHARE:.0%} of it are not informative: check by eye there.<br>"
     "<b>Depth</b>: median of the drawn surface minus the sensor's, positive if the object lies "
-    f"behind. Sensors read up to 2 % wrong, so up to {DEPTH_MM[0]:g} mm may well be the sensor's. "
-    "Only on raw and diffuse objects: on others it is wrong."
+    f"behind. Sensors have errors up to 2 %, so up to {DEPTH_MM[0]:g} mm may be sensor error. "
+    "Only for raw and diffuse objects: on others sensor depth is wrong."
 )
 
 
 class ResidualPanel(Panel):
-    """One row to each shown frame."""
+    """Table with one row per shown frame."""
 
     KINDS = ("edited", "selected", "residuals")
 
     def __init__(self, controller: Controller, commands: Commands) -> None:
         super().__init__(controller)
         self.table = number_table(["frame", "edges", "chance", "depth"])
-        # The main view and three beside it.
+        # The main view and three side views.
         self.table.setMinimumHeight(4 * 22 + self.table.horizontalHeader().sizeHint().height() + 4)
         self.table.setSelectionMode(QtWidgets.QAbstractItemView.SelectionMode.NoSelection)
         self.table.setFocusPolicy(Qt.FocusPolicy.NoFocus)
@@ -75,7 +75,7 @@ class ResidualPanel(Panel):
         cells = [str(row.frame), row.edges, row.chance, row.depth]
         if row.problem:
             cells[1:] = [row.problem, "", ""]
-        # Each number by what it tells itself: edges at the level of chance are grey.
+        # Each number by its own grade: edges at chance level are grey.
         inks = (
             theme.TEXT,
             theme.GRADE_INK[row.edge_grade],

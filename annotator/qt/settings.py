@@ -1,7 +1,4 @@
-"""Scenes opened last, kept in the user's configuration folder.
-
-Size of the window and of its parts, kept from one day to the next.
-"""
+"""User settings: recent scenes, and size and layout of the window."""
 
 from __future__ import annotations
 
@@ -22,13 +19,13 @@ _FILE = "window.json"
 
 
 def recent_file() -> Path:
-    """Where the list is kept."""
+    """Return the path of the list of recent scenes."""
     home = os.environ.get("XDG_CONFIG_HOME") or str(Path.home() / ".config")
     return Path(home) / "std-toolkit" / "recent-scenes.json"
 
 
 def recent_scenes() -> list[Path]:
-    """Scenes that are still there, the latest first; nothing if the list cannot be read."""
+    """Return the existing recent scenes, latest first; empty if the list is unreadable."""
     try:
         names = json.loads(recent_file().read_text())
         return [Path(n) for n in names if (Path(n) / "scene.json").is_file()][:MOST]
@@ -37,7 +34,7 @@ def recent_scenes() -> list[Path]:
 
 
 def remember_scene(root: Path) -> None:
-    """Put a scene at the head of the list; a folder that cannot be written is no trouble."""
+    """Put a scene at the head of the list; ignores a read-only folder."""
     root = root.resolve()
     others = [p for p in recent_scenes() if p != root]
     path = recent_file()
@@ -47,13 +44,13 @@ def remember_scene(root: Path) -> None:
 
 
 def restore_window(window: QMainWindow) -> bool:
-    """Put a window where it was; False if nothing is known of it."""
+    """Restore position and size of a window; False if nothing is stored."""
     text = _read().get("window")
     return text is not None and window.restoreGeometry(QByteArray.fromBase64(text.encode()))
 
 
 def restore_splitters(splitters: dict[str, QSplitter]) -> set[str]:
-    """Divide the window as it was; returns the names of the parts that were known."""
+    """Restore the splitters; returns the names of those that were stored."""
     known = _read()
     found = set()
     for name, splitter in splitters.items():
@@ -63,7 +60,7 @@ def restore_splitters(splitters: dict[str, QSplitter]) -> set[str]:
 
 
 def remember(window: QMainWindow, splitters: dict[str, QSplitter]) -> None:
-    """Keep how the window is now; a folder that cannot be written is no trouble."""
+    """Store the layout of the window; ignores a read-only folder."""
     parts = {"window": window.saveGeometry()}
     parts |= {name: splitter.saveState() for name, splitter in splitters.items()}
     texts = _read() | {name: data.toBase64().toStdString() for name, data in parts.items()}

@@ -1,7 +1,4 @@
-"""What is shown while no scene is open: recent scenes, and why one could not be opened.
-
-The first image of a scene, while the rest of the window is being built.
-"""
+"""Pages shown without an open scene: start page with recent scenes and errors, loading page."""
 
 from __future__ import annotations
 
@@ -25,11 +22,11 @@ _HOW = (
 
 
 class StartPage(QtWidgets.QWidget):
-    """Choose a scene.
+    """Page to select a scene.
 
     Signals:
-        chosen: folder of the scene (Path), and whether to look only.
-        browse: the person wants to look for a folder.
+        chosen: folder of the scene (Path), and whether to open it read-only.
+        browse: a file dialog for a folder is requested.
     """
 
     chosen = Signal(object, bool)
@@ -90,7 +87,7 @@ class StartPage(QtWidgets.QWidget):
         self.refresh()
 
     def refresh(self, problem: ToolkitError | None = None, tried: Path | None = None) -> None:
-        """Show the recent scenes, and what went wrong with the one that was tried."""
+        """Show the recent scenes, and the error of the scene that could not be opened."""
         self._tried = tried
         self.problem.show_problem(problem)
         self.recent.clear()
@@ -123,7 +120,7 @@ class StartPage(QtWidgets.QWidget):
 
 
 class ProblemCard(QtWidgets.QFrame):
-    """Why a scene could not be opened, and what can be done."""
+    """Error of a scene that could not be opened, with buttons."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -135,7 +132,7 @@ class ProblemCard(QtWidgets.QFrame):
         self.text.setWordWrap(True)
         self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.again = QtWidgets.QPushButton("Try again")
-        self.look = QtWidgets.QPushButton("Open for looking only")
+        self.look = QtWidgets.QPushButton("Open read-only")
         self.look.setToolTip("Nothing can be changed, and the other session is not disturbed.")
         top = QtWidgets.QHBoxLayout()
         top.addWidget(sign, 0, Qt.AlignmentFlag.AlignTop)
@@ -152,12 +149,12 @@ class ProblemCard(QtWidgets.QFrame):
         self.setVisible(problem is not None)
         if problem is not None:
             self.text.setText(describe_problem(problem))
-            # Such a scene can be read; only writing is refused.
+            # The scene is readable; only writing fails.
             self.look.setVisible("read-only" in (problem.hint or ""))
 
 
 def describe_problem(problem: ToolkitError) -> str:
-    """An error in lines that are easier to read than its one line."""
+    """Return an error as several lines of text."""
     text = problem.problem[:1].upper() + problem.problem[1:] + "."
     if problem.value is not None:
         text += f"\n{problem.field or 'Value'}: {problem.value}"
@@ -167,7 +164,7 @@ def describe_problem(problem: ToolkitError) -> str:
 
 
 class OpeningPage(QtWidgets.QWidget):
-    """Loading what draws in three dimensions takes a second; the image is there at once."""
+    """Shows the first image of a scene while the 3D libraries load, which takes a second."""
 
     def __init__(self, name: str, rgb: NDArray[np.uint8] | None) -> None:
         super().__init__()

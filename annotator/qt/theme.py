@@ -1,4 +1,4 @@
-"""Colours of the window: neutral greys, so that nothing tints the judgement of an image."""
+"""Theme and icons of the window, in neutral greys to avoid a colour bias."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ QFrame#card {{ background: {RAISED}; border: 1px solid {BORDER}; border-radius: 
 
 
 def apply_theme(app: QApplication) -> None:
-    """Give the application its colours; drawn by Qt's Fusion style, the same on every desktop."""
+    """Apply the theme, based on Qt's Fusion style, which looks the same on every desktop."""
     app.setStyle(QStyleFactory.create("Fusion"))
     palette = QPalette()
     role = QPalette.ColorRole
@@ -159,7 +159,7 @@ def apply_theme(app: QApplication) -> None:
 
 @cache
 def icon(name: str, color: str = TEXT) -> QIcon:
-    """The icon of a name; an empty one if there is none."""
+    """Return the icon of a name; an empty one if there is none."""
     if icons.ALIASES.get(name, name) not in icons.STROKES:
         return QIcon()
     result = QIcon()
@@ -171,7 +171,7 @@ def icon(name: str, color: str = TEXT) -> QIcon:
 
 @cache
 def pixmap(name: str, size: int, color: str = TEXT, ratio: float = 1.0) -> QPixmap:
-    """The icon at `size` logical pixels for a screen of `ratio` device pixels to each."""
+    """Return the icon at `size` logical pixels for a screen of `ratio` device pixels each."""
     edge = round(size * ratio)
     drawn = QPixmap(QSize(edge, edge))
     drawn.fill(Qt.GlobalColor.transparent)

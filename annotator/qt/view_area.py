@@ -1,9 +1,4 @@
-"""The large view and the column of side views, drawn by a `ViewSet`.
-
-A view with a few buttons in its corner.
-
-One view as a widget: VTK's drawing in Qt's window, and what can be dropped onto it.
-"""
+"""Widgets of the main view and the side views, rendered by a `ViewSet`."""
 
 from __future__ import annotations
 
@@ -42,7 +37,7 @@ class ViewArea(QWidget):
     """All views of a scene.
 
     Attributes:
-        tiles: the main view first.
+        tiles: tiles of the views, the main view first.
     """
 
     def __init__(self, controller: Controller, commands: Commands) -> None:
@@ -78,7 +73,7 @@ class ViewArea(QWidget):
         self._unsubscribe = controller.subscribe(self._on_event)
 
     def start(self) -> ShapeStore:
-        """Build the views, whose widgets stand in the window by now; returns their meshes."""
+        """Build the views, whose widgets must be in the window; returns their meshes."""
         ratio = self.devicePixelRatioF()
         plotters = [tile.view for tile in self.tiles]
         self.views = ViewSet(self._controller, plotters, later=self.later, pixel_ratio=ratio)
@@ -92,7 +87,7 @@ class ViewArea(QWidget):
             tile.view.close()
 
     def later(self, seconds: float, call: Callable[[], None]) -> None:
-        """Call a function in this thread after a while, unless the views are gone by then."""
+        """Call a function in this thread after a delay, unless the views are closed by then."""
         QTimer.singleShot(round(1000 * seconds), self, call)
 
     def _drop(self, drop: Callable[..., bool], what: str, slot: int, x: float, y: float) -> None:
@@ -106,7 +101,7 @@ class ViewArea(QWidget):
 
 
 class ViewTile(QFrame):
-    """One view; the one in hand has a bright edge: keyboard steps are along its camera's axes."""
+    """Frame of one view with buttons in its corner; the active view has a bright edge."""
 
     def __init__(self, controller: Controller, commands: Commands, slot: int) -> None:
         super().__init__()
@@ -131,7 +126,7 @@ class ViewTile(QFrame):
             for id in ("fit_view", "zoom_object"):
                 row.addWidget(_corner_button(commands.actions[id]))
         else:
-            # Which frame this view looks at is chosen for it, but not once and for all.
+            # The frame of a side view is selected automatically and can be changed.
             for by, name, tip in ((-1, "previous", "Earlier frame"), (1, "next", "Later frame")):
                 button = _corner_button()
                 button.setIcon(icon(name))
@@ -144,7 +139,7 @@ class ViewTile(QFrame):
         self.refresh()
 
     def refresh(self) -> None:
-        """Show which view is in hand."""
+        """Show which view is active."""
         active = self._controller.active_view == self.slot
         if active is self._active:
             return
@@ -159,7 +154,7 @@ class ViewTile(QFrame):
         return super().eventFilter(watched, event)
 
     def _step(self, by: int) -> None:
-        """Another frame for this view: the next one in which objects have poses."""
+        """Show the next frame in which objects can have poses."""
         c = self._controller
         ids = list(c.session.frames)
         here = c.view_frames[self.slot]
@@ -178,11 +173,11 @@ def _corner_button(action: QAction | None = None) -> QToolButton:
 
 
 class ViewWidget(QtInteractor):
-    """A plotter that draws when it is told to.
+    """Plotter widget that renders on request and accepts drops.
 
     Signals:
-        model_dropped: id of a model, and where: physical pixels from the top left corner.
-        object_dropped: name of an object, and where.
+        model_dropped: id of a model, and position in physical pixels from the top left corner.
+        object_dropped: name of an object, and position.
         files_dropped: mesh files (list of Path).
     """
 
@@ -200,7 +195,7 @@ class ViewWidget(QtInteractor):
     # --- drawing ---------------------------------------------------------------------------------
 
     def Render(self) -> None:
-        """Have it drawn anew with the next pass of the event loop."""
+        """Request a repaint in the next pass of the event loop."""
         self._drawn = False
         super().Render()
 
@@ -209,8 +204,8 @@ class ViewWidget(QtInteractor):
         super()._cb_frame(obj, event)
 
     def paintGL(self) -> None:
-        # Whoever changes something asks for a drawing; Qt also asks where the window was covered,
-        # and after a drawing that was made outside of here. That one need not be made twice.
+        # Changes request a repaint. Qt also paints after the window was covered, and after a
+        # rendering outside of this method, which need not be repeated.
         if self._drawn and not self._in_paint:
             self._in_paint = True
             try:
@@ -223,13 +218,13 @@ class ViewWidget(QtInteractor):
     def resizeGL(self, width: int, height: int) -> None:
         self._drawn = False
         super().resizeGL(width, height)
-        # Sizes are physical pixels here, those of letters, too; they would be scaled once more.
+        # All sizes, including fonts, are in physical pixels; VTK would scale them again.
         self._RenderWindow.SetDPI(72)
 
     # --- keys ------------------------------------------------------------------------------------
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
-        # VTK has keys of its own (q closes, w changes what is drawn); ours are the window's.
+        # Disables the key bindings of VTK (q closes, w changes the representation).
         event.ignore()
 
     def keyReleaseEvent(self, event: QKeyEvent) -> None:

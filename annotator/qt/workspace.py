@@ -1,4 +1,4 @@
-"""Everything around one open scene: views, panels and the lines above and below."""
+"""Workspace of one open scene: views, panels, tool bar and status line."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ UPKEEP_AFTER_MS = 500
 
 
 class Workspace(QWidget):
-    """The central widget while a scene is open.
+    """Central widget of the window while a scene is open.
 
     Signals:
-        files_dropped: mesh files (list of Path) that were dropped onto the library or a view.
+        files_dropped: mesh files (list of Path) dropped onto the library or a view.
     """
 
     files_dropped = Signal(list)
@@ -59,7 +59,7 @@ class Workspace(QWidget):
         self.tabs.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.tabs.tabBar().setFocusPolicy(Qt.FocusPolicy.NoFocus)
         for page in (self.points, self.residuals):
-            # They want much; that must not keep the others small while they are not shown.
+            # Large size hints of hidden pages must not limit the others.
             page.setMinimumHeight(1)
         self.tabs.addTab(self.pose, "Pose")
         self.tabs.addTab(self.points, "Points")
@@ -87,7 +87,7 @@ class Workspace(QWidget):
         self.split.setChildrenCollapsible(False)
         for split in (self.side, self.split):
             split.setHandleWidth(4)
-        # Until a person divides it otherwise, each panel gets what it needs.
+        # Until the user moves a splitter, each panel gets its preferred size.
         self._shared = True
         known = settings.restore_splitters(self.splitters)
         if "side" in known:
@@ -107,7 +107,7 @@ class Workspace(QWidget):
 
     @property
     def splitters(self) -> dict[str, QSplitter]:
-        """What a person may divide otherwise, by name."""
+        """Return the splitters that the user can move, by name."""
         return {
             "panels": self.split,
             "side": self.side,
@@ -125,7 +125,7 @@ class Workspace(QWidget):
         total = self.side.height()
         current = self.tabs.currentWidget()
         most = round(0.6 * total)
-        # Lists of points and frames take what they get; a pose has its size.
+        # Lists of points and frames can shrink; the pose panel has a fixed size.
         needed = current.sizeHint().height() + self.tabs.tabBar().height() + 8
         below = min(needed, most) if current is self.pose else most
         library = max(self.library.minimumSizeHint().height(), round(0.2 * total))
@@ -135,10 +135,10 @@ class Workspace(QWidget):
         self._shared = False
 
     def start(self) -> None:
-        """Build the views, and what works beside them."""
+        """Build the views, and start background updates."""
         self.points.picker.start(self.views.start())
         self.focus_views()
-        # The first image comes first.
+        # Start after the first image is shown.
         QTimer.singleShot(UPKEEP_AFTER_MS, self, self._start_upkeep)
 
     def _start_upkeep(self) -> None:
@@ -147,11 +147,11 @@ class Workspace(QWidget):
             self._upkeep = BackgroundUpdates(self.controller)
 
     def focus_views(self) -> None:
-        """Keys reach the view in hand."""
+        """Move the keyboard focus to the active view."""
         self.views.tiles[self.controller.active_view].view.setFocus()
 
     def close_panel(self) -> None:
-        """Let go of the controller; the widgets are thrown away afterwards."""
+        """Unsubscribe from the controller; the widgets are deleted afterwards."""
         self._closed = True
         settings.remember(self._window, self.splitters if not self._shared else self._divided())
         self._unsubscribe()
@@ -168,7 +168,7 @@ class Workspace(QWidget):
         self._window.menuBar().clear()
 
     def _divided(self) -> dict[str, QSplitter]:
-        """The parts that were left to a person."""
+        """Return the splitters whose layout is stored."""
         return {name: s for name, s in self.splitters.items() if name != "side"}
 
     def _on_event(self, event: Event) -> None:

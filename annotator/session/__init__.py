@@ -1,4 +1,4 @@
-"""The headless annotation session: state, edits, undo, journal, saving, scripts."""
+"""Headless annotation session: state, edits, undo, journal, saving, scripts."""
 
 from annotator.session.edits import (
     AddClick,

@@ -1,7 +1,4 @@
-"""Edits, undo and redo; each is in the journal on disk before it takes effect.
-
-The life of a scene's journal: looked at when a session opens, set aside when it ends.
-"""
+"""Edits, undo and redo; each is written to the journal on disk before it takes effect."""
 
 from __future__ import annotations
 
@@ -40,13 +37,13 @@ ChangeKind = Literal["edit", "undo", "redo", "saved", "reread"]
 
 @dataclass(frozen=True)
 class Change:
-    """What listeners are told.
+    """Change of a session, reported to listeners.
 
     Attributes:
         kind: an edit was applied, undone or redone, the labels were saved, or the scene was read
             again.
-        title: what it was, for people.
-        objects: names of the objects concerned; empty if it concerns the scene as a whole.
+        title: displayed name of the change.
+        objects: names of the changed objects; empty for the scene as a whole.
     """
 
     kind: ChangeKind
@@ -89,12 +86,12 @@ class Editing(Queries):
 
     @property
     def writable(self) -> bool:
-        """Edits can be made and saved."""
+        """Whether edits can be made and saved."""
         return self._recorder is not None
 
     @property
     def unsaved(self) -> bool:
-        """Saving now would change the scene."""
+        """Whether saving now would change the scene."""
         return self._ledger.unsaved
 
     @property
@@ -107,15 +104,15 @@ class Editing(Queries):
 
     @property
     def steps(self) -> tuple[ledger.Step, ...]:
-        """Every edit in force, oldest first."""
+        """Edits that are not undone, oldest first."""
         return self._ledger.history.steps
 
     def hands_on_s(self, name: str) -> float:
-        """Seconds worked on an object since its label was last saved; a lower bound."""
+        """Return the working time on an object since its label was last saved, s; a lower bound."""
         return self._ledger.hands_on.seconds(self.object(name).id)
 
     def snapshot(self) -> Snapshot:
-        """The session as it is now, safe to use in another thread."""
+        """Return an immutable copy of the session for use in another thread."""
         return Snapshot(
             self.scene,
             self.state,
@@ -128,11 +125,11 @@ class Editing(Queries):
     # --- editing ---------------------------------------------------------------------------------
 
     def apply(self, edit: AnyEdit) -> None:
-        """Make an edit; it is on disk in the journal when this returns.
+        """Apply an edit; it is in the journal on disk when this returns.
 
         Raises:
-            ToolkitError: the edit does not fit the state, or the journal cannot be written; then
-                nothing has changed.
+            ToolkitError: the edit is invalid for the state, or the journal is not writable; nothing
+                has changed then.
         """
         self._require_editable()
         context = self._context()
@@ -141,20 +138,20 @@ class Editing(Queries):
         self._record("edit", Edited, edit=resolved, shared=self.posed, time=context.time)
 
     def undo(self) -> None:
-        """Raises ToolkitError if there is nothing to undo, or as `apply`."""
+        """Undo the last edit; raises ToolkitError if there is none, or as `apply`."""
         self._require_editable()
         self._record("undo", Undone)
 
     def redo(self) -> None:
-        """Raises ToolkitError if there is nothing to redo, or as `apply`."""
+        """Redo the last undone edit; raises ToolkitError if there is none, or as `apply`."""
         self._require_editable()
         self._record("redo", Redone)
 
     def perform(self, request: Request) -> Outcome:
-        """Carry out a request and apply the edit that comes of it; takes as long as it takes.
+        """Compute a request and apply the resulting edit; blocks until done.
 
         Raises:
-            ToolkitError: it cannot be carried out.
+            ToolkitError: the request fails.
         """
         self._require_editable()
         outcome = request.resolve(self.snapshot())
@@ -162,7 +159,7 @@ class Editing(Queries):
         return outcome
 
     def subscribe(self, listener: Callable[[Change], None]) -> Callable[[], None]:
-        """Have `listener` called after every change; returns what ends it."""
+        """Call `listener` after every change; returns a function that unsubscribes it."""
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener)
 
@@ -177,7 +174,7 @@ class Editing(Queries):
         time: str | None = None,
         **fields: Any,
     ) -> ledger.Effect:
-        """Journal an entry, then let it take effect; on an error nothing has changed."""
+        """Write an entry to the journal, then apply it; on an error nothing has changed."""
         recorder = self._recorder
         assert recorder is not None
         entry, data = recorder.checked(
@@ -218,7 +215,7 @@ class Editing(Queries):
     def _require_editable(self) -> None:
         if self._recorder is None:
             raise ToolkitError(
-                "the scene is open for looking only: nothing can be edited or saved",
+                "the scene is open read-only: nothing can be edited or saved",
                 path=self.scene.root,
                 hint="open it without read-only",
             )
@@ -235,19 +232,19 @@ def _now() -> str:
 
 
 class Recorder:
-    """Writes entries to the journal of a scene; the file is made with the first one."""
+    """Writes entries to the journal of a scene; the first entry creates the file."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._path = journal_path(scene.root)
-        # Of the documents as they were when the annotation began.
+        # Digests of the documents at the start of the annotation.
         self._digests = scene_digests(scene.root)
         self._journal: Journal | None = None
 
     def look_back(self) -> tuple[recovery.Recovery | None, list[str]]:
-        """Edits of an earlier session that were not saved, and warnings about its journal.
+        """Return unsaved edits of an earlier session, and warnings about its journal.
 
-        A journal with nothing to recover is set aside.
+        Moves a journal without recoverable edits to the history folder.
 
         Raises:
             ToolkitError: the journal cannot be read or moved.
@@ -268,17 +265,17 @@ class Recorder:
             return None, []
         return None, [
             f"The journal of an earlier session is damaged ({content.damage}): edits after that "
-            f"line cannot be brought back. It is kept as {kept}."
+            f"line cannot be recovered. It is kept as {kept}."
         ]
 
     def recover(self, found: recovery.Recovery) -> None:
-        """Go on with the journal of a recovered session."""
+        """Continue the journal of a recovered session."""
         if found.damage:
             set_aside(self._path, self._scene.root, "damaged", keep=True)
         self._journal = Journal.resume(found.content, found.entries)
 
     def discard(self) -> None:
-        """Set the journal that was found aside."""
+        """Move the existing journal to the history folder."""
         set_aside(self._path, self._scene.root, "discarded")
 
     @property
@@ -286,24 +283,24 @@ class Recorder:
         return self._journal.lines if self._journal is not None else 1
 
     def checked(self, entry: AnyEntry) -> tuple[AnyEntry, bytes]:
-        """The entry as it will be read back, and its bytes.
+        """Return the entry as it will be decoded, and its bytes.
 
         Raises:
-            ToolkitError: it could not be read back: a value of a wrong type or out of range.
+            ToolkitError: the entry cannot be decoded: a value has a wrong type or is out of range.
         """
         data = encode_entry(entry)
         return decode_document(data, AnyEntry), data  # type: ignore[arg-type]
 
     def append(self, data: bytes, *, base: merge.Version, like: AnyEntry) -> None:
-        """Put an entry on disk; before the first one, what the annotation began with.
+        """Write an entry to disk; the first call also writes the initial documents and state.
 
         Args:
             data: from `checked`.
             base: documents and state at the start.
-            like: the entry; who and when are the same in the first line.
+            like: the entry; the first line gets its annotator and time.
 
         Raises:
-            ToolkitError: the disk is full, or the folder cannot be written any more.
+            ToolkitError: the disk is full, or the folder is not writable.
         """
         if self._journal is None:
             begun = Begun(
@@ -327,7 +324,7 @@ class Recorder:
         self._journal.append(data)
 
     def close(self, *, outcome: str | None) -> None:
-        """End the journal; with an outcome ("saved", "discarded") it is set aside under it."""
+        """Close the journal; an outcome ("saved", "discarded") moves it to the history folder."""
         if self._journal is None:
             return
         self._journal.close()

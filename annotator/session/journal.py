@@ -1,8 +1,8 @@
-"""The journal: every edit is on disk before anybody sees it.
+"""Journal of edits, written to disk before an edit takes effect.
 
-`SCENE/.std/annotate/journal.jsonl` holds one JSON object a line, `{"check": CRC, "entry": {...}}`,
-and only ever grows. The first entry binds it to the scene. A killed process loses the line that it
-was writing at most; a line that does not pass its check ends what can be recovered.
+`SCENE/.std/annotate/journal.jsonl` is append-only, with one JSON object per line:
+`{"check": CRC, "entry": {...}}`. The first entry binds it to the scene. A killed process loses at
+most the line that it was writing. Recovery stops at the first line with a wrong checksum.
 """
 
 from __future__ import annotations
@@ -25,18 +25,19 @@ from std_toolkit.io.atomic import sync_folder, write_bytes_atomic
 from std_toolkit.io.documents import plain_number
 from std_toolkit.scene.document import Count, Document, digest_file
 
-# What a journal belongs to: other frames make its edits meaningless, other documents are merged.
+# Documents that a journal is bound to: changed frames invalidate its edits, changes of the other
+# documents are merged.
 BOUND_FILES = ("frames.json", "poses.json", "objects.json", "labels.json", "annotation.json")
 
 
 class Entry(Document, frozen=True, kw_only=True, tag_field="line"):
-    """One line.
+    """Base of the journal lines.
 
     Attributes:
-        number: counts the lines from 0.
+        number: line number from 0.
         time: UTC, ISO 8601.
-        annotator: who did it.
-        version: of the toolkit that wrote it.
+        annotator: name of the annotator.
+        version: version of the toolkit that wrote the line.
     """
 
     number: Count
@@ -50,17 +51,17 @@ class Entry(Document, frozen=True, kw_only=True, tag_field="line"):
         except ValueError:
             aware = False
         if not aware:
-            raise ToolkitError("not a time with its zone", field="time", value=self.time)
+            raise ToolkitError("not a time with a time zone", field="time", value=self.time)
 
 
 class Begun(Entry, frozen=True, kw_only=True, tag="begun"):
-    """The first line.
+    """First line.
 
     Attributes:
         scene: name of the scene.
-        digests: of the scene's documents at the start, by file; "" where there was none.
-        stored: the documents that the annotation started from.
-        state: the state that they stood for.
+        digests: digests of the scene's documents at the start, by file; "" for a missing file.
+        stored: documents at the start of the annotation.
+        state: state of these documents.
     """
 
     format: Literal["std-annotate-journal"] = "std-annotate-journal"
@@ -72,10 +73,10 @@ class Begun(Entry, frozen=True, kw_only=True, tag="begun"):
 
 
 class Edited(Entry, frozen=True, kw_only=True, tag="edit"):
-    """An edit, resolved.
+    """Resolved edit.
 
     Attributes:
-        shared: one pose held for all frames: the scene had metric camera poses.
+        shared: whether one pose held for all frames (the scene had metric camera poses).
     """
 
     edit: AnyEdit
@@ -83,15 +84,15 @@ class Edited(Entry, frozen=True, kw_only=True, tag="edit"):
 
 
 class Undone(Entry, frozen=True, kw_only=True, tag="undo"):
-    """The last edit in force was taken back."""
+    """Undo of the last edit."""
 
 
 class Redone(Entry, frozen=True, kw_only=True, tag="redo"):
-    """The edit taken back last was made again."""
+    """Redo of the last undone edit."""
 
 
 class TakenOver(Entry, frozen=True, kw_only=True, tag="taken_over"):
-    """What others wrote was merged into every state (`merging.take_over`)."""
+    """Merge of changes by other processes into every state (`ledger.take_over`)."""
 
     stored: Stored
     state: AnnotationState
@@ -99,13 +100,13 @@ class TakenOver(Entry, frozen=True, kw_only=True, tag="taken_over"):
 
 
 class Saved(Entry, frozen=True, kw_only=True, tag="save"):
-    """The state was written to the scene; `stored` is what stands there now."""
+    """Save of the state; `stored` are the documents that the scene has now."""
 
     stored: Stored
 
 
 class Reread(Entry, frozen=True, kw_only=True, tag="reread"):
-    """The scene was read again, as one step that undo takes back."""
+    """Reload of the scene as one undo step."""
 
     title: str
     stored: Stored
@@ -113,7 +114,7 @@ class Reread(Entry, frozen=True, kw_only=True, tag="reread"):
 
 
 class Resumed(Entry, frozen=True, kw_only=True, tag="resumed"):
-    """Somebody recovered the edits and goes on."""
+    """Recovery of the edits by a new session."""
 
 
 AnyEntry = Begun | Edited | Undone | Redone | TakenOver | Saved | Reread | Resumed
@@ -130,14 +131,14 @@ _DECODE_ENTRY: msgspec.json.Decoder[AnyEntry] = msgspec.json.Decoder(AnyEntry)
 
 @dataclass(frozen=True)
 class JournalContent:
-    """What could be read of a journal.
+    """Readable part of a journal.
 
     Attributes:
-        begun: its first line; None if not even that is whole, so that there is nothing in it.
-        entries: the lines after it, up to the first that is damaged.
-        ends: offset in bytes after each whole line, the first line's first.
-        damage: sentence on a damaged line, or "". A last line without its end is no damage: it is
-            the edit that was being written when the process died.
+        begun: its first line; None if it is incomplete, so that the journal is empty.
+        entries: the following lines up to the first damaged one.
+        ends: offset in bytes after each complete line, starting with the first line.
+        damage: sentence on a damaged line, or "". An incomplete last line is not damage: the
+            process died while writing it.
     """
 
     path: Path
@@ -152,22 +153,22 @@ def journal_path(root: Path) -> Path:
 
 
 def history_folder(root: Path) -> Path:
-    """Where finished, discarded and damaged journals are kept."""
+    """Return the folder of finished, discarded and damaged journals."""
     return root / ".std" / "annotate" / "history"
 
 
 def scene_digests(root: Path) -> dict[str, str]:
-    """Digests of the documents that a journal is bound to; "" for one that is not there."""
+    """Return the digests of the documents that a journal is bound to; "" for a missing one."""
     return {
         name: digest_file(root / name) if (root / name).is_file() else "" for name in BOUND_FILES
     }
 
 
 def encode_entry(entry: Entry) -> bytes:
-    """The entry as JSON.
+    """Encode an entry as JSON.
 
     Raises:
-        ToolkitError: it could not be read back, such as one with a number that is not finite.
+        ToolkitError: the entry could not be decoded, for example because of a non-finite number.
     """
     try:
         return msgspec.json.encode(entry, enc_hook=plain_number)
@@ -176,10 +177,10 @@ def encode_entry(entry: Entry) -> bytes:
 
 
 def read_journal(path: Path) -> JournalContent:
-    """Read a journal up to its end or its first damaged line.
+    """Read a journal up to its end or first damaged line.
 
     Raises:
-        ToolkitError: the file cannot be read at all.
+        ToolkitError: the file cannot be read.
     """
     if path.is_symlink() or not path.is_file():
         raise ToolkitError(
@@ -213,7 +214,7 @@ def read_journal(path: Path) -> JournalContent:
 
 def _decoded(line: bytes, number: int, path: Path) -> AnyEntry:
     try:
-        # The check sum stands for what `decode_document` would ask besides.
+        # The checksum replaces further checks of `decode_document`.
         outer = _DECODE_LINE.decode(line)
         raw = bytes(outer.entry)
         if outer.check != _check(raw):
@@ -231,7 +232,7 @@ def _check(data: bytes) -> str:
 
 
 class Journal:
-    """A journal that is being written."""
+    """Journal opened for writing."""
 
     def __init__(self, path: Path, descriptor: int, length: int, lines: int) -> None:
         self.path = path
@@ -241,10 +242,10 @@ class Journal:
 
     @staticmethod
     def create(path: Path) -> Journal:
-        """Start a new one; the caller appends `Begun` next.
+        """Create a journal; the caller appends `Begun` next.
 
         Raises:
-            ToolkitError: there is one, or the folder cannot be written.
+            ToolkitError: a journal exists, or the folder is not writable.
         """
         if path.parent.is_symlink():
             raise ToolkitError("the journal's folder must not be a symbolic link", path=path.parent)
@@ -258,10 +259,10 @@ class Journal:
 
     @staticmethod
     def resume(content: JournalContent, entries: int) -> Journal:
-        """Go on after so many entries of one that was read; what follows them is cut off.
+        """Continue a journal after its first N entries; later ones are truncated.
 
         Raises:
-            ToolkitError: it cannot be written.
+            ToolkitError: the journal is not writable.
         """
         length = content.ends[entries]
         try:
@@ -272,20 +273,20 @@ class Journal:
         return Journal(content.path, descriptor, length, entries + 1)
 
     def append(self, entry: bytes) -> None:
-        """Add a line and have it on disk before this returns; on an error nothing was added.
+        """Append a line and flush it to disk before returning; on an error nothing is added.
 
         Raises:
             ToolkitError: the disk is full, or the folder cannot be written any more.
         """
         line = b'{"check":"%s","entry":%s}\n' % (_check(entry).encode(), entry)
         try:
-            # What a failed attempt left behind must not show up after this line.
+            # Remove the partial line of a failed attempt.
             if os.fstat(self._descriptor).st_size != self._length:
                 os.ftruncate(self._descriptor, self._length)
             written = 0
             while written < len(line):
                 written += os.pwrite(self._descriptor, line[written:], self._length + written)
-            # The data and the file's new length; not its times, which would cost as much again.
+            # Flushes data and file length but not the timestamps, which would double the time.
             getattr(os, "fdatasync", os.fsync)(self._descriptor)
             if self._length == 0:
                 sync_folder(self.path.parent)
@@ -301,14 +302,14 @@ class Journal:
 
 
 def set_aside(path: Path, root: Path, reason: str, *, keep: bool = False) -> Path:
-    """Move a journal to the history, where nothing is ever deleted; returns its new path.
+    """Move a journal to the history folder, which is never cleaned; returns its new path.
 
     Args:
         reason: part of its new name: "saved", "discarded", "damaged".
-        keep: copy it there, and leave it where it is too.
+        keep: copy the journal instead of moving it.
 
     Raises:
-        ToolkitError: the folder cannot be written.
+        ToolkitError: the folder is not writable.
     """
     folder = history_folder(root)
     try:
@@ -336,6 +337,6 @@ def _write_problem(path: Path, error: OSError) -> ToolkitError:
     return ToolkitError(
         f"cannot write the journal of edits: {error.strerror or error}",
         path=path,
-        hint="the edit was not made, and all earlier ones are safe; make room (or the folder "
-        "writable) and try again",
+        hint="the edit was not applied, and all earlier ones are safe; free disk space (or make "
+        "the folder writable) and try again",
     )

@@ -1,8 +1,6 @@
-"""Undo history, and what the entries of a journal do to it: while editing and in recovery.
+"""Undo history with unlimited undo and redo, and the effects of journal entries on it.
 
-That both go through `Ledger.plan` is what makes a recovered state equal the lost one bit for bit.
-
-Undo and redo without limit: the states an annotator went through, and where in them we are.
+Editing and recovery both use `Ledger.plan`, so a recovered state is bitwise equal to the lost one.
 """
 
 from __future__ import annotations
@@ -22,17 +20,17 @@ from annotator.session.state import AnnotationState
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 
-# Whether a frame exists was asked when the edit was made.
+# Frame ids were checked when the edit was made.
 _ANY_FRAME = range(2**53)
 
 
 @dataclass(frozen=True)
 class Effect:
-    """What an entry did.
+    """Effect of a journal entry.
 
     Attributes:
-        title: for people.
-        objects: names of the objects concerned.
+        title: displayed name.
+        objects: names of the changed objects.
     """
 
     title: str
@@ -40,7 +38,7 @@ class Effect:
 
 
 class Ledger:
-    """States with undo and redo, the version of the scene they started from, and hours worked."""
+    """States with undo and redo, the scene version they started from, and the working time."""
 
     def __init__(self, base: Version) -> None:
         self.base = base
@@ -57,10 +55,10 @@ class Ledger:
         return differ(self.state, self.base.state)
 
     def plan(self, entry: journal.AnyEntry) -> Callable[[], Effect]:
-        """What the entry will do: everything that can fail is done, and nothing has changed yet.
+        """Compute the effect of an entry; the returned function applies it and cannot fail.
 
         Raises:
-            ToolkitError: the entry does not fit the state.
+            ToolkitError: the entry is invalid for the state.
         """
         match entry:
             case journal.Edited():
@@ -182,13 +180,13 @@ def _unresolved_centre(model: str) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Step:
-    """One edit that was made.
+    """Applied edit in the undo history.
 
     Attributes:
-        title: what it was, for people.
-        objects: names of the objects that it touched.
-        state: the one it led to.
-        edit: the edit, resolved; None if the step is a change that was read from the scene.
+        title: displayed name.
+        objects: names of the changed objects.
+        state: resulting state.
+        edit: resolved edit; None if the step is a change read from the scene.
     """
 
     title: str
@@ -198,7 +196,7 @@ class Step:
 
 
 class History:
-    """States are immutable and share what did not change, so keeping all of them is cheap."""
+    """Undo history. States are immutable and share unchanged parts, so it needs little memory."""
 
     def __init__(self, start: AnnotationState) -> None:
         self._start = start
@@ -216,37 +214,37 @@ class History:
 
     @property
     def undoable(self) -> Step | None:
-        """The step that `undo` would take back."""
+        """The step that `undo` would undo, or None."""
         return self._steps[self._done - 1] if self._done else None
 
     @property
     def redoable(self) -> Step | None:
-        """The step that `redo` would make again."""
+        """The step that `redo` would redo, or None."""
         return self._steps[self._done] if self._done < len(self._steps) else None
 
     @property
     def steps(self) -> tuple[Step, ...]:
-        """The steps that are in force, oldest first."""
+        """The steps that are not undone, oldest first."""
         return tuple(self._steps[: self._done])
 
     @property
     def states(self) -> tuple[AnnotationState, ...]:
-        """Every state that undo and redo can lead to, oldest first."""
+        """All states reachable by undo and redo, oldest first."""
         return (self._start, *(step.state for step in self._steps))
 
     def rebase(self, change: Callable[[AnnotationState], AnnotationState]) -> None:
-        """Change every state, as if the scene had always been another one."""
+        """Apply `change` to every state, as if the initial scene had been different."""
         self._start = change(self._start)
         self._steps = [replace(step, state=change(step.state)) for step in self._steps]
 
     def push(self, step: Step) -> None:
-        """A new step; what could be redone before it is gone."""
+        """Append a step and drop the steps that could be redone."""
         del self._steps[self._done :]
         self._steps.append(step)
         self._done += 1
 
     def undo(self) -> Step:
-        """Raises ToolkitError if there is nothing to undo."""
+        """Undo a step; raises ToolkitError if there is nothing to undo."""
         step = self.undoable
         if step is None:
             raise ToolkitError("there is nothing to undo")
@@ -254,7 +252,7 @@ class History:
         return step
 
     def redo(self) -> Step:
-        """Raises ToolkitError if there is nothing to redo."""
+        """Redo a step; raises ToolkitError if there is nothing to redo."""
         step = self.redoable
         if step is None:
             raise ToolkitError("there is nothing to redo")
@@ -263,7 +261,7 @@ class History:
 
 
 def conflicts(base: Version, history: History, theirs: Version) -> tuple[str, ...]:
-    """What `take_over` would have to decide for one side.
+    """Return the conflicts that `take_over` would resolve for one side.
 
     Raises:
         ToolkitError: as `take_over`.
@@ -273,13 +271,13 @@ def conflicts(base: Version, history: History, theirs: Version) -> tuple[str, ..
 
 
 def take_over(base: Version, history: History, theirs: Version, *, prefer: Side) -> Merged:
-    """Merge what the others wrote into every state of the history, as if we had started from it.
+    """Merge changes by others into every state of the history, as if they preceded our edits.
 
-    Undo therefore takes back our edits only, and never theirs. Giving up ours where both changed
-    the same is one step more, so that undo brings it back. On an error nothing has changed.
+    Undo therefore reverts our edits only, never theirs. Dropping our version in a conflict is an
+    additional step, so that undo restores it. On an error nothing has changed.
 
     Raises:
-        ToolkitError: an object of theirs has the name of another one of ours.
+        ToolkitError: an object of theirs has the same name as a different object of ours.
     """
     renumber = _renumbering(base, history, theirs)
     before = renumber(history.state)
@@ -289,25 +287,25 @@ def take_over(base: Version, history: History, theirs: Version, *, prefer: Side)
         try:
             return merge(base, renumber(state), theirs, prefer="mine").state
         except ToolkitError:
-            # An older state of ours that cannot be joined with theirs: theirs must not be undone.
+            # An older state of ours that cannot be merged with theirs: theirs must not be undone.
             return theirs.state
 
     history.rebase(change)
     if prefer == "theirs" and merged.conflicts:
         names = {o.name: None for state in (before, merged.state) for o in state.objects}
         given_up = tuple(name for name in names if name in merged.conflicts)
-        history.push(Step("Keep what others wrote", given_up, merged.state))
+        history.push(Step("Keep the changes of others", given_up, merged.state))
     return merged
 
 
 def _renumbering(
     base: Version, history: History, theirs: Version
 ) -> Callable[[AnnotationState], AnnotationState]:
-    """Both sides may have given one id to two new objects; ours get others, in every state."""
+    """Assign new ids in every state to our objects whose ids the others also used."""
     known, new = _by_id(base.state), _by_id(theirs.state)
     named = {o.name: o.id for i, o in new.items() if i not in known}
     used = {o.id for state in history.states for o in state.objects} | set(known) | set(new)
-    # Which object of ours is theirs, by its name, is decided in the present state.
+    # Objects are matched by name in the current state.
     change = {
         o.id: named[o.name]
         for o in history.state.objects

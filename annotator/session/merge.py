@@ -1,10 +1,8 @@
-"""The documents of a scene that an annotation reads and writes, and their three-way merge.
+"""Documents of a scene that an annotation reads and writes, and their three-way merge.
 
-Three versions meet: the scene as it was when we last read or wrote it (base), our state (mine), and
-the scene as it is now (theirs). What only one side changed is taken from that side. What both
-changed, differently, is a conflict, which a person decides for one side.
-
-The scene's documents that an annotation reads and writes, and the state they stand for.
+The three versions are the scene when we last read or wrote it (base), our state (mine), and the
+current scene (theirs). A change of one side is taken from that side. Different changes of both are
+a conflict, which the user resolves for one side.
 """
 
 from __future__ import annotations
@@ -25,13 +23,13 @@ from std_toolkit.scene.model import annotated_views, pose_from_list, without_der
 
 Side = Literal["mine", "theirs"]
 
-# Two poses whose numbers differ by no more are one pose, written down twice.
+# Poses whose numbers differ by no more are equal.
 _SAME = 1e-9
 
 
 @dataclass(frozen=True)
 class Version:
-    """A scene's documents and the state that they stand for."""
+    """A scene's documents and the corresponding state."""
 
     stored: Stored
     state: AnnotationState
@@ -39,11 +37,11 @@ class Version:
 
 @dataclass(frozen=True)
 class Merged:
-    """A state in which both sides are contained.
+    """Merged state of both sides.
 
     Attributes:
-        conflicts: what both changed differently, for people; decided for one side.
-        taken: names of the objects and models that are as the others left them.
+        conflicts: text on each conflict, resolved for one side.
+        taken: names of the objects and models taken from the others.
     """
 
     state: AnnotationState
@@ -52,7 +50,7 @@ class Merged:
 
 
 def content(obj: ObjectState | None) -> dict[str, Any]:
-    """What of an object is saved, in the parts that are merged one by one."""
+    """Return the saved content of an object, in the parts that are merged separately."""
     if obj is None:
         return {"object": None, "pose": {}, "work": ("open", "", {})}
     return {
@@ -63,7 +61,7 @@ def content(obj: ObjectState | None) -> dict[str, Any]:
 
 
 def differ(a: AnnotationState, b: AnnotationState) -> bool:
-    """Whether saving one or the other would leave different scenes."""
+    """Whether saving the two states gives different scenes."""
     if a is b:
         return False
     one, other = _by_id(a), _by_id(b)
@@ -75,7 +73,7 @@ def differ(a: AnnotationState, b: AnnotationState) -> bool:
 
 
 def merge(base: Version, mine: AnnotationState, theirs: Version, *, prefer: Side) -> Merged:
-    """Our state with what the others changed; conflicts are decided for `prefer`."""
+    """Merge our state with the changes of the others; conflicts are resolved for `prefer`."""
     if theirs.stored == base.stored and theirs.state == base.state:
         return Merged(mine, (), ())
     old, own, new = _by_id(base.state), _by_id(mine), _by_id(theirs.state)
@@ -97,7 +95,7 @@ def merge(base: Version, mine: AnnotationState, theirs: Version, *, prefer: Side
     repeated = {o.name for o in objects if sum(p.name == o.name for p in objects) > 1}
     if repeated:
         raise ToolkitError(
-            "another process entered an object of the same name",
+            "another process added an object of the same name",
             field="object",
             value=sorted(repeated)[0],
             hint="rename yours, then save",
@@ -115,11 +113,11 @@ def _merged_object(
     rewritten: bool,
     prefer: Side,
 ) -> tuple[ObjectState | None, bool, bool]:
-    """The object, whether it is a conflict, and whether anything of theirs was taken.
+    """Return the object, whether it is a conflict, and whether any change of theirs was taken.
 
     Args:
-        rewritten: the others wrote more about it than what is derived from its annotation. A pose
-            that was only propagated meanwhile gives way to an edit.
+        rewritten: whether the others changed more than data derived from its annotation. An edit
+            replaces a pose that was only propagated meanwhile.
     """
     before, ours, others = content(old), content(own), content(new)
     if ours in (before, others):
@@ -127,8 +125,8 @@ def _merged_object(
     if not rewritten:
         return own, False, False
     if own is None or new is None:
-        # Removed by one side. Where both sides look partly removed, it is our own removal, cut
-        # off while it was being saved.
+        # Removed by one side. If it looks partly removed on both sides, our own removal was
+        # interrupted while saving.
         cut_off = own is None and all(others[p] in (before[p], ours[p]) for p in before)
         return (own if cut_off or prefer == "mine" else new), not cut_off, False
     sides: dict[str, ObjectState] = {}
@@ -172,7 +170,7 @@ def _merged_models(
 
 
 def _rows(stored: Stored, object_id: int) -> tuple[Any, ...]:
-    """What others may have written about an object, less what is derived from it."""
+    """Return the data of an object that others may have changed, without derived data."""
     label = stored.labels.of(object_id)
     row = next((o for o in stored.objects.objects if o.id == object_id), None)
     return row, None if label is None else without_derived(label), stored.annotation.of(object_id)
@@ -183,7 +181,7 @@ def _by_id(state: AnnotationState) -> dict[int, ObjectState]:
 
 
 class Stored(Document, frozen=True, kw_only=True):
-    """objects.json, labels.json and annotation.json as they were at one moment."""
+    """Contents of objects.json, labels.json and annotation.json at one time."""
 
     objects: ObjectTable
     labels: Labels
@@ -191,16 +189,16 @@ class Stored(Document, frozen=True, kw_only=True):
 
     @staticmethod
     def of(scene: Scene) -> Stored:
-        """Raises ToolkitError for a document that cannot be read."""
+        """Read the documents; raises ToolkitError for an unreadable one."""
         return Stored(objects=scene.objects, labels=scene.labels, annotation=scene.annotation)
 
 
 @dataclass(frozen=True)
 class Opened:
-    """A state with what could not be taken over as it is.
+    """State read from documents, with warnings.
 
     Attributes:
-        warnings: sentences for people.
+        warnings: sentences on data that could not be read exactly.
     """
 
     state: AnnotationState
@@ -208,10 +206,10 @@ class Opened:
 
 
 def state_of(scene: Scene, cameras: Cameras, stored: Stored) -> Opened:
-    """The state that the documents stand for; images are not read.
+    """Return the state of the documents; reads no images.
 
-    A label that was propagated is placed by its pose in the world; one that was annotated in
-    several frames and not propagated yet by what agrees best with all of them.
+    A propagated label is placed by its world pose. A label annotated in several frames and not yet
+    propagated is placed by the pose that agrees best with all of them.
     """
     warnings: list[str] = []
     objects = []
@@ -256,7 +254,7 @@ def _placements(
     usable = [f for f in annotated if f in cameras.frame_set]
     frame = usable[0] if usable else label.frame
     if label.T_world_obj is None and len(usable) <= 1:
-        # Also where its frame has no camera pose: the label holds in that frame then.
+        # Also if its frame has no camera pose: the label then holds in that frame only.
         return {frame: _placement(label, annotated[frame])}, None
     problem = None
     if label.T_world_obj is not None:
@@ -264,7 +262,7 @@ def _placements(
     else:
         T_world_obj, problem = _fused(scene, cameras, label, frame)
     if not usable:
-        # Propagated from a frame that lost its camera pose since.
+        # Propagated from a frame that has since lost its camera pose.
         frame = cameras.frames[0]
     T_world_cam = cameras.T_world_cam(frame)
     assert T_world_cam is not None

@@ -1,4 +1,4 @@
-"""Meshes of the library, read once and shared by all threads."""
+"""Thread-safe cache of the library meshes."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ if TYPE_CHECKING:
     import trimesh
 
 
-# Path of a mesh file in the scene, its size and the time of its last change.
+# Path of a mesh file in the scene, its size and modification time.
 Version = tuple[str, int, int]
 
 
 class _Entry:
-    """One mesh; whoever comes first reads it, others of the same mesh wait."""
+    """One mesh; the first thread reads it while others wait."""
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
         self.read: tuple[trimesh.Trimesh, NDArray[np.float64]] | None = None
-        # In a tuple once it was looked for: there may be none.
+        # A tuple once computed, because the axis itself may be None.
         self.round_axis: tuple[int | None] | None = None
 
 
 class MeshLibrary:
-    """Meshes by file; a file that changed is read again."""
+    """Meshes by file; a changed file is read again."""
 
     def __init__(self, root: Path) -> None:
         self._root = root
@@ -39,19 +39,19 @@ class MeshLibrary:
         self._entries: dict[Version, _Entry] = {}
 
     def mesh(self, model: Model) -> trimesh.Trimesh:
-        """Mesh of a model, metres; the caller must not change it.
+        """Return the mesh of a model, metres; the caller must not modify it.
 
         Raises:
-            ToolkitError: missing, unreadable, or of implausible size.
+            ToolkitError: the file is missing or unreadable, or the size is implausible.
         """
         return self._read(self._entry(model), model)[0]
 
     def centre(self, model: Model) -> NDArray[np.float64]:
-        """(3,) centre of the bounding box, mesh frame, metres; raises as `mesh`."""
+        """Return the (3,) centre of the bounding box, mesh frame, metres; raises as `mesh`."""
         return self._read(self._entry(model), model)[1]
 
     def round_axis(self, model: Model) -> int | None:
-        """The coordinate axis a mesh is turned about, looked for once; raises as `mesh`."""
+        """Return the rotation axis of a round mesh, cached, or None; raises as `mesh`."""
         entry = self._entry(model)
         mesh = self._read(entry, model)[0]
         with entry.lock:
@@ -60,7 +60,7 @@ class MeshLibrary:
             return entry.round_axis[0]
 
     def version(self, model: Model) -> Version:
-        """What tells the mesh of a model from another one that the same id had before or gets."""
+        """Return a key that changes if the mesh file of the model id changes."""
         try:
             status = (self._root / model.mesh).stat()
         except OSError:

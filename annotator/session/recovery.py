@@ -1,4 +1,4 @@
-"""Edits of a session that ended before it saved."""
+"""Recovery of edits of a session that ended without saving."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from std_toolkit.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class Recovery:
-    """Edits that were made and not saved.
+    """Unsaved edits of an earlier session.
 
     Attributes:
-        count: edits, undos and redos since the last save.
-        annotator: who made the last one.
-        time: when, UTC, ISO 8601.
-        problem: why they cannot be brought back, or "".
-        damage: what of the journal could not be read, or "": what stands before it is recovered.
+        count: number of edits, undos and redos since the last save.
+        annotator: annotator of the last one.
+        time: time of the last one, UTC, ISO 8601.
+        problem: reason why they cannot be recovered, or "".
+        damage: text on the unreadable part of the journal, or ""; lines before it are recovered.
         changed: documents of the scene that were written since the edits began.
-        ledger: the session as it was.
-        entries: how many lines of the journal it is made of.
+        ledger: recovered ledger of the session.
+        entries: number of journal lines replayed.
         content: the journal.
     """
 
@@ -45,16 +45,16 @@ class Recovery:
         were = "was" if self.count == 1 else "were"
         text = f"{edits} by {who}, the last one at {when}, {were} not saved"
         if self.problem:
-            text += f", and cannot be brought back: {self.problem}"
+            text += f", and cannot be recovered: {self.problem}"
         if self.damage:
-            text += f"; the journal is damaged: {self.damage}, what stands before it is kept"
+            text += f"; the journal is damaged: {self.damage}, edits before that are kept"
         return text
 
 
 def replay(content: journal.JournalContent) -> tuple[Ledger, int, str]:
-    """The ledger after all entries, the number of them that took effect, and what went wrong.
+    """Return the ledger after all entries, the number of applied entries, and the problem.
 
-    An entry that does not fit the state ends the replay, as a damaged line does.
+    An entry that is invalid for the state ends the replay, as a damaged line does.
     """
     assert content.begun is not None
     ledger = Ledger(Version(content.begun.stored, content.begun.state))
@@ -67,7 +67,7 @@ def replay(content: journal.JournalContent) -> tuple[Ledger, int, str]:
 
 
 def find_recovery(scene: Scene, content: journal.JournalContent) -> Recovery | None:
-    """What can be recovered from a journal; None if all that can be read of it was saved."""
+    """Return the recoverable edits of a journal; None if all readable edits were saved."""
     begun = content.begun
     if begun is None:
         return None

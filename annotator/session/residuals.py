@@ -1,4 +1,4 @@
-"""How well an object's pose agrees with what the frames show: edges and, where trusted, depth."""
+"""Residuals of object poses against image edges and, on diffuse materials, sensor depth."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from std_toolkit.geometry import SE3
 from std_toolkit.scene import Scene
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 
-# How far from the drawn contour an edge is looked for.
+# Search radius for edges around the rendered contour.
 REACH_PX = 12.0
 
 
 @dataclass(frozen=True)
 class FrameResidual:
-    """One object in one frame.
+    """Residuals of one object in one frame.
 
     Attributes:
         frame: frame id.
-        visible_px: pixels of the object that are seen.
+        visible_px: number of visible pixels of the object.
         edge_px: median distance from its contour to the nearest image edge; None if none is near.
-        edge_chance_px: what a contour at a random place nearby would have: an `edge_px` that is
-            not clearly smaller says nothing.
-        edge_support: share of the contour that meets an edge at all.
-        depth_mm: median of rendered minus sensor depth; None where the sensor is not trusted or
-            saw nothing.
-        problem: why the frame could not be measured, or "".
+        edge_chance_px: chance level: the value for a contour at a random position nearby. An
+            `edge_px` that is not clearly smaller is not informative.
+        edge_support: fraction of the contour with an edge nearby.
+        depth_mm: median of rendered minus sensor depth; None if the sensor is not trusted or
+            returned no depth.
+        problem: reason why the frame could not be measured, or "".
     """
 
     frame: int
@@ -55,17 +55,17 @@ def measure_residuals(
     *,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> dict[int, list[FrameResidual]]:
-    """Residuals of objects in several frames, their neighbours hiding what they hide.
+    """Measure residuals of objects in several frames, with occlusion by other objects.
 
-    Several objects take little longer than one: images are read once.
+    Several objects take little longer than one, because images are read once.
 
     Args:
-        poses: object id to T_cam_obj by frame id; None where it has none.
+        poses: object id to T_cam_obj by frame id; None without a pose.
         materials: by the ids of the objects to measure; depth is compared on "raw" and "diffuse"
             ones only.
         meshes: object id to mesh, metres.
-        frames: ids; those in which an object has no pose are left out.
-        cancelled: asked now and then; what was measured until then comes back.
+        frames: ids; frames in which an object has no pose are skipped.
+        cancelled: polled repeatedly; True returns the residuals measured so far.
 
     Returns:
         By object id.
@@ -87,7 +87,7 @@ def measure_residuals(
 
 
 class _View:
-    """One frame with what is placed in it; its images are read when they are first needed."""
+    """One frame with its placed objects; images are read on first use."""
 
     def __init__(
         self,
@@ -106,7 +106,7 @@ class _View:
 
     @cached_property
     def _image(self) -> tuple[NDArray[np.floating], float]:
-        """The image as edges are looked for in it, and its noise."""
+        """Return the image for edge detection, and its noise."""
         image = self._scene.read_color(self._frame)
         return smooth_image(image), noise_level(image)
 
@@ -115,7 +115,7 @@ class _View:
         return self._scene.read_depth(self._frame)
 
     def measure(self, object_id: int, material: str) -> FrameResidual:
-        """Raises ToolkitError for an image that cannot be read."""
+        """Measure an object; raises ToolkitError for an unreadable image."""
         frame_id, caster = self._frame.id, self._caster
         camera, eye = self._scene.camera(self._frame), SE3.identity()
         window = caster.window(object_id, camera, eye)

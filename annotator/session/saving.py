@@ -1,9 +1,4 @@
-"""Writes objects.json, labels.json and annotation.json; carries the labels to all frames.
-
-How long an annotator worked on each object, told from the times of the edits.
-
-Carrying the labels of a scene to all its frames.
-"""
+"""Saving of the labels with working times, and propagation to all frames of the scene."""
 
 from __future__ import annotations
 
@@ -36,19 +31,20 @@ if TYPE_CHECKING:
 
 TOOL = "std-annotate"
 
-# Whoever does nothing for longer may be looking, or away: more is not counted.
+# Longer pauses between edits count with this time: the annotator may be away.
 LONGEST_PAUSE_S = 30.0
 
 
 @dataclass(frozen=True)
 class SaveReport:
-    """What saving did.
+    """Result of saving.
 
     Attributes:
-        files: names of the documents that were written.
+        files: names of the written documents.
         labelled: names of the objects whose labels were written.
-        taken_over: names of what others had changed meanwhile, now in the session too.
-        warnings: sentences for people.
+        taken_over: names of objects and models changed by others meanwhile and merged into the
+            session.
+        warnings: sentences to report.
     """
 
     files: tuple[str, ...] = ()
@@ -64,16 +60,16 @@ class SaveReport:
         else:
             text = f"Saved: {', '.join(self.files)}."
         if self.taken_over:
-            text += f" Others had changed {', '.join(self.taken_over)}: that was taken over."
+            text += f" Changes by others were merged: {', '.join(self.taken_over)}."
         return " ".join([text, *self.warnings])
 
 
 def documents_of(state: AnnotationState, base: Version, hands_on: WorkTimer | None) -> Stored:
-    """The documents that the state stands for; what it leaves alone stays as it is in `base`.
+    """Return the documents of the state; unchanged parts stay as in `base`.
 
     Args:
-        base: what stands in the scene now.
-        hands_on: seconds worked since they were last written, or None if no hand was at work.
+        base: the current documents of the scene.
+        hands_on: working time since they were last written, or None without manual work.
     """
     shown = {o.id: o for o in base.state.objects}
     labels, rows = [], []
@@ -98,13 +94,12 @@ def documents_of(state: AnnotationState, base: Version, hands_on: WorkTimer | No
 
 
 def write_documents(scene: Scene, new: Stored) -> tuple[str, ...]:
-    """Write what changed; the caller holds the scene's lock.
+    """Write the changed documents; the caller holds the scene's lock.
 
-    The order is such that the scene is whole at every moment: a label never stands beside another
-    object than its own.
+    The order keeps the scene consistent at every moment: a label never refers to a wrong object.
 
     Returns:
-        Names of the files that were written.
+        Names of the written files.
     """
     written = []
     models = {o.id: o.model for o in new.objects.objects}
@@ -151,7 +146,7 @@ def _provenance(
 ) -> LabelProvenance | msgspec.UnsetType:
     before = old.provenance if old is not None else msgspec.UNSET
     if not latest.time:
-        return before  # nobody recorded how the poses that are left came about
+        return before  # the origin of the remaining poses was not recorded
     seconds = before.hands_on_s if isinstance(before, LabelProvenance) else None
     if hands_on is not None:
         seconds = round((seconds or 0.0) + hands_on.seconds(obj.id), 1)
@@ -177,7 +172,7 @@ def _work(obj: ObjectState) -> ObjectAnnotation:
     )
 
 
-# What says the same in another order stays as it is, to the byte.
+# Equal content in a different order keeps the file bytes.
 
 
 def _kept_table(old: ObjectTable, new: ObjectTable) -> ObjectTable:
@@ -196,11 +191,11 @@ def _kept_rows(old: Annotation, new: Annotation) -> Annotation:
 
 
 class WorkTimer:
-    """Seconds by object id.
+    """Working time in seconds by object id.
 
-    The time from one edit to the next belongs to the object of the latter (shared out evenly among
-    several). Pauses count with `LONGEST_PAUSE_S` at most, and what comes before the first edit not
-    at all, so the sum is a lower bound of the time spent.
+    The time between two edits is assigned to the object of the second (split evenly among several).
+    Pauses count with at most `LONGEST_PAUSE_S`, and the time before the first edit does not count,
+    so the sum is a lower bound of the working time.
     """
 
     def __init__(self) -> None:
@@ -208,7 +203,7 @@ class WorkTimer:
         self._seconds: dict[int, float] = {}
 
     def edited(self, time: str, objects: Iterable[int]) -> None:
-        """An edit was made, undone or redone at `time` (UTC, ISO 8601)."""
+        """Record an edit, undo or redo at `time` (UTC, ISO 8601)."""
         now, numbers = datetime.fromisoformat(time), list(objects)
         if self._last is not None:
             gap = min(max((now - self._last).total_seconds(), 0.0), LONGEST_PAUSE_S)
@@ -217,12 +212,12 @@ class WorkTimer:
         self._last = now
 
     def saved(self, objects: Iterable[int]) -> None:
-        """The seconds of these objects were written down: counting starts anew."""
+        """Reset the time of these objects after it was saved."""
         for i in objects:
             self._seconds.pop(i, None)
 
     def pause(self) -> None:
-        """The annotator left: the time until the next edit is nobody's."""
+        """Ignore the time until the next edit, because the annotator left."""
         self._last = None
 
     def seconds(self, object_id: int) -> float:
@@ -231,11 +226,11 @@ class WorkTimer:
 
 @dataclass(frozen=True)
 class PropagationResult:
-    """What carrying labels did.
+    """Result of propagating labels.
 
     Attributes:
-        lines: one or more on each label, for people.
-        warnings: what to look at, such as a label whose refinement did not settle.
+        lines: one or more lines of text on each label.
+        warnings: sentences on what to inspect, such as a label whose refinement did not converge.
     """
 
     lines: tuple[str, ...]
@@ -245,10 +240,10 @@ class PropagationResult:
 def propagate_saved_labels(
     root: Path, options: PropagateOptions | None = None
 ) -> PropagationResult:
-    """Carry the labels that are saved in a scene folder to all its frames.
+    """Propagate the saved labels of a scene folder to all its frames.
 
-    Takes up to minutes, and may run in any thread. A session that has the scene open reads it again
-    afterwards; nothing may be edited in it meanwhile.
+    Takes up to minutes, and may run in any thread. A session on the scene must be reloaded
+    afterwards and must not be edited meanwhile.
 
     Raises:
         ToolkitError: as `std_toolkit.labels.propagate.propagate_labels`.

@@ -1,4 +1,4 @@
-"""Scripts: a JSON list of edits, requests and commands, carried out in order."""
+"""Scripts: JSON lists of edits, requests and commands, executed in order."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from std_toolkit.scene.model import SymmetryModel
 
 
 class Save(Document, frozen=True, kw_only=True, tag_field="edit", tag="save"):
-    """Write what was edited so far into the scene; see `Session.save`."""
+    """Saves the edits into the scene; see `Session.save`."""
 
     on_conflict: Side | None = None
 
 
 class Propagate(Document, frozen=True, kw_only=True, tag_field="edit", tag="propagate"):
-    """Save, and carry the labels to all frames; the fields are those of `PropagateOptions`."""
+    """Saves and propagates the labels to all frames; fields as in `PropagateOptions`."""
 
     refine: bool = False
     refine_scale: bool = False
@@ -44,11 +44,11 @@ class Propagate(Document, frozen=True, kw_only=True, tag_field="edit", tag="prop
 
 
 class Undo(Document, frozen=True, kw_only=True, tag_field="edit", tag="undo"):
-    """Take back the last edit in force."""
+    """Undoes the last edit."""
 
 
 class Redo(Document, frozen=True, kw_only=True, tag_field="edit", tag="redo"):
-    """Make the edit taken back last again."""
+    """Redoes the last undone edit."""
 
 
 Command = Save | Propagate | Undo | Redo
@@ -56,10 +56,11 @@ Step = AnyEdit | AnyRequest | Command
 
 
 def read_script(path: Path | str) -> list[Step]:
-    """The steps of a script file, all of them validated.
+    """Read and validate the steps of a script file.
 
     Raises:
-        ToolkitError: unreadable, or a step that is none, named by its place: `[3].frame`.
+        ToolkitError: the file is unreadable or a step is invalid; the field is named, such as
+            `[3].frame`.
     """
     try:
         steps: list[Step] = read_document(path, list[Step])
@@ -74,14 +75,14 @@ def read_script(path: Path | str) -> list[Step]:
 
 
 def run_script(session: Session, steps: list[Step], path: Path | str) -> Iterator[str]:
-    """Carry out the steps; yields lines for people.
+    """Execute the steps; yields lines of text.
 
     Args:
-        path: of the script: messages name it, and meshes are looked for beside it.
+        path: path of the script, for messages; mesh paths are relative to its folder.
 
     Raises:
-        ToolkitError: a step that cannot be carried out, named by its place. Steps after it are
-            not carried out, and what was not saved before it is not saved.
+        ToolkitError: a step fails; its index is named. Later steps are not executed, and unsaved
+            edits of earlier steps are not saved.
     """
     for index, step in enumerate(steps):
         try:
@@ -106,7 +107,7 @@ def run(
     """`std-annotate SCENE --script FILE`: prints a line for every step; exit status 0.
 
     Raises:
-        ToolkitError: a step that cannot be carried out, or earlier edits to decide about.
+        ToolkitError: a step fails, or there are unsaved edits of an earlier session.
     """
     steps = read_script(script)
     with Session.open(scene, annotator=annotator, recover=recover, by_hand=False) as session:
@@ -114,7 +115,7 @@ def run(
             raise ToolkitError(
                 str(session.recovery),
                 path=scene,
-                hint="give --recover yes to bring them back, or --recover no to keep them aside",
+                hint="give --recover yes to restore them, or --recover no to set them aside",
             )
         for warning in session.warnings:
             logger.warning("%s", warning)
@@ -123,8 +124,8 @@ def run(
             for line in run_script(session, steps, script):
                 print(line)
         except ToolkitError:
-            # The script can be run again: its edits need no recovery. Those that a person made
-            # and that were brought back before it do.
+            # Edits of the script need no recovery, because it can be run again. Recovered manual
+            # edits do.
             session.close(discard=not recovered)
             raise
         if session.unsaved:
@@ -137,13 +138,12 @@ def run(
 
 
 def export_edits(session: Session, path: Path | str) -> None:
-    """Write a script that makes the session's edits in force again, on the same or another scene.
+    """Write a script that repeats the session's edits on the same or another scene.
 
-    Poses are written as numbers, whatever computed them. A mesh that was added is taken from this
-    scene's folder.
+    Poses are written as numbers. Added meshes refer to this scene's folder.
 
     Raises:
-        ToolkitError: the file cannot be written.
+        ToolkitError: the file is not writable.
     """
     made = [step.edit for step in session.steps if step.edit is not None]
     steps = [step for edit in made for step in _exported(session, edit)]
@@ -152,12 +152,12 @@ def export_edits(session: Session, path: Path | str) -> None:
 
 
 def script_schema() -> bytes:
-    """JSON Schema of a script."""
+    """Return the JSON Schema of a script."""
     return msgspec.json.format(msgspec.json.encode(msgspec.json.schema(list[Step])), indent=2)
 
 
 def known_steps() -> list[str]:
-    """What may stand under "edit"."""
+    """Return the valid values of "edit"."""
     return [str(leaf.__struct_config__.tag) for leaf in _leaves(Step)]
 
 
@@ -177,7 +177,7 @@ def _carry_out(session: Session, step: Step, path: Path) -> Iterator[str]:
             yield f"Redo: {redone.title if redone else ''}"
         case Request():
             if isinstance(step, ImportMesh):
-                # As seen from the script, wherever it is called from.
+                # Relative to the script, independent of the working directory.
                 mesh = path.parent / Path(step.mesh).expanduser()
                 step = msgspec.structs.replace(step, mesh=str(mesh))
             outcome = session.perform(step)
@@ -226,7 +226,7 @@ def _exported(session: Session, edit: AnyEdit) -> Iterator[Step]:
 
 
 def _anywhere(edit: SingleEdit) -> SingleEdit:
-    """Object ids belong to one scene."""
+    """Remove object ids, which are specific to one scene."""
     return msgspec.structs.replace(edit, id=None) if isinstance(edit, AddObject) else edit
 
 

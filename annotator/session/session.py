@@ -1,6 +1,6 @@
-"""The headless annotation session: the one place that holds what was annotated.
+"""Headless annotation session, the only owner of the annotation state.
 
-A front end applies edits and listens; it keeps no state of the scene of its own.
+A front end applies edits and subscribes to changes; it keeps no copy of the state.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ LOCK = "annotate.lock"
 
 @dataclass(frozen=True)
 class PropagateReport:
-    """What propagating did.
+    """Result of propagating.
 
     Attributes:
-        saved: of the saving that came before.
-        lines: one per label, for people.
+        saved: result of the preceding save.
+        lines: one line of text per label.
     """
 
     saved: saving.SaveReport
@@ -43,21 +43,21 @@ class PropagateReport:
 
 
 class SaveConflict(ToolkitError):
-    """Others changed in the scene what was edited here; `value` lists the names."""
+    """Others changed the same objects as this session; `value` lists the names."""
 
 
 class Session(Editing):
     """Annotations of one scene with undo and redo; open it with `Session.open`.
 
-    Not thread-safe: it belongs to one thread. Long computations take a `snapshot` away and come
-    back with an edit.
+    Not thread-safe: it belongs to one thread. Long computations use a `snapshot` and return an
+    edit.
 
     Attributes:
-        scene: the scene as it is on disk.
-        annotator: who edits.
-        recovery: edits of an earlier session that were not saved; to be recovered or discarded
-            before anything is edited.
-        warnings: sentences about what could not be taken over as it is.
+        scene: the scene on disk.
+        annotator: name of the annotator.
+        recovery: unsaved edits of an earlier session; must be recovered or discarded before the
+            first edit.
+        warnings: sentences on data that could not be read exactly.
     """
 
     def __init__(
@@ -75,25 +75,25 @@ class Session(Editing):
         read_only: bool = False,
         by_hand: bool = True,
     ) -> Session:
-        """Open a scene for annotation; images are not read.
+        """Open a scene for annotation; reads no images.
 
         Args:
-            annotator: who edits; default: the user's name.
-            recover: what to do with edits of an earlier session that were not saved: "yes" brings
-                them back, "no" keeps their journal aside, "ask" leaves it to `recovery`.
-            read_only: look only: nothing is locked, nothing can be edited.
-            by_hand: a person edits, so that the time it takes is worth counting.
+            annotator: name of the annotator; default: the user's name.
+            recover: handling of unsaved edits of an earlier session: "yes" restores them, "no" sets
+                their journal aside, "ask" leaves them in `recovery`.
+            read_only: take no lock and allow no edits.
+            by_hand: whether a person edits, so that the working time is recorded.
 
         Raises:
-            ToolkitError: no scene there, a damaged document, another session on the scene, or a
-                folder that cannot be written.
+            ToolkitError: there is no scene, a document is damaged, another session has the scene
+                open, or the folder is not writable.
         """
         who = annotator if annotator is not None else user_name()
         if read_only:
             return Session(Scene.open(root), annotator=who, by_hand=by_hand, recorder=None)
         with ExitStack() as locks:
             _hold(locks, Scene.open(root).root, who)
-            # Read under the lock: what a session before this one wrote at its end.
+            # Read under the lock, to include the last write of an earlier session.
             scene = Scene.open(root)
             recorder = Recorder(scene)
             session = Session(scene, annotator=who, by_hand=by_hand, recorder=recorder)
@@ -113,11 +113,10 @@ class Session(Editing):
         self.close()
 
     def close(self, *, discard: bool = False) -> None:
-        """End the session. Edits that were not saved stay in the journal, to be recovered.
+        """Close the session. Unsaved edits stay in the journal and can be recovered.
 
         Args:
-            discard: edits that were not saved are not wanted; their journal is kept aside all
-                the same.
+            discard: drop unsaved edits; their journal is moved to the history folder.
         """
         if self._recorder is not None:
             unsaved = self.unsaved and not discard
@@ -129,18 +128,17 @@ class Session(Editing):
     # --- recovery --------------------------------------------------------------------------------
 
     def recover(self) -> None:
-        """Bring back the edits in `recovery`, with undo and redo as they were.
+        """Restore the edits in `recovery`, with undo and redo.
 
-        What others wrote into the scene since is taken over, unless both changed the same: then
-        saving tells.
+        Changes by others since then are merged unless they conflict; `save` reports conflicts.
 
         Raises:
-            ToolkitError: there is nothing to recover, or it belongs to another recording.
+            ToolkitError: there is nothing to recover, or the edits belong to another recording.
         """
         found = self._decided()
         if found.problem:
             raise ToolkitError(
-                f"the edits cannot be brought back: {found.problem}",
+                f"the edits cannot be recovered: {found.problem}",
                 path=found.content.path,
                 hint="discard them; their journal is kept aside",
             )
@@ -151,13 +149,13 @@ class Session(Editing):
         self.recovery = None
         self._record("reread", journal.Resumed, quiet=True)
         changed = theirs.stored != self._ledger.base.stored
-        # What both changed is asked about when it is saved, as in any session.
+        # Conflicts are resolved when saving, as in any session.
         if changed and not ledger.conflicts(self._ledger.base, self._ledger.history, theirs):
             self._take_over(theirs, prefer="mine")
         self._tell(Change("reread", "Recover", ()))
 
     def discard_recovery(self) -> None:
-        """Do without the edits in `recovery`; their journal is kept aside.
+        """Discard the edits in `recovery`; their journal is moved to the history folder.
 
         Raises:
             ToolkitError: there is nothing to recover.
@@ -170,17 +168,18 @@ class Session(Editing):
     # --- saving ----------------------------------------------------------------------------------
 
     def save(self, *, on_conflict: merge.Side | None = None) -> saving.SaveReport:
-        """Write what was edited into the scene; undo goes on to work.
+        """Save the edits into the scene; undo continues to work.
 
-        What others wrote since the scene was last read is taken over where we left it alone.
+        Changes by others since the scene was last read are merged unless they conflict.
 
         Args:
-            on_conflict: what to do about objects that others and we changed: keep "mine" or
-                "theirs"; default: an error that lists them.
+            on_conflict: version to keep of objects that both changed: "mine" or "theirs"; default:
+                an error that lists them.
 
         Raises:
-            SaveConflict: such a conflict; the edits stay as they are.
-            ToolkitError: another process is writing, or the scene cannot be written; as above.
+            SaveConflict: there is such a conflict; the edits are unchanged.
+            ToolkitError: another process is writing, or the scene is not writable; the edits are
+                unchanged.
         """
         self._require_editable()
         if not self.unsaved:
@@ -202,10 +201,10 @@ class Session(Editing):
         return saving.SaveReport(files, tuple(labelled), taken, warnings)
 
     def reload(self, title: str = "Read the scene again") -> None:
-        """Take over what stands in the scene now, as one step that undo takes back.
+        """Read the scene again, as one undo step.
 
         Raises:
-            SaveConflict: others changed what was edited here and not saved.
+            SaveConflict: others changed objects with unsaved edits.
             ToolkitError: a document is damaged, or the journal cannot be written.
         """
         self._require_editable()
@@ -214,13 +213,13 @@ class Session(Editing):
             self._renew_cameras()
             theirs = self._read_version()
             if theirs.stored != self._ledger.base.stored:
-                self._refuse_conflict(theirs, hint="save first, and say whose version to keep")
+                self._refuse_conflict(theirs, hint="save first, and choose which version to keep")
                 self._record(
                     "reread", journal.Reread, title=title, stored=theirs.stored, state=theirs.state
                 )
 
     def propagate(self, options: PropagateOptions | None = None) -> PropagateReport:
-        """Save, carry the labels to all registered frames, and read the result.
+        """Save, propagate the labels to all registered frames, and read the result.
 
         Raises:
             ToolkitError: as `save` and `std_toolkit.labels.propagate.propagate_labels`.
@@ -231,14 +230,14 @@ class Session(Editing):
         return PropagateReport(saved, (*carried.lines, *carried.warnings))
 
     def _renew_cameras(self) -> None:
-        """Take the camera poses as the scene has them now."""
+        """Read the current camera poses of the scene."""
         before, self._poses = self._poses, self.scene.poses
         if before != self._poses:
             self._cameras = state.Cameras.of(self.scene)
 
     @contextmanager
     def _noticing_cameras(self) -> Iterator[None]:
-        """Listeners hear of new camera poses at the end, also if what is done within fails."""
+        """Context manager that reports changed camera poses at its end, also after an error."""
         before = self._cameras
         try:
             yield
@@ -247,12 +246,12 @@ class Session(Editing):
                 self._tell(Change("reread", "New camera poses", ()))
 
     def _meet_others(self, on_conflict: merge.Side | None) -> tuple[str, ...]:
-        """Take over what others wrote; returns what that was."""
+        """Merge changes by others; returns the names of what was merged."""
         theirs = self._read_version()
         if theirs.stored == self._ledger.base.stored:
             return ()
         if on_conflict is None:
-            hint = "save again and say whose version to keep (on_conflict: mine or theirs)"
+            hint = "save again and choose which version to keep (on_conflict: mine or theirs)"
             self._refuse_conflict(theirs, hint=hint)
         return self._take_over(theirs, prefer=on_conflict or "mine").objects
 
@@ -275,8 +274,8 @@ class Session(Editing):
         try:
             self._record("saved", journal.Saved, quiet=True, stored=new)
         except ToolkitError as error:
-            # The labels are written. Without this line they would be offered for recovery once
-            # more, where nothing of them is found missing.
+            # The labels are written. Without this journal line the next session offers to recover
+            # them, although the scene has them.
             return (f"The labels are saved, but {error.problem}.",)
         return ()
 
@@ -293,7 +292,7 @@ class Session(Editing):
 
 
 def user_name() -> str:
-    """Name of the user of this computer; "" if it has none."""
+    """Return the name of the user of this computer; "" if unknown."""
     try:
         return getpass.getuser()
     except (KeyError, OSError):
@@ -309,7 +308,7 @@ def _hold(locks: ExitStack, root: Path, annotator: str) -> None:
         raise ToolkitError(
             error.problem,
             path=error.path,
-            hint="close that session first, or open the scene read-only to look at it"
+            hint="close that session first, or open the scene read-only"
             if held
-            else "open it read-only (--read-only) to look at it",
+            else "open it read-only (--read-only)",
         ) from error

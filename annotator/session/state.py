@@ -1,11 +1,4 @@
-"""The annotated state: immutable documents, the camera poses, and snapshots of both.
-
-Where the cameras of a scene stood, and what follows for the poses of objects.
-
-What can be asked about an annotated scene, of a session and of a snapshot alike.
-
-A session as it was at one moment, for work in another thread.
-"""
+"""Annotation state: immutable documents, camera poses, and snapshots of both for other threads."""
 
 from __future__ import annotations
 
@@ -32,7 +25,7 @@ Status = Literal["open", "done"]
 
 
 class Click(document.Document, frozen=True, kw_only=True):
-    """One 2D-3D correspondence.
+    """Clicked 2D-3D correspondence.
 
     Attributes:
         u, v: pixel in the recorded image (lens distortion included), centres at integers.
@@ -44,20 +37,20 @@ class Click(document.Document, frozen=True, kw_only=True):
     point: document.Vector3
 
     def check(self) -> None:
-        # JSON knows no NaN: such a click could not be read back.
+        # JSON has no NaN: such a click could not be decoded.
         if not all(math.isfinite(x) for x in (self.u, self.v, *self.point)):
             raise ToolkitError("a click needs finite numbers", value=[self.u, self.v, *self.point])
 
 
 class Placement(document.Document, frozen=True, kw_only=True):
-    """Where an object was put in one frame, and how it came there.
+    """Pose of an object in one frame, with its provenance.
 
     Attributes:
         T_cam_obj: mesh frame to the camera of the frame, metres.
-        method: the last thing that moved it, such as "drag", "typed", "pnp", "refine".
-        refinement: sentence on the refinement whose result this is, or "" if a hand moved it since.
-        annotator: who did it.
-        time: when, UTC, ISO 8601.
+        method: origin of the pose, such as "drag", "typed", "pnp", "refine".
+        refinement: sentence on the refinement that computed it, or "" if moved by hand since.
+        annotator: name of the annotator.
+        time: UTC, ISO 8601.
     """
 
     T_cam_obj: document.Pose16
@@ -75,15 +68,15 @@ class Placement(document.Document, frozen=True, kw_only=True):
 
 
 class ObjectState(document.Document, frozen=True, kw_only=True):
-    """One object of the scene as annotated.
+    """Annotation of one object.
 
     Attributes:
         id: 1..254, its value in masks.
-        placements: by frame id. In a scene with metric camera poses there is at most one, and it
-            holds for every frame; otherwise each frame has its own.
+        placements: poses by frame id. In a scene with metric camera poses there is at most one, and
+            it holds for every frame; otherwise each frame has its own.
         clicks: 2D-3D correspondences by frame id.
-        status: "done" when the annotator is content.
-        note: free text, such as what to look at again.
+        status: "done" if the annotator has finished it.
+        note: free text, such as what to check.
     """
 
     id: document.ObjectId
@@ -100,7 +93,7 @@ class ObjectState(document.Document, frozen=True, kw_only=True):
 
 
 class AnnotationState(document.Document, frozen=True, kw_only=True):
-    """Everything that edits change."""
+    """Complete state that edits change."""
 
     models: list[Model] = msgspec.field(default_factory=list)
     objects: list[ObjectState] = msgspec.field(default_factory=list)
@@ -113,34 +106,33 @@ class AnnotationState(document.Document, frozen=True, kw_only=True):
             self.model(thing.model)
 
     def object(self, name: str) -> ObjectState:
-        """Raises ToolkitError, naming the known ones, if there is none."""
+        """Return an entry by name; raises ToolkitError with the known names if there is none."""
         return document.find_row(self.objects, "name", name, "object")
 
     def model(self, model_id: str) -> Model:
-        """Raises ToolkitError, naming the known ones, if there is none."""
+        """Return an entry by name; raises ToolkitError with the known names if there is none."""
         return document.find_row(self.models, "id", model_id, "model")
 
     def model_of(self, name: str) -> Model:
         return self.model(self.object(name).model)
 
     def with_object(self, thing: ObjectState) -> AnnotationState:
-        """A copy in which `thing` replaces the object of its id, or joins the others."""
+        """Return a copy in which `thing` replaces the object of its id or is added."""
         kept = [o for o in self.objects if o.id != thing.id]
         return msgspec.structs.replace(self, objects=sorted([*kept, thing], key=lambda o: o.id))
 
     def with_model(self, model: Model) -> AnnotationState:
-        """A copy in which `model` replaces the one of its id, or joins the others."""
+        """Return a copy in which `model` replaces the model of its id or is added."""
         kept = [m for m in self.models if m.id != model.id]
         return msgspec.structs.replace(self, models=sorted([*kept, model], key=lambda m: m.id))
 
 
 @dataclass(frozen=True)
 class Cameras:
-    """Camera poses of a scene, where they are known in metres; immutable.
+    """Metric camera poses of a scene; immutable.
 
     Attributes:
-        problem: why poses of objects cannot be carried from frame to frame, for people; None if
-            they can.
+        problem: text on why poses of objects cannot be propagated between frames; None if they can.
         frames: ids of the frames in which a pose can be set, in recording order.
     """
 
@@ -150,7 +142,7 @@ class Cameras:
 
     @staticmethod
     def of(scene: Scene) -> Cameras:
-        """Raises ToolkitError if poses.json cannot be read."""
+        """Read the camera poses; raises ToolkitError if poses.json cannot be read."""
         problem = _pose_problem(scene)
         if problem is not None:
             return Cameras(problem, tuple(f.id for f in scene.frames), {})
@@ -159,7 +151,7 @@ class Cameras:
 
     @property
     def posed(self) -> bool:
-        """One pose of an object holds in all frames."""
+        """Whether one pose of an object holds in all frames."""
         return self.problem is None
 
     @cached_property
@@ -167,11 +159,11 @@ class Cameras:
         return frozenset(self.frames)
 
     def T_world_cam(self, frame: int) -> SE3 | None:
-        """Camera pose in metres; None if there is none."""
+        """Return the camera pose in metres; None if there is none."""
         return self._T_world_cam.get(frame)
 
     def pose(self, state: AnnotationState, name: str, frame: int) -> SE3 | None:
-        """T_cam_obj of an object in a frame; None where it has none."""
+        """Return T_cam_obj of an object in a frame; None if it has none."""
         placements = state.object(name).placements
         if frame in placements:
             return placements[frame].pose
@@ -181,7 +173,7 @@ class Cameras:
         return T_world_cam.inverse() @ T_world_obj
 
     def T_world_obj(self, state: AnnotationState, name: str) -> SE3 | None:
-        """World pose of an object; None if it is not placed in a frame with a camera pose."""
+        """Return the world pose of an object; None if not placed in a frame with a camera pose."""
         for frame, placement in state.object(name).placements.items():
             T_world_cam = self.T_world_cam(frame)
             if T_world_cam is not None:
@@ -195,19 +187,16 @@ def _pose_problem(scene: Scene) -> str | None:
     try:
         require_metres(scene)
     except ToolkitError:
-        return (
-            "The camera poses have no unit (no source of metres), so each frame is labelled on "
-            "its own."
-        )
+        return "The camera poses have no metric scale, so each frame is labelled on its own."
     return None
 
 
 class Queries:
-    """Base of `Session` and `Snapshot`, which provide the state, the cameras and the meshes."""
+    """Queries shared by `Session` and `Snapshot`, which provide state, cameras and meshes."""
 
     @property
     def state(self) -> AnnotationState:
-        """Everything that was annotated; immutable."""
+        """The annotation state; immutable."""
         raise NotImplementedError
 
     @property
@@ -217,17 +206,17 @@ class Queries:
 
     @property
     def meshes(self) -> MeshLibrary:
-        """The meshes, read once."""
+        """The mesh cache."""
         raise NotImplementedError
 
     @property
     def posed(self) -> bool:
-        """The camera poses are known in metres: one pose of an object holds in all frames."""
+        """Whether camera poses are metric: one pose of an object holds in all frames."""
         return self.cameras.posed
 
     @property
     def pose_problem(self) -> str | None:
-        """Why poses of objects cannot be carried from frame to frame; None if they can."""
+        """Text on why poses of objects cannot be propagated between frames; None if they can."""
         return self.cameras.problem
 
     @property
@@ -236,42 +225,42 @@ class Queries:
         return self.cameras.frames
 
     def T_world_cam(self, frame: int) -> SE3 | None:
-        """Camera pose in metres; None if there is none."""
+        """Return the camera pose in metres; None if there is none."""
         return self.cameras.T_world_cam(frame)
 
     def object(self, name: str) -> ObjectState:
-        """Raises ToolkitError if there is none of this name."""
+        """Return an object by name; raises ToolkitError if there is none."""
         return self.state.object(name)
 
     def pose(self, name: str, frame: int) -> SE3 | None:
-        """T_cam_obj of an object in a frame; None where it has no pose."""
+        """Return T_cam_obj of an object in a frame; None if it has no pose."""
         return self.cameras.pose(self.state, name, frame)
 
     def T_world_obj(self, name: str) -> SE3 | None:
-        """World pose in a scene with metric camera poses; None if not placed or no such poses."""
+        """Return the world pose of an object; None if not placed or without metric camera poses."""
         return self.cameras.T_world_obj(self.state, name)
 
     def mesh(self, model_id: str) -> trimesh.Trimesh:
-        """Mesh of a model of the library, metres; not to be changed.
+        """Return the mesh of a library model, metres; must not be modified.
 
         Raises:
-            ToolkitError: no such model, or its file is missing or damaged.
+            ToolkitError: there is no such model, or its file is missing or damaged.
         """
         return self.meshes.mesh(self.state.model(model_id))
 
     def centre(self, model_id: str) -> NDArray[np.float64]:
-        """(3,) centre of the bounding box of a model's mesh, mesh frame, metres; see `mesh`."""
+        """Return the (3,) bounding box centre of a model, mesh frame, metres; raises as `mesh`."""
         return self.meshes.centre(self.state.model(model_id))
 
 
 class Snapshot(Queries):
-    """Immutable: what the session does later does not reach it.
+    """Immutable copy of a session, unaffected by later edits.
 
     Attributes:
-        scene: the scene with the models and objects of the state, also those that are not saved
-            yet; for cameras, images and depth. It has no labels: `pose` tells where objects are.
-        writable: files may be added to the scene folder.
-        annotator: who edits.
+        scene: the scene with the models and objects of the state, including unsaved ones; for
+            cameras, images and depth. It has no labels: `pose` returns poses of objects.
+        writable: whether files may be added to the scene folder.
+        annotator: name of the annotator.
     """
 
     def __init__(
@@ -290,7 +279,7 @@ class Snapshot(Queries):
         self._state, self._cameras, self._meshes = state, cameras, meshes
 
     def with_model(self, model: Model) -> Snapshot:
-        """A copy with one more model, such as the first of several meshes that are added."""
+        """Return a copy with an additional model, such as the first of several added meshes."""
         return Snapshot(
             self.scene,
             self._state.with_model(model),
@@ -314,7 +303,7 @@ class Snapshot(Queries):
 
 
 def object_table(state: AnnotationState) -> ObjectTable:
-    """objects.json of a state."""
+    """Return the contents of objects.json for a state."""
     return ObjectTable(
         models=state.models,
         objects=[

@@ -1,4 +1,4 @@
-"""VTK drawing of an annotation session: image, cloud, handles and mouse; no Qt."""
+"""VTK rendering and mouse interaction of an annotation session, without Qt."""
 
 from annotator.views.model_view import ModelView
 from annotator.views.scene_view import SceneView

@@ -1,4 +1,4 @@
-"""Points, table and cameras around the objects."""
+"""Rendering of the point cloud, the table plane and the cameras."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from std_toolkit.geometry import SE3, Camera
 Array = NDArray[np.float64]
 
 TABLE_COLOR = (0.45, 0.56, 0.68)
-# Lines of the table's grid.
+# Spacing of the table's grid lines.
 _GRID_M = 0.05
 _SMALLEST_TABLE_M = 0.25
 _FRUSTUM_M = 0.07
-# Smallest and largest points, physical pixels; while moving, large ones take too long.
+# Smallest and largest point size, physical pixels; large points are too slow during motion.
 POINT_PX = (2.0, 9.0)
 LARGEST_LIGHT_PX = 4.0
 
 
 class CloudLayer:
-    """The points of one view."""
+    """Point cloud of one view."""
 
     def __init__(self, layers: Layers) -> None:
         self._layers = layers
         self._cloud: clouds.Cloud | None = None
         self._T_eye: SE3 | None = None
         self._filled: set[bool] = set()
-        # They come first in their layer, so that translucent meshes are drawn over them.
+        # First in their layer, so that translucent meshes are drawn over them.
         self._actors = {few: _points_actor() for few in (False, True)}
         for actor in self._actors.values():
             layers.solids.AddActor(actor)
@@ -43,12 +43,12 @@ class CloudLayer:
     def show(
         self, cloud: clouds.Cloud | None, T_eye: SE3 | None, *, light: bool, pixels_per_metre: float
     ) -> None:
-        """Show points at a pose, or none.
+        """Show a cloud at a pose, or none.
 
         Args:
-            T_eye: what the points are in, into eye coordinates.
-            light: few points.
-            pixels_per_metre: on the screen, at the distance of what is looked at.
+            T_eye: coordinate frame of the points to eye coordinates.
+            light: draw few points.
+            pixels_per_metre: scale on the screen at the distance of the target.
         """
         self._T_eye = T_eye
         if cloud is not self._cloud:
@@ -66,7 +66,7 @@ class CloudLayer:
             mapper: Any = actor.GetMapper()
             mapper.SetInputData(_points(cloud.points[:count], cloud.colors[:count]))
         actor.VisibilityOn()
-        # So large that surfaces look closed; fewer points are larger.
+        # Large enough to close surfaces; fewer points are larger.
         spacing = cloud.spacing_m * (
             np.sqrt(len(cloud.points) / clouds.LIGHT_POINTS) if few else 1.0
         )
@@ -77,7 +77,7 @@ class CloudLayer:
         place(actor, T_eye)
 
     def depth_at(self, camera: projection.ScreenCamera, xy: Array, *, reach: float) -> float | None:
-        """Depth of the nearest point within `reach` pixels of a screen position."""
+        """Return the depth of the nearest point within `reach` pixels of a screen position."""
         if self._cloud is None or self._T_eye is None or len(self._cloud.points) == 0:
             return None
         points = self._T_eye @ self._cloud.points[: clouds.LIGHT_POINTS].astype(np.float64)
@@ -87,7 +87,7 @@ class CloudLayer:
 
 
 class TableLayer:
-    """The plane on which the objects stand, as a grid."""
+    """Table plane of one view, drawn as a grid."""
 
     def __init__(self, layers: Layers) -> None:
         self._layers = layers
@@ -95,7 +95,7 @@ class TableLayer:
         self._actors: list[vtkActor] = []
 
     def show(self, plane: tuple[Array, Array, float] | None, T_eye: SE3 | None) -> None:
-        """Show a plane by normal (3,), middle (3,) and radius in metres, or none."""
+        """Show a plane given by normal (3,), centre (3,) and radius in metres, or none."""
         for actor in self._actors:
             actor.SetVisibility(plane is not None and T_eye is not None)
         if plane is None or T_eye is None:
@@ -121,11 +121,11 @@ def draw_camera(
     *,
     scale: float = 1.0,
 ) -> Array | None:
-    """A pyramid where a frame's camera stands; its screen position, None if out of sight."""
+    """Draw a frame's camera as a pyramid; returns its screen position, None if out of view."""
     w, h = camera.size
     corners = np.array([[-0.5, -0.5], [w - 0.5, -0.5], [w - 0.5, h - 0.5], [-0.5, h - 0.5]])
     far = T_eye_cam @ (camera.unproject(corners) * _FRUSTUM_M)
-    # A mark on the upper side tells which way up it is.
+    # A mark on the upper side shows the up direction.
     top = np.array([[0.35 * w, -0.5], [0.65 * w, -0.5], [0.5 * w, -0.16 * h]])
     mark = T_eye_cam @ (camera.unproject(top) * _FRUSTUM_M)
     ends = [(T_eye_cam.t, corner) for corner in far]
@@ -157,7 +157,7 @@ def _points(points: NDArray[np.float32], colors: NDArray[np.uint8]) -> vtkPolyDa
     polydata.SetPoints(vertices)
     cells = vtkCellArray()
     ids = np.arange(len(points), dtype=np.int64)
-    # One cell of all points is drawn faster than a cell for each.
+    # One cell with all points renders faster than one cell per point.
     cells.SetData(
         numpy_to_vtkIdTypeArray(np.array([0, len(points)], np.int64), deep=True),
         numpy_to_vtkIdTypeArray(ids, deep=True),

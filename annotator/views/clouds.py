@@ -1,4 +1,4 @@
-"""Which points the cloud of a view consists of, read when they are first looked at."""
+"""Point clouds of the views, read on first use."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ if TYPE_CHECKING:
     from annotator.app.tasks import Task
     from std_toolkit.scene import Scene
 
-# What software rendering draws in a fraction of a second, and what it draws while moving.
+# Number of points that software rendering draws in a fraction of a second, and during motion.
 MOST_POINTS = 200_000
 LIGHT_POINTS = 20_000
-# Frames of the fused cloud: more add time, hardly surface.
+# Largest number of fused frames: more take longer but add hardly any surface.
 MOST_FRAMES = 30
 _KEPT_FRAMES = 6
 
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Points in random order, so that the first few of them show the whole.
+    """Point cloud in random order, so that the first N points are a subsample.
 
     Attributes:
         points: (N, 3) float32 metres, in the world or in the camera of the frame.
         colors: (N, 3) uint8 RGB.
-        in_world: the points are in the world.
-        spacing_m: about how far a point is from the next.
-        note: sentence for people on what is shown, or on why nothing is.
+        in_world: whether the points are in the world frame.
+        spacing_m: approximate distance of neighbouring points.
+        note: sentence on what is shown, or on why nothing is.
     """
 
     points: NDArray[np.float32]
@@ -46,10 +46,10 @@ class Cloud:
 
 
 class CloudReader:
-    """The clouds of a scene; those of single frames are read at once, the fused one aside.
+    """Point clouds of a scene: single frames are read directly, the fused cloud in the background.
 
-    Whatever they are made of may change while the session is open, such as by refining the scale of
-    the camera poses: then they are read anew.
+    If their source data change during the session, such as the scale of the camera poses, the
+    clouds are read again.
     """
 
     def __init__(self, controller: Controller) -> None:
@@ -57,19 +57,19 @@ class CloudReader:
         self._frames: OrderedDict[int, Cloud] = OrderedDict()
         self._fused: Cloud | None = None
         self._sparse: Cloud | None = None
-        # What is being fused, and why it could not be: of the scene as it is, or None.
+        # Token of the fusion in progress and its error message, for the current scene, or None.
         self._fusing: object | None = None
         self._problem: str | None = None
         session = controller.session
         self._made_of = session.scene.info, session.scene.frame_table, session.cameras
 
     def get(self, frame: int, source: CloudSource) -> Cloud:
-        """The cloud to show; a note instead of points while it is being made."""
+        """Return the cloud to show; a note instead of points while it is being computed."""
         self._notice_changes()
         if source is CloudSource.FUSED and self._controller.session.posed:
             if self._problem is not None:
                 return _only(f"{self._problem}\nPress U for the points of this frame.")
-            return self._fused or _only("Bringing the points of many frames together ...")
+            return self._fused or _only("Fusing the points of many frames ...")
         if frame not in self._frames:
             self._frames[frame] = self._read(frame)
             while len(self._frames) > _KEPT_FRAMES:
@@ -78,9 +78,9 @@ class CloudReader:
         return self._frames[frame]
 
     def prepare(self, source: CloudSource) -> None:
-        """Begin to fuse, if that cloud is wanted and not there yet.
+        """Start the fusion if the fused cloud is requested and not available.
 
-        What failed is tried again once it was not wanted for a while: by asking for it anew.
+        A failed fusion is tried again when the cloud is deselected and requested again.
         """
         self._notice_changes()
         controller = self._controller
@@ -90,7 +90,7 @@ class CloudReader:
         if self._fused is not None or self._fusing is not None or self._problem is not None:
             return
         mine = self._fusing = object()
-        # Of its own: saving reads the documents of the session's scene anew.
+        # A separate scene: saving reloads the documents of the session's scene.
         scene = controller.session.snapshot().scene
 
         def work(task: Task) -> Cloud | str:
@@ -98,12 +98,12 @@ class CloudReader:
                 return _fuse(scene, task)
             except ToolkitError as error:
                 return str(error)
-            except Exception as error:  # such as too little memory; told, and can be tried again
-                return f"The points cannot be brought together: {type(error).__name__}: {error}"
+            except Exception as error:  # such as out of memory; reported, and can be tried again
+                return f"The points cannot be fused: {type(error).__name__}: {error}"
 
         def ended(found: Cloud | str) -> None:
             if self._fusing is not mine:
-                return  # of a scene that has changed since
+                return  # the scene has changed since
             self._fusing = None
             if isinstance(found, Cloud):
                 self._fused = found
@@ -115,19 +115,19 @@ class CloudReader:
         controller.start_aside("Point cloud of many frames", work, ended)
 
     def clear(self) -> None:
-        """Forget the clouds, and what is being made of them."""
+        """Remove all clouds and cancel the fusion."""
         self._frames.clear()
         self._fused = self._sparse = self._fusing = self._problem = None
 
     def _notice_changes(self) -> None:
-        """Forget what was made of other documents; labels and meshes take no part in clouds."""
+        """Remove clouds if their source documents have changed; labels and meshes do not matter."""
         session = self._controller.session
         made_of = session.scene.info, session.scene.frame_table, session.cameras
         if all(a is b for a, b in zip(made_of, self._made_of, strict=True)):
             return
         (*documents, cameras), (*earlier, before) = made_of, self._made_of
         self._made_of = made_of
-        # Saving reads the documents anew: they are others then, and mostly equal.
+        # Saving reloads the documents as new objects that are mostly equal.
         if documents != earlier or cameras is not before:
             self.clear()
 
@@ -147,12 +147,12 @@ class CloudReader:
         except ToolkitError as error:
             return _only(str(error))
         if len(points) == 0:
-            return self._instead("The sensor measured nothing in this frame.")
+            return self._instead("This frame has no valid depth.")
         spacing = stride * float(np.median(points[:, 2])) / camera.fx
         return _shuffled(points, colors, in_world=False, spacing_m=spacing)
 
     def _instead(self, reason: str) -> Cloud:
-        """The points of the reconstruction where there is no depth."""
+        """Return the points of the reconstruction, for frames without depth."""
         from std_toolkit.rendering.point_cloud import sparse_points
 
         if self._sparse is None and self._controller.session.posed:

@@ -1,6 +1,6 @@
-"""What the pointer does to a pose while a button is held: exact, as far as the handle allows.
+"""Drags: changes of a pose that follow the pointer.
 
-Numbers only: a pinhole (`ScreenCamera`), points in eye coordinates, screen positions.
+Pure geometry: a pinhole (`ScreenCamera`), points in eye coordinates, screen positions.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from std_toolkit.geometry import SE3, so3_exp
 
 Array = NDArray[np.float64]
 
-# A ring whose plane is nearer to the eye than this (sine) is turned along its tangent.
+# A ring closer to edge-on than this (sine) is rotated by pointer motion along its tangent.
 EDGE_ON = 0.2
 NEAREST_M = 0.02
-# What slides along a table goes at most so many times as far away.
+# Largest factor of the distance when sliding an object along the table.
 FARTHEST = 3.0
 
 
 class Drag(Protocol):
-    """What the pointer does to a pose while a button is held."""
+    """Change of a pose that follows the pointer."""
 
     def to(self, xy: ArrayLike) -> SE3:
-        """T_eye_obj with the pointer at the screen position `xy`."""
+        """Return T_eye_obj for the pointer at the screen position `xy`."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class PlaneDrag:
-    """Shift in a plane: the grabbed point stays under the pointer.
+    """Translation in a plane; the grabbed point stays under the pointer.
 
     Attributes:
         grabbed: (3,) point of the object, eye coordinates.
@@ -51,7 +51,7 @@ class PlaneDrag:
         if self.normal is None:
             return SE3(self.start.R, self.start.t + ray * self.grabbed[2] - self.grabbed)
         height, slope = float(self.normal @ self.grabbed), float(self.normal @ ray)
-        # Towards the plane's horizon, and beyond it, the point would run away.
+        # Near the plane's horizon and beyond it the point would go to infinity.
         depth = height / slope if height * slope > 0 else np.inf
         shift = ray * min(depth, FARTHEST * self.grabbed[2]) - self.grabbed
         shift -= (shift @ self.normal) * self.normal
@@ -59,14 +59,14 @@ class PlaneDrag:
 
 
 class AxisDrag:
-    """Shift along an axis: the point of the axis below the pointer stays below it."""
+    """Translation along an axis; the grabbed axis point stays under the pointer."""
 
     def __init__(
         self, camera: ScreenCamera, centre: Array, axis: Array, xy: Array, start: SE3
     ) -> None:
         self._camera, self._centre, self._axis, self._start = camera, centre, axis, start
         self._middle = camera.project(centre)
-        # How the screen position moves along the axis: derivative of the projection.
+        # Derivative of the screen position along the axis.
         x, y, z = centre
         direction = np.array(
             [
@@ -82,16 +82,16 @@ class AxisDrag:
         return SE3(self._start.R, self._start.t + shift * self._axis)
 
     def _position(self, xy: Array) -> float:
-        """Metres along the axis of the point whose projection lies nearest to `xy`."""
+        """Return the position along the axis, metres, whose projection is nearest to `xy`."""
         camera, (x, y, z), a = self._camera, self._centre, self._axis
-        # The pointer's foot on the axis' line on the screen, measured along that line.
+        # Projection of the pointer onto the axis line on the screen, measured along that line.
         wanted = float((xy - self._middle) @ self._along)
         row = np.array([camera.fx * self._along[0], camera.fy * self._along[1]])
         offset = wanted + float(row @ [x, y]) / z
         # row . (p + t a) = offset (z + t a_z), solved for t.
         slope = float(row @ a[:2]) - offset * a[2]
         t = (offset * z - float(row @ [x, y])) / slope if abs(slope) > 1e-12 else np.inf
-        # Beyond the vanishing point the line runs behind the eye.
+        # Beyond the vanishing point the line is behind the eye.
         nearest, farthest = -np.inf, np.inf
         if a[2] > 1e-9:
             nearest = (NEAREST_M - z) / a[2]
@@ -104,7 +104,7 @@ class AxisDrag:
 
     @cached_property
     def _reference_slope(self) -> float:
-        """Slope at the centre itself; it changes its sign at the vanishing point."""
+        """Return the slope at the centre; the slope changes its sign at the vanishing point."""
         camera, (x, y, z), a = self._camera, self._centre, self._axis
         row = np.array([camera.fx * self._along[0], camera.fy * self._along[1]])
         return float(row @ a[:2]) - float(row @ [x, y]) / z * float(a[2])
@@ -112,7 +112,7 @@ class AxisDrag:
 
 @dataclass(frozen=True, eq=False)
 class DepthDrag:
-    """Shift along an axis that points at the eye, by `gain` (2,) metres per pixel."""
+    """Translation along an axis that points at the eye, by `gain` (2,) metres per pixel."""
 
     gain: Array
     axis: Array
@@ -125,7 +125,7 @@ class DepthDrag:
 
 
 class RingDrag:
-    """Turn about an axis through the centre by the angle that the pointer sweeps."""
+    """Rotation about an axis through the centre by the angle that the pointer sweeps."""
 
     def __init__(
         self,
@@ -163,7 +163,7 @@ class RingDrag:
         return turned(self._start, self._centre, self._axis * angle)
 
     def _angle(self, xy: Array) -> float:
-        """Of the pointer in the ring's plane."""
+        """Return the angle of the pointer in the ring's plane."""
         ray = self._camera.ray(xy)
         steepness = float(self._axis @ ray)
         if abs(steepness) < 1e-9:
@@ -179,7 +179,7 @@ class RingDrag:
 
 @dataclass(frozen=True, eq=False)
 class TrackballDrag:
-    """Turn about the centre as if the pointer rolled a ball of `radius_px` under it."""
+    """Rotation about the centre by a virtual trackball of `radius_px`."""
 
     centre: Array
     radius_px: float
@@ -192,13 +192,13 @@ class TrackballDrag:
 
 
 def turned(T_eye_obj: SE3, centre: Array, rotation: Array) -> SE3:
-    """A pose turned by a rotation vector (3,) about a point (3,), both in eye coordinates."""
+    """Rotate a pose by a rotation vector (3,) about a point (3,), both in eye coordinates."""
     R = so3_exp(rotation)
     return SE3(R @ T_eye_obj.R, R @ (T_eye_obj.t - centre) + centre)
 
 
 def plane_basis(axis: Array) -> tuple[Array, Array]:
-    """Unit vectors u, v with u x v = axis."""
+    """Return unit vectors u, v with u x v = axis."""
     helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
     u = np.cross(axis, helper)
     u /= np.linalg.norm(u)

@@ -1,7 +1,7 @@
-"""Handles with which an object is moved and turned along axes: where they are, how they look.
+"""Gizmo: geometry and drawing of handles that move and rotate an object along axes.
 
-Numbers only: a pinhole (`ScreenCamera`), a centre and axes in eye coordinates, screen positions.
-The mouse is followed by `pointer.py`.
+Pure geometry: a pinhole (`ScreenCamera`), a centre and axes in eye coordinates, screen positions.
+`pointer.py` handles the mouse.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ __all__ = ["ARROW_START", "AXIS_COLORS", "HOVERED", "draw_gizmo"]
 
 Array = NDArray[np.float64]
 
-# Parts of the gizmo's size: where arrows begin, the disc, the outermost ring.
+# Fractions of the gizmo's size: start of the arrows, disc, outermost ring.
 ARROW_START, DISC, VIEW_RING = 0.26, 0.16, 1.22
 
-# An arrow shorter than this part of its length points at the eye: a pointer could not follow it.
+# An arrow foreshortened below this fraction points at the eye and cannot be dragged.
 SHORTEST_ARROW = 0.3
 
-# A depth handle moves by so many pixels' worth of metres for one pixel of the pointer.
+# Motion of a depth handle for one pixel of the pointer, in pixels at the object's depth.
 DEPTH_GAIN = 2.0
 
 REACH_PX = 8.0
 
 _RING_POINTS = 72
 
-# x red, y green, z blue, as everywhere; bright enough on dark and on light images.
+# x red, y green, z blue; bright enough on dark and on light images.
 AXIS_COLORS: tuple[Color, ...] = (
     (0.95, 0.26, 0.27, 1.0),
     (0.42, 0.80, 0.25, 1.0),
@@ -70,7 +70,7 @@ class Part(StrEnum):
 
 @dataclass(frozen=True)
 class Handle:
-    """One handle; `axis` is 0, 1, 2, or -1 where the part has none."""
+    """One handle; `axis` is 0, 1, 2, or -1 for parts without an axis."""
 
     part: Part
     axis: int = -1
@@ -78,11 +78,11 @@ class Handle:
 
 @dataclass(frozen=True, eq=False)
 class GizmoFrame:
-    """The handles of an object as they stand on the screen.
+    """The handles of an object on the screen.
 
     Attributes:
         camera: pinhole of the view.
-        centre: (3,) what turns turn about, eye coordinates, metres.
+        centre: (3,) centre of rotation, eye coordinates, metres.
         axes: (3, 3) unit vectors in its columns, eye coordinates.
         size_px: length of an arrow across the line of sight.
     """
@@ -94,7 +94,7 @@ class GizmoFrame:
 
     @property
     def length_m(self) -> float:
-        """Length of an arrow in metres: what appears in constant size."""
+        """Length of an arrow in metres, for a constant size on the screen."""
         return self.size_px * self.camera.pixel_m(float(self.centre[2]))
 
     @cached_property
@@ -109,7 +109,7 @@ class GizmoFrame:
         return sight
 
     def handles(self, gizmo: Gizmo) -> list[Handle]:
-        """The handles shown, foremost last."""
+        """Return the handles shown, foremost last."""
         if gizmo is Gizmo.MOVE:
             arrows = [
                 Handle(Part.DEPTH if self._points_at_eye(i) else Part.ARROW, i) for i in range(3)
@@ -121,7 +121,7 @@ class GizmoFrame:
         return []
 
     def line(self, handle: Handle) -> Array:
-        """(N, 2) screen positions along a handle; (0, 2) if it is behind the eye."""
+        """Return (N, 2) screen positions along a handle; (0, 2) if it is behind the eye."""
         if self.centre[2] <= NEAREST_M:
             return np.zeros((0, 2))
         if handle.part is Part.DEPTH:
@@ -136,7 +136,7 @@ class GizmoFrame:
         return self._circle(*self._ring(handle))
 
     def in_front(self, handle: Handle) -> NDArray[np.bool_]:
-        """(N,) which points of `line` lie on the near side of the object."""
+        """Return (N,) whether points of `line` are on the near side of the object."""
         line = self.line(handle)
         if handle.part is not Part.RING:
             return np.ones(len(line), bool)
@@ -146,7 +146,7 @@ class GizmoFrame:
         return near
 
     def hit(self, gizmo: Gizmo, xy: ArrayLike, *, reach_px: float = REACH_PX) -> Handle | None:
-        """The handle under a screen position, if any; the foremost one of those equally near."""
+        """Return the handle at a screen position, the foremost of equally near ones, or None."""
         point = np.asarray(xy, dtype=np.float64)
         best, found = reach_px, None
         for handle in self.handles(gizmo):
@@ -164,7 +164,7 @@ class GizmoFrame:
         return found
 
     def grab(self, handle: Handle, xy: ArrayLike, T_eye_obj: SE3) -> Drag:
-        """Begin to drag a handle with the pointer at `xy`."""
+        """Start to drag a handle with the pointer at `xy`."""
         at = np.asarray(xy, dtype=np.float64)
         if handle.part is Part.DISC:
             grabbed = self.camera.ray(at) * self.centre[2]
@@ -179,7 +179,7 @@ class GizmoFrame:
         return RingDrag(self.camera, self.centre, axis, radius * self.length_m, at, T_eye_obj)
 
     def depth_direction(self, axis: int) -> Array:
-        """(2,) where the handle of an axis along the line of sight points: away is up right."""
+        """Return the screen direction (2,) of the handle of an axis along the line of sight."""
         away = np.sign(self.axes[:, axis] @ self.sight) or 1.0
         return away * np.array([1.0, -1.0]) / np.sqrt(2)
 
@@ -188,7 +188,7 @@ class GizmoFrame:
         return bool(across < SHORTEST_ARROW)
 
     def _ring(self, handle: Handle) -> tuple[Array, float]:
-        """Axis of a ring and its radius in parts of the gizmo's size."""
+        """Return the axis of a ring and its radius as a fraction of the gizmo's size."""
         if handle.part is Part.VIEW_RING:
             return self.sight, VIEW_RING
         return self.axes[:, handle.axis], 1.0
@@ -205,7 +205,7 @@ def _circle_directions(axis: Array) -> Array:
 
 
 def _distance(line: Array, point: Array, usable: NDArray[np.bool_], *, closed: bool) -> float:
-    """Of a screen position from a chain of lines, whose ends both have to be usable."""
+    """Return the distance of a screen position to the segments whose ends are both usable."""
     a = line if closed else line[:-1]
     b = np.roll(line, -1, axis=0) if closed else line[1:]
     good = (usable & np.roll(usable, -1)) if closed else (usable[:-1] & usable[1:])
@@ -230,8 +230,8 @@ def draw_gizmo(
     """Add the handles to a drawing.
 
     Args:
-        hovered: highlighted.
-        only: the one being dragged; the others are left out.
+        hovered: handle to highlight.
+        only: handle being dragged; the others are not drawn.
         scale: physical pixels per logical one.
     """
     for handle in frame.handles(gizmo):
@@ -295,7 +295,7 @@ def _arrow(
 
 
 def _runs(line: NDArray[np.floating], on: NDArray[np.bool_]) -> list[NDArray[np.floating]]:
-    """The parts of a closed line whose points are `on`, each in one piece."""
+    """Return the connected parts of a closed line whose points are `on`."""
     if on.all():
         return [np.concatenate([line, line[:1]])]
     if not on.any():

@@ -1,9 +1,4 @@
-"""Events of a plotter, and what they do to the eye and to clicked points.
-
-What a held button does as the pointer moves.
-
-The VTK interactor of a plotter, without the habits of VTK and pyvista.
-"""
+"""Interactor events of a plotter, and gestures that change the eye or clicked points."""
 
 from __future__ import annotations
 
@@ -25,12 +20,12 @@ REACH_PX = 10.0
 
 Array = NDArray[np.float64]
 
-# The cloud turns half around as the pointer crosses the view.
+# Rotation of the cloud when the pointer crosses the view, radians.
 ORBIT_PER_VIEW = np.pi
 
 
 def marker_at(view: SceneView, at: ScreenPoints) -> int | None:
-    """Index of the clicked pixel under the pointer."""
+    """Return the index of the clicked pixel under the pointer, or None."""
     if view.mode is not Mode.IMAGE:
         return None
     distance = np.linalg.norm(pixels(view) - at, axis=1)
@@ -40,7 +35,7 @@ def marker_at(view: SceneView, at: ScreenPoints) -> int | None:
 
 
 def pick_point(view: SceneView, at: ScreenPoints) -> None:
-    """The pointer is on the mesh: that point waits for its pixel."""
+    """Set the mesh point under the pointer as the pending point of a correspondence."""
     controller = view.controller
     name = controller.selected
     if name is None:
@@ -55,7 +50,7 @@ def pick_point(view: SceneView, at: ScreenPoints) -> None:
 
 
 def add_pixel(view: SceneView, at: ScreenPoints) -> None:
-    """The pointer is on the pixel of the point that waits for it."""
+    """Add a correspondence of the pending point and the pixel under the pointer."""
     controller = view.controller
     name, point = controller.selected, controller.pending_point
     if name is None or point is None:
@@ -92,7 +87,7 @@ class _EyeGesture:
 
 
 class PanGesture(_EyeGesture):
-    """Shifts the image, or the eye in the cloud; the point under the pointer stays under it."""
+    """Pans the image, or the eye in the cloud; the point under the pointer stays under it."""
 
     def start(self, at: Array) -> None:
         super().start(at)
@@ -110,7 +105,7 @@ class PanGesture(_EyeGesture):
 
 
 class OrbitGesture(_EyeGesture):
-    """Goes around the selected object, or around what was grabbed."""
+    """Orbits the selected object, or the grabbed point."""
 
     def start(self, at: Array) -> None:
         super().start(at)
@@ -126,7 +121,7 @@ class OrbitGesture(_EyeGesture):
 
 
 class MarkerGesture:
-    """Corrects the pixel of a clicked correspondence."""
+    """Moves the pixel of a clicked correspondence."""
 
     moves_view = True
 
@@ -157,24 +152,24 @@ class MarkerGesture:
 
 
 def interactor_of(plotter: Any) -> Any:
-    """The VTK interactor of a pyvista plotter or Qt widget."""
+    """Return the VTK interactor of a pyvista plotter or Qt widget."""
     return plotter.iren.interactor
 
 
 class Events:
-    """Observers of a plotter's interactor; nothing else listens to mouse and keys any more.
+    """Observers of a plotter's interactor, which replace all default mouse and key handlers.
 
-    Their styles would turn the camera, and have keys of their own: w changes what is drawn, q
-    closes.
+    The default styles of VTK and pyvista rotate the camera and have key bindings: w changes the
+    representation, q closes.
     """
 
     def __init__(self, plotter: Any, handlers: dict[str, Callable[..., None]]) -> None:
         self.interactor = interactor_of(plotter)
         style: Any = vtkInteractorStyleUser()
         style.AddObserver("CharEvent", lambda *_: None)
-        # pyvista sets its own style anew after a double click, so it must take ours for its own.
+        # pyvista restores its own style after a double click, so this style must replace it there.
         plotter.iren.style = style
-        # The interactor does not keep it alive from Python's side.
+        # The interactor does not hold a Python reference to the style.
         self._style = style
         plotter.iren.clear_key_event_callbacks()
         self._tags = [self.interactor.AddObserver(e, h) for e, h in handlers.items()]

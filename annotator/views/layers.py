@@ -1,11 +1,9 @@
-"""The layers of one drawing area, from the image at the back to handles and text in front.
+"""Rendering layers of one drawing area, from back to front.
 
 0 backdrop: background colour and the image.  1 solids: meshes and clouds in perspective.
-2 veil: the image again, translucent: what shines through the meshes. It makes them evenly
-translucent without sorting triangles.  3 marks: what is painted on surfaces and seen through
-others.  4 outlines: silhouettes.  5 glass: lines and text on top.
-
-Text in a view: what it shows, names of objects, and what to do where there is nothing.
+2 veil: the image again, translucent, which makes the meshes evenly translucent without sorting
+triangles.  3 marks: paint on surfaces that is visible through others.  4 outlines: silhouettes.
+5 glass: lines and text on top.
 """
 
 from __future__ import annotations
@@ -38,7 +36,7 @@ from std_toolkit.geometry import SE3
 
 BACKGROUND = (0.118, 0.118, 0.122)
 
-# Depth range in metres: 24 bits over it leave 10 micrometres at arm's length.
+# Depth range in metres: 24 bits give a resolution of 10 micrometres at arm's length.
 NEAR_M, FAR_M = 0.01, 60.0
 
 PAPER = (0.06, 0.07, 0.085)
@@ -59,8 +57,8 @@ class Layers:
     def __init__(self, plotter: Any) -> None:
         self.window = plotter.render_window
         if not isinstance(self.window, vtkGenericOpenGLRenderWindow):
-            # A widget's samples were chosen with its graphics; without a window, that is mostly
-            # the processor, for which several per pixel take several times as long.
+            # The widget sets its samples according to the renderer. Off-screen rendering mostly
+            # runs on the CPU, where multisampling takes several times as long.
             self.window.SetMultiSamples(0)
         self.backdrop: vtkRenderer = plotter.renderer
         self.solids, self.veil, self.marks = vtkRenderer(), vtkRenderer(), vtkRenderer()
@@ -82,7 +80,7 @@ class Layers:
         self._deep.SetPosition(0, 0, 0)
         self._deep.SetFocalPoint(0, 0, 1)
         self._deep.SetViewUp(0, -1, 0)
-        # A single light at the eye: each further one costs as much again in software.
+        # A single light at the eye: each further one adds the same time in software rendering.
         light = vtkLight()
         light.SetLightTypeToHeadlight()
         self.solids.AddLight(light)
@@ -98,14 +96,14 @@ class Layers:
         return max(width, 1), max(height, 1)
 
     def look(self, camera: ScreenCamera) -> None:
-        """Draw the layers in perspective with this pinhole, the others in screen positions."""
+        """Set the pinhole of the perspective layers; the others use screen positions."""
         _set_projection(self._deep, camera.clip_matrix(NEAR_M, FAR_M))
         P = np.diag([2 / camera.width, -2 / camera.height, -1.0, 1.0])
         P[0, 3], P[1, 3] = -1, 1
         _set_projection(self._flat, P)
 
     def read(self) -> NDArray[np.uint8]:
-        """Render now; (H, W, 3) RGB."""
+        """Render and return (H, W, 3) RGB."""
         self.window.MakeCurrent()
         self.window.Render()
         grab = vtkWindowToImageFilter()
@@ -133,14 +131,14 @@ def _set_projection(camera: vtkCamera, P: NDArray[np.floating]) -> None:
 
 
 def place(prop: vtkProp, T_eye: SE3) -> None:
-    """Put a prop of a layer in perspective at a pose in eye coordinates."""
+    """Set the pose of a prop in a perspective layer, in eye coordinates."""
     matrix = vtkMatrix4x4()
     matrix.DeepCopy(T_eye.matrix().ravel().tolist())
     prop.SetUserMatrix(matrix)  # type: ignore[attr-defined]
 
 
 class Drawing:
-    """Strokes as a prop of a flat layer."""
+    """Strokes as a prop of a 2D layer."""
 
     def __init__(self, renderer: vtkRenderer) -> None:
         self._polydata = vtkPolyData()
@@ -154,7 +152,7 @@ class Drawing:
         renderer.AddActor(self.actor)
 
     def show(self, strokes: Strokes) -> None:
-        """Replace what is drawn."""
+        """Replace the drawn strokes."""
         points, colors, faces = strokes.arrays()
         self.actor.SetVisibility(len(faces) > 0)
         if len(faces):
@@ -182,7 +180,7 @@ def fill(
 
 
 class Captions:
-    """Text of one view; positions are from the top-left corner in physical pixels."""
+    """Text of one view; positions are relative to the top-left corner, physical pixels."""
 
     def __init__(self, layers: Layers) -> None:
         self._layers = layers
@@ -190,7 +188,7 @@ class Captions:
         self._used: set[str] = set()
 
     def begin(self) -> None:
-        """What is not said again until `end` disappears."""
+        """Start an update; texts not repeated by `say` until `end` are removed."""
         self._used = set()
 
     def end(self) -> None:
@@ -198,7 +196,7 @@ class Captions:
             actor.SetVisibility(key in self._used)
 
     def texts(self) -> list[str]:
-        """What is said now."""
+        """Return the current texts."""
         return [self._actors[key].GetInput() for key in sorted(self._used)]
 
     def say(
@@ -215,12 +213,12 @@ class Captions:
         valign: str = "top",
         bold: bool = False,
     ) -> None:
-        """Put a text on a box.
+        """Show a text on a box.
 
         Args:
-            key: the same key changes the same text.
-            size: of the letters in physical pixels.
-            align, valign: which side or the "center" of the text lies at `at`.
+            key: identifies the text; the same key replaces it.
+            size: font size in physical pixels.
+            align, valign: side or "center" of the text that is at `at`.
         """
         actor = self._actors.get(key)
         if actor is None:
@@ -252,7 +250,7 @@ def _set_style(
     bold: bool,
 ) -> None:
     style.SetFontFamilyToArial()
-    # VTK counts in points at 72 dots per inch.
+    # VTK sizes are in points at 72 dots per inch.
     style.SetFontSize(round(size))
     style.SetColor(*color)
     style.SetBackgroundColor(*paper)
@@ -264,5 +262,5 @@ def _set_style(
 
 
 def _place(actor: vtkActor2D, at: tuple[float, float], height: int) -> None:
-    # Whole pixels: letters between two would be blurred.
+    # Whole pixels: fractional positions blur the text.
     actor.SetPosition(round(at[0]), round(height - at[1]))

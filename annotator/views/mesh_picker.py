@@ -1,4 +1,4 @@
-"""The selected object's mesh by itself, to click points on it that the image hides."""
+"""Separate view of the selected object's mesh, to click points on it."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from annotator.views.meshes import ShapeStore
 from annotator.views.model_view import ModelView
 from std_toolkit.html.plots import object_color
 
-# A mesh that is being read is asked for again after so long.
+# Polling interval for a mesh that is being read, seconds.
 POLL_S = 0.06
 
 
 class MeshPicker:
-    """Draws the mesh with its clicked points while it can be seen.
+    """Draws the mesh with its clicked points while visible.
 
     Args:
-        plotter: what it is drawn into; see `ModelView`.
+        plotter: target of the drawing; see `ModelView`.
         shapes: shared with the other views.
-        later: calls a function after some seconds.
-        is_seen: whether it is to be drawn now.
-        options: of `ModelView`.
+        later: calls a function after a delay in seconds.
+        is_seen: returns whether the widget is visible.
+        options: options of `ModelView`.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class MeshPicker:
         self.view.close()
 
     def refresh(self) -> None:
-        """Show the selected object's mesh with its points in the view in hand."""
+        """Show the selected object's mesh with its points in the active view."""
         c = self._c
         if self._closed or not self._is_seen():
             return
@@ -63,7 +63,7 @@ class MeshPicker:
                 self._waiting = True
                 self._later(POLL_S, self._look_again)
             ids = [o.id for o in c.session.state.objects]
-            # Where there is no shape its mesh may be what cannot be read.
+            # Without a shape the mesh may be unreadable.
             up = 2 if shape is None else standing_axis(c.session, model)
             self.view.show(shape, object_color(ids, obj.id), up=up)
             clicks = obj.clicks.get(c.active_frame, [])

@@ -1,4 +1,4 @@
-"""What is drawn of a model: its full mesh, a light one for moving, edges; shared by all views."""
+"""Render meshes of models, shared by all views: full mesh, decimated mesh for motion, edges."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Faces of the light mesh: six of them in four views are drawn in software within 50 ms.
+# Faces of the light mesh: software rendering draws six of them in four views within 50 ms.
 LIGHT_FACES = 2500
 
 
 class Shape:
-    """One model.
+    """Render meshes of one model.
 
     Attributes:
-        full: its surface as it is.
-        light: with a few thousand faces, for moving; the full one until `complete` has made it.
-        wire: lines on the full surface: creases, and sections across the three axes. The edges of
-            the triangles would be as dense as a solid, and tell less of the form.
-        light_wire: the same of the light surface.
+        full: full-resolution surface.
+        light: surface with a few thousand faces, for motion; the full one until `complete` is done.
+        wire: lines on the full surface: creases, and sections across the three axes. Triangle edges
+            are too dense to show the shape.
+        light_wire: the same for the light surface.
         bounds: (2, 3) lowest and highest corner, mesh frame, metres.
     """
 
@@ -52,7 +52,7 @@ class Shape:
         self.bounds = bounds
 
     def complete(self) -> None:
-        """Make what is not needed to draw it for the first time; takes most of the time."""
+        """Compute the parts not needed for the first drawing, which take most of the time."""
         self.wire = self.light_wire = _wire(self.full, self.bounds)
         light = lighter(self.full.polydata, LIGHT_FACES)
         if light is not self.full.polydata:
@@ -85,17 +85,17 @@ class Shape:
         return locator
 
     def hit(self, origin: Array, direction: Array) -> tuple[float, Array] | None:
-        """Where a ray meets the full mesh first.
+        """Return the first intersection of a ray with the full mesh.
 
         Args:
             origin, direction: (3,) mesh frame.
 
         Returns:
-            How many times `direction` away, and the point (3,); None if it misses.
+            Multiple of `direction`, and the point (3,); None if the ray misses.
         """
         middle = float(np.linalg.norm(self.centre - origin))
         reach = (middle + 2 * self.radius) / float(np.linalg.norm(direction))
-        # References as VTK fills them; its stubs know only numbers.
+        # Reference arguments filled by VTK; its stubs declare plain numbers.
         t: Any = mutable(0.0)
         cell: Any = mutable(0)
         sub: Any = mutable(0)
@@ -110,7 +110,7 @@ class Shape:
 
 
 def make_shape(mesh: trimesh.Trimesh) -> Shape:
-    """Shape of a mesh in metres, which is still to be completed."""
+    """Return the shape of a mesh in metres; `complete` must be called later."""
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     full = triangles(vertices, faces)
     used = vertices[np.unique(faces)] if len(faces) else np.zeros((1, 3))
@@ -124,7 +124,7 @@ def _wire(surface: Surface, bounds: Array) -> vtkPolyData:
 
 @dataclass
 class _Entry:
-    """What is known of a model: its document, and what was made of the mesh that it has."""
+    """Cache entry of a model: its document, mesh and shape."""
 
     model: Model
     mesh: trimesh.Trimesh | None = None
@@ -132,15 +132,15 @@ class _Entry:
 
 
 class ShapeStore:
-    """The shapes of a session's models, made when they are first asked for.
+    """The shapes of a session's models, computed on first use.
 
-    A model of the same id may come to have another mesh, as when it is taken back and added again
-    in another unit: a model that is new is looked at anew, and its old shape shown no more.
+    The mesh of a model id may change, for example when an import is undone and repeated with
+    another unit. A changed model is read again, and its old shape is dropped.
 
     Args:
-        mesh: mesh of a model by id, the same object as long as its file is the same; may be called
-            in another thread.
-        background: make them in a thread: `get` answers None until a shape is ready.
+        mesh: returns the mesh of a model by id, the same object while its file is unchanged; may be
+            called in another thread.
+        background: compute shapes in a thread: `get` returns None until a shape is ready.
     """
 
     def __init__(self, mesh: Callable[[str], trimesh.Trimesh], *, background: bool = False) -> None:
@@ -152,14 +152,14 @@ class ShapeStore:
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="meshes") if background else None
 
     def get(self, model: Model) -> Shape | None:
-        """The shape; None if it is still being made or its mesh cannot be read."""
+        """Return the shape; None if it is still being computed or its mesh is unreadable."""
         known = self._entries.get(model.id)
         if known is None or known.model is not model:
             known = self._begin(model, known)
         return known.shape
 
     def collect(self) -> bool:
-        """Take over what the thread has finished; True if something looks different now."""
+        """Collect results of the thread; True if a shape has changed."""
         done = [m for m, (_, future) in self._making.items() if future.done()]
         new = False
         for model_id in done:
@@ -171,11 +171,11 @@ class ShapeStore:
 
     @property
     def pending(self) -> bool:
-        """Some shape is still being made or completed."""
+        """Whether some shape is still being computed or completed."""
         return bool(self._making or self._completing)
 
     def problems(self) -> dict[str, ToolkitError]:
-        """Models whose mesh cannot be read, each told once."""
+        """Return errors of models with unreadable meshes, each reported once."""
         problems, self._problems = self._problems, {}
         return problems
 
@@ -186,7 +186,7 @@ class ShapeStore:
     def _begin(self, model: Model, before: _Entry | None) -> _Entry:
         entry = self._entries[model.id] = _Entry(model)
         if before is not None and _alike(before.model, model):
-            # Most likely nothing but its category or symmetry is another: what is seen stays.
+            # Most likely only category or symmetry has changed: keep the shape.
             entry.mesh, entry.shape = before.mesh, before.shape
         known = _Entry(model, entry.mesh, entry.shape)
         if self._pool is None:
@@ -196,14 +196,14 @@ class ShapeStore:
         return entry
 
     def _made(self, known: _Entry) -> _Entry:
-        """The entry with the mesh as it is now; its shape is kept if that is the same."""
+        """Return the entry with the current mesh; keeps its shape if the mesh is unchanged."""
         mesh = self._mesh(known.model.id)
         if mesh is known.mesh and known.shape is not None:
             return known
         return _Entry(known.model, mesh, make_shape(mesh))
 
     def _finish(self, entry: _Entry, result: Callable[[], _Entry]) -> bool:
-        """True if the shape is another one now."""
+        """Store a result; True if the shape has changed."""
         before = entry.shape
         try:
             found = result()
@@ -217,11 +217,11 @@ class ShapeStore:
         if self._pool is None:
             entry.shape.complete()
         else:
-            # After the shapes that wait to be seen at all.
+            # Queued after the shapes that are not yet visible.
             self._completing.append(self._pool.submit(entry.shape.complete))
         return True
 
 
 def _alike(one: Model, other: Model) -> bool:
-    """Both tell the same of the mesh, as far as their documents go."""
+    """Whether the documents of two models describe the same mesh."""
     return (one.mesh, one.size_m, one.diameter_m) == (other.mesh, other.size_m, other.diameter_m)

@@ -1,4 +1,4 @@
-"""One mesh alone, to be turned around and clicked on."""
+"""View of a single mesh that can be rotated and clicked."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from std_toolkit.geometry import SE3, so3_exp
 Array = NDArray[np.float64]
 OnClick = Callable[[tuple[float, float, float]], None]
 
-# From so many radii away the mesh fills the view; the light mesh is drawn while it turns.
+# Distance of the eye in mesh radii at which the mesh fills the view.
 DISTANCE = 6.0
 _FILL = 0.88
 _DRAG_PX = 3.0
@@ -26,12 +26,12 @@ _SHADOW: triangles.Color = (0.0, 0.0, 0.0, 0.6)
 
 
 class ModelView:
-    """Draws a mesh into a plotter; the left button turns it, the wheel comes closer.
+    """Draws a mesh into a plotter; the left button rotates it, the wheel zooms.
 
     Args:
         plotter: `pyvista.Plotter(off_screen=True)` or `pyvistaqt.QtInteractor`.
-        on_click: told the point (x, y, z) of the mesh that was clicked, mesh frame, metres.
-        repaint: has the front end show the plotter anew.
+        on_click: called with the clicked point (x, y, z) of the mesh, mesh frame, metres.
+        repaint: requests a repaint of the plotter from the front end.
         pixel_ratio: physical pixels per logical one.
     """
 
@@ -82,7 +82,7 @@ class ModelView:
     def show(
         self, shape: meshes.Shape | None, color: str | Sequence[float] = "#c0c0c0", *, up: int = 2
     ) -> None:
-        """Show a mesh, or nothing; another mesh than before is seen from its front.
+        """Show a mesh, or nothing; a new mesh is seen from its front.
 
         Args:
             up: the coordinate axis of the mesh (0, 1, 2) that is up.
@@ -100,18 +100,18 @@ class ModelView:
     def set_points(
         self, points: Sequence[Sequence[float]], pending: Sequence[float] | None = None
     ) -> None:
-        """Mark points of the mesh, numbered from 1, and one that waits for its pixel."""
+        """Mark points of the mesh, numbered from 1, and the pending point."""
         self._points = [np.asarray(p, dtype=np.float64) for p in points]
         self._pending = None if pending is None else np.asarray(pending, dtype=np.float64)
 
     def fit(self) -> None:
-        """See all of the mesh from above its front."""
+        """Reset the eye: the whole mesh from above its front."""
         self.zoom, self._shift = 1.0, np.zeros(2)
         if self._solid is not None:
             self.R_eye_obj = front_rotation(self._up)
 
     def draw(self) -> None:
-        """Have it shown."""
+        """Request a repaint."""
         self._prepare()
         self._repaint()
 
@@ -121,7 +121,7 @@ class ModelView:
         return self.layers.read()
 
     def close(self) -> None:
-        """Take everything out of the plotter, which stays open."""
+        """Remove everything from the plotter, which stays open."""
         self._events.close()
         self.layers.window.RemoveObserver(self._render_observer)
         self._captions.close()
@@ -138,14 +138,14 @@ class ModelView:
 
     @property
     def T_eye_obj(self) -> SE3:
-        """The mesh's centre lies straight ahead."""
+        """Pose of the mesh, whose centre is on the optical axis."""
         shape = self._solid.shape if self._solid else None
         centre = np.zeros(3) if shape is None else shape.centre
         distance = DISTANCE * (1.0 if shape is None else max(shape.radius, 1e-6))
         return SE3(self.R_eye_obj, np.array([0.0, 0.0, distance]) - self.R_eye_obj @ centre)
 
     def point_at(self, xy: Array) -> Array | None:
-        """The point (3,) of the mesh at a screen position; None beside it."""
+        """Return the point (3,) of the mesh at a screen position; None outside the mesh."""
         if self._solid is None:
             return None
         T_obj_eye = self.T_eye_obj.inverse()
@@ -174,7 +174,7 @@ class ModelView:
         scale = self.pixel_ratio
         seen = self.T_eye_obj @ point
         x, y = self.screen.project(seen)
-        # What lies on the far side is pale.
+        # Points on the far side are pale.
         hit = self.point_at(np.array([x, y]))
         near = hit is None or float((self.T_eye_obj @ hit)[2]) > float(seen[2]) - 0.002
         strength = 1.0 if near else 0.35
@@ -225,7 +225,7 @@ class ModelView:
         before = self.zoom
         self.zoom = float(np.clip(self.zoom * factor, 0.3, 60.0))
         middle = np.array(self.layers.size) / 2
-        # What is under the pointer stays under it.
+        # The point under the pointer stays under it.
         at = self._at() - middle
         self._shift = at + (self._shift - at) * (self.zoom / before)
         self.draw()

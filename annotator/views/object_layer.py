@@ -1,4 +1,4 @@
-"""The objects of a session in one view: which of them are drawn, how, and which is hit."""
+"""Objects of a session in one view: selection of what is drawn, appearance and picking."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ class ObjectLayer:
     def show(
         self, view: viewpoint.Viewpoint, *, light: bool, off: bool, pixel_ratio: float
     ) -> None:
-        """Draw the objects as they are now.
+        """Draw the current objects.
 
         Args:
-            light: light meshes.
-            off: they can be picked, but are not seen.
+            light: draw light meshes.
+            off: hide the objects; they can still be picked.
         """
         state = view.controller.session.state
         ids = [o.id for o in state.objects]
@@ -61,7 +61,7 @@ class ObjectLayer:
         self._outline(view, looks)
 
     def set_penetrations(self, found: tuple[Penetration, ...]) -> None:
-        """Which faces are painted red: those inside another object or the table."""
+        """Set the faces painted red: those inside another object or the table."""
         if found is self._penetrations:
             return
         self._penetrations = found
@@ -72,7 +72,7 @@ class ObjectLayer:
         self._red = {name: np.unique(np.concatenate(f)) for name, f in parts.items()}
 
     def _painted(self, view: viewpoint.Viewpoint, name: str) -> NDArray[np.int64] | None:
-        # It does not hold during a drag, nor in a frame that has poses of its own.
+        # Invalid during a drag, and in a frame that has its own poses.
         controller = view.controller
         if not controller.options.penetration or controller.dragging == name:
             return None
@@ -81,15 +81,15 @@ class ObjectLayer:
         return self._red.get(name)
 
     def solid(self, name: str | None) -> solids.Solid | None:
-        """The object as drawn; None if its mesh is not there yet."""
+        """Return the object as drawn; None if its mesh is not available yet."""
         return self._solids.get(name) if name is not None else None
 
     def placed(self) -> dict[str, solids.Solid]:
-        """Those that are drawn at a pose, by name."""
+        """Return the objects drawn at a pose, by name."""
         return {n: s for n, s in self._solids.items() if s.T_eye_obj is not None}
 
     def extent(self, screen: projection.ScreenCamera) -> Array | None:
-        """(2, 2) corners between which the objects lie on the screen; None if there are none."""
+        """Return (2, 2) corners of the objects' bounding box on the screen; None without any."""
         seen = [
             screen.project(solid.T_eye_obj @ solid.shape.corners)
             for solid in self.placed().values()
@@ -99,12 +99,12 @@ class ObjectLayer:
             return None
         corners = np.concatenate(seen)
         if not np.isfinite(corners).all():
-            # One reaches behind the eye.
+            # An object extends behind the eye.
             return np.array([[0.0, 0.0], [screen.width, screen.height]])
         return np.stack([corners.min(axis=0) - 2, corners.max(axis=0) + 2])
 
     def pick(self, view: viewpoint.Viewpoint, xy: Array) -> tuple[str, float] | None:
-        """The foremost object at a screen position, and the depth of the point hit there."""
+        """Return the foremost object at a screen position and the depth of the hit, or None."""
         hits = {name: self._hit(view, name, xy) for name in self.placed()}
         depths = {name: hit[0] for name, hit in hits.items() if hit is not None}
         if not depths:
@@ -113,22 +113,22 @@ class ObjectLayer:
         return name, depths[name]
 
     def depth_on(self, view: viewpoint.Viewpoint, name: str, xy: Array) -> float | None:
-        """Depth of an object at a screen position, whatever hides it there; None beside it."""
+        """Return an object's depth at a screen position, ignoring occlusion; None if missed."""
         hit = self._hit(view, name, xy)
         return None if hit is None else hit[0]
 
     def pick_on(self, view: viewpoint.Viewpoint, name: str, xy: Array) -> Array | None:
-        """The point (3,) of an object's mesh at a screen position, whatever hides it there."""
+        """Return the mesh point (3,) of an object at a screen position, ignoring occlusion."""
         hit = self._hit(view, name, xy)
         return None if hit is None else hit[1]
 
     def _hit(self, view: viewpoint.Viewpoint, name: str, xy: Array) -> tuple[float, Array] | None:
-        """Depth of the point of an object that is hit, and the point (3,) on its mesh."""
+        """Return the depth of the hit on an object and the point (3,) on its mesh, or None."""
         solid = self.placed().get(name)
         if solid is None or solid.T_eye_obj is None:
             return None
         T_obj_eye = solid.T_eye_obj.inverse()
-        # The ray's direction has z = 1 in eye coordinates: its multiple is the depth.
+        # The ray direction has z = 1 in eye coordinates, so its multiple is the depth.
         return solid.shape.hit(T_obj_eye.t, T_obj_eye.R @ view.screen.ray(xy))
 
     def close(self) -> None:
@@ -138,7 +138,7 @@ class ObjectLayer:
     def _solid_of(self, name: str, model: Model) -> solids.Solid | None:
         known, shape = self._solids.get(name), self._shapes.get(model)
         if known is not None and known.shape is not shape:
-            # Of another mesh than the object has now.
+            # The mesh of the object has changed.
             self._solids.pop(name).close()
             known = None
         if known is None and shape is not None:
@@ -149,7 +149,7 @@ class ObjectLayer:
         by_solid = {id(self._solids[name]): look for name, look in looks.items()}
         selected = self.solid(view.controller.selected)
         order = solids.front_to_back([self._solids[name] for name in looks], selected)
-        # What comes after the last line hides none.
+        # Objects after the last contour occlude none.
         while order and not by_solid[id(order[-1])].contour:
             order.pop()
         screen = view.screen
@@ -179,16 +179,16 @@ def _look(
     if options.style is Style.CONTOUR or options.contour_always:
         rim = CONTOUR_PX
     else:
-        # While something moves the lines on the surfaces must do: outlines take as long as those.
+        # During motion only the surface lines are drawn: outlines would double the time.
         rim = WIRE_PX if options.style is Style.WIREFRAME and not light else 0.0
     if selected:
-        # In the cloud it shines through what lies in front.
+        # In the cloud the outline is visible through objects in front.
         rim = SELECTED_PX if view.mode is Mode.IMAGE or rim else WIRE_PX
     return solids.Appearance(
         color=color,
         style=options.style,
         contour=rim * pixel_ratio,
         light=light,
-        # Over an image the veil makes them translucent.
+        # Over an image the veil makes meshes translucent.
         opacity=options.opacity if view.mode is Mode.CLOUD else 1.0,
     )

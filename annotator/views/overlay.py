@@ -1,4 +1,4 @@
-"""Lines and text over a view: handles, clicked points, cameras, names and hints."""
+"""Overlay of a view: handles, clicked points, cameras, names and hints."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from annotator.session import Click
 from annotator.views import cloud_layer, gizmo, layers, solids, triangles, viewpoint
 from std_toolkit.html.plots import object_color
 
-# Handles: part of the drawing area, smallest and largest length of an arrow.
+# Arrow length: fraction of the drawing area, smallest and largest value.
 GIZMO_SHARE, SMALLEST_GIZMO_PX, LARGEST_GIZMO_PX = 0.16, 38.0, 92.0
 
 _CAMERA: triangles.Color = (0.93, 0.86, 0.62, 0.9)
@@ -24,7 +24,7 @@ _WARNING = (0.98, 0.78, 0.35)
 ScreenPoints = NDArray[np.float64]
 
 
-# Around a clicked pixel so much is left free.
+# Free radius around a clicked pixel.
 _GAP_PX = 4.0
 
 
@@ -41,13 +41,13 @@ _SHADOW: triangles.Color = (0.0, 0.0, 0.0, 0.6)
 
 
 class OverlaidView(viewpoint.Viewpoint, ABC):
-    """A view with what lies over its picture.
+    """View with an overlay.
 
     Attributes:
         pixel_ratio: physical pixels per logical one.
-        hovered, held: handles under the pointer and in its hand.
-        dragged_marker: index of a clicked pixel in the pointer's hand, and where it is now.
-        problem: why there is no image or cloud, for people.
+        hovered, held: handles under the pointer and being dragged.
+        dragged_marker: index of the clicked pixel being dragged, and its current position.
+        problem: text on why there is no image or cloud.
     """
 
     def __init__(
@@ -62,10 +62,10 @@ class OverlaidView(viewpoint.Viewpoint, ABC):
 
     @abstractmethod
     def solid(self, name: str | None) -> solids.Solid | None:
-        """An object as drawn here; None if its mesh is not there yet."""
+        """Return an object as drawn here; None if its mesh is not available yet."""
 
     def gizmo_frame(self) -> gizmo.GizmoFrame | None:
-        """The handles of the selected object; None where there are none."""
+        """Return the handles of the selected object; None if there are none."""
         controller = self.controller
         hidden = controller.gizmo is Gizmo.OFF or controller.clicking or controller.options.hidden
         solid = self.solid(controller.selected)
@@ -82,7 +82,7 @@ class OverlaidView(viewpoint.Viewpoint, ABC):
 
 
 def draw_overlay(strokes: triangles.Strokes, captions: layers.Captions, view: OverlaidView) -> None:
-    """Everything that lies over image, cloud and meshes."""
+    """Draw the overlay over image, cloud and meshes."""
     if view.mode is Mode.CLOUD:
         _draw_cameras(strokes, captions, view)
     frame = view.gizmo_frame()
@@ -102,7 +102,7 @@ def draw_overlay(strokes: triangles.Strokes, captions: layers.Captions, view: Ov
 def _draw_cameras(
     strokes: triangles.Strokes, captions: layers.Captions, view: OverlaidView
 ) -> None:
-    """Where the frames of the views were taken from."""
+    """Draw the cameras of the frames of the views."""
     T_eye_world = view.T_eye_world
     session, scale = view.controller.session, view.pixel_ratio
     if T_eye_world is None:
@@ -130,7 +130,7 @@ def _draw_cameras(
 
 
 def _say_captions(captions: layers.Captions, view: OverlaidView) -> None:
-    """Which frame it is, the name of the selected object, and what is missing."""
+    """Show the frame, the name of the selected object, and missing data."""
     session, scale = view.controller.session, view.pixel_ratio
     frame = session.scene.frame(view.frame)
     name = "" if frame.name == f"{frame.id:06d}" else f"  {frame.name}"
@@ -166,7 +166,7 @@ def _say_captions(captions: layers.Captions, view: OverlaidView) -> None:
 
 
 def _first_step(view: OverlaidView) -> str:
-    """What there is to do in a scene without objects."""
+    """Return a hint for a scene without objects."""
     session = view.controller.session
     if not session.writable:
         return "No objects"
@@ -176,7 +176,7 @@ def _first_step(view: OverlaidView) -> str:
 
 
 def _say_name(captions: layers.Captions, view: OverlaidView) -> None:
-    """The selected object's name above it."""
+    """Show the selected object's name above it."""
     controller, scale = view.controller, view.pixel_ratio
     name = controller.selected
     solid = view.solid(name)
@@ -206,13 +206,13 @@ def _fused(view: OverlaidView) -> bool:
 
 
 def _darker(color: triangles.Color) -> tuple[float, float, float]:
-    """The colour mixed with that of the paper, so that white letters can be read on it."""
+    """Return the colour mixed with the background colour, so that white text is readable on it."""
     r, g, b = (0.55 * c + 0.45 * p for c, p in zip(color[:3], layers.PAPER, strict=True))
     return r, g, b
 
 
 def _wrapped(text: str, width: float) -> str:
-    """Lines of at most about the width in logical pixels."""
+    """Wrap a text to about the width in logical pixels."""
     import textwrap
 
     letters = max(int(width / 9), 20)
@@ -222,7 +222,7 @@ def _wrapped(text: str, width: float) -> str:
 
 
 def clicks_of(view: OverlaidView) -> list[Click]:
-    """The correspondences of the selected object in the frame of the view."""
+    """Return the correspondences of the selected object in the frame of the view."""
     name = view.controller.selected
     if name is None:
         return []
@@ -230,7 +230,7 @@ def clicks_of(view: OverlaidView) -> list[Click]:
 
 
 def pixels(view: OverlaidView) -> ScreenPoints:
-    """(N, 2) screen positions of the clicked pixels."""
+    """Return (N, 2) screen positions of the clicked pixels."""
     clicks = clicks_of(view)
     if not clicks:
         return np.zeros((0, 2))
@@ -242,14 +242,14 @@ def pixels(view: OverlaidView) -> ScreenPoints:
 
 
 def _beside(ends: ScreenPoints, gap: float) -> ScreenPoints:
-    """(N, 2) from the pixels towards the points, so far that the pixels can be seen."""
+    """Return (N, 2) line starts, displaced from the pixels so that the pixels stay visible."""
     along = ends[:, 1] - ends[:, 0]
     length = np.linalg.norm(along, axis=1, keepdims=True)
     return along * np.divide(gap, length, out=np.ones_like(length), where=length > gap)
 
 
 def draw_markers(strokes: triangles.Strokes, captions: layers.Captions, view: OverlaidView) -> None:
-    """The pixels, the points of the mesh as posed, and the residual between them."""
+    """Draw the pixels, the projected mesh points, and the residuals between them."""
     controller, scale = view.controller, view.pixel_ratio
     name = controller.selected
     if name is None or not controller.clicking:
@@ -286,7 +286,7 @@ def draw_markers(strokes: triangles.Strokes, captions: layers.Captions, view: Ov
 
 
 def _draw_pending(strokes: triangles.Strokes, at: ScreenPoints, scale: float) -> None:
-    """The point that waits for its pixel."""
+    """Draw the pending point."""
     strokes.ring(at, 8.5 * scale, 3.6 * scale, _SHADOW)
     strokes.ring(at, 8.5 * scale, 1.8 * scale, _PIXEL)
     strokes.disc(at, 4.6 * scale, _SHADOW)

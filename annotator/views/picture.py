@@ -1,4 +1,4 @@
-"""A frame's image behind the meshes, and as a veil in front of them."""
+"""A frame's image, drawn behind the meshes and as a translucent veil in front of them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from annotator.views.projection import ImageWindow
 
 Array = NDArray[np.float64]
 
-# From so many screen pixels per image pixel on, pixels are shown as squares.
+# Magnification from which pixels are drawn as squares, screen pixels per image pixel.
 CRISP_SCALE = 3.0
 
 
@@ -47,12 +47,12 @@ class Picture:
                 actor.VisibilityOff()
 
     def place(self, window: ImageWindow, *, veil: float, part: Array | None = None) -> None:
-        """Put the image where `window` has it.
+        """Place the image according to `window`.
 
         Args:
-            veil: share of the image before the meshes.
-            part: (2, 2) screen positions of the corners between which there are meshes: the veil
-                covers no more.
+            veil: opacity of the image in front of the meshes.
+            part: (2, 2) screen positions of the corners of the meshes' bounding box, to which the
+                veil is limited.
         """
         if self._image is None:
             return
@@ -72,7 +72,7 @@ class Picture:
             self._veil.GetProperty().SetOpacity(veil)
 
     def _choose_level(self, scale: float) -> None:
-        """Upload the image no larger than it is shown: reduced images must not alias."""
+        """Upload the image at the resolution shown, because minified textures alias."""
         assert self._image is not None
         level = int(np.clip(np.floor(np.log2(1 / scale) + 0.25), 0, 4))
         if level == self._level:
@@ -103,9 +103,9 @@ class Picture:
 
 
 def _stretch(actor: vtkActor, window: ImageWindow, size: Array, shares: Array) -> None:
-    """Make a quad cover the part of the image between two corners, given as shares of it."""
+    """Set a quad to the part of the image between two corners, given as fractions of its size."""
     (x0, y0), (x1, y1) = shares
-    # Rows of the data run downwards like those of the screen.
+    # Image rows go downwards like those of the screen.
     corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
     mapper: Any = actor.GetMapper()
     polydata = mapper.GetInput()

@@ -1,7 +1,7 @@
-"""Mouse and keys of one view: handles, objects, clicks, zoom, pan and orbit.
+"""Mouse and keyboard input of one view: handles, objects, clicks, zoom, pan and orbit.
 
-Events come from the plotter's VTK interactor, so that the same code serves a Qt widget, a plotter
-without a window and a browser.
+Events come from the plotter's VTK interactor, so that a Qt widget, an off-screen plotter and a
+browser share the code.
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ __all__ = ["Pointer", "interactor_of"]
 # Numbers of VTK's pointer shapes (vtkRenderWindow.h).
 VTK_CURSOR_DEFAULT, VTK_CURSOR_HAND, VTK_CURSOR_CROSSHAIR = 0, 9, 10
 
-# The pointer has to move so far before a press becomes a drag.
+# Pointer motion at which a press becomes a drag.
 DRAG_PX = 3.0
 
 ZOOM_STEP = 1.18
 
-# Notches of the wheel within this time make one edit.
+# Wheel notches within this time are one edit.
 WHEEL_PAUSE_S = 0.4
 
-# A small object would spin under a trackball of its own size.
+# A trackball of the size of a small object rotates it too fast.
 SMALLEST_TRACKBALL_PX = 60.0
 
 Later = Callable[[float, Callable[[], None]], None]
 
 
 class Gesture(Protocol):
-    """A drag under way; positions are (2,) screen positions.
+    """Current drag; positions are (2,) screen positions.
 
     Attributes:
-        moves_view: it moves the eye of this view, not the objects.
+        moves_view: whether it moves the eye of this view instead of objects.
     """
 
     moves_view: bool
@@ -63,7 +63,7 @@ class Gesture(Protocol):
 
 
 class PoseGesture:
-    """Moves an object; every view follows, and letting go makes one edit."""
+    """Moves an object in all views; the release commits one edit."""
 
     moves_view = False
 
@@ -89,7 +89,7 @@ class PoseGesture:
 
 
 class Motion(Protocol):
-    """Who draws a view that moves by itself, and knows the other pointers."""
+    """Redraws a view whose eye moves, and knows the other pointers."""
 
     def moved(self, view: scene_view.SceneView) -> None: ...
     def end_wheels(self) -> None: ...
@@ -99,8 +99,8 @@ class Pointer:
     """Turns the events of a view's interactor into calls of the controller.
 
     Args:
-        motion: told when the eye of the view moved, or what is highlighted.
-        later: calls a function after some seconds.
+        motion: notified when the eye of the view or the highlight changes.
+        later: calls a function after a delay in seconds.
     """
 
     def __init__(
@@ -133,14 +133,14 @@ class Pointer:
 
     @property
     def busy(self) -> bool:
-        """A button is held."""
+        """Whether a button is held."""
         return self._pressing or self._gesture is not None
 
     def close(self) -> None:
         self._events.close()
 
     def at(self) -> NDArray[np.float64]:
-        """(2,) screen position of the pointer: the middle of the pixel it is in."""
+        """Screen position (2,) of the pointer: the centre of its pixel."""
         x, y = self._interactor.GetEventPosition()
         return np.array([x + 0.5, self.view.size[1] - y - 0.5])
 
@@ -174,7 +174,7 @@ class Pointer:
         control = bool(self._interactor.GetControlKey())
         selected = self.controller.selected
         if shift or control:
-            handle = None  # these take the object itself
+            handle = None  # these modifiers drag the object itself
         if frame is not None and handle is not None and selected is not None:
             pose = self.view.T_eye_obj(selected)
             assert pose is not None
@@ -195,10 +195,10 @@ class Pointer:
         )
 
     def _grabbed(self, at: NDArray[np.float64]) -> tuple[str, float] | None:
-        """What a drag takes, and the depth of the point under the pointer.
+        """Return the object that a drag moves, and the depth of the point under the pointer.
 
-        The selected object where the pointer is on it, even behind others: it was chosen, and its
-        contour is seen. A click that does not become a drag selects what lies in front.
+        The selected object has priority, even if it is occluded at the pointer, because its contour
+        is visible. A click without a drag selects the foremost object.
         """
         objects, selected = self.view.objects, self.controller.selected
         foremost = objects.pick(self.view, at)
@@ -209,10 +209,10 @@ class Pointer:
         return selected, depth
 
     def _table_normal(self) -> NDArray[np.float64] | None:
-        """(3,) eye coordinates; None, and a message, if the table is not known."""
+        """Return (3,) in eye coordinates; None, and a message, if the table is unknown."""
         controller = self.controller
         if controller.table is None:
-            problem = controller.table_problem or "it is still searched for"
+            problem = controller.table_problem or "the search is still running"
             controller.tell(f"The table is not known: {problem}.", "warning")
             return None
         return self.view.up()
@@ -287,7 +287,7 @@ class Pointer:
             self.cancel()
 
     def cancel(self) -> None:
-        """Give up what the pointer is doing; without a button held, what the controller does."""
+        """Cancel the gesture; without a button held, cancel the controller's operation."""
         gesture, self._gesture = self._gesture, None
         self.view.held = None
         if gesture is not None and self._dragging:
@@ -297,7 +297,7 @@ class Pointer:
         self._motion.moved(self.view)
 
     def give_up_drag(self) -> None:
-        """The drag was ended by something else: the rest of the gesture does nothing."""
+        """Ignore the rest of a gesture whose drag was ended elsewhere."""
         self._wheel_turn = 0
         if self._dragging and isinstance(self._gesture, PoseGesture):
             self._gesture = None
@@ -319,7 +319,7 @@ class Pointer:
         self._motion.moved(view)
 
     def _wheel_depth(self, notches: int) -> None:
-        """Move the selected object along the viewing ray of its centre: up is away."""
+        """Move the selected object along the viewing ray of its centre; up is away."""
         controller, view, name = self.controller, self.view, self.controller.selected
         pose = view.T_eye_obj(name) if name is not None else None
         solid = view.solid(name) if name is not None else None
@@ -336,10 +336,10 @@ class Pointer:
         self._later(WHEEL_PAUSE_S, lambda: self.end_wheel(turn))
 
     def end_wheel(self, turn: int | None = None) -> None:
-        """What the wheel moved stays where it is: one edit.
+        """Commit the wheel motion as one edit.
 
         Args:
-            turn: unless the wheel was turned again since this one.
+            turn: number of a wheel event; does nothing if a later one occurred.
         """
         if self._wheel_turn and turn in (None, self._wheel_turn):
             self._wheel_turn = 0

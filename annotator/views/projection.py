@@ -1,8 +1,8 @@
-"""Where things of a camera's image lie on a screen, to a fraction of a pixel.
+"""Mapping between image, eye and screen coordinates with subpixel accuracy.
 
 Screen positions are (x, y) from the top-left corner of the drawing area, x right, y down, in
 physical pixels; the first pixel covers 0 to 1. Image positions have pixel centres at integers, so
-the first pixel covers -0.5 to 0.5. The half pixel between the two is dealt with here alone.
+the first pixel covers -0.5 to 0.5. Only this module handles the half-pixel offset.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from std_toolkit.geometry import Camera
 
 Array = NDArray[np.float64]
 
-# How far an image may be zoomed: screen pixels per image pixel.
+# Largest zoom, screen pixels per image pixel.
 LARGEST_SCALE = 64.0
-SMALLEST_SHARE = 0.25  # of the scale at which the whole image is seen
+SMALLEST_SHARE = 0.25  # of the scale at which the whole image is visible
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class ScreenCamera:
     cy: float
 
     def project(self, points: NDArray[np.floating]) -> Array:
-        """Screen positions (..., 2) of eye points (..., 3); NaN behind the eye."""
+        """Return screen positions (..., 2) of eye points (..., 3); NaN behind the eye."""
         p = np.asarray(points, dtype=np.float64)
         z = np.where(p[..., 2] > 0, p[..., 2], np.nan)
         return np.stack(
@@ -46,7 +46,7 @@ class ScreenCamera:
         )
 
     def ray(self, xy: ArrayLike) -> Array:
-        """(..., 3) point at z = 1 behind screen positions (..., 2)."""
+        """Return the (..., 3) points at z = 1 of screen positions (..., 2)."""
         s = np.asarray(xy, dtype=np.float64)
         x, y = (s[..., 0] - self.cx) / self.fx, (s[..., 1] - self.cy) / self.fy
         return np.stack([x, y, np.ones_like(x)], axis=-1)
@@ -56,7 +56,7 @@ class ScreenCamera:
         return 2 * z / (self.fx + self.fy)
 
     def clip_matrix(self, near: float, far: float) -> Array:
-        """(4, 4) OpenGL projection of points (x, -y, -z) into the clip cube."""
+        """Return the (4, 4) OpenGL projection of points (x, -y, -z) into the clip cube."""
         P = np.zeros((4, 4))
         P[0, 0] = 2 * self.fx / self.width
         P[0, 2] = 1 - 2 * self.cx / self.width
@@ -83,7 +83,7 @@ class ImageWindow:
 
     @staticmethod
     def fit(image: tuple[int, int], screen: tuple[int, int]) -> ImageWindow:
-        """The whole image (width, height), as large as it gets, in the middle of the screen."""
+        """Return the window that shows the whole image (width, height), centred and maximal."""
         scale = min(screen[0] / image[0], screen[1] / image[1])
         return ImageWindow(
             scale, (screen[0] - scale * image[0]) / 2, (screen[1] - scale * image[1]) / 2
@@ -93,7 +93,7 @@ class ImageWindow:
     def around(
         middle: ArrayLike, reach: float, screen: tuple[int, int], *, largest: float = LARGEST_SCALE
     ) -> ImageWindow:
-        """The window with the image position `middle` in its centre and `reach` pixels around."""
+        """Return the window centred at the image position `middle` with `reach` pixels around."""
         u, v = np.asarray(middle, dtype=np.float64)
         scale = min(min(screen) / (2 * reach), largest)
         return ImageWindow(
@@ -109,7 +109,7 @@ class ImageWindow:
         return (np.asarray(xy, dtype=np.float64) - [self.x, self.y]) / self.scale - 0.5
 
     def zoomed(self, factor: float, at: ArrayLike) -> ImageWindow:
-        """Larger by `factor`; what lies at the screen position `at` stays there."""
+        """Magnify by `factor`; the point at the screen position `at` stays there."""
         x, y = np.asarray(at, dtype=np.float64)
         return ImageWindow(
             self.scale * factor, x + (self.x - x) * factor, y + (self.y - y) * factor
@@ -120,7 +120,7 @@ class ImageWindow:
         return replace(self, x=self.x + dx, y=self.y + dy)
 
     def kept_in_sight(self, image: tuple[int, int], screen: tuple[int, int]) -> ImageWindow:
-        """The nearest window whose scale is in range and that shows some of the image."""
+        """Return the nearest window with a valid scale that shows some of the image."""
         whole = ImageWindow.fit(image, screen).scale
         scale = float(np.clip(self.scale, SMALLEST_SHARE * whole, LARGEST_SCALE))
         window = self
@@ -134,7 +134,7 @@ class ImageWindow:
         )
 
     def screen_camera(self, camera: Camera, screen: tuple[int, int]) -> ScreenCamera:
-        """What `camera` without its distortion sees, where this window shows it."""
+        """Return the pinhole of `camera` without distortion for this window."""
         cx, cy = self.to_screen((camera.cx, camera.cy))
         return ScreenCamera(
             *screen, camera.fx * self.scale, camera.fy * self.scale, float(cx), float(cy)

@@ -1,4 +1,4 @@
-"""One drawing area: a frame of the session as image or as cloud, with the objects over it."""
+"""Drawing area of one frame: its image or point cloud with the objects over it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from std_toolkit.errors import ToolkitError
 
 Array = NDArray[np.float64]
 
-# Where a table-top scene is, as long as nothing better is known.
+# Default depth of a table-top scene.
 USUAL_DEPTH_M = 0.7
 
 
@@ -35,16 +35,16 @@ class SceneView(overlay.OverlaidView):
 
     Args:
         plotter: `pyvista.Plotter(off_screen=True)` or `pyvistaqt.QtInteractor`.
-        controller: what is shown.
-        slot: which of the controller's views: 0 is the main one.
+        controller: the displayed state.
+        slot: index of the view in the controller; 0 is the main one.
         shapes, clouds: shared with other views.
-        repaint: has the front end show the plotter anew.
+        repaint: requests a repaint of the plotter from the front end.
         pixel_ratio: physical pixels per logical one.
 
     Attributes:
-        moving: light meshes and few points are drawn.
-        blinked_off: no meshes are drawn.
-        cloud: the points shown; None in an image.
+        moving: whether light meshes and few points are drawn.
+        blinked_off: whether meshes are hidden by blinking.
+        cloud: the displayed points; None in image mode.
         captions: the text.
     """
 
@@ -87,7 +87,7 @@ class SceneView(overlay.OverlaidView):
         return self.objects.solid(name)
 
     def point_under(self, xy: Array) -> Array:
-        """(3,) what lies under a screen position, eye coordinates; a guess where nothing does."""
+        """Return the point (3,) at a screen position, eye coordinates; a guess without a hit."""
         picked = self.objects.pick(self, xy)
         depth = picked[1] if picked is not None else None
         if depth is None and self.mode is Mode.CLOUD:
@@ -96,7 +96,7 @@ class SceneView(overlay.OverlaidView):
         return point
 
     def pivot(self, xy: Array) -> Array:
-        """(3,) what the eye goes around: the selected object, else what is under the pointer."""
+        """Return the centre (3,) of orbiting: the selected object, else the point under `xy`."""
         solid = self.solid(self.controller.selected)
         if solid is not None and solid.T_eye_obj is not None:
             return solid.T_eye_obj @ solid.shape.centre
@@ -114,7 +114,7 @@ class SceneView(overlay.OverlaidView):
     # --- drawing --------------------------------------------------------------------------------
 
     def refresh(self, event: Event | None = None) -> None:
-        """Take over what the event may have changed; None for everything. Renders nothing."""
+        """Update what the event may have changed; None for everything. Does not render."""
         if event is not None and event.kind == "look":
             self._look(event.text)
         if self.mode is Mode.CLOUD:
@@ -122,7 +122,7 @@ class SceneView(overlay.OverlaidView):
         self._prepare()
 
     def draw(self) -> None:
-        """Take over the controller's state and have it shown."""
+        """Update from the controller's state and request a repaint."""
         self.refresh()
         self._repaint()
 
@@ -132,14 +132,14 @@ class SceneView(overlay.OverlaidView):
         return self.layers.read()
 
     def close(self) -> None:
-        """Take everything out of the plotter, which stays open."""
+        """Remove everything from the plotter, which stays open."""
         self.layers.window.RemoveObserver(self._observer)
         self.objects.close()
         self.captions.close()
         self.layers.close()
 
     def _before_render(self, *_: object) -> None:
-        # The front end may render by itself, as when the window got another size.
+        # The front end may render by itself, for example after a resize.
         if self.layers.size != self.size:
             self._prepare()
 
@@ -221,14 +221,14 @@ class SceneView(overlay.OverlaidView):
 
 
 def repainter(plotter: Any) -> Callable[[], None]:
-    """How a plotter is shown anew: Qt's paints once per pass of its loop, others at once."""
-    # A QOpenGLWidget renders when it is painted; rendering by hand would do it twice.
+    """Return the repaint function of a plotter: Qt repaints once per event loop pass."""
+    # A QOpenGLWidget renders when it is painted; an explicit call would render twice.
     schedule: Callable[[], None] | None = getattr(plotter, "Render", None)
     return schedule if schedule is not None else plotter.render_window.Render
 
 
 def recorded_pixel_under(view: SceneView, xy: NDArray[np.float64]) -> tuple[float, float]:
-    """Pixel of the recorded image, lens distortion included, for what is under a screen position.
+    """Return the pixel of the recorded image, with lens distortion, at a screen position.
 
     Args:
         xy: (2,) physical pixels from the top left corner of the drawing area.
@@ -237,7 +237,7 @@ def recorded_pixel_under(view: SceneView, xy: NDArray[np.float64]) -> tuple[floa
         return view.recorded_pixel(xy)
     seen = view.recorded_camera.project(view.T_eye_cam.inverse() @ view.point_under(xy))
     if not np.isfinite(seen).all():
-        # Behind the camera of the frame: the middle of its image.
+        # Behind the camera of the frame: use the image centre.
         camera = view.recorded_camera
         return camera.width / 2, camera.height / 2
     return float(seen[0]), float(seen[1])

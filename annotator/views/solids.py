@@ -1,4 +1,4 @@
-"""The objects of one view: shaded or wireframe meshes and their silhouettes."""
+"""Render props of objects: shaded or wireframe meshes and silhouettes."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from annotator.views import meshes, projection, triangles
 from annotator.views.layers import Layers, fill, place
 from std_toolkit.geometry import SE3
 
-# Replacing a vertex's depth by a constant: what is drawn first hides what comes behind it.
+# Replaces the depth of vertices by a constant, so that props drawn first hide later ones.
 _FLATTEN = "//VTK::PositionVC::Impl\n  gl_Position.z = slot * gl_Position.w;\n"
-# Lines on a surface, a millimetre nearer than the surface itself.
+# Moves lines on a surface about a millimetre towards the eye.
 _NEARER = "//VTK::PositionVC::Impl\n  gl_Position.z -= 5e-5 * gl_Position.w;\n"
-# Nothing is seen, but depth is written: surfaces that only hide.
-# A fragment of no opacity at all would be left out, and its depth with it.
+# Writes depth without visible colour, for occluders. A fragment with zero opacity would be
+# discarded together with its depth.
 _INVISIBLE = "//VTK::Light::Impl\n  gl_FragData[0] = vec4(0.0, 0.0, 0.0, 1e-5);\n"
 PENETRATION = (0.93, 0.08, 0.10)
 _NEAREST_SLOT, _SLOTS = -0.95, 1.9
@@ -28,15 +28,15 @@ _NEAREST_SLOT, _SLOTS = -0.95, 1.9
 
 @dataclass(frozen=True, kw_only=True)
 class Appearance:
-    """How an object is drawn now.
+    """Appearance of an object.
 
     Attributes:
         color: red, green, blue, 0 to 1.
         style: solid, wireframe or contour.
         contour: width of its silhouette in pixels; 0 for none.
-        light: the light mesh instead of the full one.
-        opacity: of its surface; below 1 only where nothing is drawn after it.
-        red: (N,) indices of the faces of the full mesh that run into something, or None.
+        light: draw the light mesh instead of the full one.
+        opacity: opacity of its surface; below 1 only if nothing is drawn after it.
+        red: (N,) indices of the penetrating faces of the full mesh, or None.
     """
 
     color: tuple[float, float, float]
@@ -64,7 +64,7 @@ class Solid:
         self._patch = _Patch(layers, shape)
 
     def show(self, T_eye_obj: SE3 | None, look: Appearance, *, seen: bool = True) -> None:
-        """Put it at a pose, or take it away; one that is not `seen` can still be picked."""
+        """Draw the object at a pose, or remove it (None); if not `seen` it can still be picked."""
         self.T_eye_obj = T_eye_obj
         self.seen = seen and T_eye_obj is not None
         for actor in (*self._bodies.values(), *self._hiders.values(), *self._masks.values()):
@@ -76,7 +76,7 @@ class Solid:
         wire = look.style is Style.WIREFRAME
         surface = self._surface(look.light)
         if wire or look.opacity < 1:
-            # Hides the far side: lines and translucent faces are seen once.
+            # Hides the far side, so that lines and translucent faces are drawn once.
             hider = self._hider(surface)
             hider.VisibilityOn()
             place(hider, T_eye_obj)
@@ -94,7 +94,7 @@ class Solid:
         slots: int,
         color: triangles.Color,
     ) -> None:
-        """Draw the silhouette; lower slots lie in front of higher ones and hide them."""
+        """Draw the silhouette; lower slots occlude higher ones."""
         if self.T_eye_obj is None:
             return
         step = _SLOTS / (2 * max(slots, 1))
@@ -112,7 +112,7 @@ class Solid:
             edges = surface.silhouette(self.T_eye_obj.inverse().t)
             seen = camera.project(self.T_eye_obj @ edges.reshape(-1, 3)).reshape(-1, 2, 2)
             strokes = triangles.Strokes()
-            # The inner half is hidden by the mask: the silhouette is the line's inner rim.
+            # The mask hides the inner half of the line, hence the double width.
             strokes.segments(seen, 2 * look.contour, color)
             points, colors, faces = strokes.arrays()
             fill(self._rim_data, camera.ray(points), faces, colors)
@@ -149,7 +149,7 @@ class Solid:
 
     def _mask(self, surface: triangles.Surface) -> vtkActor:
         if surface not in self._masks:
-            # Each mask is drawn before its rim, which it partly hides.
+            # Each mask is drawn before its rim, which it partly occludes.
             self._layers.outlines.RemoveActor(self._rim)
             actor = _mesh_actor(surface.polydata, self._layers.outlines)
             self._layers.outlines.AddActor(self._rim)
@@ -162,7 +162,7 @@ class Solid:
 
 
 class _Patch:
-    """Faces that run into something, red and seen through whatever hides them."""
+    """Penetrating faces, drawn red and visible through occluders."""
 
     def __init__(self, layers: Layers, shape: meshes.Shape) -> None:
         self._layers, self._shape = layers, shape
@@ -195,7 +195,7 @@ class _Patch:
 
 
 def front_to_back(solids: Sequence[Solid], first: Solid | None) -> list[Solid]:
-    """Those that are seen; `first` leads, the others follow by the depth of their centres."""
+    """Return the visible solids: `first`, then the others sorted by the depth of their centres."""
     placed = [s for s in solids if s.seen]
 
     def depth(solid: Solid) -> float:
@@ -210,7 +210,7 @@ def _paint(actor: vtkActor, look: Appearance) -> None:
     paint.SetColor(*look.color)
     if look.style is Style.WIREFRAME:
         paint.LightingOff()
-        # In software wider lines take several times as long.
+        # Wider lines are several times slower in software rendering.
         paint.SetLineWidth(1.0 if look.light else 1.6)
         return
     paint.LightingOn()
@@ -240,7 +240,7 @@ def _rim_actor() -> tuple[vtkActor, vtkPolyData]:
     actor = vtkActor()
     actor.SetMapper(mapper)
     actor.GetProperty().LightingOff()
-    # Drawn with the masks, in their order, although its edges fade out.
+    # Opaque pass, to keep the order with the masks despite its soft edges.
     actor.ForceOpaqueOn()
     actor.GetShaderProperty().AddVertexShaderReplacement(
         "//VTK::PositionVC::Impl", True, _FLATTEN, False

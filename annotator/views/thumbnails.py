@@ -1,4 +1,4 @@
-"""Small pictures of meshes, drawn without OpenGL in the background and kept on disk."""
+"""Thumbnails of meshes, rendered without OpenGL in the background and cached on disk."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from annotator.session import Snapshot
 
-# Neutral, as the window: nothing tints the judgement of an image.
+# Neutral grey, as the window, to avoid a colour bias.
 PAPER = (38, 38, 38)
 
 CLAY = (192, 192, 192)
@@ -37,24 +37,24 @@ SIZE_PX = 96
 
 
 def model_picture(snapshot: Snapshot, model: Model, size: int) -> NDArray[np.uint8] | None:
-    """The thumbnail of a model of the library, standing as it is placed; None without its mesh.
+    """Return the thumbnail of a library model, upright as when placed; None without its mesh.
 
-    Kept in the scene folder where that can be written. May run in any thread.
+    Cached in the scene folder if it is writable. Thread-safe.
     """
     try:
         mesh = snapshot.meshes.mesh(model)
         axis = placing.standing_axis(snapshot, model)
     except ToolkitError:
-        return None  # told where the mesh itself is drawn
+        return None  # reported where the mesh itself is drawn
     if snapshot.writable:
         return cached_thumbnail(snapshot.scene.root, mesh, size, axis)
     return thumbnail(mesh, size, axis)
 
 
 def thumbnail(mesh: trimesh.Trimesh | RenderMesh, size: int, axis: int = 2) -> NDArray[np.uint8]:
-    """A mesh standing upright, from above its front: (size, size, 3) RGB uint8.
+    """Render an upright mesh from above its front as (size, size, 3) RGB uint8.
 
-    Takes some tenths of a second for 50,000 faces, and may run in any thread.
+    Takes some tenths of a second for 50,000 faces. Thread-safe.
 
     Args:
         axis: the coordinate axis (0, 1, 2) that is up.
@@ -65,7 +65,7 @@ def thumbnail(mesh: trimesh.Trimesh | RenderMesh, size: int, axis: int = 2) -> N
 
     prepared = prepare_mesh(mesh)
     large = size * _SAMPLES
-    # From ten radii away it looks as drawn; the image just holds the bounding sphere.
+    # Ten radii away for weak perspective; the image just contains the bounding sphere.
     radius = prepared.diagonal / 2
     f = 10 * 0.96 * large / 2
     camera = Camera(large, large, f, f, (large - 1) / 2, (large - 1) / 2)
@@ -80,21 +80,21 @@ def thumbnail(mesh: trimesh.Trimesh | RenderMesh, size: int, axis: int = 2) -> N
 def cached_thumbnail(
     root: Path, mesh: trimesh.Trimesh | RenderMesh, size: int, axis: int = 2
 ) -> NDArray[np.uint8]:
-    """`thumbnail`, kept in the scene folder under the mesh's digest if that can be written."""
+    """Return `thumbnail`, cached in the scene folder under the mesh's digest if writable."""
     prepared = prepare_mesh(mesh)
-    # With the look in its name: what an earlier version drew is not shown.
+    # The style is part of the name, so that thumbnails of earlier versions are not used.
     path = root / _FOLDER / f"{prepared.digest[:24]}-{size}-{'xyz'[axis]}-grey.png"
     if path.is_file():
         try:
             return read_color(path, size=(size, size))
-        except ToolkitError:  # damaged, or of an earlier version: drawn anew
+        except ToolkitError:  # damaged, or of an earlier version: render again
             pass
     picture = thumbnail(prepared, size, axis)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_color(path, picture)
     except (OSError, ToolkitError):
-        # A folder that may only be read is no reason to show no pictures.
+        # In a read-only folder thumbnails are shown without caching.
         pass
     return picture
 
@@ -107,9 +107,9 @@ def _front_view(mesh: RenderMesh, axis: int, distance: float) -> SE3:
 
 
 def _shaded(normals: NDArray[np.floating], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Light from the upper left, and a little from everywhere."""
+    """Shade with a light from the upper left and ambient light."""
     n = np.asarray(normals, dtype=np.float64)
-    # Scans have faces wound either way; seen from outside, a normal points to the eye.
+    # Scans have inconsistent winding; visible normals must point to the eye.
     n = n * np.where(n[..., 2:] > 0, -1.0, 1.0)
     light = np.array([-0.45, -0.65, -0.62])
     bright = 0.30 + 0.70 * np.clip(n @ (light / np.linalg.norm(light)), 0, 1)
@@ -120,11 +120,11 @@ def _shaded(normals: NDArray[np.floating], mask: NDArray[np.bool_]) -> NDArray[n
 
 
 class Thumbnails:
-    """Draws the pictures of the library that are missing, one after the other.
+    """Renders missing thumbnails of the library one after the other.
 
     Args:
-        show: called with the pictures that there are, by the id of the model: (size, size, 3) RGB,
-            or None for a mesh that cannot be read.
+        show: called with the available thumbnails by model id: (size, size, 3) RGB, or None for an
+            unreadable mesh.
         size: pixels.
     """
 
@@ -136,7 +136,7 @@ class Thumbnails:
         size: int = SIZE_PX,
     ) -> None:
         self._c, self._show, self._size = controller, show, size
-        # By mesh, with the meshes that there were: how boxes stand is told by the others.
+        # By mesh, with the set of all meshes, which determines the up axis of boxes.
         self._pictures: dict[Version, tuple[frozenset[Version], NDArray[np.uint8] | None]] = {}
         self._shown: dict[str, tuple[Version, frozenset[Version]]] = {}
         self._asked_for: tuple[Version, frozenset[Version]] | None = None

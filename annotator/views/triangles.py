@@ -1,8 +1,6 @@
-"""What is drawn as triangles: surfaces and their lighter copies, smooth lines, discs and rings.
+"""Triangle geometry: surfaces, their decimation and silhouettes, and antialiased 2D strokes.
 
-Smooth lines, discs and rings on the screen as coloured triangles.
-
-Edges fade out over a pixel: neither driver nor multisampling is needed for lines without steps.
+Stroke edges fade out over a pixel, so antialiasing needs no driver support or multisampling.
 """
 
 from __future__ import annotations
@@ -27,20 +25,21 @@ from vtkmodules.vtkFiltersCore import (
 
 Array = NDArray[np.float64]
 
-# A wireframe has so many sections across the longest side of the bounding box.
+# Number of wireframe sections across the longest side of the bounding box.
 SECTIONS = 9
 
-# Decimating more than this would take seconds; clustering thins it out first.
+# Decimating larger meshes takes seconds; vertex clustering reduces them first.
 _FACES_TO_DECIMATE = 80_000
 
-# Edges sharper than this are drawn sharp.
+# Edges with a larger angle are creases with split normals.
 CREASE_DEG = 40.0
 
 Color = tuple[float, float, float, float]
+"""Red, green, blue, opacity; each 0 to 1."""
 
 
 class Surface:
-    """Triangles ready to be drawn, and the edges from which a silhouette is made.
+    """Render triangles, and edges for silhouettes.
 
     Attributes:
         polydata: triangles with smooth normals; vertices are doubled at creases.
@@ -55,10 +54,10 @@ class Surface:
 
     @cached_property
     def corners(self) -> tuple[Array, NDArray[np.int64]]:
-        """Vertices (V, 3), mesh frame, metres, each place once, and faces (F, 3) of them."""
+        """Unique vertices (V, 3), mesh frame, metres, and faces (F, 3) of them."""
         points = vtk_to_numpy(self.polydata.GetPoints().GetData())
         faces = vtk_to_numpy(self.polydata.GetPolys().GetConnectivityArray()).reshape(-1, 3)
-        # Vertices are bitwise equal where a crease or a texture seam doubled them.
+        # Vertices doubled at a crease or texture seam are bitwise equal.
         _, first, place = np.unique(
             np.ascontiguousarray(points, np.float32).view("V12").ravel(),
             return_index=True,
@@ -96,7 +95,7 @@ class Surface:
         return ends[index], np.stack([face[index], second], axis=1)
 
     def silhouette(self, eye: Array) -> Array:
-        """(S, 2, 3) edges between faces that look towards `eye` and away from it, mesh frame."""
+        """Return (S, 2, 3) edges between faces towards `eye` and away from it, mesh frame."""
         vertices, _ = self.corners
         ends, faces = self.edges
         front = self.planes[:, :3] @ eye + self.planes[:, 3] > 0
@@ -117,7 +116,7 @@ class Surface:
 
 
 def sections(surface: Surface, bounds: Array) -> Array:
-    """(S, 2, 3) lines in which evenly spaced planes across the axes cut a surface."""
+    """Return (S, 2, 3) intersection lines of a surface with evenly spaced axis-aligned planes."""
     vertices, faces = surface.corners
     spacing = float((bounds[1] - bounds[0]).max()) / SECTIONS
     parts = [np.zeros((0, 2, 3))]
@@ -125,13 +124,13 @@ def sections(surface: Surface, bounds: Array) -> Array:
         middle, half = bounds.mean(axis=0)[axis], (bounds[1] - bounds[0])[axis] / 2
         count = int(half / spacing - 0.2)
         for level in middle + spacing * np.arange(-count, count + 1):
-            # A vertex exactly on the plane counts as above: each face is cut in two edges or none.
+            # A vertex on the plane counts as above, so each face is cut at two edges or none.
             height = vertices[:, axis] - level
             above = height >= 0
             sides = above[faces]
             cut = faces[(sides.sum(axis=1) % 3) != 0]
             alone = above[cut].sum(axis=1) == 1
-            # The vertex that is by itself on its side leads.
+            # Start with the vertex that is alone on its side.
             lead = np.argmax(above[cut] == alone[:, None], axis=1)
             row = np.arange(len(cut))
             a = cut[row, lead]
@@ -145,7 +144,7 @@ def sections(surface: Surface, bounds: Array) -> Array:
 
 
 def lines(ends: Array) -> vtkPolyData:
-    """Polydata of separate lines (N, 2, 3)."""
+    """Return the polydata of separate lines (N, 2, 3)."""
     points = vtkPoints()
     points.SetData(numpy_to_vtk(np.ascontiguousarray(ends.reshape(-1, 3), np.float32), deep=True))
     cells = vtkCellArray()
@@ -180,7 +179,7 @@ def with_normals(polydata: vtkPolyData) -> vtkPolyData:
 
 
 def lighter(polydata: vtkPolyData, faces: int) -> vtkPolyData:
-    """A copy with at most about so many faces; the same if it has no more."""
+    """Return a decimated copy with about N faces; the input if it has no more."""
     if polydata.GetNumberOfCells() <= faces:
         return polydata
     if polydata.GetNumberOfCells() > _FACES_TO_DECIMATE:
@@ -197,14 +196,12 @@ def lighter(polydata: vtkPolyData, faces: int) -> vtkPolyData:
     return decimation.GetOutput()
 
 
-"""Red, green, blue, opacity; each 0 to 1."""
-
-# Over so many pixels an edge fades out.
+# Width of the soft edge, pixels.
 FADE_PX = 1.0
 
 
 class Strokes:
-    """Collects shapes in drawing order; what comes later lies on top."""
+    """Collects 2D shapes in drawing order; later ones are on top."""
 
     def __init__(self) -> None:
         self._points: list[Array] = []
@@ -213,7 +210,7 @@ class Strokes:
         self._count = 0
 
     def arrays(self) -> tuple[Array, NDArray[np.uint8], NDArray[np.int64]]:
-        """Vertices (V, 2) screen positions, their colours (V, 4) uint8, triangles (F, 3)."""
+        """Return vertices (V, 2) in screen positions, colours (V, 4) uint8, triangles (F, 3)."""
         if not self._points:
             return np.zeros((0, 2)), np.zeros((0, 4), np.uint8), np.zeros((0, 3), np.int64)
         return (
@@ -223,14 +220,14 @@ class Strokes:
         )
 
     def segments(self, ends: NDArray[np.floating], width: float, color: Color) -> None:
-        """Separate lines; `ends` (N, 2, 2) screen positions, `width` in pixels."""
+        """Add separate lines; `ends` (N, 2, 2) screen positions, `width` in pixels."""
         ends = ends[np.isfinite(ends).all(axis=(1, 2))]
         along = ends[:, 1] - ends[:, 0]
         length = np.linalg.norm(along, axis=1, keepdims=True)
         along = np.divide(along, length, out=np.zeros_like(along), where=length > 1e-9)
         across = np.stack([-along[:, 1], along[:, 0]], axis=1)
         core = max((width - FADE_PX) / 2, 0.0)
-        # Thinner than the fade: paler instead.
+        # Lines thinner than the soft edge are drawn with lower opacity.
         strength = min(1.0, width / FADE_PX)
         offsets = np.array([-core - FADE_PX, -core, core, core + FADE_PX])
         # (N, 2 ends, 4 across)
@@ -241,7 +238,7 @@ class Strokes:
         self._add(grid.reshape(-1, 2), alphas.ravel(), color, faces.reshape(-1, 3))
 
     def line(self, points: ArrayLike, width: float, color: Color, *, closed: bool = False) -> None:
-        """A chain of lines through `points` (N, 2), with mitred joints."""
+        """Add a polyline through `points` (N, 2), with mitred joints."""
         p = np.asarray(points, dtype=np.float64)
         p = p[np.isfinite(p).all(axis=1)]
         if len(p) < 2:
@@ -253,7 +250,7 @@ class Strokes:
             before[0], after[-1] = after[0], before[-1]
         mitre = _unit(before + after)
         across = np.stack([-mitre[:, 1], mitre[:, 0]], axis=1)
-        # Sharp corners would reach far out.
+        # Limits the mitre of sharp corners.
         stretch = 1 / np.clip(np.einsum("ij,ij->i", mitre, after), 0.4, 1.0)
         core = max((width - FADE_PX) / 2, 0.0)
         strength = min(1.0, width / FADE_PX)
@@ -270,7 +267,7 @@ class Strokes:
         self._add(grid.reshape(-1, 2), alphas.ravel(), color, np.concatenate(faces))
 
     def polygon(self, points: ArrayLike, color: Color) -> None:
-        """A filled convex polygon (N, 2) whose edge fades out."""
+        """Add a filled convex polygon (N, 2) with a soft edge."""
         p = np.asarray(points, dtype=np.float64)
         if len(p) < 3 or not np.isfinite(p).all():
             return
@@ -288,7 +285,7 @@ class Strokes:
         self.line(circle(middle, radius), width, color, closed=True)
 
     def cross(self, middle: ArrayLike, size: float, width: float, color: Color) -> None:
-        """An upright cross with a hole in the middle, through which the pixel is seen."""
+        """Add an upright cross with a gap in the middle that shows the pixel."""
         x, y = np.asarray(middle, dtype=np.float64)
         near, far = 0.35 * size, size
         ends = [
@@ -308,7 +305,7 @@ class Strokes:
 
 
 def circle(middle: ArrayLike, radius: float) -> Array:
-    """(N, 2) points of a circle on the screen, fine enough to look round."""
+    """Return (N, 2) points of a circle on the screen, dense enough to look round."""
     n = int(np.clip(radius * 2, 16, 96))
     angle = 2 * np.pi * np.arange(n) / n
     ring: Array = np.asarray(middle, dtype=np.float64) + radius * np.stack(
@@ -318,7 +315,7 @@ def circle(middle: ArrayLike, radius: float) -> Array:
 
 
 def rgba(color: str | Sequence[float], opacity: float = 1.0) -> Color:
-    """A colour "#rrggbb" or (r, g, b) with an opacity."""
+    """Return a colour "#rrggbb" or (r, g, b) with an opacity."""
     if isinstance(color, str):
         r, g, b = (int(color[i : i + 2], 16) / 255 for i in (1, 3, 5))
     else:

@@ -1,4 +1,4 @@
-"""What a view looks at and from where; where points of the scene are on its screen."""
+"""Eye of a view, and the geometry between scene, eye and screen."""
 
 from __future__ import annotations
 
@@ -12,20 +12,22 @@ from annotator.app.view_options import Mode
 from annotator.views.projection import ImageWindow, ScreenCamera
 from std_toolkit.geometry import SE3, Camera, so3_exp
 
-# The eye goes no nearer to what it turns around, and no farther.
+# Smallest and largest distance of the eye to the point that it orbits.
 NEAREST_M, FARTHEST_M = 0.03, 20.0
 
 Array = NDArray[np.float64]
 
 
 class Eye:
-    """The eye of one view. Zooming and panning of the image and of the cloud share one window,
-    so that switching between them keeps every object where it is on the screen.
+    """Eye of one view.
+
+    Zooming and panning of image and cloud share one window, so that switching between them keeps
+    the screen position of every object.
 
     Attributes:
         window: part of the image shown; None for all of it.
-        T_eye_ref: where the eye has gone in the cloud, from the frame of reference; None while it
-            is in the frame's camera.
+        T_eye_ref: reference frame to the eye in the cloud; None while the eye is in the frame's
+            camera.
     """
 
     def __init__(self) -> None:
@@ -33,7 +35,7 @@ class Eye:
         self.T_eye_ref: SE3 | None = None
 
     def shown(self, camera: Camera, screen: tuple[int, int]) -> ImageWindow:
-        """The part of the image that is shown."""
+        """The visible part of the image."""
         if self.window is None:
             return ImageWindow.fit(camera.size, screen)
         return self.window
@@ -42,33 +44,33 @@ class Eye:
         return self.shown(camera, screen).screen_camera(camera, screen)
 
     def T_eye_cam(self, T_ref_cam: SE3) -> SE3:
-        """The frame's camera as seen by the eye."""
+        """Return the pose of the frame's camera in eye coordinates."""
         return SE3.identity() if self.T_eye_ref is None else self.T_eye_ref @ T_ref_cam
 
     def fit(self) -> None:
-        """The whole image, from the frame's camera."""
+        """Reset to the whole image from the frame's camera."""
         self.window = None
         self.T_eye_ref = None
 
     def look_at(self, uv: ArrayLike, reach: float, screen: tuple[int, int]) -> None:
-        """Bring the image position `uv` and `reach` pixels around it close."""
+        """Zoom to the image position `uv` with `reach` pixels around it."""
         self.window = ImageWindow.around(uv, reach, screen)
 
     def zoom(self, factor: float, at: ArrayLike, camera: Camera, screen: tuple[int, int]) -> None:
-        """Magnify the image; what lies at the screen position `at` stays there."""
+        """Magnify the image; the point at the screen position `at` stays there."""
         window = self.shown(camera, screen).zoomed(factor, at)
         window = window.kept_in_sight(camera.size, screen)
         whole = ImageWindow.fit(camera.size, screen)
-        # Zooming out ends in the fitted image, which then follows the size of the window.
+        # Zooming out ends with the fitted image, which then follows the window size.
         self.window = None if window.scale <= whole.scale * 1.001 else window
 
     def pan(self, dx: float, dy: float, camera: Camera, screen: tuple[int, int]) -> None:
-        """Shift the image by screen pixels."""
+        """Pan the image by screen pixels."""
         window = self.shown(camera, screen).panned(dx, dy)
         self.window = window.kept_in_sight(camera.size, screen)
 
     def resized(self, camera: Camera, old: tuple[int, int], new: tuple[int, int]) -> None:
-        """The drawing area has another size: its middle still shows the same."""
+        """Adapt to a new size of the drawing area; its centre shows the same point."""
         if self.window is None:
             return
         ratio = ImageWindow.fit(camera.size, new).scale / ImageWindow.fit(camera.size, old).scale
@@ -80,12 +82,12 @@ class Eye:
     # --- in the cloud ---------------------------------------------------------------------------
 
     def orbit(self, T_ref_cam: SE3, pivot: Array, up: Array, yaw: float, pitch: float) -> None:
-        """Go around a point.
+        """Orbit a point.
 
         Args:
             pivot: (3,) eye coordinates.
             up: (3,) eye coordinates: the axis of `yaw`.
-            yaw, pitch: radians; positive turns the scene to the right and down.
+            yaw, pitch: radians; positive rotates the scene to the right and down.
         """
         T_eye_ref = self._freed(T_ref_cam)
         R = so3_exp(np.array([-pitch, 0.0, 0.0])) @ so3_exp(yaw * up / np.linalg.norm(up))
@@ -96,7 +98,7 @@ class Eye:
         self.T_eye_ref = SE3(np.eye(3), by) @ self._freed(T_ref_cam)
 
     def approach(self, T_ref_cam: SE3, point: Array, factor: float) -> None:
-        """Go towards a point (3,) of eye coordinates until it is `factor` times as large."""
+        """Approach a point (3,) in eye coordinates until it appears `factor` times as large."""
         distance = float(np.clip(point[2] / factor, NEAREST_M, FARTHEST_M))
         self.shift(T_ref_cam, point * (distance / point[2] - 1.0))
 
@@ -108,8 +110,8 @@ class Viewpoint:
     """Geometry of one of the controller's views.
 
     Attributes:
-        slot: which view: 0 is the main one.
-        eye: where it has gone.
+        slot: index of the view; 0 is the main one.
+        eye: eye of the view.
         size: width and height of the drawing area in physical pixels.
     """
 
@@ -127,54 +129,54 @@ class Viewpoint:
 
     @property
     def mode(self) -> Mode:
-        """Side views show the image always."""
+        """Mode of the view; side views always show the image."""
         return self.controller.mode if self.slot == 0 else Mode.IMAGE
 
     @property
     def recorded_camera(self) -> Camera:
-        """Of the frame as recorded, with its distortion."""
+        """Camera of the recorded frame, with distortion."""
         scene = self.controller.session.scene
         return scene.camera(scene.frame(self.frame))
 
     @property
     def camera(self) -> Camera:
-        """Of the frame, without distortion: that of the image shown."""
+        """Camera of the displayed image, without distortion."""
         return self.recorded_camera.without_distortion()
 
     @property
     def window(self) -> ImageWindow:
-        """The part of the image that is shown."""
+        """The visible part of the image."""
         return self.eye.shown(self.camera, self.size)
 
     @property
     def screen(self) -> ScreenCamera:
-        """The pinhole through which the eye sees the drawing area."""
+        """The pinhole of the drawing area."""
         return self.window.screen_camera(self.camera, self.size)
 
     @property
     def T_ref_cam(self) -> SE3:
-        """The frame's camera in what the eye stays in: the world, or else the camera itself."""
+        """Pose of the frame's camera in the reference frame: the world, or the camera itself."""
         T_world_cam = self.controller.session.T_world_cam(self.frame)
         return SE3.identity() if T_world_cam is None else T_world_cam
 
     @property
     def T_eye_cam(self) -> SE3:
-        """Camera coordinates of the frame into those of the eye."""
+        """Camera coordinates of the frame to eye coordinates."""
         return SE3.identity() if self.mode is Mode.IMAGE else self.eye.T_eye_cam(self.T_ref_cam)
 
     @property
     def T_eye_world(self) -> SE3 | None:
-        """World into eye coordinates; None where the frame has no camera pose in metres."""
+        """World to eye coordinates; None if the frame has no metric camera pose."""
         T_world_cam = self.controller.session.T_world_cam(self.frame)
         return None if T_world_cam is None else self.T_eye_cam @ T_world_cam.inverse()
 
     def T_eye_obj(self, name: str) -> SE3 | None:
-        """Pose of an object as drawn here; None if it has none in this frame."""
+        """Return the pose of an object as drawn; None if it has none in this frame."""
         T_cam_obj = self.controller.pose(name, self.frame)
         return None if T_cam_obj is None else self.T_eye_cam @ T_cam_obj
 
     def T_eye_of(self, frame_name: str) -> SE3 | None:
-        """Coordinates of "world" or of "camera 12" into those of the eye; None if unknown."""
+        """Return the transform of "world" or "camera 12" to eye coordinates; None if unknown."""
         if frame_name == "world":
             return self.T_eye_world
         if frame_name == f"camera {self.frame}":
@@ -184,7 +186,7 @@ class Viewpoint:
         return None if T_eye_world is None or T_world_cam is None else T_eye_world @ T_world_cam
 
     def up(self) -> Array:
-        """(3,) eye coordinates: away from the table, or else up in the frame's image."""
+        """Up direction (3,), eye coordinates: the table normal, or up in the frame's image."""
         table = self.controller.table
         T_eye_plane = None if table is None else self.T_eye_of(table.plane.frame)
         if table is not None and T_eye_plane is not None:
@@ -192,9 +194,9 @@ class Viewpoint:
         return self.T_eye_cam.R @ np.array([0.0, -1.0, 0.0])
 
     def settle_reference(self) -> None:
-        """Bring the eye back into the camera where what it stayed in is no longer there.
+        """Reset the eye to the camera if its reference frame no longer exists.
 
-        That is so between frames with a camera pose and those without.
+        This happens when switching between frames with and without a camera pose.
         """
         in_world = self.controller.session.T_world_cam(self.frame) is not None
         if in_world != self._in_world:
@@ -202,20 +204,20 @@ class Viewpoint:
             self.eye.T_eye_ref = None
 
     def resize(self, size: tuple[int, int]) -> None:
-        """The drawing area has another size."""
+        """Set the size of the drawing area."""
         if size != self.size:
             self.eye.resized(self.camera, self.size, size)
             self.size = size
 
     def recorded_pixel(self, xy: Array) -> tuple[float, float]:
-        """Pixel of the recorded image, lens distortion included, at a screen position."""
+        """Return the pixel of the recorded image, with lens distortion, at a screen position."""
         uv = self.window.to_image(xy)
         if self.recorded_camera.is_distorted:
             uv = self.recorded_camera.project(self.camera.unproject(uv))
         return float(uv[0]), float(uv[1])
 
     def screen_of_recorded(self, uv: Array) -> Array:
-        """Screen positions (N, 2) of pixels (N, 2) of the recorded image."""
+        """Return screen positions (N, 2) of pixels (N, 2) of the recorded image."""
         if self.recorded_camera.is_distorted:
             uv = self.camera.project(self.recorded_camera.unproject(uv))
         return self.window.to_screen(uv)

@@ -1,7 +1,7 @@
-"""All views of a window: who is drawn when, and how finely.
+"""All views of a window, with scheduling and level of detail of their rendering.
 
-The view in hand is drawn at once, the others less often. As long as something moves, light meshes
-and few points are drawn where the machine is too slow for all of them.
+The active view is rendered immediately, the others less often. During motion, light meshes and few
+points are drawn if full detail is too slow.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from annotator.views.pointer import Pointer
 
 Later = Callable[[float, Callable[[], None]], None]
 
-# Nothing moved for so long: full detail comes back.
+# Time without motion after which full detail is drawn.
 SETTLE_S = 0.12
-# While something moves, the views that are not in hand follow so often at most, and so that they
-# take no more than a third of the time.
+# Shortest interval between updates of the inactive views during motion; they also take at most a
+# third of the time.
 OTHERS_EVERY_S = 0.06
 OTHERS_SHARE = 3.0
-# All views together are drawn in full detail also while moving, if they take no longer than this.
+# Rendering time of all views below which full detail is also drawn during motion.
 FAST_S = 0.02
 BLINK_S = 0.5
 POLL_S = 0.04
@@ -38,11 +38,11 @@ class ViewSet:
 
     Args:
         plotters: one for each view; the first is the main one.
-        later: calls a function after some seconds in the front end's thread.
-        clock: seconds.
-        repaint: shows a plotter anew; by default a Qt widget paints itself, others render.
+        later: calls a function after a delay in seconds in the front end's thread.
+        clock: returns the time in seconds.
+        repaint: repaints a plotter; by default a Qt widget paints itself, others render.
         pixel_ratio: physical pixels per logical one.
-        background: meshes are read in a thread, and appear when they are ready.
+        background: read meshes in a thread; they appear when ready.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class ViewSet:
     # --- drawing --------------------------------------------------------------------------------
 
     def draw(self, slots: Iterable[int] | None = None) -> None:
-        """Draw views: the one in hand now, the others right after; all if none are named."""
+        """Draw views, default all: the active one now, the others right after."""
         wanted = list(range(len(self.views)) if slots is None else slots)
         if not self._settling:
             for slot in wanted:
@@ -103,11 +103,11 @@ class ViewSet:
         self._poll_shapes()
 
     def moved(self, view: scene_view.SceneView) -> None:
-        """The eye of one view moved."""
+        """Handle that the eye of one view moved."""
         self._moves([view.slot])
 
     def end_wheels(self) -> None:
-        """What a wheel has moved in any view stays where it is."""
+        """Commit the wheel motion of all views."""
         for pointer in self.pointers:
             pointer.end_wheel()
 
@@ -118,7 +118,7 @@ class ViewSet:
         drop: Callable[[Controller, str, int, tuple[float, float]], object],
         what: str,
     ) -> None:
-        """Something was dropped onto a view, at a screen position (2,)."""
+        """Handle a drop onto a view at a screen position (2,)."""
         view = self.views[slot]
         self.controller.activate_view(slot)
         drop(self.controller, what, view.frame, scene_view.recorded_pixel_under(view, at))
@@ -142,7 +142,7 @@ class ViewSet:
 
     @property
     def _slow(self) -> bool:
-        """Full detail in every view takes too long to follow the mouse."""
+        """Whether full detail in all views is too slow to follow the mouse."""
         return sum(t.full_s for t in self.stopwatches) > FAST_S
 
     def _draw_one(self, slot: int) -> None:
@@ -152,7 +152,7 @@ class ViewSet:
         self.views[slot].draw()
 
     def _queue(self, slots: Iterable[int]) -> None:
-        """Draw these one after the other, leaving room for the mouse in between."""
+        """Draw these views one after the other, processing mouse events in between."""
         idle = not self._waiting
         self._waiting.extend(s for s in slots if s not in self._waiting)
         if idle and self._waiting:
@@ -167,7 +167,7 @@ class ViewSet:
     # --- moving ---------------------------------------------------------------------------------
 
     def _moves(self, slots: Sequence[int]) -> None:
-        """Something moves in these views."""
+        """Handle motion in these views."""
         self._last_motion = self._clock()
         light = self._slow
         for slot in slots:
@@ -192,7 +192,7 @@ class ViewSet:
             self._draw_one(slot)
 
     def _settle(self) -> None:
-        """Bring full detail back, once nothing has moved for a while."""
+        """Draw full detail after a time without motion."""
         held = any(p.busy for p in self.pointers) or self.controller.dragging is not None
         rest = self._last_motion + SETTLE_S - self._clock()
         if held or rest > 1e-3:
@@ -211,7 +211,7 @@ class ViewSet:
     def _on_event(self, event: Event) -> None:
         every = range(len(self.views))
         if event.kind in ("preview", "edited") and self.controller.dragging is None:
-            # Given up by a key, or ended by another edit.
+            # Cancelled by a key, or ended by another edit.
             for pointer in self.pointers:
                 pointer.give_up_drag()
         if event.kind in ("preview", "edited"):
@@ -234,23 +234,23 @@ class ViewSet:
             self._soon(BLINK_S, self._blink)
 
     def _redraw(self, slots: list[int]) -> None:
-        """Draw what changed at rest; with a button held, a drag may begin, which must not wait."""
+        """Draw changed views in full detail, or light with a button held, when a drag may start."""
         if slots and any(pointer.busy for pointer in self.pointers):
             self._moves(slots)
         elif slots:
             self.draw(slots)
 
     def _changed(self, kind: str) -> list[int]:
-        """The views that look different now; all of them where the options may be others."""
+        """Return the changed views; all if the options may have changed."""
         mode, frames, tool = self._shown
         now = self._shown = _shown(self.controller)
         if kind == "tool":
-            # The view in hand or the step is another: that shows in the window, not in the views.
+            # The active view or the step changed, which the views do not show.
             return [] if now[2] == tool else list(range(len(self.views)))
         if now[:2] == (mode, frames):
             return list(range(len(self.views)))
         changed = {i for i, view in enumerate(self.views) if frames[i] != view.frame}
-        # The cloud shows where the other views were taken from.
+        # The cloud shows the cameras of the other views.
         if now[0] != mode or now[0] is Mode.CLOUD:
             changed.add(0)
         return sorted(changed)
@@ -273,7 +273,7 @@ class ViewSet:
     def _collect_shapes(self) -> None:
         self._polling = False
         self._meshes_came |= self.shapes.collect()
-        # A few at once: drawing everything for each of them would hold up the rest.
+        # Redraw once for several meshes: a full redraw for each would delay the rest.
         if self._meshes_came and not (self._waiting and self.shapes.pending):
             self._meshes_came = False
             self.draw()
@@ -286,12 +286,12 @@ class ViewSet:
 
 
 def _shown(c: Controller) -> tuple[Mode, list[int], tuple[object, ...]]:
-    """What events do not tell: mode, frames and tool as they are."""
+    """Return mode, frames and tool, which events do not contain."""
     return c.mode, list(c.view_frames), (c.gizmo, c.axes, c.clicking, c.pending_point)
 
 
 class Stopwatch:
-    """How long a view takes to be rendered, in seconds: in full detail, and while moving."""
+    """Rendering time of a view in seconds, in full detail and during motion."""
 
     def __init__(self, view: scene_view.SceneView, clock: Callable[[], float]) -> None:
         self.full_s = self.light_s = 0.0

@@ -1,1 +1,1 @@
-"""The annotation session in a browser, for servers without a display."""
+"""Browser front end of the annotation session, for servers without a display."""

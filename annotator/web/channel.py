@@ -1,9 +1,8 @@
-"""The web socket over which browsers get the pictures of the views and tell what hands do.
+"""Web socket that sends images of the views to browsers and receives their input events.
 
-Each browser takes pictures at its own pace: at most two of a view are on their way to it, so that
-a slow line makes the view coarser in time but never late, and no browser waits for another.
-
-What a page tells the server over the channel of its views; checked as it is read.
+Each browser receives images at its own rate: at most two images of a view are in flight, so a slow
+connection lowers the frame rate but adds no delay, and no browser waits for another. Messages from
+a page are validated as they are read.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from msgspec import Meta
 
 from std_toolkit.log import logger
 
-# A held button is followed beyond the edges of its view, but not to infinity.
+# With a button held, positions outside the view are valid within this range.
 Share = Annotated[float, Meta(ge=-20, le=20)]
 
 Pixels = Annotated[int, Meta(ge=0, le=16384)]
@@ -31,7 +30,7 @@ View = Annotated[int, Meta(ge=0, le=63)]
 
 UNDER_WAY = 2
 
-# A browser that is gone without saying so is noticed after about this time.
+# A browser that vanished without closing the socket is detected after about this time, seconds.
 HEARTBEAT_S = 10.0
 
 _LONGEST_MESSAGE = 16_384
@@ -40,13 +39,13 @@ _HEAD = struct.Struct("<BxxxI")
 
 
 class Pointer(msgspec.Struct, tag="pointer", frozen=True, forbid_unknown_fields=True):
-    """The mouse, a pen or a finger did something in a view.
+    """Event of a mouse, pen or finger in a view.
 
     Attributes:
-        x, y: where, as shares of the picture from its top left corner.
+        x, y: position as fractions of the image from its top left corner.
         button: 0 left, 1 middle, 2 right.
-        notches: how far a wheel was turned; up, which is away from the hand, is positive.
-        number: of a move, which the server answers as soon as it has followed it.
+        notches: wheel rotation; up, away from the user, is positive.
+        number: number of a move, which the server acknowledges after processing it.
     """
 
     view: View
@@ -62,7 +61,7 @@ class Pointer(msgspec.Struct, tag="pointer", frozen=True, forbid_unknown_fields=
 
 
 class Key(msgspec.Struct, tag="key", frozen=True, forbid_unknown_fields=True):
-    """A key was pressed, named as in the table of actions: "Ctrl+Shift+Z"."""
+    """Pressed key, named as in the table of actions: "Ctrl+Shift+Z"."""
 
     name: Annotated[str, Meta(max_length=40)]
     repeat: bool = False
@@ -72,7 +71,7 @@ class Sizes(msgspec.Struct, tag="sizes", frozen=True, forbid_unknown_fields=True
     """Size of each view on the screen.
 
     Attributes:
-        sizes: width and height in physical pixels; 0 for one that is not shown.
+        sizes: width and height in physical pixels; 0 for a hidden view.
         ratio: physical pixels per logical one.
     """
 
@@ -81,20 +80,20 @@ class Sizes(msgspec.Struct, tag="sizes", frozen=True, forbid_unknown_fields=True
 
 
 class Shown(msgspec.Struct, tag="shown", frozen=True, forbid_unknown_fields=True):
-    """A picture is on the screen."""
+    """Acknowledgement that an image is on the screen."""
 
     view: View
     number: int
 
 
 class Visibility(msgspec.Struct, tag="sight", frozen=True, forbid_unknown_fields=True):
-    """Whether the page can be seen: one in a hidden tab gets no pictures."""
+    """Whether the page is visible; a hidden tab receives no images."""
 
     visible: bool
 
 
 class Drop(msgspec.Struct, tag="drop", frozen=True, forbid_unknown_fields=True):
-    """A mesh of the library, or an object of the list, was dropped onto a view."""
+    """Drop of a library mesh, or of an object of the list, onto a view."""
 
     view: View
     x: Share
@@ -109,41 +108,41 @@ _decoder = msgspec.json.Decoder(PageMessage)
 
 
 def read_message(text: str | bytes) -> PageMessage:
-    """Raises msgspec.ValidationError or DecodeError for what no page of ours sends."""
+    """Decode a message; raises msgspec.ValidationError or DecodeError for an invalid one."""
     return _decoder.decode(text)
 
 
 class Receiver(Protocol):
-    """Who draws the views and follows the hand."""
+    """Draws the views and handles input events."""
 
     def pointer(self, event: Pointer) -> None: ...
     def give_up(self, view: int) -> None:
-        """The hand that held a button in a view is gone."""
+        """Handle the loss of a browser that held a button in a view."""
 
     def key(self, event: Key) -> None: ...
     def drop(self, event: Drop) -> None: ...
     def resize(self, sizes: Sequence[tuple[int, int]], ratio: float) -> None: ...
     def wanted(self, view: int) -> None:
-        """A browser can take a picture of a view again."""
+        """Handle that a browser can receive an image of a view again."""
 
     def failed(self, error: Exception) -> None:
-        """Something went wrong that should not."""
+        """Handle an unexpected error."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """What a view looks like now: a JPEG image with its number."""
+    """Numbered JPEG image of a view."""
 
     number: int
     jpeg: bytes
 
 
 class ViewChannel:
-    """All browsers that look at a session.
+    """Connections of all browsers of a session.
 
     Args:
-        views: how many views there are.
-        keys: names of the keys that browsers are to send.
+        views: number of views.
+        keys: names of the keys that browsers send.
     """
 
     def __init__(self, receiver: Receiver, *, views: int, keys: Sequence[str]) -> None:
@@ -152,19 +151,19 @@ class ViewChannel:
         self._latest: list[Picture | None] = [None] * views
         self._numbers = itertools.count(1)
         self._browsers: list[_Browser] = []
-        # Whose sizes the views have: the browser in which something was done last.
+        # The browser with the last input; the views have its sizes.
         self._leader: _Browser | None = None
-        # While a button is held, the pointers of other browsers rest.
+        # While a button is held, pointer events of other browsers are ignored.
         self._holder: tuple[_Browser, int] | None = None
 
     # --- pictures out ----------------------------------------------------------------------------
 
     def can_take(self, view: int) -> bool:
-        """Some browser waits for a picture of a view."""
+        """Whether some browser waits for an image of a view."""
         return any(b.can_take(view) for b in self._browsers)
 
     def send(self, view: int, jpeg: bytes) -> None:
-        """Show a picture everywhere; a browser that is behind gets the last one when it can."""
+        """Send an image to all browsers; a slow one receives the latest image when it is ready."""
         picture = self._latest[view] = Picture(next(self._numbers), jpeg)
         for browser in self._browsers:
             browser.offer(view, picture)
@@ -172,8 +171,8 @@ class ViewChannel:
     # --- connections -----------------------------------------------------------------------------
 
     async def serve(self, request: web.Request) -> web.StreamResponse:
-        """Answer a request for the web socket, as long as it lasts."""
-        # Pictures are compressed already.
+        """Serve a web socket connection until it closes."""
+        # JPEG images are already compressed.
         socket = web.WebSocketResponse(
             heartbeat=HEARTBEAT_S, compress=False, max_msg_size=_LONGEST_MESSAGE
         )
@@ -192,7 +191,7 @@ class ViewChannel:
         return socket
 
     async def close(self) -> None:
-        """Say goodbye to every browser."""
+        """Close the connections to all browsers."""
         for browser in list(self._browsers):
             await browser.socket.close(code=WSCloseCode.GOING_AWAY)
 
@@ -212,7 +211,7 @@ class ViewChannel:
         try:
             told = read_message(text)
         except msgspec.DecodeError as error:
-            logger.warning("a browser sent what no page of ours does: %s", error)
+            logger.warning("ignored an invalid message of a browser: %s", error)
             return False
         if isinstance(told, Pointer | Drop | Shown) and told.view >= len(self._latest):
             return False
@@ -222,7 +221,7 @@ class ViewChannel:
     def _call(self, action: Any) -> None:
         try:
             action()
-        except Exception as error:  # one event that goes wrong must not end the session
+        except Exception as error:  # an error in one event must not end the session
             logger.exception("an event of a browser")
             self._receiver.failed(error)
 
@@ -291,11 +290,11 @@ class ViewChannel:
 
 
 class _Browser:
-    """One page that is connected.
+    """Connection of one page.
 
     Attributes:
-        sizes: of its views, physical pixels.
-        sent: number of the last picture of each view that is on its way or shown.
+        sizes: sizes of its views, physical pixels.
+        sent: number of the last image of each view that is in flight or shown.
     """
 
     def __init__(self, socket: web.WebSocketResponse, *, views: int) -> None:
@@ -311,14 +310,14 @@ class _Browser:
         return self.visible and any(self.sizes[view]) and len(self._under_way[view]) < UNDER_WAY
 
     def offer(self, view: int, picture: Picture) -> None:
-        """Send a picture, unless this browser is behind."""
+        """Send an image unless too many are in flight to this browser."""
         if self.can_take(view):
             self.sent[view] = picture.number
             self._under_way[view].append(picture.number)
             self._queue.put_nowait(_HEAD.pack(view, picture.number) + picture.jpeg)
 
     def shown(self, view: int, number: int) -> None:
-        """It shows a picture, and with it all before."""
+        """Record that the browser shows an image, which acknowledges all earlier ones."""
         under_way = self._under_way[view]
         while under_way and under_way[0] <= number:
             under_way.popleft()
@@ -327,7 +326,7 @@ class _Browser:
         self._queue.put_nowait(msgspec.json.encode(message).decode())
 
     async def send_all(self) -> None:
-        """Send what is queued until cancelled; a line that is slow holds up nobody else."""
+        """Send queued data until cancelled; a slow connection delays no other browser."""
         try:
             while True:
                 message = await self._queue.get()
@@ -336,4 +335,4 @@ class _Browser:
                 else:
                     await self.socket.send_str(message)
         except ConnectionError:
-            pass  # the browser is gone, as its reader will notice
+            pass  # the browser is gone; its reader handles this

@@ -1,4 +1,4 @@
-"""The page of one session, for however many browsers look at it."""
+"""Browser front end of one session, shared by all connected browsers."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ from annotator.web.page import build_page, page_constants, page_pose, page_state
 from annotator.web.stream import StreamedPlotter
 from std_toolkit.log import logger
 
-# The panels follow the mouse, and the work under way, no oftener than this.
+# Shortest interval between updates of the panels, and of the progress, seconds.
 REFRESH_S, BUSY_S = 0.05, 0.25
 
 
 class FrontEnd:
-    """Draws a session's views for browsers, and does what their people do.
+    """Draws a session's views for browsers and executes their input.
 
     Attributes:
-        channel: where the views' pictures go out and pointers and keys come in.
+        channel: sends images of the views and receives pointer and key events.
     """
 
     def __init__(self, server: Any, session: Session) -> None:
@@ -120,9 +120,9 @@ class FrontEnd:
         )
 
     def close(self) -> None:
-        """End what runs; the session is the caller's.
+        """Stop all computations; the caller closes the session.
 
-        What writes to the scene is waited for: whoever closes the session then lets others have it.
+        Waits for tasks that write to the scene, because closing the session releases its lock.
         """
         task = self.controller.task
         if task is not None:
@@ -132,7 +132,7 @@ class FrontEnd:
         self._picker.close()
         self._views.close()
         if task is not None and task.alone:
-            logger.info("%s: ends when it is done", task.title)
+            logger.info("waiting for: %s", task.title)
             self._runner.close(timeout=threading.TIMEOUT_MAX)
         else:
             self._runner.close()
@@ -186,7 +186,7 @@ class FrontEnd:
         self._later(REFRESH_S, self._refresh_pose if dragging else self._refresh)
 
     def _tell_share(self) -> None:
-        """Show how far the computation under way is, until it ends."""
+        """Show the progress of the running computation until it ends."""
         task = self.controller.task
         share = None if task is None or task.fraction is None else round(100 * task.fraction)
         self._set(busy_share=share)
@@ -197,7 +197,7 @@ class FrontEnd:
         self.dialogs.recovery()
 
     def failed(self, error: Exception) -> None:
-        """Something went wrong that should not: tell it, and go on."""
+        """Report an unexpected error and continue."""
         self._notices.tell(f"This should not happen: {type(error).__name__}: {error}", "error")
 
     # --- in: the views ---------------------------------------------------------------------------
@@ -242,7 +242,7 @@ class FrontEnd:
     # --- in: the panels --------------------------------------------------------------------------
 
     def act(self, id: str) -> None:
-        """Run an action, if it makes sense now."""
+        """Run an action if it is enabled."""
         action = action_table.BY_ID.get(id)
         if action is not None and action.enabled(self.controller):
             self.controller.attempt(lambda: action.run(self.controller))
@@ -251,7 +251,7 @@ class FrontEnd:
         self.controller.attempt(lambda: self.controller.select(name))
 
     def show_frame(self, index: int) -> None:
-        """Show a frame by its place; those passed over by a quick hand are not loaded."""
+        """Show a frame by index; frames skipped by fast slider motion are not loaded."""
         waiting, self._wanted_frame = self._wanted_frame, int(index)
         if waiting is None:
             self._later(0.0, self._show_wanted_frame)
@@ -280,7 +280,7 @@ class FrontEnd:
         self.controller.set_options(opacity=min(max(float(percent), 10), 100) / 100)
 
     def set_form(self, in_world: bool, form: str) -> None:
-        """In which frame and form the numbers of the pose are."""
+        """Set coordinate frame and rotation form of the pose fields."""
         self._fields.in_world = bool(in_world) and self.controller.session.posed
         self._fields.form = pose_text.RotationForm(form)
         self._refresh()
@@ -288,7 +288,7 @@ class FrontEnd:
     def set_number(
         self, what: Literal["position", "rotation", "quaternion"], axis: int, text: str
     ) -> None:
-        """A number of the pose was typed, or the "quaternion" as a whole."""
+        """Set a number of the pose, or the whole "quaternion", from typed text."""
 
         def enter() -> None:
             if what == "quaternion":
@@ -297,21 +297,21 @@ class FrontEnd:
                 self._fields.type_number(what, axis, text)
 
         if not self.controller.attempt(enter):
-            # The field is made anew, with the number as it is.
+            # Recreates the field with the unchanged number.
             self._set(mistyped=self._state["mistyped"] + 1)
         self._refresh()
 
     def copied(self) -> None:
-        """The page has put the pose onto the clipboard."""
+        """Handle that the page has copied the pose to the clipboard."""
         self._fields.tell_copied()
 
     def paste(self) -> None:
-        """Ask for a pose: a page may not read the clipboard by itself."""
+        """Ask for a pose as text: a page cannot read the clipboard without permission."""
         self.dialogs.ask_pose(f"mesh to {self._fields.where}", self._fields.paste)
 
 
 def _as_png(rgb: NDArray[np.uint8]) -> str:
-    """A data URL."""
+    """Return a PNG image as a data URL."""
     done, data = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
     assert done
     return "data:image/png;base64," + base64.b64encode(data.tobytes()).decode("ascii")

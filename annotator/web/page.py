@@ -1,4 +1,4 @@
-"""The page: one template, and what it shows of a controller, as plain values."""
+"""Template of the page, and the controller's state as plain values for it."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from std_toolkit.html.plots import object_color
 
 STATIC = Path(__file__).parent / "static"
 
-# Lines of the head of trame's own page that ours has instead.
+# Lines in the head of trame's page that are replaced.
 _TITLE = "<title>trame is built by Kitware</title>"
 
 _ICON = '<link rel="icon" href="logo.png" />'
 
 
 def index_html(*, title: str, secret: str) -> str:
-    """The first thing that a browser gets: trame's own page with our scripts before its own.
+    """Return the initial HTML: trame's page with the annotator's scripts first.
 
     Args:
-        secret: by which the page's web socket is told from any other.
+        secret: authenticates the web socket of the page.
     """
     www = importlib.import_module("trame_client.module.vue3").www
     head = (
@@ -48,12 +48,12 @@ def index_html(*, title: str, secret: str) -> str:
     page = page.replace("<head>", head, 1)
     page = page.replace(_TITLE, f"<title>{_escaped(title)}</title>")
     page = page.replace(_ICON, '<link rel="icon" href="annotator/icon.svg" />')
-    # Scripts within the page are forbidden by `guard`; this one shows trame's logo.
+    # The policy of `guard` forbids inline scripts; this one shows trame's logo.
     return re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
 
 
 def build_page(server: Any, *, views: int) -> None:
-    """Give a trame server its page, with so many views of which the first is the main one."""
+    """Set the page of a trame server with N views, the first of which is the main one."""
     corners = [("fit_view", "zoom_object"), *((f"swap_{i}",) for i in range(1, views))]
     main, *side = [_view(i, actions) for i, actions in enumerate(corners)]
     columns = [f'<div class="main">{main}</div>']
@@ -72,7 +72,7 @@ def _view(index: int, actions: tuple[str, ...] = ()) -> str:
         f'<svg class="icon small"><use href="#icon-{id}"></use></svg></button>'
         for id in actions
     )
-    # `v-pre`: it is an element of the browser, which Vue leaves alone.
+    # `v-pre`: a custom element that Vue must not compile.
     return (
         f'<div class="view" :class="{{ inhand: {index} === active_view }}" data-view="{index}">'
         f'<annotator-view v-pre data-index="{index}"></annotator-view>'
@@ -89,7 +89,7 @@ def _escaped(text: str) -> str:
 
 
 def page_constants(session: Session, *, dialogs: frozenset[str]) -> dict[str, Any]:
-    """What of the page never changes."""
+    """Return the constant values of the page."""
     name = session.scene.info.name
     return {
         "title": name,
@@ -126,7 +126,7 @@ def _tools(dialogs: frozenset[str]) -> list[list[dict[str, Any]]]:
 
 
 def _menu(name: str, dialogs: frozenset[str]) -> dict[str, Any]:
-    """The entries of one menu; what would need a dialog that the page lacks is left out."""
+    """Return the entries of one menu, without actions that need an unavailable dialog."""
     entries: list[dict[str, Any]] = []
     group = None
     for action in action_table.available_actions(dialogs):
@@ -147,7 +147,7 @@ def _menu(name: str, dialogs: frozenset[str]) -> dict[str, Any]:
 
 
 def page_state(c: controller.Controller, fields: pose_text.PoseFields) -> dict[str, Any]:
-    """Everything beside the pictures.
+    """Return the state of the page except images.
 
     Args:
         fields: the numbers of the pose.
@@ -182,7 +182,7 @@ def page_state(c: controller.Controller, fields: pose_text.PoseFields) -> dict[s
 
 
 def page_pose(c: controller.Controller, fields: pose_text.PoseFields) -> dict[str, Any]:
-    """The part of it that changes as an object is dragged."""
+    """Return the part of the page state that changes while an object is dragged."""
     return {"pose": _pose(fields), "hint": object_summary.next_hint(c)}
 
 
@@ -226,7 +226,7 @@ def _model(model: Any) -> dict[str, Any]:
 
 
 def _pose(fields: pose_text.PoseFields) -> dict[str, Any] | None:
-    """The numbers of the selected object's pose, mm and degrees; None without a pose."""
+    """Return the numbers of the selected object's pose, mm and degrees; None without a pose."""
     if fields.pose is None:
         return None
     position, rotation = fields.numbers()

@@ -1,7 +1,7 @@
-"""One drawing area in a browser: pictures go out, pointer events come back.
+"""One drawing area in a browser: rendered images are sent, pointer events received.
 
-The scene is drawn on the server into a plotter without a window, and goes out as JPEG images, when
-there is something new and a browser can take it.
+The server renders the scene off-screen and sends JPEG images when the scene has changed and a
+browser can receive them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from std_toolkit.errors import ToolkitError
 
 Later = Callable[[float, Callable[[], None]], None]
 
-# JPEG quality while something moves, and of a still picture, which has its colours in full, too.
+# JPEG quality during motion, and of a still image, which also has full chroma resolution.
 MOVING_QUALITY, STILL_QUALITY = 75, 94
 
 LARGEST_PX = 4096
@@ -28,7 +28,7 @@ _BUTTONS = ("Left", "Middle", "Right")
 
 
 class Drawn(Protocol):
-    """What is drawn into the plotter: a `SceneView` or `ModelView`."""
+    """View drawn into the plotter: a `SceneView` or `ModelView`."""
 
     pixel_ratio: float
 
@@ -36,16 +36,16 @@ class Drawn(Protocol):
 
 
 class StreamedPlotter:
-    """A plotter without a window whose pictures go to browsers.
+    """Off-screen plotter whose images are sent to browsers.
 
     Attributes:
-        plotter: to be drawn into by the view.
-        view: what draws; `repaint` is to be called by it.
+        plotter: off-screen plotter that the view draws into.
+        view: draws into the plotter and calls `repaint`.
 
     Args:
-        can_take: whether some browser can take a picture now; `repaint` is called when it can.
-        send: hands a JPEG image to the browsers.
-        later: calls a function in this thread after some seconds.
+        can_take: returns whether some browser can receive an image now; call `wanted` when one can.
+        send: sends a JPEG image to the browsers.
+        later: calls a function in this thread after a delay in seconds.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class StreamedPlotter:
         self._move: Pointer | None = None
 
     def close(self) -> None:
-        """Send nothing any more, and let go of the plotter."""
+        """Stop sending and release the plotter."""
         self.view = None
         self.plotter.close()
 
@@ -75,17 +75,17 @@ class StreamedPlotter:
     # --- pictures out ----------------------------------------------------------------------------
 
     def repaint(self) -> None:
-        """Show the plotter anew, as soon as a browser can take it."""
+        """Render and send an image as soon as a browser can receive it."""
         self._dirty = True
         self._plan()
 
     def wanted(self) -> None:
-        """A browser can take a picture."""
+        """Handle that a browser can receive an image."""
         if self._dirty:
             self._plan()
 
     def resize(self, width: int, height: int, ratio: float) -> None:
-        """The drawing area in the browser has so many physical pixels."""
+        """Set the size of the drawing area in the browser, physical pixels."""
         if self.view is None or not (width and height):
             return
         size = min(width, LARGEST_PX), min(height, LARGEST_PX)
@@ -96,7 +96,7 @@ class StreamedPlotter:
             self.view.draw()
 
     def _plan(self) -> None:
-        # What came in meanwhile is heeded first.
+        # Pending events are processed first.
         if not self._planned and self._can_take():
             self._planned = True
             self._later(0.0, self._paint)
@@ -114,9 +114,9 @@ class StreamedPlotter:
     # --- pointer events in -----------------------------------------------------------------------
 
     def pointer(self, event: Pointer) -> None:
-        """Let the view see what the pointer did."""
+        """Forward a pointer event to the view."""
         if event.kind == "move":
-            # Moves that came while a picture was drawn are one move to where the pointer is now.
+            # Moves received during rendering are merged into one to the latest position.
             waiting, self._move = self._move, event
             if waiting is None:
                 self._later(0.0, self._moved)
@@ -135,12 +135,12 @@ class StreamedPlotter:
                 self._tell("MouseWheelForwardEvent" if away else "MouseWheelBackwardEvent", event)
 
     def let_go(self) -> None:
-        """The hand that held a button is gone: no click is made of it."""
+        """Release a held button of a lost browser without producing a click."""
         self._move = None
         self._tell("LeftButtonReleaseEvent", Pointer(view=0, kind="up", x=-20, y=-20))
 
     def place(self, x: float, y: float) -> NDArray[np.float64]:
-        """(2,) screen position of shares of the picture."""
+        """Return the screen position (2,) of fractions of the image."""
         return np.array([x, y]) * self.size
 
     def _moved(self) -> None:
@@ -159,7 +159,7 @@ class StreamedPlotter:
 
 
 def read_pixels(window: Any) -> NDArray[np.uint8]:
-    """(H, W, 3) RGB of what a VTK window drew last, the lowest row first."""
+    """Return (H, W, 3) RGB of the last image of a VTK window, bottom row first."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
 
@@ -170,10 +170,10 @@ def read_pixels(window: Any) -> NDArray[np.uint8]:
 
 
 def as_jpeg(rgb: NDArray[np.uint8], quality: int) -> bytes:
-    """JPEG image of (H, W, 3) RGB uint8, the lowest row first.
+    """Encode (H, W, 3) RGB uint8, bottom row first, as JPEG.
 
     Raises:
-        ToolkitError: the picture cannot be encoded.
+        ToolkitError: the image cannot be encoded.
     """
     still = quality >= STILL_QUALITY
     sampling = (
@@ -183,5 +183,5 @@ def as_jpeg(rgb: NDArray[np.uint8], quality: int) -> bytes:
     options = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, sampling]
     done, data = cv2.imencode(".jpg", upright, options)
     if not done:
-        raise ToolkitError("the picture cannot be encoded", value=rgb.shape)
+        raise ToolkitError("the image cannot be encoded", value=rgb.shape)
     return data.tobytes()

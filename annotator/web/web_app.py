@@ -1,11 +1,10 @@
-"""`std-annotate SCENE --web PORT`: the same session in a browser.
+"""Web server of `std-annotate SCENE --web PORT`, with access control.
 
-Who may talk to the browser front end: this machine, or who knows the token.
-
-A page on another site can make a browser send requests to 127.0.0.1, open web sockets there, and
-show the page in a frame of its own. So even without a token, a request must name this server as
-its host and, where a browser tells its origin, come from a page of this server; and the page tells
-the browser to talk to nobody else and to be in nobody's frame.
+Access is limited to this machine or to clients with the token. A page of another site can make a
+browser send requests to 127.0.0.1, open web sockets there, and embed the page in a frame. Even
+without a token, a request must therefore name this server as its host and, if the browser sends an
+origin, come from a page of this server. The content security policy of the page allows
+connections to this server only and forbids embedding.
 """
 
 from __future__ import annotations
@@ -30,16 +29,15 @@ from annotator.session import Session
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
 
-# A browser that is gone without saying so is noticed after about this time.
+# A browser that vanished without closing the socket is detected after about this time, seconds.
 HEARTBEAT_S = 10
 
 COOKIE = "std_annotate_token"
 
 SHORTEST_TOKEN = 16
 
-# Vue compiles the page's template in the browser, hence 'unsafe-eval'. Only `connect-src` says
-# whom the page may talk to: a link could name another web socket, and whoever answers there could
-# put scripts into the page.
+# Vue compiles the page's template in the browser, hence 'unsafe-eval'. `connect-src` limits the
+# connections of the page: a link could name another web socket, whose server could inject scripts.
 _POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
     "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'{sockets}; "
@@ -58,13 +56,13 @@ _HOST = re.compile(r"[\w.\-]+(:\d+)?|\[[0-9a-fA-F:.]+\](:\d+)?")
 
 
 def run(args: AnnotateOptions) -> int:
-    """Serve a scene until interrupted; edits that were not saved then stay recoverable.
+    """Serve a scene until interrupted; unsaved edits stay recoverable.
 
     Raises:
-        ToolkitError: an address that others can reach without a token, a port in use, or a scene
-            that cannot be opened.
+        ToolkitError: the address is reachable by others and no token is set, the port is in use, or
+            the scene cannot be opened.
     """
-    assert args.scene is not None and args.web is not None  # the options see to it
+    assert args.scene is not None and args.web is not None  # ensured by the options
     check_address(args.host, args.token)
     prepare_drawing()
     with Session.open(
@@ -75,7 +73,7 @@ def run(args: AnnotateOptions) -> int:
 
 
 def prepare_drawing() -> None:
-    """Have VTK draw without a window system; to be called before it is loaded."""
+    """Select off-screen rendering of VTK; must be called before VTK is imported."""
     if "DISPLAY" not in os.environ:
         os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
 
@@ -114,7 +112,7 @@ async def serve(
     def protect(web_server: Any) -> None:
         app: web.Application = web_server.app
         app.middlewares.append(guard(token, loopback=is_loopback(host)))
-        # These come before those of trame.
+        # These routes precede those of trame.
         app.router.add_get("/", index)
         app.router.add_get("/index.html", index)
         app.router.add_get("/views", front_end.channel.serve)
@@ -136,7 +134,7 @@ async def serve(
             disable_logging=True,
             exec_mode="coroutine",
             timeout=0,
-            # Ctrl-C is ours: aiohttp would end the process with status 1.
+            # Ctrl-C is handled here: aiohttp would end the process with status 1.
             thread=True,
         )
     except OSError as error:
@@ -151,24 +149,22 @@ async def serve(
 
 
 def tell_address(host: str, port: int, token: str | None) -> None:
-    """Print what is to be opened: the one place where the token is shown."""
+    """Log the address to open; the token is printed only here."""
     shown = f"[{host}]" if ":" in host else host
     query = f"/?token={token}" if token is not None else ""
     logger.info("open http://%s:%d%s in a browser; Ctrl-C ends", shown, port, query)
     if token is None:
-        logger.info(
-            "whoever is logged in on this machine can open it, too; --token SECRET keeps them out"
-        )
+        logger.info("other users of this machine can open it, too; --token SECRET prevents this")
 
 
 def _ignore_command_line(parser: Any, **values: Any) -> None:
-    """Have trame take these values, and neither our command line nor $TRAME_ARGS."""
+    """Make trame use these values instead of the command line and $TRAME_ARGS."""
     parser.set_defaults(**values)
     parser.parse_known_args = partial(argparse.ArgumentParser.parse_known_args, parser, [])
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address or name means this machine alone."""
+    """Whether an address or name is a loopback address of this machine."""
     if host == "localhost":
         return True
     try:
@@ -178,10 +174,10 @@ def is_loopback(host: str) -> bool:
 
 
 def check_address(host: str, token: str | None) -> None:
-    """Refuse to listen where others can reach us without a secret.
+    """Check that an address reachable by others is protected by a token.
 
     Raises:
-        ToolkitError: an address beyond loopback without a token, or a token that can be guessed.
+        ToolkitError: a non-loopback address without a token, or a token that is too short.
     """
     if token is None and not is_loopback(host):
         raise ToolkitError(
@@ -200,12 +196,13 @@ def check_address(host: str, token: str | None) -> None:
 
 
 def guard(token: str | None, *, loopback: bool) -> Middleware:
-    """Middleware that lets only those requests through that may be here.
+    """Return a middleware that rejects unauthorized requests.
 
     Args:
-        token: the secret, or None where only this machine can connect. It is taken from the
-            query (`?token=...`), which sets a cookie, or from the cookie.
-        loopback: the server listens on loopback: the host that a request names must be, too.
+        token: the secret, or None if only this machine can connect. It is read from the query
+            (`?token=...`), which sets a cookie, or from the cookie.
+        loopback: whether the server listens on loopback; the host named by a request must then be
+            loopback, too.
     """
 
     @web.middleware
@@ -226,7 +223,7 @@ def guard(token: str | None, *, loopback: bool) -> Middleware:
 
 
 def cookie_name(request: web.Request) -> str:
-    """Name of the cookie with the token: browsers send cookies to every port of a machine."""
+    """Return the name of the token cookie, which contains the port: ports share cookies."""
     return f"{COOKIE}_{urlsplit(f'//{request.host}').port or 80}"
 
 
@@ -250,7 +247,7 @@ def _check_token(request: web.Request, token: str) -> None:
             "which ends in ?token=...\n"
         )
     if given is not None and request.method == "GET" and "Upgrade" not in request.headers:
-        # The secret leaves the address bar (and with it history and screenshots).
+        # Removes the secret from the address bar (and thus from history and screenshots).
         query = {k: v for k, v in request.query.items() if k != "token"}
         answer = web.HTTPFound(request.rel_url.with_query(query))
         answer.set_cookie(cookie_name(request), token, httponly=True, samesite="Strict", path="/")
@@ -258,7 +255,7 @@ def _check_token(request: web.Request, token: str) -> None:
 
 
 def _protect(request: web.Request, answer: web.StreamResponse) -> None:
-    # Not every browser takes 'self' to mean the web sockets, too.
+    # In some browsers 'self' does not include web sockets.
     own = f" ws://{request.host} wss://{request.host}" if _HOST.fullmatch(request.host) else ""
     answer.headers.update(_HEADERS)
     answer.headers["Content-Security-Policy"] = _POLICY.format(sockets=own)

@@ -1,4 +1,4 @@
-"""The edits: each turns one state into the next. One format serves journal, script and undo."""
+"""Edits, which map one state to the next, in the format of journal, scripts and undo."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ SingleEdit = (
 
 
 class CompoundEdit(Edit, frozen=True, kw_only=True, tag="together"):
-    """Several edits as one step of undo: all of them are made, or none."""
+    """Several edits as one undo step, applied all or none."""
 
     edits: list[SingleEdit]
     label: str = ""

@@ -1,10 +1,8 @@
-"""The base of all edits, and the edits of the mesh library and of the list of objects.
+"""Base class of edits, and edits of the mesh library and of the list of objects.
 
-What all edits share: each turns one state into the next. One format serves journal and script.
-
-An edit is applied in its resolved form, which holds all it needs as numbers, so that replaying a
-journal gives the same state bit for bit, whatever became of meshes and camera poses since. What
-needs images or a solver is a request (`annotator.session.requests`), whose outcome is an edit.
+An edit is applied in its resolved form, which contains all inputs as numbers. Replaying a journal
+therefore gives a bitwise equal state even if meshes or camera poses have changed. Operations that
+need images or a solver are requests (`annotator.session.requests`), whose outcome is an edit.
 """
 
 from __future__ import annotations
@@ -25,17 +23,18 @@ from std_toolkit.scene.model import Material, Model, SymmetryModel
 
 @dataclass(frozen=True)
 class EditContext:
-    """What an edit may ask of the session it is applied in.
+    """Session data that edits can query.
 
     Attributes:
         frames: ids of all frames in which a pose can be set.
-        pose: T_cam_obj of an object in a frame, from the state given; None if it has none there.
-        centre: (3,) centre of a model's bounding box, mesh frame, metres: what turns turn about.
-        shared: one pose holds for all frames (the scene has metric camera poses).
-        annotator: who edits.
-        time: when, UTC, ISO 8601.
-        reserved: object ids that no new object may take: they stand in the scene's files, or belong
-            to another object in a state that undo leads to.
+        pose: returns T_cam_obj of an object in a frame of a state; None if it has none there.
+        centre: returns the (3,) centre of a model's bounding box, mesh frame, metres: the centre of
+            rotations.
+        shared: whether one pose holds for all frames (the scene has metric camera poses).
+        annotator: name of the annotator.
+        time: UTC, ISO 8601.
+        reserved: object ids that a new object must not use: they are in the scene's files, or
+            belong to another object in a state reachable by undo.
     """
 
     frames: Container[int]
@@ -48,20 +47,20 @@ class EditContext:
 
 
 class Edit(Document, frozen=True, kw_only=True, tag_field="edit"):
-    """Base of all edits; `apply` never changes the state it is given."""
+    """Base of all edits; `apply` does not modify its input state."""
 
     @property
     def title(self) -> str:
-        """What it does, for the undo menu."""
+        """Name of the edit in the undo menu."""
         raise NotImplementedError
 
     @property
     def objects(self) -> tuple[str, ...]:
-        """Names of the objects that it touches; empty where it concerns the scene as a whole."""
+        """Names of the changed objects; empty for the scene as a whole."""
         return ()
 
     def resolved(self, state: AnnotationState, context: EditContext) -> Edit:
-        """The same edit with everything it asks of the context written out as numbers.
+        """Return the edit with all queries of the context replaced by numbers.
 
         Raises:
             ToolkitError: as `apply`.
@@ -70,16 +69,16 @@ class Edit(Document, frozen=True, kw_only=True, tag_field="edit"):
         return self
 
     def apply(self, state: AnnotationState, context: EditContext) -> AnnotationState:
-        """The next state.
+        """Return the next state.
 
         Raises:
-            ToolkitError: unknown object, model or frame, or a value out of range.
+            ToolkitError: unknown object, model or frame, or value out of range.
         """
         raise NotImplementedError
 
 
 class EnterModel(Edit, frozen=True, kw_only=True, tag="enter_model"):
-    """A model whose mesh file is in the scene folder already joins the library."""
+    """Adds a model to the library; its mesh file is already in the scene folder."""
 
     model: Model
 
@@ -93,7 +92,7 @@ class EnterModel(Edit, frozen=True, kw_only=True, tag="enter_model"):
 
 
 class SetSymmetry(Edit, frozen=True, kw_only=True, tag="set_symmetry"):
-    """Symmetries of a model, mesh frame, metres."""
+    """Sets the symmetries of a model, mesh frame, metres."""
 
     model: str
     symmetry: SymmetryModel
@@ -109,10 +108,10 @@ class SetSymmetry(Edit, frozen=True, kw_only=True, tag="set_symmetry"):
 
 
 class AddObject(Edit, frozen=True, kw_only=True, tag="add_object"):
-    """A physical object of a model of the library; it has no pose yet.
+    """Adds an object of a library model, without a pose.
 
     Attributes:
-        id: its value in masks; default: the smallest one that nobody has or had.
+        id: its value in masks; default: the smallest id that was never used.
     """
 
     object: str
@@ -151,7 +150,7 @@ class AddObject(Edit, frozen=True, kw_only=True, tag="add_object"):
 
 
 class RemoveObject(Edit, frozen=True, kw_only=True, tag="remove_object"):
-    """The object leaves the scene with its poses and clicks; the mesh stays in the library."""
+    """Removes an object with its poses and clicks; the mesh stays in the library."""
 
     object: str
 
@@ -170,7 +169,7 @@ class RemoveObject(Edit, frozen=True, kw_only=True, tag="remove_object"):
 
 
 class ChangeObject(Edit, frozen=True, kw_only=True, tag="change_object"):
-    """Name, material, status or note of an object; what is None stays."""
+    """Changes name, material, status or note of an object; None leaves a field unchanged."""
 
     object: str
     name: str | None = None

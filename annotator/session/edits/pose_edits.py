@@ -1,4 +1,4 @@
-"""Edits of poses, and of the clicked 2D-3D correspondences."""
+"""Edits of poses and of clicked 2D-3D correspondences."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ Axes = Literal["camera", "object"]
 
 
 class PoseChange(document.Document, frozen=True, kw_only=True):
-    """One object's new pose in a frame.
+    """New pose of one object in a frame.
 
     Attributes:
         T_cam_obj: mesh frame to the camera of the frame, metres.
-        method: what moved it, such as "drag", "gizmo", "typed", "pnp", "refine", "snap".
-        refinement: sentence on the refinement whose result this is, or "".
+        method: origin of the pose, such as "drag", "gizmo", "typed", "pnp", "refine", "snap".
+        refinement: sentence on the refinement that computed the pose, or "".
     """
 
     object: str
@@ -36,7 +36,7 @@ class PoseChange(document.Document, frozen=True, kw_only=True):
         document.check_pose(self.T_cam_obj, "T_cam_obj")
 
     def resolved(self) -> PoseChange:
-        """The same with an exact rotation: digits as people type them are off by a little."""
+        """Return the pose with an exact rotation matrix: typed digits are rounded."""
         exact = SE3.from_matrix(self.T_cam_obj).flat()
         return msgspec.structs.replace(self, T_cam_obj=exact)
 
@@ -62,14 +62,14 @@ class PoseChange(document.Document, frozen=True, kw_only=True):
             msgspec.structs.replace(
                 obj,
                 placements=dict(sorted({**kept, self.frame: placement}.items())),
-                # A pose that moved has to be looked at again.
+                # A moved pose must be checked again.
                 status="open",
             )
         )
 
 
 class SetPoses(Edit, frozen=True, kw_only=True, tag="set_poses"):
-    """New poses of one or several objects, as one step of undo."""
+    """Sets poses of one or several objects as one undo step."""
 
     changes: list[PoseChange]
     label: str = ""
@@ -100,7 +100,7 @@ class SetPoses(Edit, frozen=True, kw_only=True, tag="set_poses"):
     def one(
         name: str, frame: int, T_cam_obj: SE3, *, method: str, refinement: str = "", label: str = ""
     ) -> SetPoses:
-        """The edit that puts one object at `T_cam_obj` in `frame`."""
+        """Return the edit that sets the pose of one object in `frame` to `T_cam_obj`."""
         change = PoseChange(
             object=name,
             frame=frame,
@@ -112,10 +112,10 @@ class SetPoses(Edit, frozen=True, kw_only=True, tag="set_poses"):
 
 
 class Move(Edit, frozen=True, kw_only=True, tag="move"):
-    """A step as the keyboard makes it: a shift, then a turn about the object's centre.
+    """Keyboard step: a translation, then a rotation about the object's centre.
 
     Attributes:
-        frame: the frame in which the object is looked at.
+        frame: frame of the view.
         axes: "camera": x right, y down, z forward of that frame; "object": the mesh's own axes.
         shift_mm: (3,) along the axes.
         turn_deg: (3,) rotation vector in the axes.
@@ -161,7 +161,7 @@ class Move(Edit, frozen=True, kw_only=True, tag="move"):
 
 
 class ClearPose(Edit, frozen=True, kw_only=True, tag="clear_pose"):
-    """The object loses its pose (in a scene without camera poses: in this frame only)."""
+    """Removes the pose of an object (in a scene without camera poses: in this frame only)."""
 
     object: str
     frame: document.Count
@@ -178,7 +178,7 @@ class ClearPose(Edit, frozen=True, kw_only=True, tag="clear_pose"):
         obj = state.object(self.object)
         if not obj.placements or not (context.shared or self.frame in obj.placements):
             raise ToolkitError(
-                "this object has no pose to take away", field="object", value=self.object
+                "this object has no pose to remove", field="object", value=self.object
             )
         kept = (
             {} if context.shared else {f: p for f, p in obj.placements.items() if f != self.frame}
@@ -196,11 +196,11 @@ def moved_pose(
     shift: NDArray[np.floating],
     turn: NDArray[np.floating],
 ) -> SE3:
-    """A pose shifted and turned about the object's centre.
+    """Translate a pose and rotate it about the object's centre.
 
     Args:
-        centre: (3,) mesh frame, metres: stays where it is under a turn.
-        axes: what `shift` (metres) and `turn` (rotation vector, radians) are along.
+        centre: (3,) mesh frame, metres: the centre of rotation.
+        axes: axes of `shift` (metres) and `turn` (rotation vector, radians).
     """
     c = np.asarray(centre, dtype=np.float64)
     R = so3_exp(turn)
@@ -216,14 +216,14 @@ def _check_distance(pose: SE3) -> None:
     try:
         document.check_in_front(pose)
     except ToolkitError as error:
-        # Its hints are about files of poses, which nobody has in hand here.
+        # The original hints refer to pose files, which do not apply here.
         raise ToolkitError(
-            error.problem, value=error.value, hint="an object lies 1 cm to 20 m before the camera"
+            error.problem, value=error.value, hint="an object is 1 cm to 20 m from the camera"
         ) from error
 
 
 class AddClick(Edit, frozen=True, kw_only=True, tag="add_click"):
-    """One more correspondence of an object in a frame."""
+    """Adds a correspondence of an object in a frame."""
 
     object: str
     frame: document.Count
@@ -243,7 +243,7 @@ class AddClick(Edit, frozen=True, kw_only=True, tag="add_click"):
 
 
 class ChangeClick(Edit, frozen=True, kw_only=True, tag="change_click"):
-    """A correspondence is corrected, or removed where `click` is None; `index` counts from 0."""
+    """Changes a correspondence, or removes it if `click` is None; `index` counts from 0."""
 
     object: str
     frame: document.Count

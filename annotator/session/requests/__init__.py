@@ -1,4 +1,4 @@
-"""Computations that end in an edit: what needs files, images or a solver."""
+"""Requests: computations with files, images or a solver whose result is an edit."""
 
 from annotator.session.requests.mesh_requests import (
     Cancelled,

@@ -1,8 +1,6 @@
-"""The base of all requests, and the import of meshes from files.
+"""Base class of requests, and the request that imports a mesh file.
 
-What a mesh is called in the library.
-
-What all requests share: they are resolved on a snapshot, in any thread, and give one edit.
+A request is resolved on a snapshot, in any thread, and returns one edit.
 """
 
 from __future__ import annotations
@@ -24,7 +22,7 @@ Progress = Callable[[float], None]
 
 Cancelled = Callable[[], bool]
 
-# Data sets keep each mesh in a folder that has the object's name, under a name like these.
+# Generic file names in data sets whose folders have the objects' names.
 _GENERIC = frozenset(
     ("mesh", "model", "models", "nontextured", "object", "poisson", "scan", "textured", "untitled")
 )
@@ -32,13 +30,13 @@ _GENERIC = frozenset(
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a request found.
+    """Result of a request.
 
     Attributes:
-        edit: to be applied.
-        report: sentences and numbers for people.
-        warnings: what to look at.
-        weak_directions: by object name: sentence on what of its pose was determined least.
+        edit: edit to apply.
+        report: lines of text on the result.
+        warnings: sentences on what to inspect.
+        weak_directions: sentence by object name on the least determined direction of its pose.
     """
 
     edit: AnyEdit
@@ -48,16 +46,16 @@ class Outcome:
 
 
 class RequestCancelled(ToolkitError):
-    """The request was cancelled while it was carried out; nothing has changed."""
+    """The request was cancelled; nothing has changed."""
 
 
 @dataclass(frozen=True)
 class Watch:
-    """How a request that takes long tells of its progress and hears that it is not wanted.
+    """Progress and cancellation callbacks of a request.
 
     Attributes:
-        progress: to be told the fraction done, 0 to 1.
-        cancelled: to be asked now and then; what comes after is of no use then.
+        progress: called with the completed fraction, 0 to 1.
+        cancelled: polled repeatedly; True stops the request.
     """
 
     progress: Progress
@@ -69,7 +67,7 @@ class Request(Document, frozen=True, kw_only=True, tag_field="edit"):
 
     @property
     def title(self) -> str:
-        """What it does, for people."""
+        """Displayed name of the request."""
         raise NotImplementedError
 
     def resolve(
@@ -79,15 +77,15 @@ class Request(Document, frozen=True, kw_only=True, tag_field="edit"):
         progress: Progress | None = None,
         cancelled: Cancelled | None = None,
     ) -> Outcome:
-        """Carry it out on a snapshot; may run in any thread.
+        """Compute the request on a snapshot, in any thread.
 
         Args:
-            progress: told the fraction done, 0 to 1.
-            cancelled: asked now and then; what comes after is of no use then.
+            progress: called with the completed fraction, 0 to 1.
+            cancelled: polled repeatedly; True stops the request.
 
         Raises:
-            RequestCancelled: `cancelled` said so.
-            ToolkitError: it cannot be carried out.
+            RequestCancelled: `cancelled` returned True.
+            ToolkitError: the request fails.
         """
         watch = Watch(progress or (lambda _: None), cancelled or (lambda: False))
         return self.carry_out(snapshot, watch)
@@ -98,15 +96,15 @@ class Request(Document, frozen=True, kw_only=True, tag_field="edit"):
 
 
 class ImportMesh(Request, frozen=True, kw_only=True, tag="import_mesh"):
-    """A mesh file joins the library: it is copied into the scene at once.
+    """Copies a mesh file into the scene and adds it to the library.
 
     Attributes:
         mesh: path of the file.
-        unit: of the file: "m", "cm" or "mm"; stored in metres.
-        category: such as "mug".
+        unit: unit of the file: "m", "cm" or "mm"; the stored mesh is in metres.
+        category: category such as "mug".
         model: id of the model; default: from the file's name, or from its folder's for names such
-            as "textured", with a number where another mesh has that id.
-        symmetry: as on the command line: "axis:z", "fold:z:4", a JSON file; default: none.
+            as "textured", with a number if another mesh has that id.
+        symmetry: as for the command line: "axis:z", "fold:z:4", a JSON file; default: none.
     """
 
     mesh: str
@@ -125,7 +123,7 @@ class ImportMesh(Request, frozen=True, kw_only=True, tag="import_mesh"):
         from std_toolkit.labels.symmetry_argument import parse_symmetry
 
         if not snapshot.writable:
-            raise ToolkitError("the scene is open for looking only", path=snapshot.scene.root)
+            raise ToolkitError("the scene is open read-only", path=snapshot.scene.root)
         path = Path(self.mesh).expanduser()
         try:
             mesh = load_mesh(path, unit=self.unit)
@@ -135,7 +133,7 @@ class ImportMesh(Request, frozen=True, kw_only=True, tag="import_mesh"):
         if self.symmetry is not None:
             centre = mesh_bounds(mesh).mean(axis=0).tolist()
             symmetry = parse_symmetry(self.symmetry, centre=centre)
-        # The lock: another process sweeps away temporary files while it writes.
+        # Locked, because another process removes temporary files while it writes.
         with scene_lock(snapshot.scene.root):
             try:
                 model = copy_model(
@@ -156,7 +154,7 @@ class ImportMesh(Request, frozen=True, kw_only=True, tag="import_mesh"):
 
 
 def _known(snapshot: Snapshot) -> ObjectTable:
-    """The models of the state, and those that others entered meanwhile: none is overwritten."""
+    """Return the models of the state and those added by others meanwhile, to avoid overwriting."""
     own = snapshot.scene.objects
     ids = {m.id for m in own.models}
     others = [m for m in Scene.open(snapshot.scene.root).objects.models if m.id not in ids]
@@ -164,11 +162,11 @@ def _known(snapshot: Snapshot) -> ObjectTable:
 
 
 def _plain_hint(error: ToolkitError) -> ToolkitError:
-    """The library's hints are for the command line of `std-curate`."""
+    """Replace hints that refer to the command line of `std-curate`."""
     hint = error.hint
     if "large in metres" in error.problem:
         hint = "is the file in millimetres? Then give its unit as mm (or cm)"
-    elif "with another mesh" in error.problem:
+    elif "has another mesh" in error.problem:
         hint = "give this one another id"
     return ToolkitError(
         error.problem, path=error.path, field=error.field, value=error.value, hint=hint
@@ -176,7 +174,7 @@ def _plain_hint(error: ToolkitError) -> ToolkitError:
 
 
 def model_name(path: Path) -> str:
-    """Id for the model of a mesh file: its name, or that of its folder where it tells nothing."""
+    """Return the model id of a mesh file: its name, or its folder's if the name is generic."""
     stem, folder = path.stem, path.resolve().parent.name
     words = stem.lower().replace("-", "_").split("_")
     return safe_name(

@@ -1,9 +1,4 @@
-"""Requests for poses: from clicked points, by refinement, onto the table.
-
-Poses from clicked points.
-
-Putting an object onto the table.
-"""
+"""Requests that compute poses: refinement, PnP from clicked points, snapping to the table."""
 
 from __future__ import annotations
 
@@ -29,15 +24,15 @@ Numbers4 = Annotated[list[float], msgspec.Meta(min_length=4, max_length=4)]
 
 
 class Refine(Request, frozen=True, kw_only=True, tag="refine"):
-    """Objects are fitted together; the other placed ones hide what is behind them.
+    """Fits objects jointly; the other placed objects act as occluders.
 
     Attributes:
         objects: names of the objects to fit.
-        frame: the frame in which the new poses are told; default: the one each was placed in.
-            Without metric camera poses it is the only one that is looked at, and must be given.
-        frames: the frames to look at; default: `frame` and keyframes spread over the viewpoints.
-        method: "auto" decides by the materials, "depth" trusts the sensor on any of them,
-            "multiview" goes by edges alone.
+        frame: the frame of the new poses; default: the one each object was placed in. Without
+            metric camera poses it is the only frame used, and required.
+        frames: the frames to use; default: `frame` and keyframes spread over the viewpoints.
+        method: "auto" selects by material, "depth" uses sensor depth on any material, "multiview"
+            uses edges only.
     """
 
     objects: list[str]
@@ -97,7 +92,7 @@ class Refine(Request, frozen=True, kw_only=True, tag="refine"):
         return Outcome(SetPoses(changes=changes, label=self.title), report, warnings, weak)
 
     def _lone_frame(self, snapshot: Snapshot) -> int | None:
-        """The one frame that is looked at where poses hold in one frame only, else None."""
+        """Return the only frame to use if poses hold in one frame only, otherwise None."""
         given = [*(self.frames or []), *([] if self.frame is None else [self.frame])]
         known = list(dict.fromkeys(given))
         if snapshot.posed:
@@ -106,7 +101,7 @@ class Refine(Request, frozen=True, kw_only=True, tag="refine"):
             return None
         if len(known) != 1:
             raise ToolkitError(
-                "without metric camera poses a refinement looks at one frame",
+                "without metric camera poses a refinement uses one frame",
                 field="frames",
                 value=known,
                 hint="name one frame",
@@ -126,7 +121,7 @@ class Refine(Request, frozen=True, kw_only=True, tag="refine"):
             )
 
     def _told(self, snapshot: Snapshot, refined: RefinedPose, alone: int | None) -> tuple[int, SE3]:
-        """The frame in which a refined pose is told, and T_cam_obj in it."""
+        """Return the frame of a refined pose, and T_cam_obj in it."""
         if alone is not None:
             return alone, refined.pose
         frame = self.frame
@@ -140,7 +135,7 @@ class Refine(Request, frozen=True, kw_only=True, tag="refine"):
 
 
 def _poses(snapshot: Snapshot, alone: int | None) -> dict[int, SE3]:
-    """Poses of all placed objects, by id: in the world, or in the camera of the only frame."""
+    """Return poses of all placed objects by id, in the world or in the camera of the only frame."""
     poses = {
         o.id: snapshot.T_world_obj(o.name) if alone is None else snapshot.pose(o.name, alone)
         for o in snapshot.state.objects
@@ -149,7 +144,7 @@ def _poses(snapshot: Snapshot, alone: int | None) -> dict[int, SE3]:
 
 
 def _line(snapshot: Snapshot, refined: RefinedPose, start: SE3) -> str:
-    """What was found for one object, for people."""
+    """Return a line of text on the result for one object."""
     centre = snapshot.centre(snapshot.object(refined.name).model)
     moved = 1000 * float(np.linalg.norm(refined.pose @ centre - start @ centre))
     turned = np.rad2deg(rotation_angle(refined.pose.R @ start.R.T))
@@ -158,10 +153,10 @@ def _line(snapshot: Snapshot, refined: RefinedPose, start: SE3) -> str:
 
 
 class SolvePnP(Request, frozen=True, kw_only=True, tag="solve_pnp"):
-    """The pose of an object from the points clicked in a frame.
+    """Computes the pose of an object from the points clicked in a frame (PnP).
 
     Attributes:
-        threshold_px: largest residual of a point that counts.
+        threshold_px: largest residual of an inlier.
     """
 
     object: str
@@ -215,14 +210,14 @@ class SolvePnP(Request, frozen=True, kw_only=True, tag="solve_pnp"):
 
 
 class SnapToTable(Request, frozen=True, kw_only=True, tag="snap_to_table"):
-    """The object stands on the table: moved along its normal, or also laid onto its nearest facet.
+    """Places an object on the table: moves it along the normal, optionally rotating it to rest.
 
     Attributes:
-        frame: the frame in which the new pose is told; default: the one it was placed in.
-        mode: "drop" turns nothing; "rest" lays a facet on which the object can stand flat.
+        frame: the frame of the new pose; default: the one it was placed in.
+        mode: "drop" keeps the rotation; "rest" rotates the object onto its nearest stable facet.
         table: (nx, ny, nz, offset) with `n . p + offset = 0`, n up, metres: in the world, or
-            without metric camera poses in the frame's camera. Default: the table is searched for,
-            in sensor depth, in the reconstruction, under the other objects.
+            without metric camera poses in the frame's camera. Default: estimate the table from
+            sensor depth, from the reconstruction, or from the other objects.
     """
 
     object: str
@@ -248,7 +243,7 @@ class SnapToTable(Request, frozen=True, kw_only=True, tag="snap_to_table"):
                 value=self.object,
                 hint="place it near the table first",
             )
-        # The world where there is one, else the camera of the frame.
+        # The world if it exists, otherwise the camera of the frame.
         T_cam_common = SE3.identity()
         if (T_world_cam := snapshot.T_world_cam(frame)) is not None:
             T_cam_common = T_world_cam.inverse()
@@ -271,7 +266,7 @@ class SnapToTable(Request, frozen=True, kw_only=True, tag="snap_to_table"):
         return Outcome(edit, report, warnings)
 
     def _plane(self, snapshot: Snapshot, frame: int) -> tuple[Plane, str, list[str]]:
-        """The table, where it is known from, and doubts about it."""
+        """Return the table, its source, and warnings."""
         from std_toolkit.labels.support.plane import WORLD, Plane, camera_frame_name
 
         if self.table is not None:
@@ -292,7 +287,7 @@ class SnapToTable(Request, frozen=True, kw_only=True, tag="snap_to_table"):
         others = [t for t in objects if t.name != self.object]
         found = search_table(snapshot.scene, objects=objects, camera_frame=camera_frame)
         if found.table is not None and found.table.source == "objects":
-            # What the object says about the table itself must not hold it where it is.
+            # Exclude the object from the estimate, which would otherwise keep it in place.
             found = search_table(snapshot.scene, objects=others, camera_frame=camera_frame)
         if found.table is None:
             raise ToolkitError(
@@ -305,7 +300,7 @@ class SnapToTable(Request, frozen=True, kw_only=True, tag="snap_to_table"):
 
 
 def placed_objects(snapshot: Snapshot, camera_frame: int | None) -> list[PlacedObject]:
-    """The placed objects in the world, or in the camera of a frame.
+    """Return the placed objects in the world, or in the camera of a frame.
 
     Raises:
         ToolkitError: a mesh cannot be read.

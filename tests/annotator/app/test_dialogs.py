@@ -135,5 +135,5 @@ def test_what_is_not_asked_keeps_its_first_value(asker: Asker) -> None:
 
 
 def test_only_choices_can_be_chosen() -> None:
-    with pytest.raises(ToolkitError, match="none of the choices"):
+    with pytest.raises(ToolkitError, match="not one of the choices"):
         Field("form", "Form", kind="choice").read({"form": "round"})

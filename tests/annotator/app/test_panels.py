@@ -35,9 +35,9 @@ def residual(frame: int, edge: float | None, depth: float | None) -> FrameResidu
     [
         ([], "Not measured since box_1 moved."),
         ([residual(0, 0.8, None), residual(1, 1.0, 3.0)], "It fits in every frame"),
-        ([residual(0, 0.8, None), residual(1, 9.0, 3.0)], "Off in frame 1: look there."),
-        ([residual(0, None, 4.0)], "the edges tell nothing here"),
-        ([residual(0, 19.0, None)], "judge by eye"),
+        ([residual(0, 0.8, None), residual(1, 9.0, 3.0)], "Off in frame 1: check there."),
+        ([residual(0, None, 4.0)], "edges are not informative here"),
+        ([residual(0, 19.0, None)], "check by eye"),
     ],
 )
 def test_the_verdict_is_one_sentence(desk: Desk, rows: list[FrameResidual], sentence: str) -> None:

@@ -182,7 +182,7 @@ def test_merge_into_a_scene(
         (["--take", "mug"], "--take: expected NAME=VALUE"),
         (["--take", "=A"], "--take: expected NAME=VALUE"),
         (["--take", "can=A", "--take", "can=B"], "given twice"),
-        (["--overwrite"], "--overwrite goes with --into"),
+        (["--overwrite"], "--overwrite needs --into"),
         (["--threshold-mm", "0"], "--threshold-mm: must be above 0"),
     ],
 )

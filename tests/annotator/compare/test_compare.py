@@ -270,7 +270,7 @@ def test_objects_of_other_names_are_matched_by_mesh_and_place(tmp_path: Path) ->
     assert (x.b.name, x.by) == ("tin", "place")
     assert x.difference is not None
     assert 1000 * x.difference.mssd_m == pytest.approx(3, abs=1e-6)
-    assert any("can of A is taken to be tin of B" in note for note in comparison.notes)
+    assert any("can of A is matched with tin of B" in note for note in comparison.notes)
 
 
 def test_objects_of_other_names_far_apart_are_two_objects(tmp_path: Path) -> None:
@@ -353,11 +353,11 @@ def test_without_images_names_and_sizes_decide_and_it_is_said(truth: Scene, tmp_
     b = other(tmp_path)
     for frame in b.frames:
         b.color_path(frame).unlink()
-    assert any("no image is there in both scenes" in n for n in compare_labels(truth, b).notes)
+    assert any("no image is available in both scenes" in n for n in compare_labels(truth, b).notes)
 
 
 def test_the_same_folder_twice_is_refused(truth: Scene) -> None:
-    assert "one and the same folder" in refused(truth, Scene.open(truth.root))
+    assert "the same folder" in refused(truth, Scene.open(truth.root))
 
 
 def test_another_image_size_is_another_recording(truth: Scene, tmp_path: Path) -> None:

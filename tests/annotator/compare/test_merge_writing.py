@@ -182,7 +182,7 @@ def test_one_of_the_annotators_is_never_written_to(tmp_path: Path) -> None:
     before = contents(a.root)
     with pytest.raises(ToolkitError, match="cannot replace those of one of the annotators"):
         write_into(merge(a, b, target=a), overwrite=True)
-    with pytest.raises(ToolkitError, match="cannot lie inside a scene"):
+    with pytest.raises(ToolkitError, match="cannot be inside another scene"):
         write_scene(merge(a, b), a.root / "merged")
     assert contents(a.root) == before
 

@@ -22,7 +22,7 @@ def test_what_cannot_be_stopped_has_no_button_for_it(bench: Bench, alone: bool) 
     bench.controller.start("Work", lambda _: go_on.wait(20), lambda _: None, alone=alone)
     bench.qtbot.waitUntil(status.progress.isVisible)
     assert status.cancel.isVisible() is not alone
-    bench.qtbot.waitUntil(lambda: status.hint.text().startswith("Work is under way"))
+    bench.qtbot.waitUntil(lambda: status.hint.text().startswith("Work is running"))
     go_on.set()
     bench.qtbot.waitUntil(lambda: not status.progress.isVisible())
     assert not status.cancel.isVisible()
@@ -36,11 +36,11 @@ def test_depth_alone_is_not_called_a_fit(bench: Bench) -> None:
         FrameResidual(1, 900, edge_px=None, depth_mm=-12.0),
     ]
     panel.refresh()
-    assert "judge the contour by eye" in panel.summary.text()
+    assert "check the contour by eye" in panel.summary.text()
     assert "fits in every" not in panel.summary.text()
     row = summarize(c)[0]
     assert row.badge == "11 mm"
-    assert "judge the contour by eye" in row.explanation
+    assert "check the contour by eye" in row.explanation
     c.residuals["box_1"][0] = FrameResidual(0, 900, edge_px=0.6, edge_chance_px=4.0, depth_mm=-2.0)
     panel.refresh()
     assert "fits in every" in panel.summary.text()

@@ -175,7 +175,9 @@ class TestFullDisk:
             state, size = session.state, journal_path(root).stat().st_size
             with (
                 file_size_limit(size + 40),
-                pytest.raises(ToolkitError, match=r"cannot write the journal.*not made.*room"),
+                pytest.raises(
+                    ToolkitError, match=r"cannot write the journal.*not applied.*disk space"
+                ),
             ):
                 session.apply(step())
             assert session.state is state

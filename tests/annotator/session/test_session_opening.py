@@ -93,7 +93,7 @@ class TestScenesWithoutMetricPoses:
         scene.save_poses(CameraPoses(frames=scene.poses.frames, scale=scale))
         with Session.open(root) as session:
             assert not session.posed
-            assert "no unit" in str(session.pose_problem)
+            assert "no metric scale" in str(session.pose_problem)
             assert session.T_world_cam(0) is None
             assert session.pose("box_1", 0) is not None
             assert session.pose("box_1", 1) is None
@@ -171,7 +171,7 @@ class TestReadOnly:
                 session.propagate,
                 session.reload,
             ):
-                with pytest.raises(ToolkitError, match="for looking only"):
+                with pytest.raises(ToolkitError, match="read-only"):
                     attempt()
 
     def test_looking_needs_no_lock(self, root: Path) -> None:

@@ -283,7 +283,7 @@ class TestDeciding:
         (died / "poses.json").write_text(json.dumps(poses))
         with Session.open(died) as session:
             assert "another recording" in str(session.recovery)
-            with pytest.raises(ToolkitError, match=r"cannot be brought back.*kept aside"):
+            with pytest.raises(ToolkitError, match=r"cannot be recovered.*kept aside"):
                 session.recover()
             session.discard_recovery()
 

@@ -31,7 +31,7 @@ class TestWhatIsAskedOf:
                 Refine(objects=["box_1"], frames=[0, 1]),
                 Refine(objects=["box_1"], frames=[0], frame=1),
             ):
-                with pytest.raises(ToolkitError, match="looks at one frame"):
+                with pytest.raises(ToolkitError, match="uses one frame"):
                     session.perform(request)
 
     def test_unknown_frames_and_objects_are_named(self, root: Path) -> None:

@@ -152,7 +152,7 @@ class TestImportMesh:
 
     def test_a_session_for_looking_copies_nothing(self, root: Path, can: Path) -> None:
         with Session.open(root, read_only=True) as session:
-            with pytest.raises(ToolkitError, match="for looking only"):
+            with pytest.raises(ToolkitError, match="read-only"):
                 ImportMesh(mesh=str(can), unit="mm").resolve(session.snapshot())
             assert not (root / "models/can").exists()
 

@@ -143,7 +143,7 @@ def test_a_scene_for_looking_only(serve: Serve, page: Page, tmp_path: Path) -> N
     (tmp_path / "scene/color/000001.png").unlink()
     served = serve(tmp_path / "scene", "--read-only")
     opened(page, served.url)
-    notice(page, "looking only")
+    notice(page, "read-only")
     before = position(page)
     assert page.locator("[data-position='0'] input").is_disabled()
     assert page.locator("[data-tool='save']").is_disabled()
