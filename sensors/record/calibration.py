@@ -48,7 +48,7 @@ def read_calibration(streams: dict[str, Stream]) -> Calibration:
             models[name], note = camera_model(stream.profile.get_intrinsics(), name)
         except RuntimeError as error:
             raise ToolkitError(
-                f"the camera does not tell its intrinsics: {error}", field=name
+                f"the camera does not report its intrinsics: {error}", field=name
             ) from error
         except ToolkitError as error:
             raise ToolkitError(
@@ -73,7 +73,7 @@ def _between(depth: Stream, color: Stream) -> SE3:
         return pose(depth.profile.get_extrinsics_to(color.profile))
     except RuntimeError as error:
         raise ToolkitError(
-            "the place of the colour camera beside depth is not told: depth cannot be aligned",
+            "the pose between colour and depth is not reported: depth cannot be aligned",
             field="extrinsics",
         ) from error
 
@@ -85,7 +85,7 @@ def _unit(sensor: Any) -> float:
         unit = float(f"{sensor.get_option(rs.option.depth_units):.7g}")
         if np.isfinite(unit) and unit > 0:
             return unit
-    raise ToolkitError("the unit of depth is not told", field="depth units")
+    raise ToolkitError("the unit of depth is not reported", field="depth units")
 
 
 def _baseline(streams: dict[str, Stream]) -> float | None:
@@ -137,7 +137,7 @@ def camera_model(intrinsics: Any, stream: str) -> tuple[CameraModel, str]:
     fitted, residual = _fit(plain, coefficients)
     if residual > LARGEST_RESIDUAL_PX:
         raise ToolkitError(
-            f"the lens cannot be told in OpenCV's model: {residual:.2f} px are left",
+            f"the lens does not fit OpenCV's model: {residual:.2f} px residual",
             field=f"intrinsics of {stream}",
             value=coefficients,
         )

@@ -203,7 +203,7 @@ PROGRAM = Program(
             run="sensors.record.cli:run",
         ),
     ),
-    on_interrupt="what was finished is in the scene; `--recover` brings back the last frames",
+    on_interrupt="finished frames are in the scene; `--recover` brings back the last frames",
 )
 
 if __name__ == "__main__":

@@ -259,6 +259,6 @@ def open_file(path: str) -> Any:
         raise ToolkitError(
             f"cannot be read: {error}",
             path=path,
-            hint="it is damaged or was cut short; `rosbag reindex` may mend a .bag",
+            hint="it is damaged or was cut short; `rosbag reindex` may repair a .bag",
         ) from error
     return device

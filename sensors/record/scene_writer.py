@@ -75,7 +75,7 @@ class SceneWriter:
             return self
         if not (self.out / "scene.json").is_file():
             raise ToolkitError(
-                "there is no scene to go on with", path=self.out, hint="leave out --resume"
+                "there is no scene to resume", path=self.out, hint="leave out --resume"
             )
         self._held.enter_context(scene_lock(self.out))
         try:
