@@ -227,7 +227,7 @@ class DeviceSource:
         played = 0.0 if first is None or last is None else (last - first) / 1000
         if reported_s > played + 1 and played < 0.9 * reported_s:
             logger.warning(
-                "the file tells %.1f s, its images last %.1f s: it may be damaged",
+                "the file declares %.1f s, its images last %.1f s: it may be damaged",
                 reported_s,
                 played,
             )

@@ -191,7 +191,7 @@ def _begin(out: Path, options: SimulationOptions, renderer: str) -> None:
     if not path.exists():
         if out.is_dir() and any(out.iterdir()):
             raise ToolkitError(
-                "the folder holds other things than a simulated data set",
+                "the folder contains other files than a simulated data set",
                 path=out,
                 hint="choose a new folder",
             )
