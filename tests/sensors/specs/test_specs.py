@@ -130,7 +130,7 @@ def test_own_file(tmp_path: Path) -> None:
         (
             {"infrared": [{"width": 640, "height": 360, "fx": 640.0, "fy": 640.0, "cx": 640.0,
                            "cy": 360.0}]},
-            r"infrared\[0\].cx: lies far from the middle of a 640x360 image",
+            r"infrared\[0\].cx: is far from the centre of a 640x360 image",
         ),
         (
             {"infrared": [{"width": 640, "height": 360, "fx": 400.0, "fy": 400.0, "cx": 320.0,
