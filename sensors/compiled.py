@@ -22,9 +22,9 @@ F = TypeVar("F", bound=Callable[..., object])
 def compiled(function: F) -> F:
     """The function compiled by numba when it is first called with new types of arguments.
 
-    It releases the interpreter's lock, so that Python's threads run it side by side; numba's own
-    threads may not outlive a fork. The machine code is kept beside the source, or in the user's
-    cache where nothing may be written there; where neither can be, it is compiled in each process.
+    It releases the GIL, so that Python threads run it in parallel; numba's own threads may not
+    survive a fork. The machine code is cached beside the source, or in the user's cache folder if
+    the source folder is read-only; if neither is writable, each process compiles it.
     """
     try:
         dispatcher: Any = numba.njit(nogil=True, cache=True)(function)

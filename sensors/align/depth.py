@@ -1,9 +1,7 @@
-"""Depth of one camera as another one sees it: every depth pixel drawn as a small patch.
+"""Depth of one camera drawn into the image of another, compiled.
 
-The patches of surface behind the pixels of a depth image, drawn into another camera's, compiled.
-
-One pass over the pixels: at 1280x720 about 20 ms of one core, so that a recording's writers keep up
-with the camera.
+Every depth pixel is drawn as a small patch of surface. One pass over the pixels takes about 20 ms
+of one core at 1280x720, so that the writers of a recording keep up with the camera.
 """
 
 from __future__ import annotations
@@ -24,8 +22,8 @@ Array = NDArray[np.float64]
 # steps by 1.3 % from pixel to pixel at 640x360.
 SURFACE_STEP = 0.02
 
-# Cameras that are turned against each other see rows of patches as slightly slanted: patches
-# overlap by as much, in pixels, for no centre to fall between.
+# Patches overlap by this much, in pixels: between rotated cameras, rows of patches are slightly
+# slanted, and a pixel centre could fall between two of them.
 OVERLAP_PX = 0.02
 
 
@@ -39,21 +37,21 @@ def align_depth(
 ) -> NDArray[np.float32]:
     """z-depth (H', W') float32 metres in `other`, 0 = none, of a depth image of `camera`.
 
-    Every depth pixel becomes the patch of surface behind it. The patch covers those pixels of
-    `other` whose centres it holds, and the nearest one wins. Patches of one surface share their
-    edges, so that a surface stays closed when it is enlarged or seen from the side. Nothing is
-    filled in: what has no depth, and what the depth camera cannot see behind an edge, stays empty.
+    Every depth pixel becomes the patch of surface behind it. The patch covers the pixels of
+    `other` whose centres are inside it; the nearest patch wins. Patches of one surface share their
+    edges, so that a surface stays closed when it is magnified or seen obliquely. Nothing is
+    filled: pixels without depth, and surfaces that the depth camera cannot see, stay empty.
 
     Args:
         depth: (H, W) metres, 0 = none.
-        camera: of the depth image.
-        other: such as the colour camera; it may have distortion.
+        camera: intrinsics of the depth image.
+        other: the target camera, such as the colour camera; it may have distortion.
         T_other_depth: maps points of the depth camera into the other one.
         surface_step: neighbours whose depths differ by a smaller share are one surface.
 
     Raises:
-        ToolkitError: the image has another size than its camera, or holds negative or infinite
-            depth.
+        ToolkitError: the image size differs from the camera's, or the depth contains negative or
+            infinite values.
     """
     if depth.shape != (camera.height, camera.width):
         raise ToolkitError(
@@ -75,8 +73,8 @@ def align_depth(
 def _patch_rays(camera: Camera) -> tuple[Array, ...]:
     """x and y at z = 1 behind the pixels' edges, across and down, and behind their centres.
 
-    Without distortion x depends on the column and y on the row alone: the arrays then are views
-    of one row or column, which stay in the processor's cache.
+    Without distortion x depends only on the column and y only on the row: the arrays are then
+    views of one row or column, which fit in the processor's cache.
     """
     u, v = np.arange(camera.width, dtype=np.float64), np.arange(camera.height, dtype=np.float64)
     edges_u = np.arange(camera.width + 1, dtype=np.float64) - 0.5
@@ -96,7 +94,7 @@ def _patch_rays(camera: Camera) -> tuple[Array, ...]:
 
 @lru_cache(maxsize=16)
 def _lens(camera: Camera) -> Array:
-    """Intrinsics as `splat` takes them."""
+    """Intrinsics in the form that `splat` takes."""
     k = (*camera.distortion, *([0.0] * (8 - len(camera.distortion))))
     reach = largest_radius2(camera.distortion) if camera.is_distorted else np.inf
     bent = float(camera.is_distorted)
@@ -105,7 +103,7 @@ def _lens(camera: Camera) -> Array:
 
 @compiled
 def splat(depth, rays, R, t, lens, surface_step, out):  # type: ignore[no-untyped-def]
-    """Draw every depth pixel's patch into `out`; of several at a pixel the nearest stays.
+    """Draw the patch of every depth pixel into `out`; the nearest patch at a pixel wins.
 
     A patch reaches to the middles of the edges to its four neighbours: midway in 1/z, which is
     linear over the image of a plane, where they are one surface; else at the pixel's own depth.
@@ -119,7 +117,7 @@ def splat(depth, rays, R, t, lens, surface_step, out):  # type: ignore[no-untype
         lens: (14,) fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6, largest squared radius that the
             distortion reaches, and 1 if there is any distortion.
         surface_step: neighbours whose depths differ by a smaller share are one surface.
-        out: (H', W') float32, changed in place; infinite where nothing is.
+        out: (H', W') float32, changed in place; infinite where there is no surface.
     """
     across_x, across_y, down_x, down_y, centre_x, centre_y = rays
     rows, columns = depth.shape

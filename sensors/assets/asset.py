@@ -1,4 +1,4 @@
-"""A shape that scenes are made of, in its canonical frame."""
+"""A shape for simulated scenes, in its canonical frame."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 NO_SYMMETRY = Symmetry()
-# Full turns about the vertical axis through the centre.
+# Rotations about the vertical axis through the centre, by any angle.
 TURN_Y = Symmetry(continuous=(((0.0, 1.0, 0.0), (0.0, 0.0, 0.0)),))
-# How far a mesh may be from the canonical frame: the rounding of float32 files.
+# Largest deviation of a mesh from the canonical frame: the rounding of float32 files.
 _TOLERANCE = 1e-5
 
 
@@ -31,22 +31,22 @@ class Asset:
     """One instance of a category.
 
     The mesh is in the canonical frame of NOCS and ShapeNet: bounding box centred at the origin,
-    its diagonal 1, y up. Multiplied by a diagonal in metres it is an object (`scaled`). Shapes
-    with a front have it towards -z; the handle of a mug made here is towards +x.
+    its diagonal 1, y up. Scaled by a diagonal in metres it is an object (`scaled`). Shapes with a
+    front face -z; the handle of a procedural mug points to +x.
 
     Attributes:
         id: safe name, unique within its source; `AssetSource.load` takes it.
         category: such as "mug".
-        mesh: triangles of the surface; its visual is left aside. Watertight where the source's is.
+        mesh: triangles of the surface; its visual is ignored. Watertight if the source's mesh is.
         symmetry: in the canonical frame.
         face_colors: (F, 3) uint8 RGB of each face, or None.
         corner_uv: (F, 3, 2) float32 texture coordinates of each face's corners, u right and v up
             (they may leave [0, 1] where the texture repeats), or None.
-        texture: (H, W, 3) uint8 RGB picture for `corner_uv`, first row at v = 1, or None.
-        diagonal_m: the real object's bounding-box diagonal in metres where the source knows it.
+        texture: (H, W, 3) uint8 RGB image for `corner_uv`, first row at v = 1, or None.
+        diagonal_m: bounding-box diagonal of the real object in metres, if the source knows it.
 
     Raises:
-        ToolkitError: a mesh without faces or outside the canonical frame, arrays of other lengths.
+        ToolkitError: a mesh without faces or outside the canonical frame, or arrays of wrong shape.
     """
 
     id: str
@@ -99,7 +99,7 @@ class Asset:
 
     @cached_property
     def content_hash(self) -> str:
-        """Hexadecimal SHA-256 of the geometry alone: what collision bodies are kept by."""
+        """Hexadecimal SHA-256 of the geometry alone: the cache key of collision bodies."""
         digest = hashlib.sha256(b"asset-geometry-1")
         digest.update(self.vertices.astype("<f8").tobytes())
         digest.update(self.faces.astype("<i8").tobytes())
@@ -115,19 +115,19 @@ class Asset:
 def canonical_frame(
     vertices: NDArray[np.floating], faces: NDArray[np.integer]
 ) -> tuple[Array, float]:
-    """Vertices moved and scaled so that the bounding box is centred with a diagonal of 1.
+    """Vertices translated and scaled so that the bounding box is centred and has diagonal 1.
 
-    They come out rounded to float32, so that a file of them holds the same numbers.
+    The result is rounded to float32, so that a file stores the same numbers.
 
     Args:
-        vertices: (V, 3); those that no face uses have no part in the box.
+        vertices: (V, 3); vertices that no face uses are ignored.
         faces: (F, 3) vertex indices.
 
     Returns:
-        (V, 3) canonical vertices, and the diagonal that they had.
+        (V, 3) canonical vertices, and the original diagonal.
 
     Raises:
-        ToolkitError: all vertices in one place.
+        ToolkitError: all vertices coincide.
     """
     v = np.asarray(vertices, dtype=np.float64)
     low, high = _bounds(v, faces)
@@ -141,10 +141,10 @@ def canonical_frame(
 def welded(
     vertices: Array, faces: NDArray[np.integer]
 ) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_]]:
-    """Vertices at one place made one, faces that vanish by that left out.
+    """Merge coincident vertices and drop the faces that degenerate.
 
     Returns:
-        (P, 3) distinct vertices, (K, 3) faces of them, and (F,) which faces these are.
+        (P, 3) distinct vertices, (K, 3) faces, and (F,) bool mask of the faces kept.
     """
     places, place_of = np.unique(vertices, axis=0, return_inverse=True)
     corners = place_of.reshape(-1)[faces].astype(np.int64)

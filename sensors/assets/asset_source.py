@@ -1,7 +1,4 @@
-"""Where assets come from, by name, and how large objects of a category are.
-
-How large objects of a category are.
-"""
+"""Asset sources by name, and the size range of each category."""
 
 from __future__ import annotations
 
@@ -27,23 +24,23 @@ SPLITS: tuple[Split, ...] = ("train", "test", "all")
 class AssetSource(Protocol):
     """A collection of assets of one or more categories.
 
-    The same random state gives the same asset, on any machine that sees the same files.
+    The same random state gives the same asset on any machine with the same files.
     """
 
     def categories(self) -> Sequence[str]:
-        """Categories that it has assets of, in a fixed order."""
+        """Categories of the assets, in a fixed order."""
         ...
 
     def sample(self, rng: np.random.Generator, category: str) -> Asset:
         """Draw an asset.
 
         Raises:
-            ToolkitError: it has none of this category, or the file drawn cannot be used.
+            ToolkitError: the category is missing, or the drawn file cannot be used.
         """
         ...
 
     def load(self, asset_id: str) -> Asset:
-        """The asset of an id that `sample` gave before.
+        """The asset of an id that `sample` returned.
 
         Raises:
             ToolkitError: no such asset, or its file cannot be used.
@@ -53,13 +50,13 @@ class AssetSource(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class SourceOptions:
-    """What a source is opened with.
+    """How to open a source.
 
     Attributes:
         root: folder of the files, for sources that read files.
         split: "train" and "test" never share an instance; "all" is both.
         unit: unit of the files' coordinates ("m", "cm", "mm"), which gives the assets their real
-            size; None where the files tell no size and it is drawn by category.
+            size; None if the files have no size; it is then drawn by category.
     """
 
     root: Path | None = None
@@ -74,7 +71,7 @@ class SourceOptions:
         """The folder of the files.
 
         Raises:
-            ToolkitError: none was given, or it is not there.
+            ToolkitError: none was given, or it does not exist.
         """
         if self.root is None:
             raise ToolkitError("this asset source needs the folder of its files", field="root")
@@ -99,11 +96,12 @@ def open_source(name: str, options: SourceOptions | None = None) -> AssetSource:
     """Open the asset source called `name`.
 
     Args:
-        name: "procedural", "shapenet", "folder", an installed plug-in's or `module:attribute`.
-        options: where its files are and which part of them to use.
+        name: "procedural", "shapenet", "folder", the name of an installed plug-in, or
+            `module:attribute`.
+        options: folder of the files and the part of them to use.
 
     Raises:
-        ToolkitError: no such source, or its files are not there.
+        ToolkitError: no such source, or its files do not exist.
     """
     return ASSET_SOURCES.get(name)(options or SourceOptions())
 
@@ -111,7 +109,7 @@ def open_source(name: str, options: SourceOptions | None = None) -> AssetSource:
 def in_split(instance: str, split: Split, *, test_share: float = 0.2) -> bool:
     """Whether an instance of a file collection belongs to a split, by its name alone.
 
-    A name keeps its split when other files come or go. One in five goes to the test split.
+    The split of a name does not change when files are added or removed. One in five is in test.
     """
     import hashlib
 
@@ -127,7 +125,7 @@ class ScaleTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         source: where the numbers come from.
         diagonal_m: smallest and largest bounding-box diagonal of each category, metres; "other"
-            stands for all categories without a row.
+            applies to all categories without a row.
     """
 
     source: str
@@ -148,7 +146,7 @@ def scale_range(category: str) -> tuple[float, float]:
 
 
 def draw_diagonal(rng: np.random.Generator, asset: Asset) -> float:
-    """Bounding-box diagonal for an object in metres: the real one if known, else drawn."""
+    """Bounding-box diagonal for an object in metres: the real one if known, otherwise drawn."""
     if asset.diagonal_m is not None:
         return asset.diagonal_m
     low, high = scale_range(asset.category)

@@ -1,7 +1,4 @@
-"""Reads a mesh file as an asset: vertices, colours, texture, and symmetry under turning.
-
-Finding out whether a shape is turned about its vertical axis.
-"""
+"""Read a mesh file as an asset: vertices, colours, texture and rotational symmetry."""
 
 from __future__ import annotations
 
@@ -28,13 +25,13 @@ _PLAIN = (180, 180, 180)
 
 _SAMPLES = 2000
 
-# A facetted cylinder of 16 sides departs from the round one by 2 % of its radius.
+# A faceted cylinder of 16 sides deviates from the round one by 2 % of its radius.
 _TOLERANCE = 0.012
 
 
 @dataclass(frozen=True)
 class SurfaceColors:
-    """What a mesh file says of its looks; see `Asset`."""
+    """Colours and texture of a mesh file; see `Asset`."""
 
     face_colors: NDArray[np.uint8]
     corner_uv: NDArray[np.float32] | None
@@ -52,17 +49,17 @@ def read_asset(
 ) -> Asset:
     """Read a mesh file as an asset.
 
-    A surface that is not closed is used with a warning: what needs a volume has to do without.
+    A surface that is not closed is used, with a warning: its volume is not defined.
 
     Args:
         unit: unit of the file's coordinates, which then give the asset its real size; None if
-            they mean nothing, as in ShapeNet.
-        symmetry: None to find out whether turning about y leaves the shape as it is.
+            they have no unit, as in ShapeNet.
+        symmetry: None to detect whether the shape is symmetric under rotations about y.
         up: the file's vertical axis, "y" or "z".
 
     Raises:
-        ToolkitError: unreadable, without faces, vertices that are not finite, or with a unit a size
-            that no object on a table has.
+        ToolkitError: unreadable, without faces, vertices that are not finite, or, with a unit, a
+            size outside the range of objects on a table.
     """
     import trimesh
 
@@ -87,7 +84,7 @@ def read_asset(
         diagonal_m = diagonal * UNITS_IN_M[unit]
         check_mesh_size(trimesh.Trimesh(canonical * diagonal_m, faces, process=False), path=path)
     look = _surface_colors(parts)
-    # Vertices split for the sake of texture seams are one point of the surface.
+    # Vertices duplicated at texture seams are one point of the surface.
     places, corners, kept = welded(canonical, faces)
     mesh = trimesh.Trimesh(places, corners, process=False)
     if not mesh.is_watertight:
@@ -131,7 +128,7 @@ def _joined(parts: list[trimesh.Trimesh]) -> tuple[Array, NDArray[np.int64]]:
 
 
 def _surface_colors(parts: list[trimesh.Trimesh]) -> SurfaceColors:
-    """Colours of all faces; the texture, too, if one picture covers everything."""
+    """Colours of all faces; also the texture, if one image covers all of them."""
     pictures = [_picture(m) for m in parts]
     uvs = [_uv(m) for m in parts]
     colors = [_colors(m, p, uv) for m, p, uv in zip(parts, pictures, uvs, strict=True)]
@@ -184,20 +181,20 @@ def _colors(
     return np.tile(np.asarray(rgb, dtype=np.uint8), (count, 1))
 
 
-# Fractions of a turn that no regular polygon below 17 corners repeats after.
+# Fractions of a full rotation after which no regular polygon below 17 corners repeats.
 _ANGLES = tuple(2 * np.pi * x for x in (0.093, 0.269, 0.41))
 
 
 def turn_symmetry(
     vertices: NDArray[np.floating], faces: NDArray[np.integer], *, tolerance: float = _TOLERANCE
 ) -> Symmetry:
-    """Full turns about y, if they leave the shape where it was; colours are not looked at.
+    """Full rotational symmetry about y, if the shape has it; colours are ignored.
 
     Args:
         vertices: (V, 3) canonical.
         faces: (F, 3).
-        tolerance: how far the turned surface may lie from itself, as a share of the diagonal; one
-            point in a hundred may be further away.
+        tolerance: largest distance between the rotated surface and the original, as a fraction
+            of the diagonal; one point in a hundred may be further away.
     """
     corners = np.asarray(vertices, dtype=np.float64)[faces]
     area = np.linalg.norm(

@@ -1,19 +1,17 @@
 """Assets from files: a folder of your own meshes, or ShapeNetCore.
 
-Without more, sub-folders are categories: `mug/red.obj`, `mug/blue/textured.obj`. A document
-`assets.json` in the folder says it instead, and more:
+By default, sub-folders are categories: `mug/red.obj`, `mug/blue/textured.obj`. A document
+`assets.json` in the folder replaces this and sets further properties:
 
     {"assets": [{"mesh": "scans/red.obj", "category": "mug", "symmetry": "none", "up": "z",
                  "unit": "mm"}]}
 
-ShapeNetCore as an asset source.
-
-The folder holds one folder per synset, and in it one per model:
+A ShapeNetCore folder has one folder per synset, and in it one per model:
 
 - version 2: `<synset>/<model>/models/model_normalized.obj`, up +y, front -z;
 - version 1: `<synset>/<model>/model.obj`, up +y, front +x, some models mirrored.
 
-Coordinates are taken as they are, but for centre and scale. They mean no size.
+Coordinates are only centred and scaled; they carry no real size.
 Source of the layout and axes: the read-me of each version and https://shapenet.org/annotations.
 """
 
@@ -55,11 +53,11 @@ class AssetRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     Attributes:
         mesh: path relative to the folder.
         category: such as "mug"; any name, "other" for distractors.
-        id: safe name; by default made of category and path.
-        symmetry: "axis:y" full turns about the vertical, "none", or "auto" to find out.
+        id: safe name; by default built from category and path.
+        symmetry: "axis:y" for rotations about the vertical axis, "none", or "auto" to detect it.
         up: vertical axis of the file, "y" or "z".
-        unit: "m", "cm" or "mm" where the file has the object's real size; default as the source
-            was opened.
+        unit: "m", "cm" or "mm" if the file has the object's real size; by default the unit that
+            the source was opened with.
     """
 
     mesh: str
@@ -83,8 +81,8 @@ class FolderSource:
         options: `root`, `split` (one mesh in five is in the test split, by its path) and `unit`.
 
     Raises:
-        ToolkitError: no such folder, no mesh in it, a document that does not hold, two meshes of
-            one id.
+        ToolkitError: no such folder, no mesh in it, an invalid `assets.json`, or two meshes with
+            the same id.
     """
 
     def __init__(self, options: asset_source.SourceOptions) -> None:
@@ -180,13 +178,13 @@ _CATEGORY_OF = {synset: category for category, synset in SYNSETS.items()}
 
 
 class ShapeNetSource:
-    """The seven categories of a ShapeNetCore folder, as far as they are there.
+    """The seven categories of a ShapeNetCore folder, as far as they exist.
 
     Args:
         options: `root` and `split`; one model in five is in the test split, by its name.
 
     Raises:
-        ToolkitError: no such folder, or none of the synsets with a model in it.
+        ToolkitError: no such folder, or no model of these synsets in it.
     """
 
     def __init__(self, options: asset_source.SourceOptions) -> None:
@@ -241,7 +239,7 @@ class ShapeNetSource:
         )
 
     def _path(self, synset: str, name: str) -> Path | None:
-        # A name from outside must not lead out of the folder.
+        # A name from a document must not point outside the folder.
         if Path(name).name != name or name in (".", ".."):
             return None
         folder = self._root / synset / name

@@ -1,1 +1,1 @@
-"""Light of the simulator: environment maps from a folder or made here, strengths, floors."""
+"""Light of the simulator: environment maps from a folder or procedural, strengths, floors."""

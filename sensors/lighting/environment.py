@@ -1,7 +1,4 @@
-"""Environment maps: reading them, and a folder of them split into training and test.
-
-Environment maps and floor images of a folder, those for training and for testing kept apart.
-"""
+"""Environment maps: reading them, and folders of them split into training and test."""
 
 from __future__ import annotations
 
@@ -27,7 +24,7 @@ Split = Literal["train", "test", "all"]
 TRAIN_PERCENT = 76
 
 
-"""Wider maps are reduced to this: a sphere seen in a mirror of 10 cm shows no more."""
+"""Wider maps are reduced to this: the reflection in a sphere of 10 cm has no finer detail."""
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
@@ -37,7 +34,7 @@ class EnvironmentMap:
     """Light from all directions.
 
     Attributes:
-        name: file name without suffix, or what the map was made from.
+        name: file name without suffix, or the origin of the map.
         pixels: (H, W, 3) float32 linear RGB radiance of mean luminance 1 over the sphere. Rows
             run from straight up to straight down, columns once around.
     """
@@ -47,7 +44,7 @@ class EnvironmentMap:
 
     @staticmethod
     def normalised(name: str, pixels: NDArray[np.floating]) -> EnvironmentMap:
-        """Scaled to mean luminance 1: files of different makers differ by orders of magnitude.
+        """Scale to mean luminance 1: files from different sources differ by orders of magnitude.
 
         Raises:
             ToolkitError: the map is black.
@@ -60,7 +57,7 @@ class EnvironmentMap:
 
 
 def mean_luminance(pixels: NDArray[np.float32]) -> float:
-    """Mean over the sphere; rows near the poles cover less of it."""
+    """Mean over the sphere; rows near the poles are weighted by their smaller area."""
     height = len(pixels)
     weight = np.sin((np.arange(height) + 0.5) / height * np.pi)
     return float(np.average((pixels @ LUMINANCE).mean(axis=1), weights=weight))
@@ -70,7 +67,7 @@ def read_environment(path: Path | str) -> EnvironmentMap:
     """Read a .hdr (Radiance) or .exr lat-long map.
 
     Raises:
-        ToolkitError: unreadable, not twice as wide as high, or values that light cannot have.
+        ToolkitError: unreadable, not twice as wide as high, or negative or infinite values.
     """
     path = Path(path)
     pixels = _read_exr_color(path) if path.suffix.lower() == ".exr" else _read_hdr(path)
@@ -103,7 +100,7 @@ def _read_hdr(path: Path) -> NDArray[np.float32]:
     if data[:2].tobytes() == b"#?":
         try:
             image = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
-        except cv2.error:  # a damaged file raises or gives None, by where the damage is
+        except cv2.error:  # a damaged file raises or gives None, depending on the damage
             image = None
     if image is None or image.dtype != np.float32:
         raise ToolkitError("not a readable Radiance .hdr file", path=path)
@@ -123,7 +120,7 @@ def _read_exr_color(path: Path) -> NDArray[np.float32]:
 
 
 def split_of(name: str) -> Literal["train", "test"]:
-    """The split of a file by its name without suffix: the same on every machine, for ever."""
+    """The split of a file by its name without suffix: the same on every machine, permanently."""
     number = int(hashlib.sha256(name.encode()).hexdigest()[:8], 16) % 100
     return "train" if number < TRAIN_PERCENT else "test"
 
@@ -131,7 +128,7 @@ def split_of(name: str) -> Literal["train", "test"]:
 def files_of_split(folder: Path | str, split: Split, suffixes: tuple[str, ...]) -> list[Path]:
     """Files of a split, in name order.
 
-    Sub-folders `train` and `test` decide where there are any; otherwise the names do.
+    Sub-folders `train` and `test` define the splits if they exist; otherwise the names do.
 
     Raises:
         ToolkitError: no such folder, or it has no file for the split.
@@ -167,8 +164,8 @@ class EnvironmentFolder:
     """Maps of a folder.
 
     Args:
-        folder: holds .hdr and .exr files, or sub-folders `train` and `test` that do.
-        split: which of them to draw from.
+        folder: contains .hdr and .exr files, or sub-folders `train` and `test` with such files.
+        split: maps to draw from.
 
     Raises:
         ToolkitError: see `files_of_split`.
@@ -178,7 +175,7 @@ class EnvironmentFolder:
         self.files = files_of_split(folder, split, SUFFIXES)
 
     def draw(self, rng: np.random.Generator) -> EnvironmentMap:
-        """A map at random; consumes one number.
+        """A random map; consumes one number.
 
         Raises:
             ToolkitError: the file cannot be read.

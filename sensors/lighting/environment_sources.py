@@ -1,7 +1,4 @@
-"""Where environment maps come from: procedural studios, or a folder of yours.
-
-Where environment maps come from: a folder of the user's, or made procedurally.
-"""
+"""Sources of environment maps: procedural studios, or a folder of yours."""
 
 from __future__ import annotations
 
@@ -24,8 +21,8 @@ STUDIOS = 100
 def studio_map(seed: int, *, height: int = HEIGHT) -> EnvironmentMap:
     """Make a map of height x 2 height pixels; the same seed gives the same map.
 
-    The walls grade from a floor to a ceiling colour, with a few light sources of different kind,
-    size, softness and warmth: enough for metal and glass to have something to show.
+    Walls with a gradient from floor to ceiling colour and a few light sources of different kind,
+    size, softness and warmth, which give metal and glass something to reflect.
     """
     rng = np.random.default_rng(seed)
     d = _directions(height)
@@ -149,18 +146,18 @@ TRAIN_STUDIOS = 76
 
 @runtime_checkable
 class EnvironmentSource(Protocol):
-    """Something to draw environment maps from."""
+    """A source of environment maps."""
 
     def draw(self, rng: np.random.Generator) -> EnvironmentMap:
-        """A map at random; the same state of `rng` gives the same map."""
+        """A random map; the same state of `rng` gives the same map."""
         ...
 
 
 class StudioSource:
-    """Procedural maps; training and testing have different ones.
+    """Procedural maps; training and test use different ones.
 
     Args:
-        split: which of them to draw from.
+        split: maps to draw from.
     """
 
     def __init__(self, *, split: Split = "train") -> None:
@@ -184,7 +181,7 @@ def _kept(seed: int) -> EnvironmentMap:
 def environment_source(
     folder: Path | str | None = None, *, split: Split = "train"
 ) -> EnvironmentSource:
-    """The folder's maps, or procedural ones where no folder is given.
+    """The maps of the folder, or procedural ones without a folder.
 
     Raises:
         ToolkitError: see `EnvironmentFolder`.

@@ -1,6 +1,6 @@
 """Random strength of the light, and a random floor.
 
-The floor's material: drawn from the library, or with an image of a user's folder.
+The floor's material is drawn from the library, or has an image from a user's folder.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class LightingDraw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     Attributes:
         environment: name of the map.
-        rotation_rad: turn of the map about the vertical axis.
+        rotation_rad: rotation of the map about the vertical axis.
         color_strength: factor on the map while colour is rendered.
         infrared_strength: factor on the map while infrared is rendered.
         projector_factor: factor on the projector's power.
@@ -91,13 +91,13 @@ def draw_floor(
 
     Args:
         rng: consumed.
-        folder: images (.jpg, .png) to tile the floor with, the splits kept apart as for
-            environment maps; without one the library's textures serve.
-        split: which images to draw from.
+        folder: images (.jpg, .png) to tile the floor with, split as environment maps are; without
+            a folder, textures of the library are used.
+        split: images to draw from.
         library: materials; the built-in ones by default.
 
     Raises:
-        ToolkitError: the folder has no image for the split, or the library no fitting material.
+        ToolkitError: the folder has no image for the split, or the library no suitable material.
     """
     library = library or load_library()
     names = [m.name for m in library.opaque if m.family in FLOOR_FAMILIES]
@@ -116,6 +116,6 @@ def draw_floor(
         files = files_of_split(folder, split, IMAGE_SUFFIXES)
         image, share = str(files[int(rng.integers(len(files)))]), material.own_share
         tile = float(rng.uniform(*IMAGE_TILE_M))
-    # A floor has no look of its own unless it has an image.
+    # A floor has a texture of its own only if it has an image.
     material = msgspec.structs.replace(material, texture=texture, own_share=share)
     return FloorDraw(material=material, image=image, image_tile_m=tile)

@@ -1,6 +1,6 @@
-"""Random choice of a material: its class by category, then its values.
+"""Random choice of a material: its class by object category, then its values.
 
-Which material class an object gets: probabilities per category, and the ablations' switches.
+`ClassChoice` has the probabilities per category; ablations restrict the allowed classes.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ FALLBACK_CATEGORY = "other"
 
 
 class DrawnTexture(material_library.Document, frozen=True, kw_only=True):
-    """A procedural texture with all its numbers; `textures.make_texture` draws it.
+    """A procedural texture with all its parameters; `textures.make_texture` draws it.
 
     Attributes:
         tile_m: extent of one tile on the surface, metres.
@@ -48,19 +48,19 @@ class Glass(material_library.Document, frozen=True, kw_only=True):
 
 
 class DrawnMaterial(material_library.Document, frozen=True, kw_only=True):
-    """A material as a renderer takes it: plain numbers only.
+    """A material in the form that a renderer takes: plain numbers only.
 
     Attributes:
         name: the library's material, or "raw".
         material_class: raw, diffuse, transparent or specular.
-        color: linear RGB; of a glass its transmittance.
-        own_share: share of the object's own texture or colour in the final base colour.
+        color: linear RGB; for glass its transmittance.
+        own_share: fraction of the object's own texture or colour in the final base colour.
         metallic .. clearcoat_gloss: parameters of the principled BSDF, 0..1.
         texture: pattern that multiplies `color`, or None.
         glass: for transparent materials only.
-        infrared: mean reflectance at 850 nm of the material; None: as bright as it looks.
-        own_infrared: the same of the object's own paint, of which `own_share` is mixed in.
-        infrared_pattern: share of the visible pattern's contrast that is left there.
+        infrared: mean reflectance of the material at 850 nm; None: equal to the visible one.
+        own_infrared: the same for the object's own paint, mixed in by `own_share`.
+        infrared_pattern: fraction of the contrast of the visible pattern at 850 nm.
     """
 
     name: str
@@ -96,13 +96,13 @@ def draw_material(
     name: str | None = None,
     library: material_library.MaterialLibrary | None = None,
 ) -> DrawnMaterial:
-    """Draw a material of a class: which one, its parameters, its share of the object's own look.
+    """Draw a material of a class: its name, its parameters, and the share of the object's own look.
 
     Args:
         rng: consumed; the same state gives the same material.
-        material_class: `raw` keeps the object's own texture or colour alone.
+        material_class: `raw` keeps only the object's own texture or colour.
         textured: whether the object has a texture image (its own look then gets a larger share).
-        name: take this material instead of a random one of the class.
+        name: use this material instead of a random one of the class.
         library: the built-in one by default.
 
     Raises:
@@ -147,7 +147,7 @@ def _draw_opaque(
     jitter = {**family.jitter, **chosen.jitter}
     values: dict[str, Any] = {}
     # Every parameter consumes one number whether it varies or not, so that a library with another
-    # range changes that parameter of a seeded scene and nothing after it.
+    # range changes only that parameter of a seeded scene.
     for parameter in material_library.PARAMETERS:
         shift = _uniform(rng, jitter.get(parameter, (0.0, 0.0)))
         values[parameter] = float(np.clip(getattr(chosen.base, parameter) + shift, 0, 1))
@@ -204,7 +204,7 @@ def _color(
 
 
 def decode_material(data: bytes) -> DrawnMaterial:
-    """A material from its JSON record (`msgspec.json.encode` writes it).
+    """Decode a material from its JSON record (`msgspec.json.encode` writes it).
 
     Raises:
         ToolkitError: not such a record.
@@ -220,7 +220,8 @@ class ClassChoice(material_library.Document, frozen=True, kw_only=True):
 
     Attributes:
         source: where the figures come from.
-        probabilities: category to class to probability; each row sums to 1 and `other` is there.
+        probabilities: category to class to probability; each row sums to 1, and `other` is
+            required.
     """
 
     source: str = ""
@@ -241,7 +242,7 @@ class ClassChoice(material_library.Document, frozen=True, kw_only=True):
                 )
 
     def row(self, category: str) -> dict[material_library.MaterialClass, material_library.Share]:
-        """Probabilities of a category, those of `other` where it is not named."""
+        """Probabilities of a category; those of `other` if it is not listed."""
         return self.probabilities.get(category, self.probabilities[FALLBACK_CATEGORY])
 
 
@@ -271,8 +272,8 @@ def draw_material_class(
     Args:
         rng: the scene's generator.
         category: "bottle", ...; unknown ones count as "other".
-        allowed: classes left by an ablation: `("raw",)` keeps the original materials, a set
-            without "transparent" spreads its probability over the others in their proportion.
+        allowed: classes that an ablation leaves: `("raw",)` keeps the original materials; a set
+            without "transparent" distributes its probability proportionally over the others.
         choice: the built-in probabilities by default.
 
     Raises:
@@ -283,7 +284,7 @@ def draw_material_class(
     if not names:
         raise ToolkitError("no material class is allowed", field="allowed", value=list(allowed))
     weights = np.array([row.get(c, 0.0) for c in names])
-    if weights.sum() == 0:  # the category would take none of those allowed
+    if weights.sum() == 0:  # the category has no probability for any allowed class
         weights = np.ones(len(names))
     at = int(np.searchsorted(np.cumsum(weights / weights.sum()), rng.random(), side="right"))
     return names[min(at, len(names) - 1)]

@@ -1,8 +1,8 @@
 """The library of materials: base values and ranges, read from `materials.json` or a user's file.
 
-One unified description covers every opaque material (the parameters of a "principled" BSDF) and
-every glass. A surface scatters like its class by its values, not by a separate shader: this is
-what lets a renderer keep one compiled kernel for all materials.
+One set of parameters (of the "principled" BSDF) describes every opaque material, and one every
+glass. The parameter values, not a separate shader, make a surface diffuse or specular, so that a
+renderer needs one compiled kernel for all materials.
 """
 
 from __future__ import annotations
@@ -53,14 +53,14 @@ Color = tuple[Share, Share, Share]
 
 
 class Document(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Base of everything in a material file: unknown keys are refused, they are typing errors."""
+    """Base of all structures of a material file; unknown keys are errors."""
 
 
 class TextureRange(Document, frozen=True, kw_only=True):
     """A procedural texture of a material.
 
     Attributes:
-        kind: which pattern; see `textures.make_texture`.
+        kind: pattern; see `textures.make_texture`.
         tile_m: range of the extent of one tile on the surface, metres.
         contrast: range of the pattern's contrast, 0..1.
     """
@@ -75,13 +75,13 @@ class TextureRange(Document, frozen=True, kw_only=True):
 
 
 class Family(Document, frozen=True, kw_only=True):
-    """What materials of one kind have in common.
+    """Properties shared by materials of one kind.
 
     Attributes:
-        material_class: the class of its members.
+        material_class: class of its members.
         jitter: parameter to the range that is added to the base value.
-        mix_probability: how often the object's own colour is mixed in at all.
-        infrared_pattern: range of the share of a visible pattern's contrast that is left at
+        mix_probability: probability that the object's own colour is mixed in.
+        infrared_pattern: range of the fraction of a visible pattern's contrast that remains at
             850 nm.
     """
 
@@ -114,8 +114,8 @@ class OpaqueMaterial(Document, frozen=True, kw_only=True):
 
     Attributes:
         color: two corners of the box of linear RGB reflectances to draw from.
-        infrared: range of the reflectance at 850 nm, where projectors of depth cameras shine;
-            None: as bright as it looks.
+        infrared: range of the reflectance at 850 nm, the wavelength of depth-camera projectors;
+            None: equal to the visible reflectance.
         jitter: ranges that replace the family's, by parameter.
     """
 
@@ -140,8 +140,8 @@ class GlassMaterial(Document, frozen=True, kw_only=True):
     Attributes:
         ior: range of the index of refraction.
         roughness: range of the roughness of the refracting surface, 0..1.
-        see_through: range of the share of light that passes a surface unbent. Only this share
-            of a point projector's light reaches what lies behind glass in a path tracer.
+        see_through: range of the fraction of light that passes a surface without refraction. In a
+            path tracer only this fraction of a point projector's light reaches surfaces behind it.
         gloss: range of the strength of the glossy coat, 0..1.
         gloss_roughness: range of the coat's roughness, 0..1.
         tint: two corners of the box of linear RGB transmittances.
@@ -164,7 +164,7 @@ class GlassMaterial(Document, frozen=True, kw_only=True):
 
 
 class OwnShare(Document, frozen=True, kw_only=True):
-    """How much of the object's own appearance is mixed into a material's colour.
+    """Fraction of the object's own appearance in a material's colour.
 
     Attributes:
         texture: range for objects with a texture image.
@@ -180,11 +180,11 @@ class OwnShare(Document, frozen=True, kw_only=True):
 
 
 class RawRange(Document, frozen=True, kw_only=True):
-    """Ranges of the surface that objects with nothing but their own texture get.
+    """Ranges of the surface of objects that keep only their own texture.
 
     Attributes:
         infrared: of the reflectance at 850 nm of any object's own paint.
-        infrared_pattern: of the share of its contrast that is left there.
+        infrared_pattern: of the fraction of its contrast that remains at 850 nm.
     """
 
     roughness: Range
@@ -204,7 +204,7 @@ class MaterialLibrary(Document, frozen=True, kw_only=True):
         about, sources: for the reader of the file.
         own_share: see `OwnShare`.
         raw: see `RawRange`.
-        families: name to what its members have in common.
+        families: name to the shared properties of its members.
         opaque, glass: the materials.
     """
 

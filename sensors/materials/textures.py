@@ -1,7 +1,7 @@
 """Procedural textures as images that tile: wood, fabric, leather, paper, marble and the like.
 
-Every pattern is made of periodic parts (noise filtered in the Fourier domain, whole numbers of
-waves), so that a tile continues into its neighbour without a seam.
+Every pattern consists of periodic components (noise filtered in the Fourier domain, whole numbers
+of waves), so that tiles join without a seam.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def make_texture(
         size: side of the tile in pixels; at least 16.
 
     Returns:
-        (size, size, 3) uint8 sRGB image that tiles in both directions. Its mean keeps near
+        (size, size, 3) uint8 sRGB image that tiles in both directions. Its mean is close to
         `color`; at contrast 0 it is that colour everywhere.
     """
     rng = np.random.default_rng(texture.seed)
@@ -40,8 +40,8 @@ def make_texture(
     else:
         shade = _PATTERNS[texture.kind](rng, size)
         shade = (shade - shade.mean()) / max(float(np.abs(shade).max()), 1e-6)
-        # Multiplicative, so that dark materials keep their hue; the second colour leans to brown
-        # or blue a little, as no real surface varies in brightness alone.
+        # Multiplicative, so that dark materials keep their hue. The second colour is slightly brown
+        # or blue, since real surfaces vary in more than brightness.
         lean = 1 + 0.15 * rng.uniform(-1, 1, 3).astype(np.float32)
         factor = 1 + texture.contrast * shade[..., None] * np.where(shade[..., None] < 0, lean, 1)
         linear = tint * factor
@@ -76,7 +76,7 @@ def tiling_noise(
 
     Args:
         slope: amplitude falls with frequency to this power; 0 is white, 2 very smooth.
-        stretch: > 1 draws the noise out along the rows (x), < 1 along the columns.
+        stretch: > 1 stretches the noise along the rows (x), < 1 along the columns.
     """
     spectrum = np.fft.rfft2(rng.standard_normal((size, size)))
     fy = np.fft.fftfreq(size)[:, None] * size / np.sqrt(stretch)
@@ -115,7 +115,7 @@ def _weave(rng: np.random.Generator, size: int) -> Field:
 
 
 def _leather(rng: np.random.Generator, size: int) -> Field:
-    """Cells with creases between them: distance to the second nearest minus the nearest point."""
+    """Cells with creases between them: second-nearest minus nearest distance to random points."""
     first, second = _cells(rng, size, count=int(rng.integers(90, 220)))
     crease = np.clip((second - first) * np.sqrt(len(first)) * 2.2, 0, 1)
     return np.asarray(crease + 0.15 * tiling_noise(rng, size, slope=1.2), dtype=np.float32)

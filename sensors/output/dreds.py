@@ -5,11 +5,11 @@ OUT/cad_model/syn_<split>/<synset>/<asset>/ meshes of unit diagonal and their bo
 OUT/parameters/<split>/<scene>.json         full record of a scene: cameras, poses, seed
 
 Loaders glob `<split>/*/*<suffix>` for every suffix, sort, and pair by position, so every frame has
-every file; the records lie where no loader looks. Facts of the layout that are easily missed:
+every file; the records are outside the folders that loaders search. Details of the layout:
 
 - colour and infrared pictures may be larger than the label maps; raw depth is a label map, aligned
   to colour, and -0.001 where nothing was measured;
-- depth files have three equal channels (loaders take the first, or R);
+- depth files have three equal channels (loaders read the first, or R);
 - masks hold id/255 as float32 (loaders multiply by 255 and truncate, which half floats fail) with
   background 1, NOCS pictures have B = 1 - z;
 - the quaternions of the meta lines are those of the inverse rotation, camera to object;
@@ -37,7 +37,7 @@ from std_toolkit.io import atomic, documents, exr, images
 from std_toolkit.scene.model import MATERIAL_IDS
 
 Split = Literal["train", "val", "test"]
-# Validation scenes are made of the training shapes.
+# Validation scenes use the training shapes.
 _CAD_FOLDERS: dict[str, str] = {"train": "syn_train", "val": "syn_train", "test": "syn_test"}
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
 DATA_SET = "DREDS-CatKnown"
@@ -109,16 +109,16 @@ def dreds_scene(
 ) -> Iterator[DredsWriter]:
     """A writer of a scene, which appears in the data set when the block ends without an error.
 
-    Until then nothing of it is where a loader looks; its meshes and its record come first.
+    Until then no file of it is visible to a loader; its meshes and its record are written first.
 
     Args:
         out: top of the data set.
-        scene: what all frames share.
-        split: which part of the data set it belongs to.
+            scene: properties shared by all frames.
+            split: part of the data set that it belongs to.
 
-    Raises:
-        ToolkitError: the scene is there already, has more than the layout holds, a mesh of the same
-            name but another shape is there, or not every frame was written.
+        Raises:
+            ToolkitError: the scene exists, exceeds the limits of the layout, a mesh of the same
+                name but another shape exists, or not every frame was written.
     """
     if split not in SPLITS:
         raise ToolkitError("unknown split", field="split", value=split, hint=f"one of {SPLITS}")
@@ -145,12 +145,12 @@ def dreds_scene(
 
 
 def scene_folder(out: Path, split: Split, name: str) -> Path:
-    """Where the scene is; it exists exactly when the scene is complete."""
+    """Folder of the scene; it exists exactly when the scene is complete."""
     return out / DATA_SET / split / name
 
 
 def record_path(out: Path, split: Split, name: str) -> Path:
-    """Where the record of a scene is."""
+    """Path of the record of a scene."""
     return out / "parameters" / split / f"{name}.json"
 
 
@@ -182,10 +182,10 @@ def nocs_picture(nocs: simulated_frame.Map, mask: simulated_frame.Image8) -> sim
 
 
 def meta_text(scene: simulated_frame.SimulatedScene, frame: simulated_frame.SimulatedFrame) -> str:
-    """A line of 13 fields, each followed by a space, for every object that is in the view.
+    """A line of 13 fields, each followed by a space, for every object in the view.
 
     mask id, class, synset, instance, diagonal in metres, material, quaternion w x y z of the
-    rotation camera to object, origin of the object in the camera frame in metres.
+    rotation from camera to object, origin of the object in the camera frame in metres.
     """
     T_cam_world = frame.T_world_cam.inverse()
     lines = []
@@ -207,7 +207,7 @@ def _cad_name(item: simulated_frame.SimulatedObject) -> str:
 
 
 def _write_model(out: Path, relative: str, item: simulated_frame.SimulatedObject) -> None:
-    """`model.obj` and `bbox.txt` (row 0 maxima, row 1 minima), unless the same are there."""
+    """Write `model.obj` and `bbox.txt` (row 0 maxima, row 1 minima), unless they exist."""
     files = obj_files(item.mesh, "model.obj")
     low, high = mesh_bounds(item.mesh)
     box = "\n".join(" ".join(f"{x:.9f}" for x in row) for row in (high, low)) + "\n"
@@ -217,7 +217,7 @@ def _write_model(out: Path, relative: str, item: simulated_frame.SimulatedObject
             with staged_folder(out, relative) as folder:
                 write_files(folder, files)
         except ToolkitError:
-            # Another process may have been quicker with the same model.
+            # Another process may have written the same model in the meantime.
             if not (out / relative).is_dir():
                 raise
     path = out / relative / "model.obj"

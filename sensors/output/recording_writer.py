@@ -1,7 +1,7 @@
-"""A simulated scene as a camera would leave it, and its truth beside it.
+"""A simulated scene in the form of a camera recording, with its ground truth.
 
-The form is that of the quick synthetic recordings (`sensors.synthetic`), so that the same import,
-annotation and scoring work on it: color/, depth/ (16 bit), models/, intrinsics.json, truth.json.
+The layout is that of the quick synthetic recordings (`sensors.synthetic`), so that the same import,
+annotation and scoring apply: color/, depth/ (16 bit), models/, intrinsics.json, truth.json.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class TrueObject(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Truth(msgspec.Struct, frozen=True, kw_only=True):
-    """truth.json: what the pipeline has to find. World frame: z up, table top at z = 0."""
+    """truth.json: ground truth of the recording. World frame: z up, table top at z = 0."""
 
     camera: CameraModel
     depth_scale: float
@@ -61,7 +61,7 @@ class Truth(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def read_truth(recording: Path) -> Truth:
-    """Truth of a recording made by `make_recording`."""
+    """Ground truth of a recording made by `make_recording`."""
     return documents.read_document(recording / "truth.json", Truth)
 
 
@@ -76,7 +76,7 @@ class RecordingWriter:
     def add(self, frame: SimulatedFrame) -> None:
         """Write colour and depth of a frame. Frames may come in any order.
 
-        Readings beyond what 16 bits hold are lost, as in a camera.
+        Depth beyond the range of 16 bits is dropped, as in a camera.
 
         Raises:
             ToolkitError: the frame does not belong to the scene, objects were left out of it, or
@@ -92,7 +92,7 @@ class RecordingWriter:
         write_images(self._folder, frame, depth_scale=self._depth_scale)
 
     def finish(self) -> None:
-        """Write models, intrinsics and truth, when every frame was added.
+        """Write models, intrinsics and truth after every frame was added.
 
         Raises:
             ToolkitError: frames are missing.
@@ -107,7 +107,7 @@ class RecordingWriter:
 
 
 def write_images(folder: Path, frame: SimulatedFrame, *, depth_scale: float) -> None:
-    """Colour, then depth: where the depth of a frame is, its colour is, too.
+    """Write colour, then depth: if the depth of a frame exists, its colour does too.
 
     Raises:
         ToolkitError: the disk is full.
@@ -128,11 +128,11 @@ def write_truth(
     *,
     depth_scale: float,
 ) -> Truth:
-    """Models, intrinsics and, last of all, truth.json.
+    """Write models, intrinsics and finally truth.json.
 
     Args:
         folder: of the recording.
-        scene: what was recorded.
+        scene: the recorded scene.
         camera: of the written images.
         T_world_cam: of every frame.
         depth_scale: metres per unit of the depth images.
@@ -159,7 +159,7 @@ def write_truth(
     truth = Truth(
         camera=CameraModel.of(camera),
         depth_scale=depth_scale,
-        # What the sensor gets wrong is simulated, not a known factor.
+        # Sensor errors are simulated; there is no known factor.
         depth_bias=1.0,
         frames=[frame_name(i) for i in range(len(T_world_cam))],
         T_world_cam=[pose.flat() for pose in T_world_cam],
@@ -177,11 +177,11 @@ def simulated_recording(
 
     Args:
         out: new folder.
-        scene: what all frames share; their poses should follow a smooth way.
+        scene: properties shared by all frames; the poses should follow a smooth path.
         depth_scale: metres per unit of the depth images.
 
     Raises:
-        ToolkitError: something is at `out` already, or not every frame was written.
+        ToolkitError: `out` exists, or not every frame was written.
     """
     if not 0 < depth_scale <= 1:
         raise ToolkitError("must lie above 0 and at most 1", field="depth_scale", value=depth_scale)

@@ -1,6 +1,6 @@
-"""What writers of a scene share: the frames received so far, and the full record of the scene.
+"""Frames received by the writers of a scene, and the record of the scene.
 
-Takes in the frames of one scene: each once, all of them, and of the same cameras.
+A writer accepts the frames of one scene: each once, all of them, with the same cameras.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ class ViewRecord(model.Document, frozen=True, kw_only=True):
 class SceneRecord(model.Document, frozen=True, kw_only=True):
     """parameters.json of a scene. Metres, OpenCV cameras, pixel centres at integers.
 
-    `K`, `width` and `height` are the label maps' camera, so that `std-curate import --intrinsics`
-    takes the file as it is.
+    `K`, `width` and `height` are those of the label maps' camera, so that `std-curate import
+    --intrinsics` reads the file unchanged.
 
     Attributes:
         version_of_tool: of the toolkit that made the scene.
-        parameters: everything that the scene was drawn from.
+        parameters: everything that the scene was generated from.
     """
 
     format: Literal["std-sim-scene"] = "std-sim-scene"
@@ -64,7 +64,7 @@ class SceneRecord(model.Document, frozen=True, kw_only=True):
 
 
 def scene_record(received: ReceivedFrames) -> SceneRecord:
-    """The record of a scene of which all frames were taken in."""
+    """The record of a scene after all its frames were accepted."""
     scene, label = received.scene, received.label_camera
     return SceneRecord(
         version_of_tool=__version__,
@@ -103,7 +103,7 @@ def scene_record(received: ReceivedFrames) -> SceneRecord:
 
 
 class ReceivedFrames:
-    """What a writer knows of the frames that it was given, in any order.
+    """State of the frames that a writer has received, in any order.
 
     Attributes:
         poses: T_world_cam and T_world_ir by frame index.
@@ -136,7 +136,7 @@ class ReceivedFrames:
         """Check a frame against the scene and the frames before it.
 
         Raises:
-            ToolkitError: not of this scene, here already, or seen by another camera.
+            ToolkitError: not of this scene, received before, or with another camera.
         """
         where = f"frame {frame.index}"
         if frame.index >= self.scene.frames:
@@ -171,10 +171,10 @@ class ReceivedFrames:
         self.hidden[frame.index] = tuple(sorted(hidden))
 
     def require_all(self) -> None:
-        """Refuse a scene that lacks frames.
+        """Raise if frames are missing.
 
         Raises:
-            ToolkitError: some were not accepted.
+            ToolkitError: some frames were not accepted.
         """
         lost = sorted(set(range(self.scene.frames)) - set(self.poses))
         if lost:

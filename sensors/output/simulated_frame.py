@@ -1,4 +1,4 @@
-"""What a simulation hands to the writers: one record per scene and one per frame."""
+"""Input of the writers: one record per scene and one per frame."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 
 Image8 = NDArray[np.uint8]
 Map = NDArray[np.float32]
-# Farther than any sensor of this kind and any room; a map beyond holds another unit or a sky.
+# Beyond the range of any such sensor and any room; larger values have another unit or are sky.
 LARGEST_DEPTH_M = 1000.0
-# Of unit normals in float32, interpolated within a triangle and normalised.
+# Tolerance of unit normals in float32, interpolated within a triangle and normalised.
 _UNIT = 1e-3
-# The rounding of float32 mesh files.
+# Tolerance from the rounding of float32 mesh files.
 _CANONICAL = 1e-5
-# Of a canonical coordinate that was computed from a depth in float32.
+# Tolerance of a canonical coordinate computed from float32 depth.
 _ROUNDING = 1e-4
-# Share of object pixels that may lack a normal: triangles without area have none.
+# Fraction of object pixels that may lack a normal: degenerate triangles have none.
 _NO_NORMAL = 0.01
 
 
@@ -39,17 +39,17 @@ class SimulatedObject:
 
     Attributes:
         instance_id: 1..N, its value in masks.
-        asset_id: of the asset; a safe name. Two objects of one id have the same mesh.
+        asset_id: of the asset; a safe name. Two objects with the same id have the same mesh.
         category: such as "mug".
         class_id: of the category in the DREDS and STD layouts, 0 for any other.
         material_class: raw, diffuse, transparent or specular.
-        scale_m: the canonical mesh times this is the object; its bounding box's diagonal in metres.
+        scale_m: factor from the canonical mesh to metres; the diagonal of the bounding box.
         T_world_obj: canonical frame, scaled to metres, to world.
         mesh: canonical: bounding box centred, its diagonal 1, y up.
         symmetry: in the canonical frame.
 
     Raises:
-        ToolkitError: an id, name or size out of its range, or a mesh outside the canonical frame.
+        ToolkitError: an id, name or size out of range, or a mesh outside the canonical frame.
     """
 
     instance_id: int
@@ -94,19 +94,19 @@ class SimulatedObject:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SimulatedScene:
-    """What all frames of a simulated scene share.
+    """Properties shared by all frames of a simulated scene.
 
     Attributes:
         name: safe name; the public DREDS has five digits, as "00017".
-        seed: that the scene was drawn from.
+        seed: seed of the scene.
         sensor: name of the sensor specification.
-        frames: how many there are.
-        objects: by rising instance id, 1..N.
-        parameters: everything that the scene was made from, as JSON can hold it.
+        frames: number of frames.
+        objects: by increasing instance id, 1..N.
+        parameters: everything that the scene was generated from, JSON-serialisable.
 
     Raises:
-        ToolkitError: ids that are not 1..N, one asset with two meshes, or parameters that JSON
-            cannot hold.
+        ToolkitError: ids that are not 1..N, one asset with two meshes, or parameters that cannot be
+            written as JSON.
     """
 
     name: str
@@ -142,32 +142,33 @@ class SimulatedScene:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SimulatedFrame:
-    """One view of a simulated scene, with everything that is known about it.
+    """One view of a simulated scene with its ground truth.
 
     Colour is H x W, infrared h x w. The label maps share one size, that of colour or another of the
-    same proportions (the public data sets have labels of half the size); their camera is
-    `label_camera`. The maps in the left infrared camera likewise share one, of `depth_camera`.
+    same aspect ratio (the public data sets have labels of half the size); their camera is
+    `label_camera`. The maps in the left infrared camera also share one size, that of
+    `depth_camera`.
 
     Attributes:
         index: of the frame in its scene, from 0.
         color: (H, W, 3) uint8 RGB.
         infrared_left, infrared_right: (h, w) uint8, the rectified pair.
-        depth_sensor: float32 z-depth in metres as the sensor measured it, left infrared camera; 0 =
+        depth_sensor: float32 z-depth in metres as measured by the sensor, left infrared camera; 0 =
             no measurement, as in every depth map here.
-        depth_exact_infrared: float32 exact z-depth, left infrared camera; 0 = nothing there.
+        depth_exact_infrared: float32 exact z-depth, left infrared camera; 0 = no surface.
         mask_infrared: uint8 instance ids, left infrared camera.
-        depth_aligned: float32 label map: the sensor's depth as seen from the colour camera.
+        depth_aligned: float32 label map: the sensor's depth aligned to the colour camera.
         depth_exact: float32 label map: exact z-depth of everything, table and floor included.
         mask: uint8 label map of instance ids 1..N, 0 = background.
         nocs: (., ., 3) float32 label map: canonical coordinates + 0.5, 0 in the background.
         normals: (., ., 3) float32 label map: unit normals in the colour camera's frame, towards the
-            camera; 0 where nothing is.
+            camera; 0 where there is no surface.
         T_world_cam, T_world_ir: poses of the colour and of the left infrared camera.
         color_camera, infrared_camera: intrinsics of the images.
         hidden: instance ids of the objects that were left out of this view.
 
     Raises:
-        ToolkitError: an array of another shape or type, or a value that its meaning forbids.
+        ToolkitError: an array of wrong shape or type, or an invalid value.
     """
 
     index: int
@@ -228,7 +229,7 @@ class SimulatedFrame:
 
     @property
     def instances(self) -> tuple[int, ...]:
-        """Rising ids of the objects of which a pixel is seen in either mask."""
+        """Increasing ids of the objects visible in either mask."""
         ids = np.flatnonzero(
             np.bincount(self.mask.ravel(), minlength=256)
             + np.bincount(self.mask_infrared.ravel(), minlength=256)
@@ -268,7 +269,7 @@ def _check_proportions(name: str, array: Any, camera: Camera) -> None:
 
 def _check_depth(name: str, depth: Map) -> None:
     low, high = float(depth.min()), float(depth.max())
-    # Written so that NaN, which passes no comparison, is refused.
+    # Written so that NaN, for which every comparison is false, is refused.
     if not (low >= 0 and high < LARGEST_DEPTH_M):
         raise ToolkitError(
             "z-depth is finite, in metres, and 0 where there is none",

@@ -1,8 +1,8 @@
-"""Folders of a data set that appear complete or not at all, made out of sight of its readers.
+"""Folders of a data set that appear complete or not at all.
 
-Readers of the public layouts glob for files two levels below a split. A folder in the making that
-lay beside the finished ones would be read half-written, hidden name or not; so it is made below
-`.partial` at the top of the data set and moved into place when it is whole.
+Readers of the public layouts glob for files two levels below a split. They would read an unfinished
+folder beside the finished ones, whatever its name. It is therefore written below `.partial` at the
+top of the data set and moved into place when it is complete.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ _ATTEMPTS = 100
 def staged_folder(top: Path, relative: str) -> Iterator[Path]:
     """A folder that becomes `top / relative` when the block ends without an error.
 
-    When the block raises, the folder goes. What a killed process left of the same folder is removed
-    by the next call for it; a lock tells that from the folder of a process still at work.
+    If the block raises, the folder is removed. The next call for the same folder removes what a
+    killed process left; a lock distinguishes it from the folder of a running process.
 
     Args:
         top: of the data set; on one file system.
-        relative: where the folder belongs.
+        relative: final path of the folder.
 
     Raises:
-        ToolkitError: there is something already, or it cannot be written.
+        ToolkitError: the path exists, or it cannot be written.
     """
     target = top / relative
     refuse_existing(target)
@@ -61,17 +61,17 @@ def staged_folder(top: Path, relative: str) -> Iterator[Path]:
     except BaseException as error:
         shutil.rmtree(staging, ignore_errors=True)
         if isinstance(error, ToolkitError) and str(staging) in (error.path or ""):
-            # The user knows the place that was asked for, not where it was in the making.
+            # The message names the path that the user gave, not the temporary one.
             raise error.relocated(staging, target) from error
         raise
     finally:
         os.close(descriptor)
         with suppress(OSError):
-            waiting.rmdir()  # fails while others are at work in it
+            waiting.rmdir()  # fails while other processes use it
 
 
 def refuse_existing(target: Path) -> None:
-    """Raises ToolkitError if there is anything at `target`."""
+    """Raise ToolkitError if `target` exists."""
     if target.is_symlink() or target.exists():
         raise ToolkitError("there is something here already", path=target)
 
@@ -84,12 +84,12 @@ def _make(waiting: Path, name: str) -> tuple[Path, int]:
             staging.mkdir()
             descriptor = os.open(staging, os.O_RDONLY)
         except (FileNotFoundError, FileExistsError):
-            continue  # another process, finishing, removed the empty folder of folders
+            continue  # another process removed the empty parent folder
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             os.close(descriptor)
-            continue  # swept by another process between the two calls above
+            continue  # removed by another process between the two calls above
         if staging.exists():
             return staging, descriptor
         os.close(descriptor)
@@ -100,7 +100,7 @@ def _sweep(waiting: Path, name: str) -> None:
     pattern = re.compile(rf"{re.escape(name)}\.[0-9a-f]{{12}}")
     try:
         found = list(waiting.iterdir())
-    except FileNotFoundError:  # also removed by another process just now
+    except FileNotFoundError:  # also removed by another process
         return
     for left in found:
         if not (pattern.fullmatch(left.name) and left.is_dir() and not left.is_symlink()):
@@ -111,6 +111,6 @@ def _sweep(waiting: Path, name: str) -> None:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 shutil.rmtree(left, ignore_errors=True)
             except BlockingIOError:
-                continue  # another process makes the same folder; the move decides
+                continue  # another process writes the same folder; the move decides
             finally:
                 os.close(descriptor)

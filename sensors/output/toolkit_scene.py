@@ -1,11 +1,11 @@
 """Simulated scenes as toolkit scenes, with exact camera poses, labels and ground truth.
 
-Colour of another size than the label maps is brought to theirs; the scene's camera is theirs. The
-sensor's depth is the frames' depth, aligned to colour; the exact depth of everything, table and
-floor included, lies in `reference/depth`, that of the objects with their other maps in `gt`. The
-stereo pair lies in `infrared/left` and `infrared/right`; its cameras and poses are in the record.
+Colour is resized to the label maps; the scene's camera is that of the label maps. The frames' depth
+is the sensor's depth aligned to colour. The exact depth of everything, table and floor included, is
+in `reference/depth`; that of the objects is in `gt` with their other maps. The stereo pair is in
+`infrared/left` and `infrared/right`; its cameras and poses are in the record.
 
-Simulated objects as models of a toolkit scene: at their real size, with names.
+Simulated objects become models of the scene, with names and at their real size.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class ToolkitSceneWriter:
         images.write_png(folder / f"infrared/left/{name}.png", frame.infrared_left)
         images.write_png(folder / f"infrared/right/{name}.png", frame.infrared_right)
         rows = self._truth_rows(frame)
-        if not rows:  # ground truth is of labelled objects
+        if not rows:  # only labelled objects have ground truth
             return
         seen = frame.mask > 0
         paths = map_paths(folder, frame.index)
@@ -95,7 +95,7 @@ class ToolkitSceneWriter:
         self._rows[frame.index] = rows
 
     def finish(self) -> None:
-        """Write the documents, when every frame was added.
+        """Write the documents after every frame was added.
 
         Raises:
             ToolkitError: frames are missing.
@@ -167,7 +167,7 @@ class ToolkitSceneWriter:
         return rows
 
     def _label(self, obj: MetricObject) -> Label | None:
-        """The exact pose; one per view where the object was left out of some views."""
+        """The exact pose; one per view if the object was left out of some views."""
         key = obj.item.instance_id
         visible = [
             i for i in range(self._received.scene.frames) if key not in self._received.hidden[i]
@@ -180,7 +180,7 @@ class ToolkitSceneWriter:
             object=key,
             frame=visible[0],
             T_cam_obj=poses[visible[0]],
-            # A pose in the world would put it into the views that it was left out of.
+            # A pose in the world would also apply to the views that it was left out of.
             T_world_obj=obj.item.T_world_obj.flat() if everywhere else None,
             method=SOURCE,
             views={} if everywhere else {str(i): poses[i] for i in visible[1:]},
@@ -196,7 +196,7 @@ class ToolkitSceneWriter:
                 frame=frame,
                 policy="models",
                 delta_m=None,
-                # Maps for other cameras, as half-size labels, are drawn by it.
+                # Renderer of the maps for other cameras, such as half-size labels.
                 renderer=self._renderer.name,
                 smooth_normals=True,
                 objects=rows,
@@ -212,12 +212,12 @@ class ToolkitSceneWriter:
 def toolkit_scene(out: Path, scene: SimulatedScene) -> Iterator[ToolkitSceneWriter]:
     """A writer of a scene, which appears at `out` when the block ends without an error.
 
-    Objects that were left out of some views have their poses in the others only (`views` of the
-    label), which is true but makes `std-curate check` report them as not propagated; for curation
-    leave nothing out.
+    Objects that were left out of some views have poses only in the others (`views` of the
+    label). This is correct, but `std-curate check` reports them as not propagated; for curation
+    leave no object out.
 
     Raises:
-        ToolkitError: something is at `out` already, or not every frame was written.
+        ToolkitError: `out` exists, or not every frame was written.
     """
     with atomic.new_folder(out) as folder:
         writer = ToolkitSceneWriter(folder, ReceivedFrames(scene))
@@ -231,7 +231,7 @@ def frame_name(index: int) -> str:
 
 
 def label_color(frame: SimulatedFrame) -> Image8:
-    """Colour at the size of the label maps: areas are averaged."""
+    """Colour at the size of the label maps, resampled by area averaging."""
     size = frame.label_camera.size
     if size == frame.color_camera.size:
         return frame.color
@@ -239,15 +239,15 @@ def label_color(frame: SimulatedFrame) -> Image8:
 
 
 def record_path(scene: Path) -> Path:
-    """Where the full record of a simulated toolkit scene is."""
+    """Path of the record of a simulated toolkit scene."""
     return scene / ".std" / "simulation.json"
 
 
 def read_simulation(scene: Path) -> SceneRecord:
-    """What a toolkit scene was simulated from.
+    """The record that a toolkit scene was simulated from.
 
     Raises:
-        ToolkitError: the scene is none of a simulation, or the record is damaged.
+        ToolkitError: the scene was not simulated, or its record is damaged.
     """
     return documents.read_document(record_path(scene), SceneRecord)
 
@@ -269,12 +269,12 @@ def _object_table(things: list[MetricObject]) -> ObjectTable:
 
 @dataclass(frozen=True, eq=False)
 class MetricObject:
-    """An object as a scene or a recording holds it.
+    """An object in metres, as stored in a scene or a recording.
 
     Attributes:
         name: unique in the scene: its category and its instance id.
         model: row of the model table.
-        mesh: vertices in metres; the poses of the simulated object hold for it.
+        mesh: vertices in metres, in the object frame of the simulated poses.
     """
 
     item: SimulatedObject
@@ -284,7 +284,7 @@ class MetricObject:
 
 
 def metric_objects(scene: SimulatedScene) -> list[MetricObject]:
-    """Every object with a model of its own size; two sizes of one asset are two models."""
+    """Every object with a model of its size; two sizes of one asset are two models."""
     uses = Counter(o.asset_id for o in scene.objects)
     found = []
     for item in scene.objects:
@@ -308,7 +308,7 @@ def metric_objects(scene: SimulatedScene) -> list[MetricObject]:
 
 
 def metric_symmetry(symmetry: Symmetry, scale_m: float) -> SymmetryModel:
-    """Symmetries of the canonical mesh, of the mesh at a size in metres."""
+    """Symmetries of the canonical mesh, scaled to metres."""
     discrete = [SE3.from_matrix(T) for T in symmetry.discrete]
     return SymmetryModel(
         discrete=[SE3(T.R, scale_m * T.t).flat() for T in discrete],

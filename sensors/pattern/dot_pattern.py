@@ -1,10 +1,9 @@
-"""Dot patterns of projectors: where the dots are, and the image that is projected.
+"""Dot patterns of projectors: positions of the dots, and the projected image.
 
-Where a projector's dots lie, as angles from its axis.
-
-A dot at (a, b) leaves the axis by the angle |(a, b)| towards (a, b). Spread evenly so, dots thin
-out on a wall away from the axis: to 73 % at 27 degrees and to 59 % at 35. In a picture of a D415's
-pattern it was 70 % and 59 %.
+Positions are angles from the projector's axis: a dot at (a, b) leaves the axis by the angle
+|(a, b)| towards (a, b). With uniform density in these angles, dots on a wall become sparser away
+from the axis: 73 % of the central density at 27 degrees, 59 % at 35. An image of a D415's pattern
+showed 70 % and 59 %.
 """
 
 from __future__ import annotations
@@ -29,25 +28,25 @@ WIDEST = 1.3
 
 Places = Callable[[float, np.random.Generator], Array]
 
-# Of the real D415: cells, where the two lattices fall together, are 5.5 pitches apart.
+# Of the real D415: cells, where the two lattices coincide, are 5.5 pitches apart.
 LATTICE_TURN_RAD = 0.18
 
-# Share of the pitch by which a dot misses its place, and by which the lattices are bent: without
-# the latter all cells were alike, and a matcher could mistake one for another.
+# Jitter of the dots and bending of the lattices, as a fraction of the pitch. Without the bending
+# all cells would be alike, and a matcher could confuse them.
 LATTICE_JITTER = 0.04
 
 LATTICE_BEND = 0.25
 
-# Least distance of scattered dots, as a share of the mean one. Darts that are thrown until no more
-# fit come to 0.83: this leaves them some freedom.
+# Minimum distance of scattered dots as a fraction of the mean one. Dart throwing until no more fit
+# reaches 0.83; a smaller value keeps the dots irregular.
 SCATTER_DISTANCE = 0.72
 
-# Pixels per spread of a dot below which its image would be jagged.
+# Below this spread of a dot, in pixels, its image would be aliased.
 FINEST_SPREAD_PX = 0.8
 
 
 def two_lattices(density: float, rng: np.random.Generator) -> Array:
-    """Two square lattices, turned against each other, as of a D415's two projectors.
+    """Two square lattices rotated against each other, like those of a D415's two projectors.
 
     Args:
         density: dots per square radian.
@@ -69,7 +68,7 @@ def two_lattices(density: float, rng: np.random.Generator) -> Array:
 
 
 def scattered(density: float, rng: np.random.Generator) -> Array:
-    """Dots at random places that keep a distance; arguments and result as of `two_lattices`."""
+    """Random dots with a minimum distance; arguments and result as of `two_lattices`."""
     count = round(4 * WIDEST**2 * density)
     distance = SCATTER_DISTANCE / np.sqrt(density)
     dots = np.empty((0, 2))
@@ -82,7 +81,7 @@ def scattered(density: float, rng: np.random.Generator) -> Array:
 
 
 def apart(darts: Array, distance: float, count: int) -> Array:
-    """The first `count` of the darts (N, 2), up to WIDEST off, that keep the distance."""
+    """The first `count` of the darts (N, 2), up to WIDEST off axis, that keep the distance."""
     cells = max(1, int(2 * WIDEST / distance))
     kept = _apart(darts, distance, count, cells)
     return darts[kept[kept >= 0]]
@@ -90,8 +89,8 @@ def apart(darts: Array, distance: float, count: int) -> Array:
 
 @compiled
 def _apart(darts, distance, count, cells):  # type: ignore[no-untyped-def]
-    # A cell is at least as wide as the distance, so that neighbours lie in the cells around, and
-    # less than twice as wide, so that it holds at most nine dots.
+    # A cell is at least as wide as the distance, so that neighbours are in the adjacent cells, and
+    # less than twice as wide, so that it contains at most nine dots.
     holds = np.full((cells, cells, 9), -1)
     kept = np.full(count, -1)
     found = 0
@@ -148,7 +147,7 @@ class DotPattern:
         image: (h, w) float32 0..1, relative power per direction; row 0 is up, column 0 left, seen
             along the axis (OpenCV axes).
         fov_x_deg: full angle between its left and right edges.
-        dots: (N, 2) x/z and y/z of the dots, or None where they are not known.
+        dots: (N, 2) x/z and y/z of the dots, or None if unknown.
     """
 
     image: NDArray[np.float32]
@@ -157,18 +156,19 @@ class DotPattern:
 
     @property
     def tan_half(self) -> tuple[float, float]:
-        """Tangents of the half angles, across and down."""
+        """Tangents of the half angles, horizontal and vertical."""
         half = float(np.tan(np.deg2rad(self.fov_x_deg) / 2))
         return half, half * self.image.shape[0] / self.image.shape[1]
 
 
 def make_pattern(spec: SensorSpec, *, seed: int = 0, width: int = 2048) -> DotPattern:
-    """A pattern of the sensor's kind: the number, style and share of light of its dots.
+    """A pattern with the sensor's number, style and lit area of dots.
 
-    The real ones are secret and differ from unit to unit; the same seed gives the same pattern.
+    The patterns of real projectors are not published and differ from unit to unit. The same seed
+    gives the same pattern.
 
     Args:
-        seed: of the places of the dots.
+        seed: of the positions of the dots.
         width: of the image, in pixels.
 
     Raises:
@@ -186,20 +186,20 @@ def make_pattern(spec: SensorSpec, *, seed: int = 0, width: int = 2048) -> DotPa
     dots = dots[(abs(dots) < half).all(axis=1)]
     height = round(width * half[1] / half[0])
     power = rng.uniform(0.75, 1.25, len(dots))
-    # Both halves of the height are scaled like the width, so that pixels are square.
+    # Both half heights are scaled like the width, so that pixels are square.
     at = (dots / half[0] + [1, height / width]) * width / 2 - 0.5
     image = _image_of(at, power, (height, width), projector.lit_share, spec.name)
     return DotPattern(image, projector.fov_deg[0], dots)
 
 
 def load_pattern(path: Path | str, *, fov_x_deg: float) -> DotPattern:
-    """A pattern of one's own from an 8-bit PNG or JPEG, grey or colour (its mean is taken).
+    """Your own pattern from an 8-bit PNG or JPEG, grey or colour (the channel mean is used).
 
     Args:
         fov_x_deg: full angle between the image's left and right edges.
 
     Raises:
-        ToolkitError: unreadable, without light, or an angle that no lens has.
+        ToolkitError: unreadable, black, or an angle out of range.
     """
     if not 1 <= fov_x_deg <= 170:
         raise ToolkitError("must lie in 1..170", field="fov_x_deg", value=fov_x_deg)
@@ -214,11 +214,11 @@ def _tangents(fov_deg: list[float]) -> Array:
 
 
 def _square_radians(half: Array) -> float:
-    """Area of the rectangle of directions up to these tangents, in the measure of `dots`."""
+    """Area of the rectangle of directions up to these tangents, in square radians of `dots`."""
     y, x = np.linspace(-half[1], half[1], 400), np.linspace(-half[0], half[0], 400)
     tangent = np.hypot(x[None], y[:, None])
     angle = np.arctan(tangent)
-    # 400 is even: no sample lies on the axis.
+    # 400 is even: no sample is on the axis.
     density = angle * np.cos(angle) ** 2 / tangent
     return float(np.trapezoid(np.trapezoid(density, x, axis=1), y))
 
@@ -226,7 +226,7 @@ def _square_radians(half: Array) -> float:
 def _image_of(
     at: Array, power: Array, shape: tuple[int, int], lit_share: float, name: str
 ) -> NDArray[np.float32]:
-    """Gaussian dots, of the spread at which so much of the image is brighter than half a peak."""
+    """Gaussian dots with the spread at which `lit_share` of the image exceeds half a peak."""
     points = _points(at, power, shape)
     low, high = 0.2, 20.0
     for _ in range(14):
@@ -244,7 +244,7 @@ def _image_of(
 
 
 def _points(at: Array, power: Array, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """The dots as points of light, each shared by the four pixels around it."""
+    """The dots as points of light, each distributed over the four nearest pixels."""
     points = np.zeros((shape[0] + 2, shape[1] + 2))
     corner = np.floor(at).astype(int)
     rest = at - corner

@@ -1,4 +1,4 @@
-"""Objects dropped on a floor until they lie still."""
+"""Objects dropped on a floor until they come to rest."""
 
 from sensors.physics.convex import convex_parts
 from sensors.physics.graspnet import GraspNetScenes

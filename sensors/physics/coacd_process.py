@@ -1,9 +1,10 @@
-"""CoACD in a process of its own: `python -m sensors.physics.coacd_process IN OUT`.
+"""CoACD in a separate process: `python -m sensors.physics.coacd_process IN OUT`.
 
-It is native code that may abort on a mesh, take minutes or talk to the terminal; none of that
-reaches who called. IN holds `vertices`, `faces`, `preprocess`, `threshold`; OUT gets the corners of
-all parts, one after the other, as `vertices`, and how many each part has as `sizes`. When standard
-input ends before that, the caller died: the process ends, too, and removes the folder of OUT.
+CoACD is native code that may abort on a mesh, run for minutes or print to the terminal; a separate
+process isolates the caller from this. IN contains `vertices`, `faces`, `preprocess`, `threshold`.
+OUT receives the corners of all parts, concatenated, as `vertices`, and the number of corners of
+each part as `sizes`. If standard input closes earlier, the caller died: the process then ends and
+removes the folder of OUT.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-# Fast settings: a bowl takes 2 s of processor time, a mug 4 s; a surface that is not closed, which
-# has to be remeshed first, 8 s at this resolution and 16 s at 30. Looking further ahead for cuts
-# (a depth of 3) took half as long again and gave bowls with more room, not less.
+# Fast settings: a bowl takes 2 s of processor time, a mug 4 s; a surface that is not closed and is
+# remeshed first takes 8 s at this resolution and 16 s at 30. A deeper search for cuts (depth 3)
+# took 50 % longer and gave bowls with more room, not less.
 SETTINGS = {
     "max_convex_hull": 32,
     "preprocess_resolution": 20,
@@ -43,7 +44,7 @@ def main(source: str, target: str) -> None:
 
 
 def _end_with_caller(folder: Path) -> None:
-    # Not through sys.stdin: a thread that waits in it makes Python abort when it ends.
+    # Not through sys.stdin: a thread blocked in it makes Python abort at exit.
     while os.read(0, 1024):
         pass
     shutil.rmtree(folder, ignore_errors=True)
@@ -51,7 +52,7 @@ def _end_with_caller(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    # A file name without this suffix would get it from numpy.
+    # numpy appends this suffix to a file name without it.
     assert Path(sys.argv[2]).suffix == ".npz"
     folder = Path(sys.argv[2]).parent
     threading.Thread(target=_end_with_caller, args=(folder,), daemon=True).start()

@@ -1,7 +1,4 @@
-"""Convex parts of a mesh, computed once and kept on disk.
-
-The convex parts of assets, made once and kept in a folder by the shape's hash.
-"""
+"""Convex parts of a mesh, computed once and cached in a folder by the shape's hash."""
 
 from __future__ import annotations
 
@@ -32,27 +29,27 @@ from std_toolkit.log import logger
 
 Array = NDArray[np.float64]
 
-# Of a body with a bounding-box diagonal of 1: details that cost time and change nothing.
+# Tolerance for a body with a bounding-box diagonal of 1: finer details cost time without effect.
 _SIMPLIFIED = 0.0015
 
-# A body that fills so much of its hull is taken for it.
+# A body that fills at least this fraction of its convex hull is replaced by the hull.
 _CONVEX = 0.98
 
-# One that fills less than this is a vessel or has arms: things lie in it, and its parts may stand
-# out by less. Parts hold the surface either way; how far they stand out costs a gap, no overlap.
+# A body that fills less is a vessel or has arms: objects may be inside it, and its parts may
+# protrude less. The parts contain the surface either way; protrusion causes a gap, no overlap.
 _OPEN = 0.6
 
 _THRESHOLD_OPEN, _THRESHOLD_FULL = 0.08, 0.12
 
 _TIME_LIMIT_S = 300.0
 
-# Flat parts get this thickness: the physics engine needs a volume.
+# Flat parts get this thickness: the physics engine requires a volume.
 _THINNEST = 4e-4
 
-# Points that stand for a surface: about 1 % of its size apart.
+# Sample points of a surface: about 1 % of its size apart.
 _SAMPLES = 20_000
 
-# Changed whenever the same settings give other parts.
+# Increased whenever the same settings give other parts.
 _EDITION = 2
 
 
@@ -62,7 +59,7 @@ class Decomposition:
 
     Attributes:
         parts: corners (N, 3) of each part's hull.
-        lasting: whether trying again would give the same; false after a killed process.
+        lasting: whether a retry would give the same result; false after a killed process.
     """
 
     parts: tuple[Array, ...]
@@ -74,8 +71,8 @@ def decompose(
 ) -> Decomposition:
     """Cut a surface with a bounding-box diagonal of 1 into convex parts (CoACD).
 
-    Every vertex lies in a part, so that nothing of the surface sticks out of what collides. Closed
-    hollows are filled. Where CoACD fails, a warning tells so and the body is its convex hull.
+    Every vertex is inside a part, so that the collision bodies contain the whole surface. Closed
+    cavities are filled. If CoACD fails, a warning is logged and the convex hull is used.
 
     Raises:
         ToolkitError: coacd is not installed.
@@ -114,12 +111,12 @@ def _outer_shells(
         if part.volume() > 0:
             got = part.to_mesh64()
             shells.append((np.array(got.vert_properties[:, :3]), np.array(got.tri_verts, np.int64)))
-    # Already edge-manifold: remeshing, which "auto" does at any self-contact, would blow it up.
+    # Already edge-manifold: remeshing, which "auto" does at any self-contact, would thicken it.
     return (shells, "off") if shells else ([(vertices, faces)], "auto")
 
 
 def _filling(shells: list[tuple[Array, NDArray[np.int64]]], corners: Array) -> float:
-    """Share of the convex hull that the shells fill."""
+    """Fraction of the convex hull that the shells fill."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -163,13 +160,13 @@ def _by_coacd(
 
 
 def _run(source: Path, target: Path, said: Path, time_limit_s: float) -> tuple[int, list[str]]:
-    """Status of the process and the lines that it said."""
-    # The same parts on every machine: one thread, and its own random numbers.
+    """Exit status of the process and its output lines."""
+    # For the same parts on every machine: one thread and a fixed seed.
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
     with said.open("wb") as file:
         process = subprocess.Popen(
             [sys.executable, "-m", "sensors.physics.coacd_process", source, target],
-            # Held open: its end tells the process that its parent died.
+            # Kept open: its end signals to the process that its parent died.
             stdin=subprocess.PIPE,
             stdout=file,
             stderr=file,
@@ -189,7 +186,7 @@ def _run(source: Path, target: Path, said: Path, time_limit_s: float) -> tuple[i
 
 
 def _hull(points: Array) -> Array:
-    """Corners of the convex hull; flat sets of points get a little thickness."""
+    """Corners of the convex hull; flat point sets get a minimum thickness."""
     from scipy.spatial import ConvexHull, QhullError
 
     centred = points - points.mean(axis=0)
@@ -210,10 +207,10 @@ def _box_corners(points: Array) -> Array:
 
 
 def _tightened(parts: list[Array], vertices: Array, faces: NDArray[np.int64]) -> list[Array]:
-    """Parts shrunk to the surface that they hold.
+    """Parts shrunk to the surface that they contain.
 
-    Remeshing thickens a body by about 0.6 % of its size on every side: objects would hover over a
-    millimetre above the floor.
+    Remeshing thickens a body by about 0.6 % of its size on every side: objects would float more
+    than a millimetre above the floor.
     """
     surface = np.concatenate([vertices[np.unique(faces)], _samples(vertices, faces)])
     shrunk = []
@@ -225,7 +222,7 @@ def _tightened(parts: list[Array], vertices: Array, faces: NDArray[np.int64]) ->
 
 
 def _samples(vertices: Array, faces: NDArray[np.int64]) -> Array:
-    """(N, 3) points spread over the surface, the same each time."""
+    """(N, 3) points distributed over the surface, deterministic."""
     corners = vertices[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(cross, axis=1)
@@ -236,7 +233,7 @@ def _samples(vertices: Array, faces: NDArray[np.int64]) -> Array:
 
 
 def _outside(part: Array, points: Array) -> Array:
-    """(N,) how far points are from being inside a convex part, negative within."""
+    """(N,) distance of points outside a convex part, negative inside."""
     from scipy.spatial import ConvexHull
 
     planes = ConvexHull(part).equations
@@ -247,7 +244,7 @@ def _outside(part: Array, points: Array) -> Array:
 
 
 def _holding_all(parts: list[Array], vertices: Array) -> tuple[Array, ...]:
-    """Parts grown by the vertices that lie outside all of them."""
+    """Parts extended by the vertices that are outside all of them."""
     outside = np.full(len(vertices), np.inf)
     nearest = np.zeros(len(vertices), dtype=np.int64)
     for k, part in enumerate(parts):
@@ -265,12 +262,12 @@ def convex_parts(asset: Asset, cache: Path | None = None) -> tuple[Array, ...]:
     """Corners (N, 3) of the asset's convex parts, canonical coordinates.
 
     Args:
-        cache: folder that keeps them over runs; None keeps nothing. Processes may share it: each
-            shape is made by one of them while the others wait for it, a killed one leaves nothing
-            half-written, and a damaged file is made again.
+        cache: folder that caches them across runs; None disables the cache. Processes may share
+            it: one process computes each shape while the others wait for it, a killed one leaves no
+            partial file, and a damaged file is computed again.
 
     Raises:
-        ToolkitError: the folder cannot be written to, or coacd is not installed.
+        ToolkitError: the folder is not writable, or coacd is not installed.
     """
     if cache is None:
         return decompose(asset.vertices, asset.faces).parts
@@ -291,7 +288,7 @@ def convex_parts(asset: Asset, cache: Path | None = None) -> tuple[Array, ...]:
 
 
 def _key(asset: Asset) -> str:
-    """What the parts depend on: the shape, the settings and the decomposer's version."""
+    """Cache key: the shape, the settings and the decomposer's version."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:
@@ -303,7 +300,7 @@ def _key(asset: Asset) -> str:
 
 
 def _read(path: Path) -> tuple[Array, ...] | None:
-    """The parts of a file; None if it is not there or damaged."""
+    """The parts in a file; None if it does not exist or is damaged."""
     try:
         with np.load(path, allow_pickle=False) as data:
             vertices, sizes = data["vertices"], data["sizes"]
@@ -325,7 +322,7 @@ def _read(path: Path) -> tuple[Array, ...] | None:
 
 @contextmanager
 def _lock(cache: Path, key: str) -> Iterator[None]:
-    """Held by one process per shape; dying frees it."""
+    """A lock per shape across processes; released when the process dies."""
     folder = cache / ".locks"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -335,7 +332,7 @@ def _lock(cache: Path, key: str) -> Iterator[None]:
             f"cannot write to the folder of convex parts: {error.strerror}", path=cache
         ) from error
     try:
-        # A file system without locks costs work done twice, nothing else: writes are atomic.
+        # On a file system without locks the only cost is duplicated work: writes are atomic.
         with suppress(OSError):
             fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield

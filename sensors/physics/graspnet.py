@@ -1,12 +1,12 @@
-"""Arrangements of real objects from GraspNet-1Billion: which objects lie where on the table.
+"""Arrangements of real objects from GraspNet-1Billion: object models and their poses on the table.
 
-Layout below the data set's folder, as the authors' own reader and evaluation take it
+Layout below the data set's folder, as the authors' reader and evaluation use it
 (github.com/graspnet/graspnetAPI: utils/xmlhandler.py, utils/utils.py, graspnet_eval.py):
 
 - `models/<object, 3 digits>/textured.obj`, `nontextured.ply`: scanned models in metres.
 - `scenes/scene_<4 digits>/<realsense|kinect>/annotations/<image, 4 digits>.xml`: a list of `obj`
   with `obj_id`, `obj_name`, `obj_path`, `pos_in_world` (x y z, metres) and `ori_in_world`
-  (w x y z). In spite of their names they map the model to the camera of that image.
+  (w x y z). Despite their names they map the model to the camera of that image.
 - `.../camera_poses.npy`: (N, 4, 4), camera of image i to camera of image 0.
 - `.../cam0_wrt_table.npy`: (4, 4), camera of image 0 to the table, whose top is z = 0, z up.
 """
@@ -35,7 +35,7 @@ _MODELS = ("textured.obj", "nontextured.ply")
 
 @dataclass(frozen=True)
 class PlacedModel:
-    """A model where an annotation puts it.
+    """A model at its annotated pose.
 
     Attributes:
         model: object number.
@@ -50,11 +50,11 @@ class GraspNetScenes:
     """Arrangements below a GraspNet-1Billion folder.
 
     Args:
-        root: folder that holds `scenes` and `models`.
-        camera: whose annotations to read, "realsense" or "kinect".
+        root: folder that contains `scenes` and `models`.
+        camera: camera of the annotations, "realsense" or "kinect".
 
     Raises:
-        ToolkitError: no such folder, or another camera.
+        ToolkitError: no such folder, or an unknown camera.
     """
 
     def __init__(self, root: Path, *, camera: str = "realsense") -> None:
@@ -72,10 +72,10 @@ class GraspNetScenes:
         return sorted(int(p.parent.parent.name[-4:]) for p in found)
 
     def placed(self, scene: int, *, image: int = 0) -> list[PlacedModel]:
-        """Where the models of a scene are, as annotated in one of its images.
+        """Poses of the models of a scene, as annotated in one of its images.
 
         Raises:
-            ToolkitError: a file is missing, or holds something else than its format says.
+            ToolkitError: a file is missing or malformed.
         """
         folder = self._root / "scenes" / f"scene_{scene:04d}" / self._camera
         T_world_cam0 = _pose(_array(folder / "cam0_wrt_table.npy"), folder / "cam0_wrt_table.npy")
@@ -104,9 +104,9 @@ class GraspNetScenes:
     def arrangement(
         self, scene: int, *, image: int = 0, cache: Path | None = None
     ) -> tuple[list[PhysicalObject], list[SE3]]:
-        """The objects of a scene and where they lie still: T_world_obj of centred objects.
+        """The objects of a scene and their poses at rest: T_world_obj of centred objects.
 
-        The annotated poses overlap by some millimetres and hover; they are let fall to rest.
+        The annotated poses overlap or float by some millimetres; the objects are dropped to rest.
 
         Args:
             cache: folder of convex parts, see `convex_parts`.

@@ -1,4 +1,4 @@
-"""Rigid bodies on a floor, in MuJoCo: settings that come to rest and keep surfaces apart."""
+"""Rigid bodies on a floor, in MuJoCo: settings that let them come to rest without overlap."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 TIMESTEP_S = 0.002
-# Sliding, torsional and rolling friction. Without the last, bottles roll away and never rest.
+# Sliding, torsional and rolling friction. Without rolling friction, bottles never stop rolling.
 _FRICTION = (0.7, 0.005, 0.003)
 _SOLREF = (0.004, 1.0)
-# Equal masses: stacks of unequal ones converge slowly.
+# Equal masses: stacks of unequal masses converge slowly.
 _MASS_KG = 0.3
 _WALL = "wall"
 
 
 @dataclass(frozen=True, eq=False)
 class PhysicalObject:
-    """An asset at a size, with the convex parts that it collides by.
+    """An asset at a size, with the convex parts used for collision.
 
     Attributes:
         asset: canonical shape.
@@ -52,11 +52,11 @@ class PhysicalObject:
 
 
 class World:
-    """A floor at z = 0, objects, and four walls that keep them from rolling out of sight.
+    """A floor at z = 0, objects, and four walls that confine them.
 
     Args:
         objects: at least one.
-        half_width_m: the walls stand so far from the origin along x and y; None for none.
+        half_width_m: distance of the walls from the origin along x and y; None for no walls.
 
     Raises:
         ToolkitError: MuJoCo is not installed or refuses a part.
@@ -95,33 +95,33 @@ class World:
         return [SE3.from_quat(row[3:], row[:3]) for row in rows]
 
     def run(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advance the simulation by this time."""
         self._mujoco.mj_step(self.model, self.data, round(seconds / TIMESTEP_S))
 
     def push_apart(self) -> None:
-        """Undo overlaps slowly: left alone they would throw the objects about."""
+        """Resolve overlaps slowly; otherwise they would throw the objects apart."""
         for _ in range(100):
             self.run(2 * TIMESTEP_S)
             self.data.qvel[:] = 0
 
     def speed(self) -> float:
-        """Largest speed of any point of any object, bounded from above, m/s."""
+        """Upper bound of the speed of any point of any object, m/s."""
         v = self.data.qvel.reshape(-1, 6)
         spin = np.linalg.norm(v[:, 3:], axis=1) * self._radius
         return float((np.linalg.norm(v[:, :3], axis=1) + spin).max())
 
     def is_finite(self) -> bool:
-        """Whether the simulation did not blow up (MuJoCo resets a state that did)."""
+        """Whether the simulation is still finite (MuJoCo resets a diverged state)."""
         warned = sum(int(w.number) for w in self.data.warning)
         return bool(np.isfinite(self.data.qpos).all()) and warned == 0
 
     def touches_wall(self) -> bool:
-        """Whether an object leans on a wall."""
+        """Whether an object touches a wall."""
         walls = self._walls()
         return any(c.geom1 in walls or c.geom2 in walls for c in self.data.contact)
 
     def remove_walls(self) -> None:
-        """Walls stop nothing any more."""
+        """Disable the collisions with the walls."""
         for k in self._walls():
             self.model.geom_contype[k] = self.model.geom_conaffinity[k] = 0
 
@@ -143,8 +143,8 @@ def objects_on_floor(
     """A floor at z = 0 and free bodies `object0`, `object1`, ..., to which more can be added.
 
     Args:
-        objects: with their parts, which are their geometries in the order given.
-        half_width_m: walls stand so far from the origin along x and y; None for none.
+        objects: with their parts, which become their geometries in the order given.
+        half_width_m: distance of the walls from the origin along x and y; None for no walls.
         masses_kg: of the objects; None makes all equal.
 
     Raises:
@@ -155,7 +155,7 @@ def objects_on_floor(
     spec = mujoco.MjSpec()
     spec.option.timestep = TIMESTEP_S
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    # Soft contacts let what leans on others creep for ever; these two stop that.
+    # With soft contacts, leaning objects creep indefinitely; these two options prevent it.
     spec.option.impratio = 10.0
     spec.option.noslip_iterations = 3
     spec.memory = 2**28
@@ -192,7 +192,7 @@ def objects_on_floor(
 
 
 def motion(before: Sequence[SE3], after: Sequence[SE3], radius: Sequence[float]) -> float:
-    """Largest way of any point of any object between two sets of poses, from above, metres."""
+    """Upper bound of the displacement of any point between two sets of poses, metres."""
     return max(
         float(np.linalg.norm(b.t - a.t)) + r * rotation_angle(a.R.T @ b.R)
         for a, b, r in zip(before, after, radius, strict=True)
@@ -200,7 +200,7 @@ def motion(before: Sequence[SE3], after: Sequence[SE3], radius: Sequence[float])
 
 
 def drift(objects: Sequence[PhysicalObject], poses: Sequence[SE3], seconds: float = 0.5) -> float:
-    """How far objects put down at rest at these poses move in a time, without walls, metres."""
+    """Displacement of objects released at rest at these poses, without walls, metres."""
     world = World(objects)
     world.place(poses)
     world.run(seconds)
@@ -210,12 +210,12 @@ def drift(objects: Sequence[PhysicalObject], poses: Sequence[SE3], seconds: floa
 def settle_from(
     objects: Sequence[PhysicalObject], poses: Sequence[SE3], *, longest_s: float = 3.0
 ) -> list[SE3]:
-    """Poses near given ones in which the objects lie still, such as after a measured arrangement.
+    """Poses near the given ones at which the objects are at rest, e.g. of a measured arrangement.
 
     Args:
         objects: with their parts.
         poses: T_world_obj, z up, the floor at z = 0; small overlaps are pushed apart.
-        longest_s: simulated time to come to rest in.
+        longest_s: limit of the simulated time.
 
     Raises:
         ToolkitError: they do not come to rest in that time.
@@ -228,12 +228,12 @@ def settle_from(
     return world.poses()
 
 
-# At rest: no point faster than this, and over half a second none further than that.
+# At rest: no point is faster than this, and none moves further than this in half a second.
 _REST_SPEED, _REST_DRIFT_M, _REST_S = 0.01, 0.0005, 0.5
 
 
 def come_to_rest(world: World, longest_s: float) -> bool:
-    """Simulate until nothing moved over half a second; False if that takes too long."""
+    """Simulate until no object moves for half a second; False if the time limit is reached."""
     radius = [o.diagonal_m / 2 for o in world.objects]
     passed = 0.0
     while passed < longest_s:

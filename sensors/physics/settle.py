@@ -1,4 +1,4 @@
-"""Objects dropped at random until they lie still."""
+"""Objects dropped at random until they come to rest."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ UPRIGHT = so3_exp([np.pi / 2, 0, 0])
 
 @dataclass(frozen=True, kw_only=True)
 class SettleOptions:
-    """How objects are dropped.
+    """Options of the drop.
 
     Attributes:
-        half_width_m: of the square that they fall on, centred at the origin.
-        tilt: largest turn away from upright at the start about each horizontal axis, radians.
-        longest_s: simulated seconds to come to rest in, per attempt.
-        attempts: drops tried, each from another start, before giving up.
-        deepest_m: overlap of collision bodies at rest that is still taken for a contact.
+        half_width_m: half the side of the square that they fall on, centred at the origin.
+        tilt: largest initial rotation from upright about each horizontal axis, radians.
+        longest_s: limit of the simulated time to come to rest, seconds per attempt.
+        attempts: number of drops, each from another start, before giving up.
+        deepest_m: largest overlap of collision bodies at rest that still counts as a contact.
     """
 
     half_width_m: float = 0.3
@@ -47,12 +47,12 @@ class SettleOptions:
 
 @dataclass(frozen=True)
 class Settled:
-    """Objects that lie still.
+    """Objects at rest.
 
     Attributes:
         poses: T_world_obj of each, metres; z up, the floor at z = 0.
-        attempts: drops that it took.
-        simulated_s: of the last one.
+        attempts: number of drops used.
+        simulated_s: simulated time of the last one.
     """
 
     poses: tuple[SE3, ...]
@@ -63,17 +63,17 @@ class Settled:
 def settle(
     objects: Sequence[PhysicalObject], seed: int, options: SettleOptions | None = None
 ) -> Settled:
-    """Let objects fall on the floor and wait until they lie still.
+    """Drop objects on the floor and wait until they come to rest.
 
-    Invisible walls hold them together while they fall; none leans on one in the end. The same
-    objects and seed give the same poses, bit for bit, on the same machine.
+    Invisible walls confine them while they fall; no object touches one at the end. The same objects
+    and seed give the same poses, bit for bit, on the same machine.
 
     Args:
         objects: scaled, with their convex parts.
-        seed: of starting poses; further attempts follow from it.
+        seed: of the starting poses; later attempts derive from it.
 
     Raises:
-        ToolkitError: no attempt came to rest within the square, as with too many objects for it.
+        ToolkitError: no attempt came to rest within the square, for example with too many objects.
     """
     options = options or SettleOptions()
     world = World(objects, half_width_m=options.half_width_m)
@@ -97,7 +97,7 @@ def settle(
 
 
 def _fall(world: World, options: SettleOptions) -> str | None:
-    """Simulate one attempt; why it is of no use, or None."""
+    """Simulate one attempt; the reason of its failure, or None."""
     if not come_to_rest(world, options.longest_s):
         return "did not come to rest"
     if world.touches_wall():
@@ -115,7 +115,7 @@ def _fall(world: World, options: SettleOptions) -> str | None:
 def _start(
     objects: Sequence[PhysicalObject], rng: np.random.Generator, options: SettleOptions
 ) -> list[SE3]:
-    """Poses above the floor, each so high that its ball touches no other one."""
+    """Poses above the floor, at heights where the bounding spheres do not touch."""
     poses: list[SE3] = []
     placed: list[tuple[Array, float]] = []
     for thing in objects:

@@ -1,9 +1,4 @@
-"""Calibration read from the camera, as OpenCV's models, compared with its specification.
-
-librealsense's intrinsics and extrinsics as the toolkit's.
-
-A camera's own calibration beside the specification of its model.
-"""
+"""Calibration read from the camera, as OpenCV models, compared with its specification."""
 
 from __future__ import annotations
 
@@ -23,12 +18,12 @@ from std_toolkit.scene.model import CameraModel
 
 Array = NDArray[np.float64]
 
-# A lens that OpenCV's model does not describe to this would shift labels.
+# A larger residual of the fit with OpenCV's model would shift labels.
 LARGEST_RESIDUAL_PX = 0.05
 
 _GRID = 33
 
-# Units of one model differ by less: three D435 that were read out lie within 1.5 % in focal
+# Differences between units of one model are smaller: three D435 are within 1.5 % in focal
 # length, 12 px of 1280 in the principal point and 0.3 mm in the baseline.
 _FOCAL = 0.04
 
@@ -45,7 +40,7 @@ def read_calibration(streams: dict[str, Stream]) -> Calibration:
     """Intrinsics of the streams, the pose between depth and colour, and the unit of depth.
 
     Raises:
-        ToolkitError: the device does not tell one of them, or tells what no camera has.
+        ToolkitError: the device does not report one of them, or reports an invalid value.
     """
     models, notes = {}, []
     for name, stream in streams.items():
@@ -53,7 +48,7 @@ def read_calibration(streams: dict[str, Stream]) -> Calibration:
             models[name], note = camera_model(stream.profile.get_intrinsics(), name)
         except RuntimeError as error:
             raise ToolkitError(
-                f"the camera does not tell its intrinsics: {error}", field=name
+                f"the camera does not report its intrinsics: {error}", field=name
             ) from error
         except ToolkitError as error:
             raise ToolkitError(
@@ -78,7 +73,7 @@ def _between(depth: Stream, color: Stream) -> SE3:
         return pose(depth.profile.get_extrinsics_to(color.profile))
     except RuntimeError as error:
         raise ToolkitError(
-            "the place of the colour camera beside depth is not told: depth cannot be aligned",
+            "the pose between colour and depth is not reported: depth cannot be aligned",
             field="extrinsics",
         ) from error
 
@@ -90,7 +85,7 @@ def _unit(sensor: Any) -> float:
         unit = float(f"{sensor.get_option(rs.option.depth_units):.7g}")
         if np.isfinite(unit) and unit > 0:
             return unit
-    raise ToolkitError("the unit of depth is not told", field="depth units")
+    raise ToolkitError("the unit of depth is not reported", field="depth units")
 
 
 def _baseline(streams: dict[str, Stream]) -> float | None:
@@ -100,7 +95,7 @@ def _baseline(streams: dict[str, Stream]) -> float | None:
         try:
             return float(np.linalg.norm(pose(left.profile.get_extrinsics_to(right.profile)).t))
         except RuntimeError:
-            pass  # told as an option below, by some
+            pass  # some cameras report it as an option, read below
     sensor = streams["depth"].sensor
     if sensor.supports(rs.option.stereo_baseline):
         return abs(float(f"{sensor.get_option(rs.option.stereo_baseline):.7g}")) / 1000 or None
@@ -110,12 +105,13 @@ def _baseline(streams: dict[str, Stream]) -> float | None:
 def camera_model(intrinsics: Any, stream: str) -> tuple[CameraModel, str]:
     """Intrinsics of a stream, and a note if its lens model had to be converted.
 
-    librealsense counts pixel centres at whole numbers, as the toolkit does. Its "Brown Conrady" is
-    OpenCV's model; "Modified Brown Conrady" scales before it bends sideways. "Inverse Brown
-    Conrady" (the colour camera of a D455) is documented as leading from distorted to undistorted
-    coordinates, but librealsense projects with it as with the modified model, and deprojects
-    accordingly (since 2.44; pull request 8523); negative k1, which such wide lenses have, is barrel
-    distortion only that way. Here it means what it means there. Both kinds are fitted by OpenCV's.
+    librealsense places pixel centres at integers, as the toolkit does. Its "Brown Conrady" is
+    OpenCV's model; "Modified Brown Conrady" applies the radial scale before the tangential terms.
+    "Inverse Brown Conrady" (the colour camera of a D455) is documented as a map from distorted to
+    undistorted coordinates, but librealsense projects with it as with the modified model, and
+    deprojects accordingly (since 2.44; pull request 8523). Only in this direction is a negative k1,
+    which such wide lenses have, barrel distortion. This function follows librealsense. Both kinds
+    are fitted by OpenCV's model.
 
     Args:
         intrinsics: `rs.intrinsics`.
@@ -125,7 +121,7 @@ def camera_model(intrinsics: Any, stream: str) -> tuple[CameraModel, str]:
         ToolkitError: another lens model with coefficients, or one that cannot be fitted.
     """
     i = intrinsics
-    # Its name differs among versions: "distortion.brown_conrady", "Brown Conrady".
+    # The name of the model differs between versions: "distortion.brown_conrady", "Brown Conrady".
     kind = str(i.model).rsplit(".", 1)[-1].lower().replace(" ", "_")
     coefficients = [float(k) for k in i.coeffs]
     plain = Camera(i.width, i.height, i.fx, i.fy, i.ppx, i.ppy)
@@ -141,7 +137,7 @@ def camera_model(intrinsics: Any, stream: str) -> tuple[CameraModel, str]:
     fitted, residual = _fit(plain, coefficients)
     if residual > LARGEST_RESIDUAL_PX:
         raise ToolkitError(
-            f"the lens cannot be told in OpenCV's model: {residual:.2f} px are left",
+            f"the lens does not fit OpenCV's model: {residual:.2f} px residual",
             field=f"intrinsics of {stream}",
             value=coefficients,
         )
@@ -158,13 +154,13 @@ def pose(extrinsics: Any) -> SE3:
     R = np.array(extrinsics.rotation, dtype=np.float64).reshape(3, 3).T
     if not np.allclose(R @ R.T, np.eye(3), atol=1e-3) or np.linalg.det(R) < 0:
         raise ToolkitError("is not a rotation", field="extrinsics", value=R.ravel())
-    # Stored as float32: 1e-7 from a rotation, which adds up where poses are chained.
+    # Stored as float32: up to 1e-7 from a rotation, an error that accumulates in chained poses.
     U, _, Vt = np.linalg.svd(R)
     return SE3(U @ Vt, np.array(extrinsics.translation, dtype=np.float64))
 
 
 def bend(xy: Array, k: list[float], *, scaled_first: bool) -> Array:
-    """Normalised coordinates (N, 2) through the polynomial of k1 k2 p1 p2 k3."""
+    """Apply the polynomial of k1 k2 p1 p2 k3 to normalised coordinates (N, 2)."""
     x, y = xy[:, 0], xy[:, 1]
     r2 = x * x + y * y
     f = 1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
@@ -179,7 +175,7 @@ def bend(xy: Array, k: list[float], *, scaled_first: bool) -> Array:
 
 
 def _fit(plain: Camera, k: list[float]) -> tuple[Camera, float]:
-    """The camera in OpenCV's model, and the largest distance in pixels that is left."""
+    """The camera in OpenCV's model, and the largest residual in pixels."""
     u = np.linspace(0, plain.width - 1, _GRID)
     v = np.linspace(0, plain.height - 1, _GRID)
     grid = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
@@ -207,7 +203,7 @@ def sensor_of(info: DeviceInfo) -> str | None:
 
 
 def compare(info: DeviceInfo, calibration: Calibration, sensor: str | None) -> list[str]:
-    """What does not fit, one sentence each; empty if all does.
+    """Deviations from the specification, one sentence each; empty if there are none.
 
     Args:
         sensor: name or file of the specification that the user expects, or None for that of the

@@ -8,15 +8,15 @@ from sensors.record.options import CameraSettings
 from sensors.record.realsense import Stream, librealsense
 from std_toolkit.errors import ToolkitError
 
-# Options count exposure in microseconds where they reach this far, else in tenths of milliseconds.
+# Exposure options with a maximum from this value are in microseconds, others in units of 0.1 ms.
 _MICROSECONDS_FROM = 50_000
 
 
 def apply_settings(streams: dict[str, Stream], settings: CameraSettings) -> dict[str, str]:
-    """Set up the camera. The preset comes first: it changes the others.
+    """Apply the settings. The preset comes first because it changes other options.
 
     Returns:
-        What was set, as recording.json tells it.
+        The applied settings, as written to recording.json.
 
     Raises:
         ToolkitError: the camera has no such option, or the value is out of its range.
@@ -47,15 +47,15 @@ def apply_settings(streams: dict[str, Stream], settings: CameraSettings) -> dict
 def lock(
     streams: dict[str, Stream], settings: CameraSettings, exposure_s: float | None
 ) -> dict[str, str]:
-    """Fix what was to be automatic only until recording starts.
+    """Fix the settings that are automatic only until recording starts.
 
     Args:
-        exposure_s: of the last colour image, as its metadata tells. What the exposure option reads
-            while it is automatic is the last value set by hand, so it is of no use here; without
-            metadata the camera keeps what it has when automatic exposure ends.
+        exposure_s: exposure of the last colour image, from its metadata. The exposure option
+            cannot be used: in automatic mode it returns the last manual value. Without metadata
+            the camera keeps the exposure that it has when automatic exposure ends.
 
     Returns:
-        What was fixed.
+        The fixed settings.
     """
     color = streams["color"].sensor
     done = {}

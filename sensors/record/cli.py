@@ -1,4 +1,4 @@
-"""`std-record`: record a scene with a RealSense camera, or from a file that one recorded."""
+"""`std-record`: record a scene with a RealSense camera, or from a librealsense file."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def main(arguments: Sequence[str] | None = None, *, devices: Sequence[Any] | Non
     """Entry point; returns the exit status.
 
     Args:
-        devices: to choose from instead of those that are plugged in, such as a software device.
+        devices: devices to choose from instead of the connected ones, such as a software device.
     """
     token = _DEVICES.set(devices)
     try:
@@ -61,7 +61,7 @@ def _record(options: RecordCommand, scene: Path) -> None:
     warm_up = (30 if options.file is None else 0) if session.warm_up is None else session.warm_up
     name = check_name(session.name or scene.absolute().name, field="--name")
     session = replace(session, name=name, warm_up=max(0, warm_up))
-    # What cannot be written is refused before a camera is touched.
+    # Check the output before a camera is opened.
     if not session.writer.resume:
         if (scene / "scene.json").exists():
             raise ToolkitError(
@@ -203,7 +203,7 @@ PROGRAM = Program(
             run="sensors.record.cli:run",
         ),
     ),
-    on_interrupt="what was finished is in the scene; `--recover` brings back the last frames",
+    on_interrupt="finished frames are in the scene; `--recover` brings back the last frames",
 )
 
 if __name__ == "__main__":

@@ -16,12 +16,12 @@ from sensors.record import calibration, realsense, recording_document, sdk_frame
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
 
-# Single images on their way from librealsense's threads to ours: a second of four streams.
+# Images queued between librealsense's threads and ours: one second of four streams.
 _BACKLOG = 120
-# A camera that sends nothing for this long is unplugged or hung.
+# A camera that sends no image for this long is unplugged or hung.
 SILENCE_S = 5.0
 _POLL_S = 0.05
-# What a file's last images may need from librealsense's threads to here.
+# Time for the last images of a file to arrive from librealsense's threads.
 _SETTLE_S = 0.5
 
 
@@ -30,16 +30,16 @@ class DeviceSource:
 
     Args:
         streams: by name; colour and depth at least.
-        playback: the device plays a file: nothing may be lost, its end is the end.
-        align: let librealsense align depth to colour.
-        stop: asked between images; the iteration ends when it says so.
+        playback: the device plays a file: no image may be dropped, and its end ends the iteration.
+        align: align depth to colour with librealsense.
+        stop: called between images; the iteration ends when it returns True.
 
     Attributes:
         calibration, info, fps: of the device.
-        overrun: images by stream that came while `_BACKLOG` others were waiting, and were given up.
+        overrun: images per stream dropped because `_BACKLOG` others were waiting.
 
     Raises:
-        ToolkitError: a calibration or image format that cannot be used.
+        ToolkitError: unusable calibration or image format.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class DeviceSource:
 
     @property
     def counts(self) -> dict[str, sdk_frames.StreamCount]:
-        """What became of each stream's images so far; `lost` without those of `overrun`."""
+        """Counts of each stream's images so far; `lost` excludes those of `overrun`."""
         return {
             name: replace(count, lost=max(0, count.lost - self.overrun[name]))
             for name, count in self._pairing.counts.items()
@@ -81,7 +81,7 @@ class DeviceSource:
 
     @property
     def given_up(self) -> int:
-        """Sets of images that `overrun` cost at least."""
+        """Minimum number of sets of images lost to `overrun`."""
         return max(self.overrun.values(), default=0)
 
     def __enter__(self) -> DeviceSource:
@@ -91,10 +91,10 @@ class DeviceSource:
         self.close()
 
     def frames(self) -> Iterator[recording_document.CapturedFrame]:
-        """Sets of images as they come.
+        """Sets of images in order of arrival.
 
         Raises:
-            ToolkitError: the device cannot be started, or sends nothing any more.
+            ToolkitError: the device cannot be started, or stops sending.
         """
         try:
             self._start()
@@ -135,11 +135,11 @@ class DeviceSource:
             self._check_length(first, last)
 
     def close(self, *, drop: bool = True) -> None:
-        """Stop the device; what is on its way is thrown away, or put in line."""
+        """Stop the device; discard the images in transit, or queue them."""
         if drop:
             self._closing.set()
         else:
-            self._images.maxsize = 0  # room for what librealsense still holds
+            self._images.maxsize = 0  # room for the images that librealsense still holds
         for sensor in self._running:
             for end in (sensor.stop, sensor.close):
                 with suppress(RuntimeError):  # unplugged, or at the end of the file
@@ -163,7 +163,7 @@ class DeviceSource:
             for sensor, _ in by_sensor:
                 sensor.start(self._take)
             return
-        # A file plays from the start of the first sensor on, so the others' images would pass by.
+        # A file plays once the first sensor starts; images of the other sensors would be missed.
         self._device.pause()
 
         def play() -> None:
@@ -174,7 +174,7 @@ class DeviceSource:
             except RuntimeError as error:
                 self._failed = error
 
-        # Returns when images have been taken off the line, which this very thread does.
+        # Returns once images were taken from the queue, which this thread does.
         self._starter = threading.Thread(target=play, daemon=True)
         self._starter.start()
 
@@ -182,9 +182,9 @@ class DeviceSource:
         """Called by librealsense's threads."""
         name = self._names.get(_key(image.get_profile()))
         if name is None or self._closing.is_set():
-            return  # a software device sends streams that nobody opened
+            return  # a software device also sends streams that are not open
         if self.live:
-            image.keep()  # librealsense's own pool is small, and gives up silently
+            image.keep()  # librealsense's own pool is small and drops images silently
             try:
                 self._images.put_nowait((name, image))
             except queue.Full:
@@ -227,7 +227,7 @@ class DeviceSource:
         played = 0.0 if first is None or last is None else (last - first) / 1000
         if reported_s > played + 1 and played < 0.9 * reported_s:
             logger.warning(
-                "the file tells %.1f s, its images last %.1f s: it may be damaged",
+                "the file declares %.1f s, its images last %.1f s: it may be damaged",
                 reported_s,
                 played,
             )
@@ -259,6 +259,6 @@ def open_file(path: str) -> Any:
         raise ToolkitError(
             f"cannot be read: {error}",
             path=path,
-            hint="it is damaged or was cut short; `rosbag reindex` may mend a .bag",
+            hint="it is damaged or was cut short; `rosbag reindex` may repair a .bag",
         ) from error
     return device

@@ -1,11 +1,8 @@
-"""The files of one recorded frame.
+"""The files of one recorded frame, and a PNG encoder fast enough for a camera.
 
-PNG fast enough for a camera.
-
-Run lengths and Huffman codes after the average filter take a half to a third of the time of the
-usual search for repetitions, and images of sensors, whose noise does not repeat, become 10 to 20 %
-smaller by it. At 1280x720: colour 23 ms instead of 56, depth 16 instead of 26, infrared 8 instead
-of 18 (`perf/record.py`).
+The average filter with run lengths and Huffman codes takes a third to a half of the time of the
+usual match search. Sensor noise does not repeat, so images become 10 to 20 % smaller. At 1280x720:
+colour 23 ms instead of 56, depth 16 instead of 26, infrared 8 instead of 18 (`perf/record.py`).
 """
 
 from __future__ import annotations
@@ -37,7 +34,7 @@ def write_frame(
     """Write a frame's images, each atomically, and return its row for frames.json.
 
     Raises:
-        ToolkitError: the disk is full, or another reason why nothing can be written.
+        ToolkitError: the disk is full, or the files cannot be written for another reason.
     """
     name = frame_name(frame_id)
     color, depth = f"color/{name}.{options.color_format}", f"depth/{name}.png"
@@ -55,7 +52,7 @@ def write_frame(
 
 
 def aligned_units(frame: CapturedFrame, calibration: Calibration) -> Units:
-    """(H, W) depth in the colour camera, in the camera's own unit; 0 = none."""
+    """(H, W) depth aligned to the colour camera, in the camera's own unit; 0 = none."""
     if frame.aligned is not None:
         return frame.aligned
     unit = calibration.depth_unit_m
@@ -66,7 +63,7 @@ def aligned_units(frame: CapturedFrame, calibration: Calibration) -> Units:
         calibration.T_color_depth,
     )
     units = np.rint(metres / np.float32(unit))
-    units[units > _LARGEST_UNITS] = 0  # by the step between the cameras beyond what 16 bits hold
+    units[units > _LARGEST_UNITS] = 0  # the offset between the cameras can exceed 16 bits
     return units.astype(np.uint16)
 
 

@@ -1,9 +1,9 @@
-"""The table of a growing recording's frames, on disk all the while.
+"""The table of frames of a recording in progress, kept on disk.
 
-Writing the whole table for every frame would cost more and more. It is written as often as takes a
-tenth of the time: after every frame at first, every half second after some thousand frames. In
-between a line per finished frame is added to a journal, from which `recovered` completes the table
-after a killed recording.
+Writing the whole table for every frame would become slower and slower. The interval is such that
+writing takes a tenth of the time: every frame at first, every half second after some thousand
+frames. In between, a line per finished frame is appended to a journal; `recovered` completes the
+table from it after a killed recording.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def journal_path(root: Path) -> Path:
 
 
 def recovered(root: Path) -> Scene:
-    """The scene with all frames that a killed recording finished; call it under the scene's lock.
+    """The scene with all frames that a killed recording finished; requires the scene's lock.
 
     Raises:
         ToolkitError: the scene is damaged, or cannot be written.
@@ -58,7 +58,7 @@ def recovered(root: Path) -> Scene:
 def _journal_rows(path: Path) -> list[Frame]:
     rows: dict[int, Frame] = {}
     for line in path.read_bytes().split(b"\n"):
-        # The last line may be torn; nothing else can be.
+        # Only the last line can be incomplete.
         with suppress(msgspec.MsgspecError, ToolkitError):
             row = msgspec.json.decode(line, type=Frame)
             rows[row.id] = row
@@ -66,10 +66,10 @@ def _journal_rows(path: Path) -> list[Frame]:
 
 
 class FrameTable:
-    """Rows come in by `add` from any thread; `close` writes the last state.
+    """Accepts rows by `add` from any thread; `close` writes the final table.
 
     Attributes:
-        error: why the table could not be written, once that happened.
+        error: reason why the table could not be written, if that happened.
     """
 
     def __init__(self, root: Path, rows: list[Frame]) -> None:
@@ -89,7 +89,7 @@ class FrameTable:
         return len(self._rows)
 
     def add(self, row: Frame) -> None:
-        """Enter a frame whose files are in place.
+        """Add a frame whose files are written.
 
         Raises:
             OSError: the journal cannot be written.
@@ -101,7 +101,7 @@ class FrameTable:
             self._wake.notify()
 
     def close(self) -> None:
-        """Write what is not yet written, and end.
+        """Write the remaining rows and stop.
 
         Raises:
             ToolkitError: the table cannot be written; the journal stays.

@@ -1,12 +1,9 @@
-"""What to do better while recording, told from single images and from one to the next.
+"""Hints for the user while recording, from single images and from consecutive ones.
 
-How much a moving camera has seen, told from images alone.
-
-No camera poses are known while recording. What can be told honestly is how much of an image is
-still in a later one: corners are followed from image to image, and those that were in the last view
-that counted and still are, over those that it had, are the overlap with it. When the overlap falls
-below a limit, the present image counts as another view. Views are not compared with all earlier
-ones: a camera that comes back counts again.
+No camera poses are known while recording; overlap is estimated from images alone. Corners are
+tracked from image to image. The overlap is the fraction of the corners of the last counted view
+that are still tracked. When it falls below a limit, the current image counts as a new view. Views
+are not compared with all earlier ones: a camera that returns to a place counts again.
 """
 
 from __future__ import annotations
@@ -20,36 +17,36 @@ from numpy.typing import NDArray
 
 from sensors.record.recording_document import CapturedFrame, Image8
 
-# Images are looked at in this width: a few milliseconds each.
+# Images are analysed at this width: a few milliseconds each.
 WIDTH = 320
 
 _BLACK, _WHITE = 8, 250
 
 _CLIPPED = 0.10
 
-# Sharpness below this share of the running median is blur.
+# Sharpness below this fraction of the running median is blur.
 _BLURRED = 0.5
 
 _REMEMBERED = 60
 
-# Motion during the exposure, in pixels of the full image, that costs features.
+# Motion during the exposure, in pixels of the full image, that loses features.
 _SMEAR_PX = 2.0
 
 _LITTLE_DEPTH = 0.5
 
 Grey = NDArray[np.uint8]
 
-# Structure from motion wants each point in several images: views share about two thirds.
+# Structure from motion needs each point in several images: views overlap by about two thirds.
 _NEW_VIEW = 0.65
 
-# Fewer of the corners than this found again from one look to the next: the images lost touch.
+# With fewer corners than this found again in the next image, tracking is lost.
 _LOST = 0.25
 
 _CORNERS = 200
 
 _FEWEST = 20
 
-# A corner that is not where it was after being followed forth and back is a wrong match.
+# Forward-backward tracking error above which a corner is a wrong match.
 _ROUND_TRIP_PX = 1.0
 
 
@@ -58,13 +55,13 @@ class Hints:
     """Measures of one frame.
 
     Attributes:
-        black, white: share of pixels that are underexposed, and saturated in any channel.
-        sharpness: variance of the Laplacian, over the median of the last frames.
+        black, white: fraction of pixels that are underexposed, and saturated in any channel.
+        sharpness: variance of the Laplacian, relative to the median of the last frames.
         smear_px: motion during the exposure, pixels of the full image; None if either is unknown.
-        depth: share of depth pixels that hold a measurement; None without depth.
-        views: different views so far; see `ViewChange`.
-        overlap: share of the present view that was in the last one that counted.
-        broken: places where the images lost touch with those before.
+        depth: fraction of depth pixels with a measurement; None without depth.
+        views: number of views so far; see `ViewChange`.
+        overlap: overlap with the last counted view.
+        broken: number of times that tracking was lost.
     """
 
     black: float
@@ -89,7 +86,7 @@ class Hints:
 
 
 class HintMaker:
-    """Looks at frames as they come, not necessarily at all of them."""
+    """Analyses frames as they arrive; frames may be skipped."""
 
     def __init__(self, fps: float) -> None:
         self._fps = fps
@@ -98,7 +95,7 @@ class HintMaker:
         self._last_time: float | None = None
 
     def look(self, frame: CapturedFrame) -> Hints:
-        """Measures of a frame, and advice where one of them is bad."""
+        """Measures of a frame, with advice for the bad ones."""
         small = shrunk(frame.color)
         grey = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY)
         black, white = exposure_shares(small)
@@ -142,33 +139,33 @@ class HintMaker:
 
 
 def shrunk(image: Image8) -> Image8:
-    """The image at `WIDTH`; areas are averaged."""
+    """The image at `WIDTH`, resampled by area averaging."""
     height = max(1, round(image.shape[0] * WIDTH / image.shape[1]))
     return np.asarray(cv2.resize(image, (WIDTH, height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def exposure_shares(image: Image8) -> tuple[float, float]:
-    """Shares of pixels with all channels near 0, and with any channel near 255."""
+    """Fractions of pixels with all channels near 0, and with any channel near 255."""
     black = (image.max(axis=2) <= _BLACK).mean()
     white = (image.max(axis=2) >= _WHITE).mean()
     return float(black), float(white)
 
 
 def sharpness(grey: Image8) -> float:
-    """Variance of the Laplacian, of an 8-bit image."""
+    """Variance of the Laplacian of an 8-bit image."""
     return float(np.var(cv2.Laplacian(grey, cv2.CV_32F)))
 
 
 @dataclass(frozen=True)
 class Change:
-    """What an image adds.
+    """Result of tracking one image.
 
     Attributes:
         shift_px: median motion of the corners since the last image, pixels of that image size.
-        overlap: share of the last counted view that is still seen.
+        overlap: fraction of the last counted view that is still visible.
         views: counted so far.
-        lost: the image shares too little with the one before.
-        broken: how often that happened.
+        lost: the overlap with the previous image is too small.
+        broken: number of times that happened.
     """
 
     shift_px: float
@@ -179,7 +176,7 @@ class Change:
 
 
 class ViewChange:
-    """Follows corners from image to image; all images of one size."""
+    """Tracks corners from image to image; all images have one size."""
 
     def __init__(self) -> None:
         self._last: Grey | None = None
@@ -190,10 +187,10 @@ class ViewChange:
         self._broken = 0
 
     def look(self, grey: Grey) -> Change:
-        """Take the next image, (h, w) uint8."""
+        """Process the next image, (h, w) uint8."""
         last, self._last = self._last, grey
         if last is None or len(self._points) < _FEWEST:
-            # Without texture nothing can be followed: no view is counted, no motion told.
+            # Without texture no corner can be tracked: no view is counted and no motion is known.
             self._start(grey)
             return Change(0.0, 1.0, self._views, False, self._broken)
         before = len(self._points)
@@ -221,7 +218,7 @@ class ViewChange:
             self._views += 1
 
     def _fill(self, grey: Grey) -> None:
-        """Corners of what came into view, to follow from here on."""
+        """Add corners in newly visible regions."""
         fresh = _corners(grey, self._points, _CORNERS - len(self._points))
         self._points = np.concatenate([self._points, fresh])
         self._of_view = np.concatenate([self._of_view, np.zeros(len(fresh), dtype=bool)])
@@ -242,7 +239,7 @@ def _corners(grey: Grey, known: NDArray[np.float32], count: int) -> NDArray[np.f
 def _follow(
     last: Grey, grey: Grey, points: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Where the points went, and which of them can be trusted."""
+    """New positions of the points, and which of them are reliable."""
     there, seen, _ = cv2.calcOpticalFlowPyrLK(last, grey, points, np.empty_like(points))
     back, seen_back, _ = cv2.calcOpticalFlowPyrLK(grey, last, there, np.empty_like(points))
     error = np.linalg.norm((back - points)[:, 0], axis=1)

@@ -1,9 +1,4 @@
-"""What the user sees while recording: the status line, the preview picture and its page.
-
-The preview in a browser on this machine.
-
-What the user sees and says in the terminal while recording.
-"""
+"""User interface while recording: the status line, the keys, the preview image and its page."""
 
 from __future__ import annotations
 
@@ -30,7 +25,7 @@ WIDTH = 640
 
 _LINE_PX = 22
 
-# Depth is coloured up to here.
+# Depth at which the colour scale ends.
 _FAR_M = 2.0
 
 _QUALITY = 80
@@ -46,7 +41,7 @@ next();
 </script>
 """
 
-# Where the output is no terminal, one line in so many seconds instead of one that changes.
+# Interval of status lines if the output is not a terminal.
 _PLAIN_EVERY_S = 5.0
 
 
@@ -56,7 +51,7 @@ def preview_picture(
     """(H, W, 3) RGB: colour and depth side by side, hints below.
 
     Args:
-        status: what is going on, such as the number of frames.
+        status: state of the recording, such as the number of frames.
         unit_m: of the frame's depth.
     """
     color = _resized(frame.color, cv2.INTER_AREA)
@@ -78,13 +73,13 @@ def preview_picture(
 
 
 def encoded(picture: Image8) -> bytes:
-    """As JPEG."""
+    """The picture as JPEG."""
     _, data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
     return bytes(data)
 
 
 def write_preview(path: Path, picture: bytes) -> None:
-    """Put the picture into a file that viewers may read at any moment.
+    """Write the picture to a file that viewers may read at any time.
 
     Raises:
         ToolkitError: it cannot be written.
@@ -100,8 +95,8 @@ def _resized(image: Image8, interpolation: int) -> Image8:
 class PreviewPage:
     """Serves the last picture to browsers; use as a context manager.
 
-    It listens on this machine alone: pictures of a laboratory are nobody else's business. From
-    another one, `ssh -L PORT:localhost:PORT` leads here.
+    It listens on localhost only, so that images are not visible to the network. From another
+    machine, use `ssh -L PORT:localhost:PORT`.
 
     Raises:
         ToolkitError: the port is taken.
@@ -130,10 +125,10 @@ class PreviewPage:
                     self.end_headers()
                     self.wfile.write(body)
                 except OSError:
-                    self.close_connection = True  # the browser went away
+                    self.close_connection = True  # the browser closed the connection
 
             def log_message(self, format: str, *args: object) -> None:
-                """Nothing: the status line is the terminal's."""
+                """Log nothing: the terminal shows the status line."""
 
         try:
             self._server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
@@ -169,7 +164,7 @@ class PreviewPage:
 
 
 class StatusLine:
-    """One line that changes in place; in a file or pipe, a line now and then."""
+    """One line updated in place; in a file or pipe, a line at intervals."""
 
     def __init__(self) -> None:
         self._changing = sys.stderr.isatty()
@@ -190,10 +185,10 @@ class StatusLine:
 
 @contextmanager
 def stopped_by_signal() -> Iterator[Callable[[], bool]]:
-    """Gives a question: was the program asked to end?
+    """Yield a function that returns whether the program was asked to stop.
 
-    The first Ctrl-C (or SIGTERM) asks; a second one interrupts at once. Outside the main thread,
-    where signals cannot be taken, the answer is always no.
+    The first Ctrl-C (or SIGTERM) requests the stop; a second one interrupts at once. Outside the
+    main thread, where signals cannot be handled, the function always returns False.
     """
     asked = threading.Event()
     if threading.current_thread() is not threading.main_thread():
@@ -214,7 +209,7 @@ def stopped_by_signal() -> Iterator[Callable[[], bool]]:
 
 
 def enter_pressed() -> Callable[[], bool]:
-    """Gives a question: has Enter been pressed since? End of input counts."""
+    """Return a function that reports whether Enter was pressed since. End of input counts."""
     pressed = threading.Event()
 
     def read() -> None:

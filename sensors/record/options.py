@@ -81,7 +81,7 @@ class FileOptions:
     infrared: bool = False
     """keep both infrared images in reference/"""
     raw_depth: bool = False
-    """keep depth as the camera gave it in reference/"""
+    """keep unaligned depth in reference/"""
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -95,17 +95,17 @@ class FileOptions:
 
 @dataclass(frozen=True)
 class WriterOptions:
-    """How frames are taken in."""
+    """How frames are queued and written."""
 
     files: FileOptions = field(default_factory=FileOptions)
     threads: Count = _THREADS
-    """that align and encode"""
+    """number of threads that align and encode"""
     queue: Count = 48
     """frames that may wait to be written; 6.4 MB each at 1280x720"""
     keep_free_gb: Positive = field(default=1.0, metadata={"option": "keep-free"})
     """recording ends before the disk has fewer gigabytes left"""
     resume: bool = False
-    """add frames to the scene that is there"""
+    """add frames to the existing scene"""
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -117,14 +117,14 @@ class WriterOptions:
 
 @dataclass(frozen=True)
 class SessionOptions:
-    """What is recorded of what comes."""
+    """Which frames are recorded."""
 
     name: str = ""
     """of the scene (that of its folder)"""
     frames: Count | None = None
-    """end after so many"""
+    """stop after this number of frames"""
     seconds: Positive | None = None
-    """end after so long"""
+    """stop after this time"""
     every: Count = 1
     """keep each n-th set of images"""
     warm_up: int | None = None
@@ -153,15 +153,15 @@ class RecordCommand:
     recover: bool = False
     """only restore all finished frames of a recording that was killed"""
     list: bool = False
-    """show connected cameras and end"""
+    """show connected cameras and exit"""
     json: bool = False
     """with --list: print JSON"""
     serial: str | None = None
     """of the camera, if several are connected"""
     align: Literal["toolkit", "librealsense"] = "toolkit"
-    """who aligns depth to the colour image"""
+    """software that aligns depth to the colour image"""
     preview: Path | None = None
-    """JPEG file that is replaced all the while"""
+    """JPEG file that is replaced continuously"""
     web: int | None = None
     """port of a preview page for a browser on this machine"""
     wait: bool = False

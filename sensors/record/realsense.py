@@ -1,7 +1,4 @@
-"""librealsense: connected cameras, their information, and their streams.
-
-Which of a camera's streams are recorded.
-"""
+"""librealsense: connected cameras, their information, and the streams to record."""
 
 from __future__ import annotations
 
@@ -20,7 +17,7 @@ def librealsense() -> Any:
     """The module pyrealsense2.
 
     Raises:
-        ToolkitError: it is not installed, or does not load.
+        ToolkitError: it is not installed, or cannot be loaded.
     """
     try:
         import pyrealsense2
@@ -28,7 +25,7 @@ def librealsense() -> Any:
         raise ToolkitError(
             f"librealsense is not there: {error}", hint="pip install 'std-toolkit[realsense]'"
         ) from error
-    # A folder left behind by a removed package imports as an empty one.
+    # The remaining folder of a removed package imports as an empty module.
     if not hasattr(pyrealsense2, "context"):
         raise ToolkitError(
             "librealsense is not there: pyrealsense2 is empty",
@@ -38,7 +35,7 @@ def librealsense() -> Any:
 
 
 def connected() -> list[Any]:
-    """Devices that are plugged in."""
+    """Connected devices."""
     rs = librealsense()
     try:
         return list(rs.context().query_devices())
@@ -47,7 +44,7 @@ def connected() -> list[Any]:
 
 
 def device_info(device: Any) -> DeviceInfo:
-    """What a device says about itself."""
+    """Information reported by a device."""
     rs = librealsense()
 
     def described(key: str) -> str:
@@ -64,10 +61,10 @@ def device_info(device: Any) -> DeviceInfo:
 
 
 def choose(devices: Sequence[Any], serial: str | None) -> Any:
-    """The camera of this serial number, or the only one.
+    """The camera with this serial number, or the only one.
 
     Raises:
-        ToolkitError: none is connected, none has the number, or there are several to choose from.
+        ToolkitError: none is connected, none has the number, or several are connected.
     """
     infos = [device_info(d) for d in devices]
     described = ", ".join(f"{i.serial} ({i.name})" for i in infos)
@@ -105,7 +102,7 @@ def requested_streams(device: Any, request: StreamRequest) -> dict[str, Stream]:
     """The streams of a connected camera, by the toolkit's names.
 
     Raises:
-        ToolkitError: the camera does not offer one of them; the message lists what it offers.
+        ToolkitError: the camera does not offer one of them; the message lists the available ones.
     """
     rs = librealsense()
     wanted = {
@@ -137,10 +134,10 @@ def requested_streams(device: Any, request: StreamRequest) -> dict[str, Stream]:
 
 
 def recorded_streams(device: Any, path: str, *, infrared: bool) -> dict[str, Stream]:
-    """The streams that a file holds, by the toolkit's names.
+    """The streams in a file, by the toolkit's names.
 
     Raises:
-        ToolkitError: it lacks colour or depth, or what was asked for.
+        ToolkitError: colour, depth or a requested stream is missing.
     """
     rs = librealsense()
     kinds = {

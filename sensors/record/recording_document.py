@@ -1,7 +1,4 @@
-"""What a recording consists of: captured frames, the device, and its document.
-
-What comes from a camera: its calibration, and sets of images taken at one time.
-"""
+"""Contents of a recording: captured frames, the device and its calibration, recording.json."""
 
 from __future__ import annotations
 
@@ -34,7 +31,7 @@ Units = NDArray[np.uint16]
 
 
 class Device(Document, frozen=True, kw_only=True):
-    """What the device says about itself; empty where it says nothing."""
+    """Information reported by the device; empty if it reports none."""
 
     name: str = ""
     serial: str = ""
@@ -50,10 +47,10 @@ class Session(Document, frozen=True, kw_only=True):
         version: of the toolkit.
         source: "camera", or the name of the file that was read.
         first_frame: id.
-        ended: false while it records, and for ever if it was killed.
-        frames: written.
-        seconds: from the first to the last frame, by their times.
-        dropped: sets of images that the writer could not take in time.
+        ended: false while recording, and permanently if it was killed.
+        frames: number written.
+        seconds: time between the first and the last frame.
+        dropped: sets of images dropped because the writer was too slow.
         lost: images that the camera counted but that never arrived, by stream.
         single: images without a partner in the other streams, by stream.
         settings: of the camera, as they were set.
@@ -75,13 +72,13 @@ class RecordingDocument(Document, frozen=True, kw_only=True):
     """recording.json.
 
     Attributes:
-        color, depth, infrared: intrinsics of the streams; infrared only where it is kept.
+        color, depth, infrared: intrinsics of the streams; infrared only if it is kept.
         T_color_depth: depth's frame, the left infrared camera's, into the colour camera's.
         depth_unit_m: metres per unit of the camera's depth image.
         baseline_m: from the left infrared camera to the right one, or null.
-        aligned_by: who brought depth to the colour image.
+        aligned_by: software that aligned depth to colour.
         kept: kinds of maps in `reference/`: infrared_left, infrared_right, depth_raw.
-        notes: what had to be converted, and where the camera does not fit its specification.
+        notes: conversions, and deviations of the camera from its specification.
     """
 
     format: Literal["std-recording"] = "std-recording"
@@ -117,7 +114,7 @@ def recording_path(scene: Path) -> Path:
 
 
 def read_recording(scene: Path) -> RecordingDocument:
-    """What is known of a recorded scene's camera.
+    """The camera data of a recorded scene.
 
     Raises:
         ToolkitError: the scene was not recorded by std-record, or the document is damaged.
@@ -141,7 +138,7 @@ def device_document(info: DeviceInfo) -> Device:
 
 @dataclass(frozen=True)
 class DeviceInfo:
-    """Who made the images; empty where the device does not tell."""
+    """Identity of the device; empty fields if it reports none."""
 
     name: str = ""
     serial: str = ""
@@ -152,15 +149,15 @@ class DeviceInfo:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What the camera knows about itself.
+    """Calibration stored in the camera.
 
     Attributes:
         color, depth: intrinsics of the two streams as they are recorded.
         T_color_depth: depth's frame (the left infrared camera's) into the colour camera's.
         depth_unit_m: metres per unit of the depth image.
         baseline_m: from the left infrared camera to the right one, or None.
-        infrared: intrinsics of the infrared streams, or None where they are not recorded.
-        notes: what had to be converted, for people.
+        infrared: intrinsics of the infrared streams, or None if they are not recorded.
+        notes: conversions, as text for the user.
     """
 
     color: CameraModel
@@ -179,10 +176,10 @@ class CapturedFrame:
     Attributes:
         color: (H, W, 3) RGB.
         depth: (h, w) units, 0 = none, in the depth camera.
-        aligned: (H, W) units in the colour camera, where the camera's software aligned it.
-        infrared: left and right (h, w), as far as they are recorded.
+        aligned: (H, W) units in the colour camera, if the camera's software aligned it.
+        infrared: left and right (h, w), if recorded.
         timestamp: of colour, seconds.
-        exposure_s: of colour, or None if the camera does not tell.
+        exposure_s: of colour, or None if the camera does not report it.
     """
 
     color: Image8

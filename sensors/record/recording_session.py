@@ -18,22 +18,22 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
 from std_toolkit.scene.model import SceneInfo
 
-# Frames are looked at for hints this often, by their own clock; recording itself comes first.
+# Interval of the hints by the frames' clock; recording itself has priority.
 _LOOK_S = 0.12
 _BUSY = 0.5
 
 
 @dataclass
 class Progress:
-    """Where a recording is; given to the watcher with every frame.
+    """State of a recording, passed to the watcher with every frame.
 
     Attributes:
-        written: frames taken by the writer.
-        seconds: from the first one to the last, by their times.
-        dropped: sets of images that the writer, or the line to it, had no room for.
-        lost: images that the camera counted but that never came, of the worst stream.
+        written: frames accepted by the writer.
+        seconds: time between the first and the last frame.
+        dropped: sets of images for which the writer or its queue had no room.
+        lost: images that the camera counted but that never arrived, of the worst stream.
         hints: the last ones, or None before the first.
-        recording: false while exposure settles, and while the user frames the picture.
+        recording: false while exposure settles and before the user starts the recording.
     """
 
     written: int = 0
@@ -65,18 +65,18 @@ def record(
     on_start: Callable[[recording_document.CapturedFrame], dict[str, str]] = lambda _: {},
     watch: Watcher = lambda _frame, _progress: None,
 ) -> recording_document.Session:
-    """Record `out` from a source until it ends, or enough was recorded.
+    """Record to `out` until the source ends or a limit is reached.
 
     Args:
         aligned_by: "toolkit" or "librealsense".
         origin: "camera", or the name of the file.
         settings: of the camera, for recording.json.
-        started: asked while nothing is recorded yet: may it begin?
-        on_start: called with the last image before recording; what it set is added to `settings`.
-        watch: is shown every frame that is looked at.
+        started: called while nothing is recorded yet; returns whether to begin.
+        on_start: called with the last image before recording; the result is added to `settings`.
+        watch: called with every analysed frame.
 
     Raises:
-        ToolkitError: the source or the writer fails. The scene holds what was finished by then.
+        ToolkitError: the source or the writer fails. The scene keeps the frames finished so far.
     """
     document = _document(out, source, options, aligned_by, origin, settings)
     info = SceneInfo(
@@ -134,7 +134,7 @@ def record(
 
 
 class _Clock:
-    """Times of the first and the last frame that was taken."""
+    """Times of the first and the last accepted frame."""
 
     def __init__(self) -> None:
         self._first: float | None = None
@@ -150,7 +150,7 @@ class _Clock:
 
 
 class _Observation:
-    """Looks at some of the frames."""
+    """Analyses some of the frames."""
 
     def __init__(self, hints: HintMaker, watch: Watcher) -> None:
         self._hints = hints

@@ -1,4 +1,4 @@
-"""A scene on disk that grows while it is recorded."""
+"""A scene on disk that is complete at any time while it is recorded."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ _CHECK_DISK_EVERY = 15
 
 
 class SceneWriter:
-    """Takes frames and writes them as they come; use as a context manager.
+    """Accepts frames and writes them as they arrive; use as a context manager.
 
-    The scene appears with its first frame. From then on it is whole at any moment, with the frames
-    that are finished.
+    The scene appears with its first frame. From then on it is valid at any time and contains the
+    finished frames.
 
     Args:
         out: of the scene.
         info: of the scene.
-        document: recording.json; for a scene to go on with, the new sessions are joined to its own.
-        drop: give up a frame if too many are waiting; else wait.
+        document: recording.json; when a scene is resumed, the new sessions are appended to its own.
+        drop: drop a frame if too many are waiting; otherwise wait.
 
     Attributes:
-        dropped: frames that were given up.
-        taken: frames that are written or wait for it.
+        dropped: number of dropped frames.
+        taken: frames that are written or waiting.
 
     Raises:
-        ToolkitError: something is at `out`, or, to resume, no such scene or another camera.
+        ToolkitError: `out` exists, or, to resume, no such scene or another camera.
     """
 
     def __init__(
@@ -68,14 +68,14 @@ class SceneWriter:
 
     def __enter__(self) -> SceneWriter:
         check_free(self.out, self._options.keep_free_bytes)
-        # Compiled code is made or loaded now and not when the first frames are waiting.
+        # Compile or load the code now, not when the first frames are waiting.
         _warm_up(self._calibration)
         if not self._options.resume:
             check_vacant(self.out)
             return self
         if not (self.out / "scene.json").is_file():
             raise ToolkitError(
-                "there is no scene to go on with", path=self.out, hint="leave out --resume"
+                "there is no scene to resume", path=self.out, hint="leave out --resume"
             )
         self._held.enter_context(scene_lock(self.out))
         try:
@@ -89,21 +89,21 @@ class SceneWriter:
         return self
 
     def __exit__(self, *_: object) -> None:
-        # Whatever ended the recording, what was taken is written.
+        # Accepted frames are written however the recording ended.
         self.close()
 
     @property
     def first_frame(self) -> int:
-        """Id that the first frame gets, or got."""
+        """Id of the first frame."""
         return self._next - self.taken
 
     @property
     def waiting(self) -> float:
-        """How full the queue is, from 0 to 1."""
+        """Fill level of the queue, from 0 to 1."""
         return self._queue.qsize() / self._options.queue
 
     def offer(self, frame: recording_document.CapturedFrame) -> bool:
-        """Take a frame; False if it was dropped because the writer is behind.
+        """Accept a frame; False if it was dropped because the writer is too slow.
 
         Raises:
             ToolkitError: writing failed, or the disk is nearly full.
@@ -129,13 +129,13 @@ class SceneWriter:
     def close(
         self, finished: Callable[[], recording_document.RecordingDocument] | None = None
     ) -> None:
-        """Write what was taken, then recording.json as it is now.
+        """Write the accepted frames, then the current recording.json.
 
         Args:
-            finished: gives the document with the counts of this session.
+            finished: returns the document with the counts of this session.
 
         Raises:
-            ToolkitError: something could not be written. What was finished before stays.
+            ToolkitError: a file could not be written. Frames finished before are kept.
         """
         table, self._table = self._table, None
         if table is None:
@@ -162,7 +162,7 @@ class SceneWriter:
                 return
 
     def _create(self, frame: recording_document.CapturedFrame) -> None:
-        """Make the scene with its first frame: all of it at once."""
+        """Create the scene with its first frame, atomically."""
         with new_folder(self.out) as staging:
             row = frame_files.write_frame(
                 staging, self._next, frame, self._calibration, self._options.files
@@ -188,7 +188,7 @@ class SceneWriter:
     def _work(self, table: frame_table.FrameTable) -> None:
         while (item := self._queue.get()) is not None:
             if self._error is not None:
-                continue  # the queue is emptied, for those who wait for room in it
+                continue  # empty the queue, so that no caller waits for room
             try:
                 table.add(
                     frame_files.write_frame(self.out, *item, self._calibration, self._options.files)
@@ -210,7 +210,7 @@ class SceneWriter:
 
 
 def check_free(out: Path, keep_bytes: int) -> None:
-    """Refuse to go on with too little room on the disk.
+    """Raise if the disk has too little free space.
 
     Raises:
         ToolkitError: less than `keep_bytes` are free.
@@ -226,7 +226,7 @@ def check_free(out: Path, keep_bytes: int) -> None:
 
 
 def check_same_camera(there: SceneInfo, new: SceneInfo, out: Path) -> None:
-    """Refuse to go on with another camera or image size: a frame's intrinsics are its scene's.
+    """Raise if camera or image size differ: a frame's intrinsics are those of its scene.
 
     Raises:
         ToolkitError: intrinsics or the unit of depth differ.

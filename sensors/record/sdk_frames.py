@@ -1,9 +1,4 @@
-"""Frames of librealsense as ours: pixel formats, pairs by time, alignment by the SDK.
-
-Depth aligned to colour by librealsense itself.
-
-Images of several streams, put together by the time they were taken.
-"""
+"""Frames of librealsense: pixel formats, pairing by time, and alignment by the SDK."""
 
 from __future__ import annotations
 
@@ -19,7 +14,7 @@ from sensors.record.realsense import librealsense
 from sensors.record.recording_document import Image8, Units
 from std_toolkit.errors import ToolkitError
 
-# Most colour streams of the field, and what makes RGB of them.
+# The pixel formats of most colour streams, and their conversion to RGB.
 _TO_RGB = {
     "rgb8": None,
     "bgr8": cv2.COLOR_BGR2RGB,
@@ -29,15 +24,15 @@ _TO_RGB = {
     "uyvy": cv2.COLOR_YUV2RGB_UYVY,
 }
 
-# The camera's mark for "no measurement" is 0; this value is what saturates.
+# 0 is the camera's value for "no measurement"; this value is saturated.
 _SATURATED = 65535
 
 
 def check_formats(profiles: dict[str, Any]) -> None:
-    """Refuse what `color_image` and the others cannot read, before the first image.
+    """Check the image formats before the first image.
 
     Raises:
-        ToolkitError: an image format that is not known.
+        ToolkitError: an unknown image format.
     """
     for name, profile in profiles.items():
         form = _format(profile)
@@ -76,7 +71,7 @@ def grey_image(frame: Any) -> Image8:
 
 
 def exposure(frame: Any) -> float | None:
-    """Seconds that the image was exposed, or None."""
+    """Exposure time in seconds, or None."""
     kind = librealsense().frame_metadata_value.actual_exposure
     if not frame.supports_frame_metadata(kind):
         return None
@@ -90,7 +85,7 @@ def _format(profile: Any) -> str:
 class SdkAligner:
     """`rs.align` on images that were paired here.
 
-    It takes nothing but a set of frames, which only a processing block can put together.
+    It accepts only frame sets, which only a processing block can create.
     """
 
     def __init__(self) -> None:
@@ -106,7 +101,7 @@ class SdkAligner:
         self._align = rs.align(rs.stream.color)
 
     def __call__(self, depth: Any, color: Any) -> Units:
-        """(H, W) units; librealsense keeps the depth camera's own z."""
+        """(H, W) units; librealsense keeps the z of the depth camera."""
         self._pair = [depth, color]
         self._block.invoke(depth)
         joined = self._sets.wait_for_frame(5000).as_frameset()
@@ -116,12 +111,12 @@ class SdkAligner:
 
 @dataclass
 class StreamCount:
-    """What became of a stream's images.
+    """Counts of a stream's images.
 
     Attributes:
         arrived: images.
-        lost: numbers that the camera counted but never came: lost before they reached us.
-        single: images that had no partner in the other streams.
+        lost: frame numbers that the camera counted but that never arrived.
+        single: images without a partner in the other streams.
     """
 
     arrived: int = 0
@@ -131,14 +126,15 @@ class StreamCount:
 
 @dataclass
 class Pairing:
-    """Sets of images, one of each stream, whose times lie within half a frame of each other.
+    """Sets of images, one of each stream, whose times differ by at most half a frame period.
 
-    The first stream leads: every image of it gets the nearest one of each other stream. Whether one
-    is the nearest is known when a later one has come, or when none is nearer than what came already
-    at the same time; so images of one trigger leave at once.
+    The first stream leads: each of its images is paired with the nearest one of every other stream.
+    An image is taken as the nearest when a later one has arrived, or when it is at most a quarter
+    of a period earlier than the leader. Images of one trigger are therefore emitted at once.
 
     Args:
         streams: names; the first leads.
+        period_ms: frame period.
         period_ms: from frame to frame.
     """
 
@@ -152,7 +148,7 @@ class Pairing:
         self._last: dict[str, tuple[int, float]] = {}
 
     def add(self, stream: str, number: int, time_ms: float, image: Any) -> Iterator[dict[str, Any]]:
-        """Take an image; yields the sets that it completes, by stream name.
+        """Add an image; yields the sets that it completes, by stream name.
 
         Args:
             number: the camera's frame number, for counting losses.
@@ -162,10 +158,10 @@ class Pairing:
         count.arrived += 1
         if stream in self._last:
             number_before, time_before = self._last[stream]
-            if time_ms <= time_before:  # twice the same, or out of order
+            if time_ms <= time_before:  # duplicate or out of order
                 count.single += 1
                 return
-            # A counter that starts anew, after a reset, is no loss.
+            # A counter that restarts after a reset is not a loss.
             if number > number_before + 1:
                 count.lost += number - number_before - 1
         self._last[stream] = (number, time_ms)
@@ -179,7 +175,7 @@ class Pairing:
             found: dict[str, Any] = {leader: image}
             for name in others:
                 waiting = self._waiting[name]
-                # Those that are nearer to no later leader than to this one, but too old for it.
+                # The next image is at least as near to this leader: the first has no partner.
                 while len(waiting) > 1 and abs(waiting[1][0] - time_ms) <= abs(
                     waiting[0][0] - time_ms
                 ):
@@ -191,11 +187,11 @@ class Pairing:
                 if not waiting:
                     if self._is_past(name, time_ms):
                         break
-                    return  # its image is still on the way
+                    return  # its image has not arrived yet
                 if waiting[0][0] > time_ms + self.period_ms / 2:
                     break
                 if len(waiting) == 1 and waiting[0][0] < time_ms - self.period_ms / 4:
-                    return  # a nearer one may come
+                    return  # a nearer one may arrive
                 found[name] = waiting[0][1]
             self._waiting[leader].popleft()
             if len(found) < len(self.streams):
@@ -206,11 +202,11 @@ class Pairing:
             yield found
 
     def _is_past(self, name: str, time_ms: float) -> bool:
-        """A stream that has gone on cannot bring an image for this time any more."""
+        """Whether a stream has passed this time, so that no image for it can arrive any more."""
         return name in self._last and self._last[name][1] >= time_ms + self.period_ms / 2
 
     def finish(self) -> Iterator[dict[str, Any]]:
-        """Sets that were waiting for something nearer; nothing comes any more."""
+        """Sets that were waiting for a nearer image; no more images arrive."""
         leader, others = self.streams[0], self.streams[1:]
         for time_ms, image in self._waiting[leader]:
             found = {leader: image}

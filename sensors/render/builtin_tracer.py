@@ -1,8 +1,8 @@
-"""Path tracing by Mitsuba's own integrator: for the variant without a compiler.
+"""Path tracing with Mitsuba's own integrator, for the variant without a compiler.
 
-Slower than `path_tracer`, with the same physics and pixel centres; each is the other's check.
-Of the options it leaves `diffuse_bounces` aside: its paths end by `max_depth` alone.
-Imported only after a variant has been set.
+Slower than `path_tracer`, with the same physics and pixel centres; tests compare the two. It
+ignores the option `diffuse_bounces`: its paths end by `max_depth` alone.
+Import only after a variant has been set.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class BuiltinTracer:
                     sensor=sensor,
                     integrator=integrator,
                     spp=chunk,
-                    seed=(seed * count + i) % 2**32,  # it takes 32 bits
+                    seed=(seed * count + i) % 2**32,  # Mitsuba accepts 32 bits
                 )
             )
             for i in range(count)
@@ -85,7 +85,7 @@ def _projector(projector: Projector, weight: float) -> dict[str, Any]:
     tan_x, tan_y = projector.tan_half
     x = ((np.arange(w) + 0.5) / w * 2 - 1) * tan_x
     y = ((np.arange(h) + 0.5) / h * 2 - 1) * tan_y
-    # Mitsuba wants irradiance on the plane at distance 1, we have it on facing surfaces.
+    # Mitsuba expects irradiance on the plane at distance 1; ours is on facing surfaces.
     cosine = 1 / np.sqrt(1 + x[None] ** 2 + y[:, None] ** 2)
     image = np.asarray(projector.image * cosine**3, np.float32)
     return {
@@ -97,7 +97,7 @@ def _projector(projector: Projector, weight: float) -> dict[str, Any]:
             "filter_type": "bilinear",
             "wrap_mode": "clamp",
         },
-        "scale": projector.power / np.pi,  # its unit makes a white surface as bright as itself
+        "scale": projector.power / np.pi,  # unit: radiance of a white surface
         "fov": projector.fov_x_deg,
         "to_world": _to_world(projector.T_world_projector),
         "sampling_weight": weight,
@@ -105,7 +105,7 @@ def _projector(projector: Projector, weight: float) -> dict[str, Any]:
 
 
 def _sensor(camera: Camera, T_world_cam: SE3, samples: int) -> Any:
-    """A perspective sensor; Mitsuba has one focal length and shifts the principal point."""
+    """A perspective sensor; Mitsuba has one focal length and a principal point offset."""
     width, height = camera.width, camera.height
     film = {
         "type": "hdrfilm",

@@ -1,9 +1,8 @@
 """From rendered colour to the 8-bit image of a camera: denoising, exposure, tone curve, noise.
 
-Open Image Denoise on as many threads as a worker may use.
-
-Left alone it takes every core and pins its threads to the first ones: several workers on one
-machine would then share those. The image does not depend on the number of threads.
+Open Image Denoise runs on a limited number of threads: by default it uses every core and pins its
+threads to the first ones, which several workers on one machine would then share. The image does not
+depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -24,27 +23,27 @@ MIDDLE_GREY = 0.2
 Image = NDArray[np.float32]
 
 
-"""Linear value that the mean of the logarithm of the image is exposed to."""
+"""Linear value to which the exposure maps the log-mean of the image."""
 
 BRIGHTEST, BRIGHT_SHARE = 0.8, 0.03
 
 
-"""Linear value that all but this share of the image stays below."""
+"""Linear value that all but this fraction of the image stays below."""
 
 NOISE = 0.006
 
 
-"""Deviation of the camera's own noise, as a share of full scale."""
+"""Standard deviation of the camera noise as a fraction of full scale."""
 
 
 def denoise(light: ColorLight, *, threads: int | None = None) -> NDArray[np.float32]:
-    """(H, W, 3) radiance without the renderer's noise, by Open Image Denoise where it is there.
+    """(H, W, 3) radiance without the renderer's noise, by Open Image Denoise if installed.
 
-    Without it (package pyoidn) the light comes back as it is, and a warning says so once.
+    Without it (package pyoidn) the radiance is returned unchanged, with one warning.
 
     Args:
         light: as rendered.
-        threads: None takes all cores.
+        threads: None uses all cores.
 
     Raises:
         ToolkitError: the denoiser fails.
@@ -67,7 +66,7 @@ def develop(
 
     Args:
         radiance: (H, W, 3).
-        rng: of the camera's noise; None adds none.
+        rng: generator of the camera noise; None adds none.
         exposure: factor on the radiance; None exposes for middle grey.
 
     Returns:
@@ -87,14 +86,14 @@ def develop(
 
 
 class Denoiser:
-    """A device of the denoiser.
+    """A device of Open Image Denoise.
 
     Args:
         oidn: the module pyoidn.
-        threads: None takes all cores.
+        threads: None uses all cores.
 
     Raises:
-        ToolkitError: the device cannot be made.
+        ToolkitError: the device cannot be created.
     """
 
     def __init__(self, oidn: Any, threads: int | None) -> None:
@@ -119,7 +118,7 @@ class Denoiser:
         oidn = self._oidn
         clean = np.empty(color.shape, np.float32)
         images = {"color": color, "albedo": albedo, "normal": normal, "output": clean}
-        # Held until the filter is done: it reads and writes them in place.
+        # Referenced until the filter is done: it reads and writes the arrays in place.
         held = {k: np.ascontiguousarray(v, np.float32) for k, v in images.items() if v is not None}
         with oidn.Filter(self._device) as work:
             for name, image in held.items():
@@ -138,7 +137,7 @@ class Denoiser:
 
 @lru_cache(maxsize=4)
 def denoiser(threads: int | None) -> Denoiser | None:
-    """The process's denoiser of so many threads; None, with a warning, without the package."""
+    """The denoiser of this process with this many threads; None and a warning if not installed."""
     try:
         import pyoidn
     except (ImportError, OSError) as error:

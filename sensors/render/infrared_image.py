@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 BLUR_SHARE = 0.5 / 640
-"""Spread of the lens's blur as a share of the image's width.
+"""Spread of the lens blur as a fraction of the image width.
 
-Of blurs from 0 to 0.8 px on 640 the best fit to real dots (their contrast, the quantiles and the
-autocorrelation of their brightness) was 0.4 to 0.7 px, by the size of the dots themselves.
+Of blurs from 0 to 0.8 px at a width of 640, 0.4 to 0.7 px fitted real dots best (their contrast,
+and the quantiles and autocorrelation of their brightness), depending on the size of the dots.
 """
 _FULL = 255.0
 
@@ -25,15 +25,15 @@ class InfraredResponse:
     """An imager's response.
 
     Attributes:
-        target: mean grey value of both images, to which the camera's own control exposes ("mean
-            intensity set point" in librealsense); the real pair has 54. What is brighter than
-            white counts as white: bright things on a dark ground saturate.
-        blur_px: spread of the lens's blur; None: `BLUR_SHARE` of the width. A part of an image
-            needs the blur of the whole.
-        electrons_per_grey: electrons in one step of the 8-bit scale: sets the shot noise. On
+        target: mean grey value of both images, to which the camera's auto-exposure converges
+            ("mean intensity set point" in librealsense); the real pair has 54. Values above white
+            count as white: bright objects on a dark ground saturate.
+        blur_px: spread of the lens blur; None: `BLUR_SHARE` of the width. A crop of an image
+            needs the blur of the whole image.
+        electrons_per_grey: electrons per step of the 8-bit scale, which sets the shot noise. On
             smooth patches of the real pair the noise is 0.3 at grey 10, 0.5 at 24, 0.8 at 65,
             rounding included.
-        read_noise_grey: deviation of the noise of an unlit pixel, grey values.
+        read_noise_grey: standard deviation of the noise of an unlit pixel, grey values.
         noise: switch for the ablation without infrared noise.
     """
 
@@ -51,11 +51,11 @@ def expose_pair(
     rng: np.random.Generator,
     response: InfraredResponse | None = None,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], float]:
-    """Both images of a pair at a common exposure, as the camera's own control sets it.
+    """Both images of a pair at a common exposure, as set by the camera's auto-exposure.
 
     Args:
         left, right: (H, W) radiance.
-        rng: of the noise.
+        rng: generator of the noise.
         response: the default imager's when None.
 
     Returns:
@@ -80,14 +80,14 @@ def blurred(light: NDArray[np.floating], spread_px: float) -> NDArray[np.floatin
 
 
 def exposure_for(light: NDArray[np.floating], target: float) -> float:
-    """Grey values per unit of light at which the mean grey value, at most white, is the target."""
+    """Grey values per unit of light at which the mean grey value, clipped, is the target."""
     level = np.sort(np.maximum(np.asarray(light, np.float64).ravel(), 0))
     below = np.cumsum(level)
-    # Up to pixel i the image is unsaturated: the exposure that this would take.
+    # Exposure that the target requires if pixels up to i are unsaturated.
     saturated = len(level) - 1 - np.arange(len(level))
     exposures = (target * len(level) - _FULL * saturated) / np.maximum(below, 1e-12)
     fits = np.flatnonzero((below > 0) & (exposures > 0) & (exposures * level <= _FULL))
-    if len(fits) == 0:  # too little is lit at all: that is made white
+    if len(fits) == 0:  # too few pixels are lit: they become white
         return _FULL / max(float(level[-1]), 1e-9)
     return float(exposures[fits[-1]])
 

@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 _FEATURE_SAMPLES = 4
 _CLIP_FACTOR = 2.0
 _CLIP_FLOOR = 0.37
-"""Of the image's mean: 0.02 where it was measured, at a mean of 0.054."""
+"""Fraction of the image's mean: 0.02 in the measurement, at a mean of 0.054."""
 
 
 class MitsubaRenderer:
-    """Renders with the fastest variant that works here.
+    """Renders with the fastest variant that works on this machine.
 
     Args:
-        variant: of Mitsuba; chosen by a test in a child process when None.
-        threads: of a compiled variant; None takes all cores, 1 leaves them to other processes.
+        variant: of Mitsuba; None chooses one by a test in a child process.
+        threads: of a compiled variant; None uses all cores.
         check: whether to test the variant in a child process first.
 
     Raises:
@@ -55,7 +55,7 @@ class MitsubaRenderer:
 
     def load(self, scene: SimScene) -> MitsubaScene:
         """See `SimRenderer.load`."""
-        # Another renderer in this process may have changed it.
+        # Another renderer in this process may have changed the variant.
         self._mi.set_variant(self._variant)
         return MitsubaScene(scene, self._mi, self._variant)
 
@@ -66,7 +66,7 @@ class MitsubaScene:
     def __init__(self, scene: SimScene, mi: Any, variant: str) -> None:
         self._mi, self._variant = mi, variant
         self._scene = scene
-        # Surfaces differ in colour and in infrared; whoever wants one kind only waits for one.
+        # Surfaces differ between colour and infrared; each tracer is built on first use.
         self._tracers: dict[bool, Any] = {}
 
     def _tracer(self, *, infrared: bool) -> Any:
@@ -128,7 +128,7 @@ class MitsubaScene:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """z-depth (H, W) and world normal (H, W, 3) of the surfaces at pixel centres.
 
-        Only compiled variants can do it. The maps of a data set come from `truth`; tests compare
+        Only compiled variants support it. The maps of a data set come from `truth`; tests compare
         them with these.
         """
         return self._tracer(infrared=False).first_hits(camera, T_world_cam)
@@ -140,11 +140,11 @@ class MitsubaScene:
 
 
 def clipped_mean(chunks: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(H, W, c) mean of chunks (H, W, n, c), those far above a pixel's median clipped.
+    """(H, W, c) mean of chunks (H, W, n, c); values far above a pixel's median are clipped.
 
-    Single paths of enormous brightness (light that reached a mirror by chance) would otherwise
-    speckle the image. The bound is twice the median plus a share of the image's mean, so that
-    nothing is clipped where the chunks agree.
+    Otherwise single paths of extreme brightness (fireflies) would speckle the image. The bound is
+    twice the median plus a fraction of the image's mean, so that nothing is clipped where the
+    chunks agree.
     """
     if chunks.shape[2] < 3:
         return np.asarray(chunks.mean(axis=2), np.float32)

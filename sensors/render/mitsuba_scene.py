@@ -1,13 +1,11 @@
-"""A scene in Mitsuba's terms: meshes, scattering, the environment.
+"""A scene in Mitsuba's form: meshes, scattering, textures, the environment.
 
-There are two kinds of surface code only, one opaque and one of glass, with every number a
-parameter: Mitsuba compiles a kernel per kind of code, and scenes of any materials then share it.
+There are only two kinds of surface code, one opaque and one of glass, with every number a
+parameter: Mitsuba compiles a kernel per kind, and scenes of any materials share it.
 
-The base colour of a surface as one image, and the texture coordinates to put it on.
-
-Material and the object's own look are mixed once, into an image: a renderer then needs a single
-texture per object, whatever they were made of. In infrared the same image has other shades: dyes
-that absorb visible light hardly do so at 850 nm.
+The material and the object's own texture are mixed once into one base-colour image, so that a
+renderer needs a single texture per object. In infrared the same image has other grey levels: dyes
+that absorb visible light hardly absorb at 850 nm.
 """
 
 from __future__ import annotations
@@ -29,7 +27,7 @@ _SMOOTHEST = 2e-3
 LARGEST = 1024
 
 
-"""Smallest roughness; a perfect mirror would be another kind of code."""
+"""Smallest roughness; a perfect mirror would need another kind of code."""
 
 
 @dataclass(eq=False)
@@ -38,7 +36,7 @@ class Shapes:
 
     Attributes:
         everything: all of them.
-        opaque, glass: those that stop shadow rays, and those that let a share pass; None where
+        opaque, glass: surfaces that block shadow rays, and those that pass a fraction; None if
             there are none.
     """
 
@@ -62,7 +60,7 @@ def _group(mi: Any, meshes: list[Any]) -> Any:
     if not meshes:
         return None
     parts = {f"object{i}": mesh for i, mesh in enumerate(meshes)}
-    # Merging shapes of equal material would only cost time here.
+    # Merging shapes with equal material would only cost time here.
     return mi.load_dict({"type": "scene", **parts}, optimize=False)
 
 
@@ -72,7 +70,7 @@ def _mesh(mi: Any, item: SceneObject, name: str, infrared: bool) -> Any:
     if infrared:
         look = infrared_appearance(look, item.material)
     R, T = item.T_world_obj.R, item.T_world_obj
-    # Corners are not shared: creases and texture seams give them different normals and
+    # Corners are not shared: at creases and texture seams they have different normals and
     # coordinates.
     corners = T @ (prepared.vertices[prepared.faces].reshape(-1, 3) + prepared.centre)
     normals = prepared.corner_normals.reshape(-1, 3) @ R.T
@@ -101,7 +99,7 @@ def _mesh(mi: Any, item: SceneObject, name: str, infrared: bool) -> Any:
 def _scattering(mi: Any, material: DrawnMaterial, image: np.ndarray) -> dict[str, Any]:
     glass = material.glass
     if glass is None:
-        # A value of exactly 0 would leave a part out and make another kind of code.
+        # A value of exactly 0 would omit a component and create another kind of code.
         values = {
             name: max(float(getattr(material, name)), 1e-3)
             for name in (
@@ -122,7 +120,7 @@ def _scattering(mi: Any, material: DrawnMaterial, image: np.ndarray) -> dict[str
             **values,
         }
         return {"type": "twosided", "surface": opaque}
-    # Light through the mask stays straight: the projector reaches what lies behind only so.
+    # Light through the mask is not refracted; only so can the projector reach surfaces behind.
     tint = {"type": "rgb", "value": list(material.color)}
     return {
         "type": "mask",
@@ -159,7 +157,7 @@ def _bitmap(mi: Any, image: np.ndarray) -> dict[str, Any]:
 def environment(mi: Any, scene: SimScene) -> Any:
     """The scene's environment as an emitter of strength 1."""
     turn = mi.ScalarTransform4f().rotate([0, 0, 1], np.rad2deg(scene.environment_rotation_rad))
-    # Its own up is y.
+    # Mitsuba's environment has y up.
     return mi.load_dict(
         {
             "type": "envmap",
@@ -169,12 +167,12 @@ def environment(mi: Any, scene: SimScene) -> Any:
     )
 
 
-"""Larger textures are reduced: an object fills a few hundred pixels."""
+"""Larger textures are reduced: an object covers a few hundred pixels."""
 
 INFRARED_RANGE = (0.02, 0.98)
 
 
-"""Of any spot's reflectance: black rubber, and silver."""
+"""Limits of the reflectance of any point: black rubber, and silver."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,17 +206,17 @@ def appearance(item: SceneObject) -> Appearance:
         mixed = _mix(own_image, tile, share, item.texture_tile_m / tile_m)
         return Appearance(box_uv(item.mesh) / np.float32(item.texture_tile_m), mixed)
     uv = np.asarray(item.mesh.uv, np.float32)[item.mesh.faces]
-    # An unwrapped surface covers the image about once; its scale in metres is that of the mesh.
+    # A UV-mapped surface covers the image about once; its metric scale is that of the mesh.
     mixed = _mix(own_image, tile, share, item.mesh.prepared.diagonal / tile_m)
     return Appearance(uv, mixed)
 
 
 def infrared_appearance(look: Appearance, material: DrawnMaterial) -> Appearance:
-    """The same surface at 850 nm: as bright as the material is there, its pattern paler.
+    """The same surface at 850 nm: at the material's infrared reflectance, with less contrast.
 
     Args:
-        look: as it is seen.
-        material: of the object; without a value for infrared the look comes back as it is.
+        look: appearance in visible light.
+        material: of the object; without an infrared value the look is returned unchanged.
     """
     if material.infrared is None:
         return look
@@ -247,7 +245,7 @@ def box_uv(mesh: SurfaceMesh) -> NDArray[np.float32]:
 def _mix(
     own: NDArray[np.uint8], tile: NDArray[np.uint8], share: float, repeats: float
 ) -> NDArray[np.uint8]:
-    """The own image mixed with a tile that repeats a whole number of times across it."""
+    """The object's own image mixed with a tile that repeats a whole number of times across it."""
     height, width = own.shape[:2]
     count = int(np.clip(round(repeats), 1, 32))
     small = cv2.resize(

@@ -1,12 +1,12 @@
 """Path tracing in one wavefront, for the compiled variants of Mitsuba.
 
-Mitsuba's own integrators go through films and volumes; this one knows surfaces only. Shadow rays
-pass straight through the see-through share of glass, so the projector's light reaches what stands
-behind; each view hands over its cameras as data, so that no view compiles anything anew; and the
-samples of a pixel lie side by side, so that sums need no atomic operation and an image is the same
-to the bit every time.
+Mitsuba's own integrators support films and volumes; this one handles surfaces only. Shadow rays
+pass straight through the see-through fraction of glass, so that the projector's light reaches the
+surfaces behind it. Cameras are passed as data, so that no view triggers a compilation. The samples
+of a pixel are contiguous, so that sums need no atomic operation and an image is reproducible to the
+bit.
 
-Imported only after a variant has been set.
+Import only after a variant has been set.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ _MOST_CROSSINGS = 24
 """Surfaces of glass that a shadow ray may pass; a bowl in a bowl has 8."""
 
 
-@dataclass(eq=False)  # not frozen: a loop writes its state back into what it was given
+@dataclass(eq=False)  # not frozen: a loop writes its state back into its arguments
 class _Frame:
-    """Rotation and place of a camera or projector as data of the kernel."""
+    """Rotation and position of a camera or projector as data of the kernel."""
 
     x: Any
     y: Any
@@ -57,13 +57,13 @@ class _Beam:
 
 
 def _stratifies(count: int) -> bool:
-    """Whether the sampler's grid, as square as can be, has exactly this many cells."""
+    """Whether the sampler's grid, as square as possible, has exactly this many cells."""
     across = int(count**0.5)
     return across * -(-count // across) == count
 
 
 def _data(value: float) -> Any:
-    """A number that the kernel reads instead of containing."""
+    """A number passed to the kernel as data instead of a literal."""
     return dr.opaque(mi.Float, float(value))
 
 
@@ -94,7 +94,7 @@ class PathTracer:
     ) -> NDArray[np.float32]:
         """(H, W, n, c) float32: mean of every chunk of every pixel; c is 1 where `grey`."""
         ray, count = self._rays(camera, T_world_cam, options.samples, seed)
-        # Where there is no other light, asking for it would be a waste.
+        # Without other light, sampling it would be wasted.
         weight = options.projector_weight if ambient > 0 else _ALONE
         beam = None if projector is None else self._beam(projector, weight)
         light = _trace(
@@ -111,7 +111,7 @@ class PathTracer:
         )
         chunk = options.chunk or options.samples
         parts = [(light.x + light.y + light.z) / 3] if grey else [light.x, light.y, light.z]
-        dr.eval(*parts)  # together: every sum would run the whole kernel for itself
+        dr.eval(*parts)  # together: separately, every sum would run the whole kernel
         sums = [dr.block_sum(part, chunk) for part in parts]
         dr.eval(*sums)
         shape = (camera.height, camera.width, count // chunk)
@@ -128,7 +128,7 @@ class PathTracer:
         hit = si.is_valid()
         albedo = bsdf.eval_diffuse_reflectance(si, hit)
         clear = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null)
-        # What shows through glass or lies at infinity keeps its own detail.
+        # Surfaces seen through glass, and the sky, keep their own detail.
         albedo = dr.select(hit & ~clear, albedo, mi.Spectrum(1))
         normal = dr.select(hit, si.sh_frame.n, mi.Normal3f(0))
         dr.eval(albedo, normal)
@@ -141,7 +141,7 @@ class PathTracer:
     def first_hits(
         self, camera: Camera, T_world_cam: SE3
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """z-depth (H, W), 0 = none, and world normal (H, W, 3) through every pixel's centre."""
+        """z-depth (H, W), 0 = none, and world normal (H, W, 3) at every pixel centre."""
         x, y = (g.ravel().astype(np.float32) for g in np.moveaxis(camera.pixel_grid(), -1, 0))
         ray = _camera_rays(camera, T_world_cam, mi.Float(x), mi.Float(y))
         si = self._shapes.everything.ray_intersect(ray)
@@ -166,7 +166,7 @@ class PathTracer:
         return _camera_rays(camera, T, x, y), samples
 
     def _group(self, samples: int) -> int:
-        """Largest divisor of the samples that the sampler can stratify as it is (16 of 32)."""
+        """Largest divisor of the samples that the sampler can stratify directly (16 of 32)."""
         for count in range(samples, 0, -1):
             if samples % count == 0 and _stratifies(count):
                 return count
@@ -201,7 +201,7 @@ def _camera_rays(camera: Camera, T_world_cam: SE3, x: Any, y: Any) -> Any:
 
 
 def _projected(beam: _Beam, si: Any, active: Any) -> tuple[Any, Any]:
-    """Direction to the projector and the irradiance it sends to a point that faces it."""
+    """Direction to the projector and its irradiance at a point that faces it."""
     away = si.p - beam.frame.origin
     z = dr.dot(away, beam.frame.z)
     u = dr.dot(away, beam.frame.x) / (z * beam.tan_x) * 0.5 + 0.5
@@ -215,7 +215,7 @@ def _projected(beam: _Beam, si: Any, active: Any) -> tuple[Any, Any]:
 
 @dr.syntax
 def _unblocked(opaque, glass, si, target, active):  # type: ignore[no-untyped-def]
-    """Share of light that passes from `target` to a surface, straight through glass."""
+    """Fraction of light that passes from `target` to a surface, straight through glass."""
     ray = si.spawn_ray_to(target)
     share = dr.select(active, mi.Spectrum(1), mi.Spectrum(0))
     if dr.hint(opaque is not None, mode="scalar"):
@@ -238,20 +238,20 @@ def _unblocked(opaque, glass, si, target, active):  # type: ignore[no-untyped-de
 def _trace(  # type: ignore[no-untyped-def]
     shapes, sky, far, sampler, ray_in, beam, ambient, max_depth, diffuse_bounces, roulette_depth
 ):
-    """Light that arrives along rays; depths and whether there is a beam are compiled in."""
+    """Radiance along rays; depths and the existence of a beam are compile-time constants."""
     context = mi.BSDFContext()
     ray = mi.Ray3f(ray_in)
     throughput = mi.Spectrum(1)
     light = mi.Spectrum(0)
     eta = mi.Float(1)
     depth, diffuse = mi.UInt32(0), mi.UInt32(0)
-    # Density of the last direction, for weighing it against drawing from the sky.
+    # Density of the last direction, for multiple importance sampling with the sky.
     last_pdf = mi.Float(dr.inf)
     active = mi.Bool(True)
     last_share = mi.Float(1)
     while dr.hint(active, label="path"):
         si = shapes.everything.ray_intersect(ray, mi.RayFlags.All, depth == 0, active)
-        # Only the sky shines: what leaves the scene is all there is to add here.
+        # Only the sky emits light: rays that leave the scene add its radiance.
         left = active & ~si.is_valid()
         other = sky.density(ray.d, left & dr.isfinite(last_pdf)) * last_share
         share = dr.select(dr.isfinite(last_pdf), last_pdf / (last_pdf + other), 1)
@@ -263,8 +263,8 @@ def _trace(  # type: ignore[no-untyped-def]
         point = sampler.next_2d(smooth)
         asks_sky, sky_share = mi.Bool(smooth), mi.Float(1)
         if dr.hint(beam is not None, mode="scalar"):
-            # What the camera sees directly asks for both lights, what is seen by way of others
-            # for one of them: the choice is most of the noise.
+            # Directly visible surfaces sample both lights, indirectly visible ones sample one of
+            # them: this choice causes most of the noise.
             both = depth == 0
             choice = sampler.next_1d(smooth)
             asks_beam = smooth & (both | (choice < beam.chance))
@@ -297,7 +297,7 @@ def _trace(  # type: ignore[no-untyped-def]
         ray = si.spawn_ray(si.to_world(sample.wo))
         throughput *= weight
         eta *= sample.eta
-        # Light that goes straight on was drawn where the path last bent.
+        # Light that continues straight was sampled at the last change of direction.
         bent = going & ~mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
         delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
         last_pdf[bent] = dr.select(delta, dr.inf, sample.pdf)

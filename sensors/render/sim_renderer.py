@@ -1,4 +1,4 @@
-"""What a renderer of the simulator is: light arriving at cameras, in floating point.
+"""Interface of the simulator's renderers: light arriving at cameras, in floating point.
 
 `infrared_image` and `color_image` turn the light into images (exposure, noise, 8 bits); `truth`
 renders the exact maps. Neither depends on which renderer is used.
@@ -27,15 +27,14 @@ class RenderOptions:
 
     Attributes:
         samples: paths per pixel.
-        chunk: paths whose mean is one estimate of a pixel; estimates far above the median of
-            the pixel's are clipped, against single bright paths. 0 switches that off.
+        chunk: number of paths averaged into one estimate of a pixel; estimates far above the median
+            of the pixel's are clipped, against fireflies. 0 disables the clipping.
         max_depth: longest path in surfaces.
-        diffuse_bounces: a path ends at its n-th dull surface (mirrors and glass do not count):
-            light that was scattered more often has lost the pattern and most of its strength.
-        roulette_depth: from here on dark paths end at random.
-        projector_weight: how often a surface that the camera sees by way of others asks for the
-            projector's light for every time it asks for the environment's. One that it sees
-            directly asks for both.
+        diffuse_bounces: a path ends at its n-th diffuse surface (mirrors and glass do not count):
+            light scattered more often has lost the pattern and most of its strength.
+        roulette_depth: depth from which dark paths end at random.
+        projector_weight: at indirectly visible surfaces, number of samples of the projector's light
+            per sample of the environment's. Directly visible surfaces sample both.
 
     Raises:
         ToolkitError: a value out of range, or chunks that do not divide the samples.
@@ -66,13 +65,13 @@ class RenderOptions:
 
 DRAFT_INFRARED = RenderOptions(samples=16, chunk=4)
 FINE_INFRARED = RenderOptions(samples=64, chunk=16)
-# Denoised, 16 paths are 1.3 dB below 32 (42.8 dB against 44.1, of the picture that 384 give).
+# Denoised, 16 paths are 1.3 dB below 32 (42.8 dB against 44.1, relative to 384 paths).
 DRAFT_COLOR = RenderOptions(samples=16, chunk=0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Quality:
-    """Of the two kinds of images."""
+    """Render options of the two kinds of images."""
 
     infrared: RenderOptions
     color: RenderOptions
@@ -105,7 +104,7 @@ def quality_of(name: str) -> Quality:
 
 @dataclass(frozen=True, eq=False)
 class ColorLight:
-    """Colour as rendered, with what a denoiser wants beside it.
+    """Colour as rendered, with the auxiliary images of a denoiser.
 
     Attributes:
         radiance: (H, W, 3) float32 linear RGB.
@@ -120,7 +119,7 @@ class ColorLight:
 
 @runtime_checkable
 class LoadedScene(Protocol):
-    """A scene ready to be looked at from any number of places."""
+    """A loaded scene, ready to be rendered from any number of views."""
 
     def infrared(
         self,
@@ -134,7 +133,7 @@ class LoadedScene(Protocol):
     ) -> NDArray[np.float32]:
         """(H, W) float32 radiance under the projector and `ambient` times the environment.
 
-        Never denoised: a denoiser invents texture that stereo then matches.
+        Never denoised: a denoiser adds texture that stereo then matches.
         """
         ...
 
@@ -156,7 +155,7 @@ class SimRenderer(Protocol):
     """A renderer. Register one under the entry-point group `std_toolkit.sim_renderers`.
 
     Attributes:
-        name: what records call it, the variant included (`mitsuba/llvm_ad_rgb`).
+        name: identifier in records, the variant included (`mitsuba/llvm_ad_rgb`).
     """
 
     name: str

@@ -1,7 +1,4 @@
-"""A scene to render, and the exact maps of its views: depth, instances, NOCS, normals.
-
-Exact maps of a view, free of a renderer's noise: depth, instances, NOCS, normals.
-"""
+"""A scene to render, and the exact maps of its views: depth, instances, NOCS, normals."""
 
 from __future__ import annotations
 
@@ -23,7 +20,7 @@ from std_toolkit.rendering.renderer import PlacedMesh
 
 @dataclass(frozen=True, eq=False)
 class SurfaceMesh:
-    """A triangle mesh, with texture coordinates where it has a texture of its own.
+    """A triangle mesh, with texture coordinates if it has a texture of its own.
 
     Attributes:
         vertices: (V, 3) metres, in the object's frame.
@@ -31,8 +28,8 @@ class SurfaceMesh:
         uv: (V, 2) texture coordinates, v upwards (as in OBJ files), or None.
 
     Raises:
-        ToolkitError: an empty mesh, bad indices, numbers that are not finite, or texture
-            coordinates that do not fit the vertices.
+        ToolkitError: an empty mesh, invalid indices, numbers that are not finite, or texture
+            coordinates that do not match the vertices.
     """
 
     vertices: NDArray[np.floating]
@@ -50,21 +47,21 @@ class SurfaceMesh:
 
     @cached_property
     def prepared(self) -> RenderMesh:
-        """The form that the exact ray caster takes."""
+        """The form that the exact ray caster accepts."""
         return RenderMesh.from_arrays(self.vertices, self.faces)
 
 
 @dataclass(frozen=True, eq=False)
 class SceneObject:
-    """One thing in the scene.
+    """One object in the scene.
 
     Attributes:
         instance_id: 1..254, as in the instance mask; 0 is background (floor, walls).
         mesh: its surface in metres. Objects may share one mesh.
         T_world_obj: maps mesh coordinates into the world.
-        material: drawn numbers; `own_share` says how much of the next two enters.
+        material: drawn numbers; `own_share` is the fraction of the next two.
         texture: (h, w, 3) uint8 sRGB image on `mesh.uv`, or None.
-        color: the object's own linear RGB where it has no texture.
+        color: the object's own linear RGB without a texture.
         texture_tile_m: for a texture without `mesh.uv`: extent of one repetition in metres.
     """
 
@@ -88,12 +85,12 @@ class SceneObject:
 
 @dataclass(frozen=True, eq=False)
 class SimScene:
-    """A scene at rest. World frame: z up, metres.
+    """A static scene. World frame: z up, metres.
 
     Attributes:
-        objects: ids above 0 differ.
-        environment: light from around.
-        environment_rotation_rad: turn of it about the world's z axis.
+        objects: with distinct ids above 0.
+        environment: environment light.
+        environment_rotation_rad: rotation of it about the world's z axis.
     """
 
     objects: tuple[SceneObject, ...]
@@ -110,7 +107,7 @@ class SimScene:
 
 @dataclass(frozen=True, eq=False)
 class Projector:
-    """A point light that shines through an image (a perspective image of the dot pattern).
+    """A point light that projects an image (a perspective image of the dot pattern).
 
     Attributes:
         pattern: (h, w) float or uint8 relative power; row 0 is up, column 0 left, seen along
@@ -141,7 +138,7 @@ class Projector:
 
     @property
     def tan_half(self) -> tuple[float, float]:
-        """Tangent of the half angles, across and down."""
+        """Tangents of the half angles, horizontal and vertical."""
         half = float(np.tan(np.deg2rad(self.fov_x_deg) / 2))
         h, w = self.pattern.shape
         return half, half * h / w
@@ -149,7 +146,7 @@ class Projector:
 
 @dataclass(frozen=True, eq=False)
 class TruthMaps:
-    """What the camera truly sees at its pixel centres.
+    """Ground truth at the camera's pixel centres.
 
     Attributes:
         depth: (H, W) float32 z-depth in metres of the first surface, glass and floor included;
@@ -169,8 +166,8 @@ class TruthCaster:
     """Exact maps of one scene from any view; keeps the meshes' acceleration structures.
 
     Args:
-        scene: what is there.
-        threads: per cast; 0 takes all.
+        scene: the scene to cast.
+        threads: per cast; 0 uses all.
     """
 
     def __init__(self, scene: SimScene, *, threads: int = 1) -> None:
@@ -178,7 +175,7 @@ class TruthCaster:
         self._renderer = RaycastRenderer(threads=threads)
 
     def maps(self, camera: Camera, T_world_cam: SE3) -> TruthMaps:
-        """The maps of a view; a distorted camera is honoured."""
+        """Exact maps of a view; lens distortion is supported."""
         T_cam_world = T_world_cam.inverse()
         placed = [
             PlacedMesh(o.instance_id, o.mesh.prepared, T_cam_world @ o.T_world_obj)

@@ -1,11 +1,11 @@
-"""The environment as the wavefront path tracer samples it: one look-up to draw a direction.
+"""The environment as sampled by the wavefront path tracer: one look-up to draw a direction.
 
 Mitsuba's own map descends a hierarchy of ten levels for every ray; a look-up in a table of equally
-likely slots costs a third of that. The slots lie along a curve that fills the sphere, so that the
-strata of a pixel's random numbers are patches of it: each sees its share of the light. On a floor
-under a studio's light 16 paths a pixel have 9 % of noise so; with cells in any order they had 13 %.
+likely slots costs a third of that. The slots follow a space-filling curve, so that the strata of a
+pixel's random numbers are patches of the sphere. On a floor under a studio's light 16 paths per
+pixel have 9 % of noise; with cells in arbitrary order they had 13 %.
 
-Imported only after a variant has been set.
+Import only after a variant has been set.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ dr: Any = drjit
 ROWS, COLUMNS = 128, 256
 _CELLS = ROWS * COLUMNS
 _SIDEWAYS, _FROM_BELOW = 0.4, 0.2
-"""How often light from the horizon and from below is asked for, against light from straight up.
+"""Sampling weight of light from the horizon and from below, relative to light from straight up.
 
-Floors and lids are most of what a camera over a table sees.
+Most surfaces seen by a camera over a table are floors and lids.
 """
 _SLOTS = 8 * _CELLS
-"""Every cell has one at least, an eighth in all: dark cells beside bright ones are drawn too."""
+"""Every cell has at least one, an eighth in total, so that dark cells are sampled too."""
 
 
 class Sky:
-    """Radiance from far away by direction.
+    """Radiance at infinity by direction.
 
     Args:
         environment: lat-long map, straight up in the first row.
-        rotation_rad: turn about the world's z axis.
+        rotation_rad: rotation about the world's z axis.
     """
 
     def __init__(self, environment: EnvironmentMap, rotation_rad: float) -> None:
@@ -59,7 +59,7 @@ class Sky:
         return mi.Spectrum(self._texture.eval(self._uv(d), active))
 
     def density(self, d: Any, active: Any) -> Any:
-        """Probability per solid angle that `draw` gives a direction."""
+        """Probability density per solid angle with which `draw` returns a direction."""
         uv = self._uv(d)
         column = dr.minimum(mi.UInt32(uv.x * COLUMNS), COLUMNS - 1)
         row = dr.minimum(mi.UInt32(uv.y * ROWS), ROWS - 1)
@@ -67,11 +67,11 @@ class Sky:
         return chance * _per_angle(dr.safe_sqrt(1 - dr.square(d.z)))
 
     def draw(self, point: Any, active: Any) -> tuple[Any, Any, Any]:
-        """Direction, its density and the light from there, for uniform points in the square."""
+        """Direction, its density and its radiance, for uniform points in the unit square."""
         scaled = point.x * _SLOTS
         slot = dr.minimum(mi.UInt32(scaled), _SLOTS - 1)
         cell = dr.gather(mi.UInt32, self._cell, slot, active)
-        # What is left of the random number is uniform again.
+        # The remainder of the random number is uniform again.
         rest = scaled - mi.Float(slot)
         row = cell // COLUMNS
         u = (mi.Float(cell - row * COLUMNS) + dr.clip(rest, 0, 0.999999)) / COLUMNS
@@ -96,7 +96,7 @@ def _per_angle(sin_polar: Any) -> Any:
 
 
 def cell_weights(pixels: NDArray[np.float32]) -> NDArray[np.float64]:
-    """(cells,) shares of what the cells give to surfaces, most of which look up."""
+    """(cells,) fractions of the light that cells give to surfaces, most of which face up."""
     light = cv2.resize(pixels @ LUMINANCE, (COLUMNS, ROWS), interpolation=cv2.INTER_AREA)
     polar = (np.arange(ROWS)[:, None] + 0.5) / ROWS * np.pi
     up = np.cos(polar)
@@ -106,7 +106,7 @@ def cell_weights(pixels: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def slots_of_cells(weights: NDArray[np.float64]) -> NDArray[np.int64]:
-    """(cells,) numbers of slots, 1 at least, `_SLOTS` in all, nearly in proportion to weights."""
+    """(cells,) numbers of slots, at least 1, `_SLOTS` in total, nearly proportional to weights."""
     spare = weights * (_SLOTS - len(weights))
     counts = np.floor(spare).astype(np.int64)
     largest_rests = np.argsort(counts - spare, kind="stable")

@@ -1,4 +1,4 @@
-"""The smallest scene that has everything: what a variant of Mitsuba must render to be chosen."""
+"""The smallest scene with every feature: a Mitsuba variant must render it to be chosen."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from std_toolkit.geometry import SE3, Camera
 
 
 def smallest_scene() -> SimScene:
-    """A floor with a pyramid of metal, one of glass and one of wood; cameras look down at it."""
+    """A floor with a pyramid each of metal, glass and wood; cameras look down at it."""
     rng = np.random.default_rng(0)
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
     floor = SurfaceMesh(2 * corners, np.array([[0, 1, 2], [0, 2, 3]]))

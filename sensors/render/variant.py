@@ -1,8 +1,8 @@
-"""Which variant of Mitsuba works here, found out without risk to the process that asks.
+"""Choice of the Mitsuba variant that works on this machine, tested in child processes.
 
-A compiler that lacks an instruction aborts the process with the first image, and a graphics driver
-may do worse; so every candidate renders a small scene in a child process first. The answer is
-kept for the process and, through an environment variable, for the workers it starts.
+A compiler that lacks an instruction aborts the process at the first image, and a graphics driver
+may do worse; so every candidate renders a small scene in a child process first. The result is
+cached for the process and, through an environment variable, for the workers that it starts.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
 
 ANSWER_VARIABLE = "STD_SIM_VARIANT"
-"""Holds a variant's name: set it to skip the test."""
+"""Contains a variant's name; if set, the test is skipped."""
 PREFERENCE = ("cuda_ad_rgb", "llvm_ad_rgb", "scalar_rgb")
 SLOW_VARIANT = "scalar_rgb"
 _SECONDS = 180
 _CUDA_LIBRARIES = ("libcuda.so.1", "libcuda.so")
-# Exactly the code that a simulation runs, at 8 x 8 pixels: a variant that can render something
-# else proves nothing.
+# Exactly the code that a simulation runs, at 8 x 8 pixels: a test of other code would not prove
+# that the variant works.
 _TEST = "from sensors.render.smoke import render_smallest; render_smallest({variant!r})"
 DONE = "rendered-finite-light"
 
 
 def choose_variant(wanted: str | None = None) -> str:
-    """The fastest variant that rendered the test scene here.
+    """The fastest variant that rendered the test scene on this machine.
 
     Args:
-        wanted: take this one, and complain where it does not work.
+        wanted: use this variant; it is an error if it does not work.
 
     Raises:
-        ToolkitError: Mitsuba is not installed, or the one wanted (or every one) fails.
+        ToolkitError: Mitsuba is not installed, or the wanted variant (or every one) fails.
     """
     if wanted is not None:
         problem = try_variant(wanted)
@@ -71,7 +71,7 @@ def choose_variant(wanted: str | None = None) -> str:
 
 @lru_cache(maxsize=8)
 def try_variant(variant: str) -> str | None:
-    """None where the variant rendered the test scene in a child process, else why not."""
+    """None if the variant rendered the test scene in a child process, otherwise the reason."""
     if variant.startswith("cuda") and not _has_cuda():
         return "no CUDA driver"
     root = str(Path(__file__).resolve().parents[2])

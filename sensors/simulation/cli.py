@@ -1,4 +1,4 @@
-"""`std-sim`: simulate a data set, look at a scene beforehand, report what a set holds."""
+"""`std-sim`: simulate a data set, preview a scene, print statistics of a set."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def preview(options: PreviewCommand) -> None:
 
 
 def stats(options: StatsCommand) -> None:
-    """Print what a set holds."""
+    """Print the statistics of a set."""
     from sensors.simulation.set_report import set_statistics
     from std_toolkit.io.atomic import write_bytes_atomic
 
@@ -89,7 +89,7 @@ def stats(options: StatsCommand) -> None:
 
 
 def _with_preset(words: list[str]) -> list[str]:
-    """The options of the preset that is asked for, before those that are given."""
+    """The options of the requested preset, followed by the given ones."""
     start = next((i for i, w in enumerate(words) if w not in ("--quiet", "--debug")), len(words))
     command = "".join(words[start : start + 1])
     start += command in ("run", "preview")

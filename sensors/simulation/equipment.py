@@ -1,9 +1,8 @@
-"""What a data set is made with, found before any work begins.
+"""Sensor, sources and matcher of a data set, checked before any work begins.
 
-Category-agnostic scenes: real objects that lie as in a scene of GraspNet-1Billion.
-
-A data set's seed picks the scene; materials, floor, light and viewpoints are drawn from it as for
-dropped objects. As in that data set, scenes 0 to 99 are for training and the others for testing.
+Category-agnostic scenes have real objects arranged as in a scene of GraspNet-1Billion. The seed
+selects the scene; materials, floor, light and viewpoints are drawn as for dropped objects. As in
+that data set, scenes 0 to 99 are for training and the others for testing.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from sensors.stereo import StereoMatcher, make_matcher
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 
-# Any of its objects may be made of anything, as vessels are.
+# Its objects may get the materials of this category, as vessels do.
 DRESSED_AS = "bottle"
 
 FIRST_TEST_SCENE = 100
@@ -32,12 +31,12 @@ FIRST_TEST_SCENE = 100
 
 @dataclass(frozen=True, eq=False)
 class Equipment:
-    """What a data set is made with, apart from the renderer.
+    """Everything that a data set is made with, apart from the renderer.
 
     Attributes:
         cameras: infrared, and colour at the size of the labels.
-        pattern: what the projector throws; None where the sensor has none.
-        arrangements: where objects lie already; None where they fall.
+        pattern: image of the projector; None if the sensor has none.
+        arrangements: given object poses; None if objects are dropped.
     """
 
     sensor: SensorSpec
@@ -50,7 +49,7 @@ class Equipment:
 
     @staticmethod
     def of(options: SimulationOptions, *, threads: int | None = None) -> Equipment:
-        """Find all of it; quick, so that bad options are told before any work begins.
+        """Load all of it; fast, so that invalid options are reported before any work begins.
 
         Raises:
             ToolkitError: an unknown or unusable sensor, image size, matcher, source or pattern.
@@ -59,7 +58,7 @@ class Equipment:
         size = (options.width, options.height)
         cameras = sensor.infrared_camera(*size), sensor.color_camera(*size)
         low, high = sensor.disparity_range(*size)
-        # What the released matcher searches is part of it.
+        # The released matcher has its own fixed search range.
         own = {} if options.matcher == "dreds" else {"min_disparity": low, "max_disparity": high}
         if options.matcher == "local":
             own["threads"] = threads or len(os.sched_getaffinity(0))
@@ -81,9 +80,7 @@ def _pattern(sensor: SensorSpec, options: SimulationOptions) -> DotPattern | Non
     if options.pattern is None:
         return None if sensor.projector is None else make_pattern(sensor)
     if sensor.projector is None:
-        raise ToolkitError(
-            "this sensor has no projector to throw a pattern", field="pattern", value=sensor.name
-        )
+        raise ToolkitError("this sensor has no projector", field="pattern", value=sensor.name)
     fov = options.pattern_fov_deg or sensor.projector.fov_deg[0]
     return load_pattern(Path(options.pattern), fov_x_deg=fov)
 
@@ -107,7 +104,7 @@ class Arrangements:
     """The scenes of a GraspNet-1Billion folder that belong to a split.
 
     Args:
-        options: `graspnet_root` and `split` are heeded.
+        options: `graspnet_root` and `split` are used.
 
     Raises:
         ToolkitError: not such a folder, or no scene of the split in it.
@@ -130,7 +127,7 @@ class Arrangements:
             )
 
     def of_seed(self, seed: int, *, cache: Path | None = None) -> Arrangement:
-        """The scene of a seed; further seeds go through all of them again and again.
+        """The scene of a seed; seeds beyond the number of scenes wrap around.
 
         Args:
             seed: of the simulated scene.
@@ -141,7 +138,7 @@ class Arrangements:
         """
         number = self._numbers[seed % len(self._numbers)]
         objects, poses = self._scenes.arrangement(number, cache=cache)
-        # Viewpoints look at the origin; the annotated table's lies where its marker was.
+        # Viewpoints look at the origin; the origin of the annotated table is at its marker.
         middle = np.mean([T.t for T in poses], axis=0) * [1.0, 1.0, 0.0]
         return Arrangement(
             number, [o.asset for o in objects], tuple(SE3(T.R, T.t - middle) for T in poses)

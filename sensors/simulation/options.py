@@ -31,7 +31,7 @@ _OFF: dict[str, Any] = {"option": None}
 
 
 class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One data set. Together with a scene's seed these numbers decide every pixel of it."""
+    """One data set. These options and a scene's seed determine every pixel of the scene."""
 
     sensor: str = "d415"
     """d415, d435, d455 or the path of a specification"""
@@ -100,7 +100,7 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
             )
         if self.max_objects > 20:
             raise ToolkitError(
-                "the DREDS layout tells at most 20 objects apart",
+                "the DREDS layout supports at most 20 objects",
                 field="max_objects",
                 value=self.max_objects,
             )
@@ -108,7 +108,7 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:
-    """Options and the number of scenes; what the command line tells comes before either."""
+    """Options and the number of scenes; command-line options override both."""
 
     scenes: int
     options: SimulationOptions
@@ -127,7 +127,7 @@ PRESETS: dict[PresetName, Preset] = {
 
 @dataclass(frozen=True, kw_only=True)
 class SceneOptions:
-    """Scenes of a set; what is not given is as in the preset."""
+    """Scenes of a set; options that are not given are those of the preset."""
 
     preset: PresetName = "draft"
     """defaults of the options of a scene"""

@@ -1,7 +1,7 @@
-"""What stands in a scene: objects, sizes, materials, light and floor, drawn from its seed.
+"""Contents of a scene: objects, sizes, materials, light and floor, drawn from its seed.
 
-Every aspect has random numbers of its own, so that a switch which changes the materials leaves
-shapes, sizes, places and light as they were: ablations differ in what they switch, nothing else.
+Every aspect has its own random generator, so that an option which changes the materials leaves
+shapes, sizes, poses and light unchanged: ablations differ only in the option that they change.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _CLASSES: dict[MaterialSwitch, tuple[MaterialClass, ...]] = {
     "fixed": ("raw",),
     "opaque": tuple(c for c in MATERIAL_CLASSES if c != "transparent"),
 }
-# In every scene of DREDS, and the only ones that may be transparent.
+# In every scene of DREDS, and the only categories that may be transparent.
 ALWAYS = ("bottle", "bowl", "mug")
 SOMETIMES = ("camera", "can", "car", "aeroplane")
 SOMETIMES_COUNT = (1, 4)
@@ -64,7 +64,7 @@ class ObjectDraw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class SceneDraw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """All that is drawn at random before anything moves or is rendered.
+    """All random choices made before physics and rendering.
 
     Attributes:
         seed: of the scene.
@@ -80,7 +80,7 @@ class SceneDraw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 def generator(seed: int, aspect: Aspect) -> np.random.Generator:
-    """Random numbers of one aspect of one scene.
+    """Random generator of one aspect of one scene.
 
     Raises:
         ToolkitError: a negative seed.
@@ -99,10 +99,10 @@ def draw_scene(
     """Draw a scene.
 
     Returns:
-        What was drawn, the assets in the order of the objects, and the scene's environment map.
+        The draw, the assets in the order of the objects, and the scene's environment map.
 
     Raises:
-        ToolkitError: the sources lack what is asked for.
+        ToolkitError: the sources lack a requested item.
     """
     chosen = _draw_assets(generator(seed, "objects"), options, assets)
     draw, environment = dress_scene(seed, options, chosen, environments)
@@ -117,22 +117,22 @@ def dress_scene(
     *,
     dressed_as: str | None = None,
 ) -> tuple[SceneDraw, EnvironmentMap]:
-    """Draw all but the objects of a scene: their sizes and materials, floor and light.
+    """Draw sizes and materials of given objects, floor and light.
 
     Args:
         seed: of the scene.
         options: of the data set.
         chosen: the objects.
-        environments: where light comes from.
-        dressed_as: category whose material classes every object takes; its own when None.
+        environments: source of environment maps.
+        dressed_as: category whose material classes all objects use; None: their own.
 
     Raises:
-        ToolkitError: the sources lack what is asked for.
+        ToolkitError: the sources lack a requested item.
     """
     sizes, looks = generator(seed, "sizes"), generator(seed, "materials")
     objects = []
     for instance, asset in enumerate(chosen, start=1):
-        # A seed for each object: one more random number in a material changes no other object.
+        # A seed per object: one more random number in a material changes no other object.
         rng = np.random.default_rng(int(looks.integers(2**63)))
         material_class = draw_material_class(
             rng, dressed_as or asset.category, allowed=_CLASSES[options.materials]
@@ -160,12 +160,12 @@ def draw_categories(
 
     Args:
         rng: consumed.
-        options: the number of objects lies within its limits.
-        known: categories of the asset source; what it lacks is left out, and a source of other
-            categories gives any of them.
+        options: limits of the number of objects.
+        known: categories of the asset source; missing ones are left out, and from a source with
+            other categories any of them are drawn.
 
     Raises:
-        ToolkitError: there is no category at all.
+        ToolkitError: there is no category.
     """
     if not known:
         raise ToolkitError("the asset source has no categories", field="assets")

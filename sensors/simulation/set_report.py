@@ -1,6 +1,6 @@
 """Statistics of a simulated set, and its contact sheet.
 
-A contact sheet: colour, infrared, raw depth, exact depth and error of a few frames.
+The contact sheet shows colour, infrared, raw depth, exact depth and error of a few frames.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ FLOOR = "background"
 
 WRONG_M = 0.01
 
-# Errors kept per frame and material: medians over millions of pixels need no more.
+# Errors sampled per frame and material: enough for medians over millions of pixels.
 _KEPT = 2000
 
 Image = NDArray[np.uint8]
@@ -46,14 +46,14 @@ _TILE_WIDTH, _MARGIN, _HEADING = 400, 6, 26
 
 @dataclass(frozen=True)
 class SetStatistics:
-    """Of a data set.
+    """Statistics of a data set.
 
     Attributes:
-        scenes, frames: how many.
-        categories: per category the number of objects, over scenes.
-        depth: per material class: pixels, completeness in percent of them, median and root mean
-            square of the error in millimetres and the percentage of wrong values (by more than a
-            centimetre), all three of the pixels with a value.
+        scenes, frames: their numbers.
+        categories: number of objects per category, summed over scenes.
+        depth: per material class: number of pixels, completeness in percent, and, over pixels with
+            a value, median and root mean square of the error in millimetres and the percentage of
+            values that are wrong by more than a centimetre.
     """
 
     scenes: int
@@ -82,10 +82,10 @@ def set_statistics(root: Path) -> SetStatistics:
     """Read every frame of a data set.
 
     Args:
-        root: folder that holds `DREDS-CatKnown`, or that folder itself.
+        root: folder that contains `DREDS-CatKnown`, or that folder itself.
 
     Raises:
-        ToolkitError: there is no such data set, or a file of it is damaged.
+        ToolkitError: there is no such data set, or one of its files is damaged.
     """
     scenes = list(_scenes(root))
     if not scenes:
@@ -130,7 +130,7 @@ class ErrorTally:
         self.errors: list[NDArray[np.float32]] = []
 
     def add(self, raw: NDArray[np.floating], exact: NDArray[np.floating]) -> None:
-        """Count pixels: depth as measured (0 = none) and as it is, metres, of one shape."""
+        """Count pixels of measured depth (0 = none) and exact depth, metres, of one shape."""
         self.pixels += len(raw)
         valid = raw > 0
         error = np.abs(raw[valid] - exact[valid])
@@ -140,7 +140,7 @@ class ErrorTally:
         self.errors.append(error[:: max(1, len(error) // _KEPT)])
 
     def row(self) -> dict[str, float]:
-        """The figures by name, as `SetStatistics.depth` has them."""
+        """The figures by name, as in `SetStatistics.depth`."""
         measured = max(self.valid, 1)
         errors = np.concatenate(self.errors)
         return {
@@ -162,8 +162,8 @@ def _scenes(root: Path) -> Iterator[Path]:
 def contact_sheet(frames: list[SimulatedFrame]) -> Image:
     """(H, W, 3) uint8 RGB, a row for each frame.
 
-    Depth runs from blue (near) to red within the frame's own range; where nothing was measured it
-    is dark, in the error picture violet.
+    Depth runs from blue (near) to red within the frame's own range; pixels without a measurement
+    are dark, in the error picture violet.
     """
     rows = [_row(frame) for frame in frames]
     width = rows[0].shape[1]

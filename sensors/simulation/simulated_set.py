@@ -1,4 +1,4 @@
-"""A simulated data set on disk: many scenes, made in parallel, each whole or not there."""
+"""A simulated data set on disk: many scenes, made in parallel, each complete or absent."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from std_toolkit.scene.document import Document
 
 LAYOUTS: tuple[Layout, ...] = ("dreds", "scene")
 SET_FILE = "simulation.json"
-# Measured on 640x360 frames; textures that compress worse than those take more.
+# Measured on 640x360 frames; textures that compress worse need more.
 BYTES_PER_PIXEL = {"dreds": 18.0, "scene": 16.0}
-# Left free whatever happens: a disk without any room harms other programs.
+# Always left free: a full disk harms other programs.
 SPARE_BYTES = 500e6
 
 
 class SetRecord(Document, frozen=True, kw_only=True):
-    """simulation.json of a data set: what all of its scenes are made with."""
+    """simulation.json of a data set: the options shared by all of its scenes."""
 
     format: Literal["std-sim-set"] = "std-sim-set"
     version: Literal[1] = 1
@@ -44,10 +44,10 @@ class SetRecord(Document, frozen=True, kw_only=True):
 
 
 class SceneTimes(msgspec.Struct, frozen=True, kw_only=True):
-    """What a scene cost.
+    """Time that a scene took.
 
     Attributes:
-        frames: made now; 0 if the scene was there already.
+        frames: made in this run; 0 if the scene existed.
         seconds: by part of the work.
     """
 
@@ -66,28 +66,28 @@ def simulate_set(
     cache: Path | None = None,
     jobs: JobOptions | None = None,
 ) -> JobReport[SceneTimes]:
-    """Make the scenes that are not there yet; one process and one scene per job.
+    """Make the missing scenes; one process and one scene per job.
 
-    A scene depends on its seed and the options alone: whatever is interrupted, killed or spread
-    over machines, the set is the same in the end.
+    A scene depends only on its seed and the options: the set is the same after an interruption, or
+    if it is made on several machines.
 
     Args:
         out: top of the data set.
-        options: must be those that the set was begun with.
+        options: must be those of the existing scenes of the set.
         seeds: of the scenes, which are named after them.
         split: part of the data set in the DREDS layout.
         layouts: "dreds" and "scene" (toolkit scenes in OUT/scenes).
         renderer: plug-in.
-        cache: folder that keeps the objects' convex parts for all sets; the user's by default.
+        cache: folder of the objects' convex parts, shared by all sets; default: the user's cache.
         jobs: where it runs.
 
     Raises:
-        ToolkitError: another set is there, a seed appears twice or is out of range, the disk has
-            too little room, or the sensor, sources or renderer cannot be used.
+        ToolkitError: another set exists at `out`, a seed is duplicated or out of range, the disk
+            has too little room, or the sensor, sources or renderer cannot be used.
     """
     jobs = jobs or JobOptions()
     _check(seeds, split, layouts)
-    # Once and at once, not once per scene.
+    # Check once at the start, not once per scene.
     Equipment.of(options)
     quality_of(options.quality)
     SIM_RENDERERS.get(renderer)
@@ -111,13 +111,13 @@ def simulate_set(
 
 
 def parts_cache() -> Path:
-    """Where convex parts are kept if nothing else is said: they take seconds each to find."""
+    """Default cache of convex parts: each takes seconds to compute."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "std-toolkit" / "convex-parts"
 
 
 def scene_name(seed: int) -> str:
-    """Five digits, as the public data set has them."""
+    """Five digits, as in the public data set."""
     return f"{seed:05d}"
 
 
@@ -133,7 +133,7 @@ def _simulate_scene(
     threads: int,
 ) -> SceneTimes:
     pending = _missing(out, seed, split, layouts)
-    if not pending:  # made by another process meanwhile
+    if not pending:  # made by another process in the meantime
         return SceneTimes(frames=0, seconds={})
     simulator = _simulator(options, renderer, threads, cache)
     simulator.stopwatch.seconds.clear()
@@ -154,7 +154,7 @@ def _simulate_scene(
 
 @lru_cache(maxsize=1)
 def _simulator(options: SimulationOptions, renderer: str, threads: int, cache: Path) -> Simulator:
-    """One per worker process: the renderer compiles its kernels once."""
+    """One per worker process, because the renderer compiles its kernels once per process."""
     return Simulator(options, renderer=renderer, parts_cache=cache, threads=threads)
 
 
@@ -185,13 +185,13 @@ def _check(seeds: Sequence[int], split: str, layouts: Sequence[str]) -> None:
 
 
 def _begin(out: Path, options: SimulationOptions, renderer: str) -> None:
-    """Write the record of a new set, or see that the one that is there is the same."""
+    """Write the record of a new set, or check that the existing one is the same."""
     path = out / SET_FILE
     record = SetRecord(version_of_tool=__version__, renderer=renderer, options=options)
     if not path.exists():
         if out.is_dir() and any(out.iterdir()):
             raise ToolkitError(
-                "the folder holds other things than a simulated data set",
+                "the folder contains other files than a simulated data set",
                 path=out,
                 hint="choose a new folder",
             )

@@ -24,8 +24,8 @@ from sensors.simulation.world_builder import World, build_world
 from sensors.stereo import disparity_to_depth
 from std_toolkit.geometry.se3 import SE3
 
-# Irradiance of the projector at 1 m where the pattern is bright, against an environment of mean
-# luminance 1 that the camera's filter takes most of. With 0.3 the dots on floors of random scenes
+# Irradiance of the projector at 1 m where the pattern is bright, relative to an environment of mean
+# luminance 1 of which the camera's filter blocks most. With 0.3 the dots on floors of random scenes
 # have a contrast of 0.20 to 0.34 of the mean in windows of 21 pixels; on a cloth under a real D415
 # it is 0.25.
 PROJECTOR_POWER = 0.3
@@ -35,14 +35,14 @@ CUT_MATERIALS = ("transparent", "specular")
 
 @dataclass
 class Stopwatch:
-    """Seconds spent in each part of the work, by the clock or whatever else counts up."""
+    """Seconds spent in each part of the work, by the wall clock or another counter."""
 
     clock: Callable[[], float] = time.perf_counter
     seconds: dict[str, float] = field(default_factory=lambda: defaultdict(float))
 
     @contextmanager
     def part(self, name: str) -> Iterator[None]:
-        """Add the time that the block takes."""
+        """Add the time of the block."""
         began = self.clock()
         try:
             yield
@@ -52,7 +52,7 @@ class Stopwatch:
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What the renderer made of a view: light, before any camera or matcher.
+    """Rendered light of a view, before camera and matcher.
 
     Attributes:
         seed: of the noise of this frame.
@@ -69,15 +69,15 @@ class _Seen:
 
 
 class Simulator:
-    """Makes scenes of one data set; keeps what all of them share.
+    """Makes the scenes of one data set; keeps the objects that they share.
 
     Args:
         options: of the data set.
         renderer: name of the renderer plug-in.
-        parts_cache: folder that keeps the objects' convex parts over runs.
-        threads: of renderer, denoiser and matcher; None takes all cores. With more than one, what
-            runs on one thread only (exact maps, images, alignment) is done while the next view
-            renders; the frames are the same to the bit.
+        parts_cache: folder that caches the objects' convex parts across runs.
+        threads: of renderer, denoiser and matcher; None uses all cores. With more than one, the
+            single-threaded work (exact maps, images, alignment) is done while the next view
+            renders; the frames are identical to the bit.
 
     Raises:
         ToolkitError: an unknown sensor, source or renderer, or one that does not work here.
@@ -141,12 +141,12 @@ class Simulator:
             )
 
     def frames(self, world: World) -> Iterator[SimulatedFrame]:
-        """The frames of a scene, one after the other."""
+        """The frames of a scene, in order."""
         with self.stopwatch.part("load"):
             loaded = self._renderer.load(world.scene)
             truth = sim_scene.TruthCaster(world.scene)
         noise = generator(world.draw.seed, "noise")
-        # A seed for each frame: a frame's noise does not depend on those before it.
+        # A seed per frame: the noise of a frame does not depend on earlier frames.
         seen = (
             self._look(world, loaded, index, T_world_cam, int(noise.integers(2**31)))
             for index, T_world_cam in enumerate(world.T_world_cam)
@@ -173,7 +173,7 @@ class Simulator:
         T_world_cam: SE3,
         seed: int,
     ) -> _Seen:
-        """Render a view: the only part that the renderer has."""
+        """Render a view: the only step that uses the renderer."""
         light = world.draw.light[index]
         T_world_ir = T_world_cam @ self._sensor.pose_of_color.inverse()
         projector = None
@@ -186,7 +186,7 @@ class Simulator:
             )
         T_left_right = SE3(np.eye(3), np.array([self._sensor.baseline_m, 0.0, 0.0]))
         with self.stopwatch.part("infrared"):
-            # Different paths for the two eyes: equal noise would look like texture to match.
+            # Different paths for the two cameras: equal noise would be matched as texture.
             left, right = (
                 loaded.infrared(
                     self._infrared_camera,
@@ -209,7 +209,7 @@ class Simulator:
         return _Seen(index, T_world_cam, T_world_ir, seed, left, right, color)
 
     def _frame(self, world: World, truth: sim_scene.TruthCaster, view: _Seen) -> SimulatedFrame:
-        """What cameras, matcher and labels make of a view."""
+        """Images, depth and labels of a rendered view."""
         part = self.stopwatch.part
         with part("exact maps"):
             exact = truth.maps(self._label_camera, view.T_world_cam)
@@ -269,6 +269,6 @@ class Simulator:
     def _cut(
         self, world: World, depth: NDArray[np.float32], mask: NDArray[np.uint8]
     ) -> NDArray[np.float32]:
-        """Exact depth without the objects that a sensor does not measure."""
+        """Exact depth without the objects that a stereo sensor does not measure."""
         ids = [o.instance_id for o in world.record.objects if o.material_class in CUT_MATERIALS]
         return np.where(np.isin(mask, ids), np.float32(0), depth)

@@ -1,10 +1,10 @@
-"""Surfaces of known material at a known distance: what the simulated depth camera makes of them.
+"""Surfaces of known material at a known distance, measured by the simulated depth camera.
 
-Random scenes mix distance, slope and occlusion with what a material does. Here a board of tiles
-faces the camera, or vessels of one size class stand on a floor before it; `perf/realism.py` prints
-the statistics, a test holds their bounds.
+Random scenes mix distance, slope and occlusion with the effect of a material. Here a board of tiles
+faces the camera, or vessels of one size class stand on a floor in front of it. `perf/realism.py`
+prints the statistics; a test checks their bounds.
 
-Which pixels a stereo camera can measure at all: seen by both eyes, away from steps in depth.
+`measurable_pixels` selects pixels visible to both infrared cameras and away from depth steps.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ WINDOW_PX = 7
 
 @dataclass(frozen=True, eq=False)
 class TrialScene:
-    """A scene and where the left infrared camera stands before it.
+    """A scene and the pose of the left infrared camera.
 
     Attributes:
         materials: of the instances 1, 2, ...
@@ -56,7 +56,7 @@ class TrialScene:
 
 @dataclass(frozen=True, eq=False)
 class TrialView:
-    """What was measured.
+    """Measurement of a trial scene.
 
     Attributes:
         left, right: (h, w) uint8 infrared.
@@ -72,7 +72,7 @@ class TrialView:
 
 
 def tiles(camera: Camera, seed: int, *, material_class: MaterialClass = "diffuse") -> TrialScene:
-    """A board that fills the view at 0.6 m, tilted a little, one tile for each material.
+    """A slightly tilted board that fills the view at 0.6 m, with one tile per material.
 
     Args:
         camera: left infrared camera.
@@ -82,7 +82,7 @@ def tiles(camera: Camera, seed: int, *, material_class: MaterialClass = "diffuse
     names = [m.name for m in load_library().of_class(material_class)]
     columns = int(np.ceil(np.sqrt(len(names) * camera.width / camera.height)))
     rows = int(np.ceil(len(names) / columns))
-    # A quarter more than the view shows, so that no corner of a tilted board is seen.
+    # A quarter larger than the view, so that no corner of a tilted board is visible.
     size = 1.25 * DISTANCE_M * np.array([camera.width / camera.fx, camera.height / camera.fy])
     w, h = size / (columns, rows)
     square = sim_scene.SurfaceMesh(
@@ -93,7 +93,7 @@ def tiles(camera: Camera, seed: int, *, material_class: MaterialClass = "diffuse
     materials = [draw_material(rng, material_class, name=name) for name in names]
     objects = []
     for place in range(columns * rows):
-        # Where there are more places than materials the first ones come again.
+        # With more places than materials, the sequence of materials repeats.
         index = int(order[place]) % len(names)
         at = (np.array([place % columns, place // columns]) + 0.5) * (w, h) - size / 2
         pose = SE3(np.eye(3), np.array([*at, 0.0]))
@@ -109,7 +109,7 @@ def tiles(camera: Camera, seed: int, *, material_class: MaterialClass = "diffuse
 
 
 def vessels(materials: Sequence[tuple[MaterialClass, str, str]], seed: int) -> TrialScene:
-    """Vessels upright in two rows on a floor, 0.6 m before the camera.
+    """Upright vessels in two rows on a floor, 0.6 m from the camera.
 
     Args:
         materials: class and name of each vessel's material, and its category.
@@ -122,7 +122,7 @@ def vessels(materials: Sequence[tuple[MaterialClass, str, str]], seed: int) -> T
         np.array([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]]), np.array([[0, 1, 2], [0, 2, 3]])
     )
     objects = [sim_scene.SceneObject(0, ground, SE3.identity(), draw_floor(rng).material)]
-    # Assets stand along y, the world's z is up.
+    # Assets have y up, the world z.
     upright = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     rows = int(np.ceil(len(materials) / _COLUMNS))
     for i, (material_class, name, category) in enumerate(materials):
@@ -160,7 +160,7 @@ def render_view(
 
     Args:
         spec: sensor with a projector.
-        camera: its left infrared camera, or one for a part of its image.
+        camera: its left infrared camera, or one for a crop of its image.
         seed: of light and noise.
 
     Raises:
@@ -216,12 +216,12 @@ def _above(height_m: float) -> SE3:
     return SE3(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, height_m]))
 
 
-"""Half of the local matcher's window: 9 pixels summed of costs that look 3 further each way."""
+"""Half the local matcher's window: costs summed over 9 pixels, each with a radius of 3."""
 
 STEP_PX = 1.5
 
 
-"""Difference in disparity across which a window sees two surfaces."""
+"""Difference in disparity between two surfaces within a window."""
 
 _OCCLUDED_PX = 1.0
 
@@ -229,26 +229,26 @@ _OCCLUDED_PX = 1.0
 def measurable_pixels(
     exact: NDArray[np.floating], *, focal_px: float, baseline_m: float
 ) -> NDArray[np.bool_]:
-    """Pixels whose whole window lies on one surface that both eyes see.
+    """Pixels whose whole window is on one surface that both cameras see.
 
     Args:
         exact: (h, w) true z-depth in the left camera, metres, 0 = none.
 
     Returns:
-        (h, w) bool. The rest holds the strip at the left edge that the right eye does not see,
-        the shadows beside near things, and their borders.
+        (h, w) bool. False at the left edge that the right camera does not see, in the shadows
+        beside near objects, and at their borders.
     """
     known = exact > 0
     disparity = np.zeros(exact.shape, np.float32)
     np.divide(focal_px * baseline_m, exact, out=disparity, where=known, casting="unsafe")
     column = np.arange(exact.shape[1], dtype=np.float32)
     in_right = column - disparity
-    # A nearer thing further right lands on the same column, or left of it, in the right image.
+    # A nearer object further right projects to the same column, or left of it, in the right image.
     nearest = np.minimum.accumulate(in_right[:, ::-1], axis=1)[:, ::-1]
     hidden = known & (in_right - nearest > _OCCLUDED_PX)
     window = np.ones((2 * WINDOW_PX + 1, 2 * WINDOW_PX + 1), np.uint8)
     small = np.ones((3, 3), np.uint8)
-    # Over three pixels even a steep slope changes little, a step all of its height.
+    # Over three pixels even a steep slope changes little, but a step by its whole height.
     step = cv2.dilate(disparity, small) - cv2.erode(disparity, small) > STEP_PX
     mixed = cv2.dilate((step | hidden).astype(np.uint8), window) > 0
     return np.asarray(known & (in_right >= WINDOW_PX) & ~mixed)

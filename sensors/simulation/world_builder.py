@@ -1,6 +1,6 @@
-"""A drawn scene at rest, as the renderer and the writers take it.
+"""A drawn scene at rest, in the form of the renderer and the writers.
 
-An asset's own look as a renderer takes it: one texture on one pair of coordinates per vertex.
+An asset's own look becomes one texture and one pair of coordinates per vertex.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from sensors.viewpoints.views import ViewpointOptions, random_viewpoints
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.images import read_color
 
-# Half the side of the floor: every ray of every viewpoint ends on it, none goes past into the sky.
+# Half the side of the floor: every downward ray of every viewpoint hits it.
 FLOOR_HALF_M = 15.0
 
-# Texels of one colour in a palette: more than one, so that filtering does not mix neighbours.
+# Texels per colour of a palette: several, so that filtering does not mix neighbours.
 _SWATCH = 4
 
 
@@ -40,9 +40,9 @@ class World:
     """A scene at rest.
 
     Attributes:
-        draw: what was drawn from the seed.
-        record: objects with their poses, as the writers take them.
-        scene: the same with floor and light, as the renderer takes it.
+        draw: the random choices from the seed.
+        record: objects with their poses, for the writers.
+        scene: the same with floor and light, for the renderer.
         T_world_cam: of the colour camera in every frame.
     """
 
@@ -64,17 +64,17 @@ def build_world(
     parts_cache: Path | None = None,
     parameters: dict[str, Any] | None = None,
 ) -> World:
-    """Let the objects of a draw fall, and put floor, light and cameras around them.
+    """Drop the objects of a draw, and add floor, light and cameras.
 
     Args:
         name: of the scene.
-        draw: what is in it.
+        draw: contents of the scene.
         assets: of its objects, in their order.
         environment: its light.
         options: of the data set.
         sensor: name of the sensor, for the record.
-        poses: T_world_obj of objects that lie still already; None lets them fall.
-        parts_cache: folder that keeps convex parts over runs.
+        poses: T_world_obj of objects already at rest; None drops them.
+        parts_cache: folder that caches convex parts across runs.
         parameters: further entries of the scene's record.
 
     Raises:
@@ -139,7 +139,7 @@ def _object(thing: ObjectDraw, asset: Asset, pose: SE3) -> SceneObject:
     mesh, texture = own_surface(asset, thing.diagonal_m)
     patterned = thing.material.texture is not None
     if texture is not None and asset.texture is None and patterned:
-        # A palette has no room for the material's pattern: the mean colour stands for it.
+        # A palette cannot hold the material's pattern: its mean colour is used.
         mean = to_linear(np.asarray(texture)).reshape(-1, 3).mean(axis=0)
         mesh, texture = SurfaceMesh(mesh.vertices, mesh.faces), None
         color = (float(mean[0]), float(mean[1]), float(mean[2]))
@@ -163,10 +163,10 @@ def _floor(drawn: FloorDraw) -> SceneObject:
 
 
 def own_surface(asset: Asset, diagonal_m: float) -> tuple[SurfaceMesh, NDArray[np.uint8] | None]:
-    """The asset at its size, and the texture image that shows its own colours.
+    """The asset at its size, and the texture image with its own colours.
 
-    A picture is taken as it is; colours of faces become a palette, each face's corners pointing
-    into the middle of its swatch. Vertices are doubled where corners differ.
+    A texture is used unchanged; face colours become a palette, with each face's corners at the
+    centre of its swatch. Vertices are duplicated where corners differ.
 
     Args:
         asset: in its canonical frame.
@@ -191,7 +191,7 @@ def own_surface(asset: Asset, diagonal_m: float) -> tuple[SurfaceMesh, NDArray[n
 def _with_corners(
     vertices: NDArray[np.floating], faces: NDArray[np.integer], uv: NDArray[np.floating]
 ) -> SurfaceMesh:
-    """A mesh whose vertices have one pair of coordinates each, doubled where corners differ."""
+    """A mesh with one pair of coordinates per vertex; vertices are duplicated as needed."""
     keys = np.concatenate([faces.reshape(-1, 1), uv.reshape(-1, 2)], axis=1)
     used, index = np.unique(keys, axis=0, return_inverse=True)
     return SurfaceMesh(

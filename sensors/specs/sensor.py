@@ -1,8 +1,6 @@
-"""A depth camera as data: its fields, the JSON files that hold it, their schema.
+"""A depth camera as data: its fields, the JSON files, and their generated JSON Schema.
 
-Sensors by name, or from a file of one's own.
-
-JSON Schema of a sensor's file, generated from the structure that reads it.
+Sensors are loaded by name, or from your own file.
 """
 
 from __future__ import annotations
@@ -24,8 +22,8 @@ Angles = Annotated[list[Annotated[float, msgspec.Meta(gt=1, lt=170)]],
 
 Range = Annotated[list[document.NonNegative], msgspec.Meta(min_length=2, max_length=2)]
 
-# Two sizes are scaled copies of one picture if their aspect ratios differ by less: 848x480 is
-# meant to be 16:9.
+# Two sizes are scaled copies of one image if their aspect ratios differ by less: 848x480 is
+# nominally 16:9.
 SAME_ASPECT = 0.01
 
 FOLDER = Path(__file__).parent
@@ -34,11 +32,11 @@ SCHEMA = FOLDER / "sensor.schema.json"
 
 
 class Source(document.Document, frozen=True, kw_only=True):
-    """Where figures come from.
+    """Origin of figures.
 
     Attributes:
         text: the document or measurement.
-        estimate: nobody has measured or published it; the text says what it rests on.
+        estimate: not measured or published; the text gives the basis of the estimate.
     """
 
     text: str
@@ -51,9 +49,9 @@ class ProjectorSpec(document.Document, frozen=True, kw_only=True):
     Attributes:
         position_m: in the frame of the left infrared camera. It looks along that camera's axis.
         fov_deg: full angles, across and down, of the pattern.
-        style: how the dots lie; see `sensors.pattern`.
+        style: arrangement of the dots; see `sensors.pattern`.
         dots_in_view: number of dots inside the depth field of view.
-        lit_share: share of the pattern that is brighter than half of a dot's peak.
+        lit_share: fraction of the pattern that is brighter than half of a dot's peak.
         roll_deg: rotation of the pattern about its axis.
     """
 
@@ -71,7 +69,7 @@ class ProjectorSpec(document.Document, frozen=True, kw_only=True):
 
 
 class DepthSpec(document.Document, frozen=True, kw_only=True):
-    """What the depth stream can tell.
+    """Properties of the depth stream.
 
     Attributes:
         field_of_view_deg: full angles, across and down.
@@ -104,8 +102,8 @@ class SensorSpec(document.Document, frozen=True, kw_only=True):
         T_ir_color: pose of the colour camera in the left infrared one, whose frame is depth's.
         projector: of dots, or null for a passive camera.
         depth: range, unit and noise.
-        sources: field (`infrared`, `depth.noise_px`, ...) to where its figures come from. A field
-            covers those below it.
+        sources: field (`infrared`, `depth.noise_px`, ...) to the origin of its figures. A field
+            includes those below it.
     """
 
     name: str
@@ -158,11 +156,11 @@ class SensorSpec(document.Document, frozen=True, kw_only=True):
         """Least and largest whole disparity that `depth.range_m` gives at this image size.
 
         The largest is also bounded by the number of disparities that the camera searches, which
-        is what sets its nearest depth at large sizes.
+        determines its nearest depth at large sizes.
         """
         fb = self.infrared_camera(width, height).fx * self.baseline_m
         near, far = self.depth.range_m
-        # The ends of a matcher's range are never winners: leave one more on each side.
+        # The ends of a matcher's range are never winners: add one on each side.
         low = max(0, int(np.floor(fb / far)) - 1)
         wanted = int(np.ceil(fb / near)) + 1 if near > 0 else low + self.depth.disparities
         return low, min(wanted, low + self.depth.disparities - 1)
@@ -170,13 +168,13 @@ class SensorSpec(document.Document, frozen=True, kw_only=True):
 
 def camera_of_size(models: list[CameraModel], width: int, height: int, field: str) -> Camera:
     """The camera of an image of this size.
+    A listed size is used unchanged, because a real camera's firmware crops and rounds in its own
+    way. Any other is scaled from the largest of the same aspect ratio: edges of the image map to
+    edges, and pixel centres are at integers.
+        edges and pixel centres at whole numbers.
 
-    A size that is listed is taken as it is: a real camera's firmware crops and rounds in its own
-    ways. Any other is scaled from the largest of the same aspect ratio, edges of the image staying
-    edges and pixel centres at whole numbers.
-
-    Raises:
-        ToolkitError: no image of this aspect ratio is listed.
+        Raises:
+            ToolkitError: no image of this aspect ratio is listed.
     """
     for model in models:
         if (model.width, model.height) == (width, height):
@@ -196,7 +194,7 @@ def camera_of_size(models: list[CameraModel], width: int, height: int, field: st
 
 
 def figures(spec: SensorSpec) -> list[str]:
-    """Names of all fields that hold figures, as keys of `sources`."""
+    """Names of all fields with figures, as keys of `sources`."""
     names = ["infrared", "color", "baseline_m", "T_ir_color", "depth"]
     names += [f"depth.{field}" for field in DepthSpec.__struct_fields__]
     if spec.projector is not None:
@@ -206,7 +204,7 @@ def figures(spec: SensorSpec) -> list[str]:
 
 
 def names() -> list[str]:
-    """Names of the sensors that come with the package."""
+    """Names of the sensors that ship with the package."""
     return sorted(path.stem for path in FOLDER.glob("*.json") if path != SCHEMA)
 
 
@@ -214,11 +212,10 @@ def load_sensor(name: str | Path) -> SensorSpec:
     """The sensor called `name`, or the one that a JSON file describes.
 
     Args:
-        name: a built-in name, in any case; or a path, told by its suffix or a separator.
+        name: a built-in name, in any case; or a path, recognised by its suffix or a separator.
 
     Raises:
-        ToolkitError: no such sensor, or a file that does not describe one: the message names the
-            field.
+        ToolkitError: no such sensor, or an invalid file: the message names the field.
     """
     path = Path(name)
     if path.suffix.lower() == ".json" or len(path.parts) > 1:

@@ -1,11 +1,9 @@
-"""The built-in stereo matchers: local (census or ZNCC), OpenCV's SGBM, and the one of DREDS.
+"""The built-in stereo matchers: local (census or ZNCC), OpenCV's SGBM, and that of DREDS.
 
-It is a soft minimum: every disparity counts with weight exp(100 ZNCC). Where two are about as
-likely, as on glass, the result lies between them and is no surface at all.
-
-OpenCV's semi-global matcher: smooth, hence less like a depth camera on glass and metal.
-
-The local matcher: the best sum of costs over a window, without any smoothness between pixels.
+- The local matcher minimises a sum of costs over a window, without smoothness between pixels.
+- SGBM is OpenCV's semi-global matcher: smooth, hence less like a depth camera on glass and metal.
+- The DREDS matcher is a soft minimum: every disparity has weight exp(100 ZNCC). If two are about
+  equally likely, as on glass, the result is between them and on neither surface.
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ class DredsOptions:
         left_right_px2: largest squared difference of the two images' disparities.
         median_px: side of the median filter, 3 or 5.
         bilateral_px, bilateral_disparity, bilateral_space: diameter of the bilateral filter, and
-            its spreads in pixels of disparity and of the image. Holes take part as -1, as released.
+            its spreads in pixels of disparity and of the image. Holes enter as -1, as released.
     """
 
     block_px: int = 11
@@ -93,7 +91,7 @@ def dreds_matcher(**options: Any) -> DredsMatcher:
 
 
 def _correlations(left: Image, right: Image, options: DredsOptions) -> NDArray[np.float32]:
-    """(H, W, D) zero-mean normalised cross correlation; 0 where a window leaves a picture."""
+    """(H, W, D) zero-mean normalised cross correlation; 0 where a window leaves an image."""
     height, width = left.shape
     d0, radius = options.min_disparity, options.block_px // 2
     count = options.max_disparity - d0 + 1
@@ -140,7 +138,7 @@ def _soft_winner(volume: NDArray[np.float32], options: DredsOptions) -> NDArray[
         np.divide(before - after, bend, out=offset[:, 1:-1], where=bend != 0)
         weight = np.exp(options.sharpness * (c - c.max(axis=1, keepdims=True)))
         out[y] = (weight * (disparity + offset)).sum(axis=1) / weight.sum(axis=1)
-        # The edges, where no correlation is known; the mean of the range would pass every check.
+        # At the edges no correlation is known; the mean of the range would pass every check.
         out[y][~c.any(axis=1)] = NONE
     return out
 
@@ -212,11 +210,11 @@ def sgbm_matcher(**options: Any) -> SgbmMatcher:
 
 
 class LocalMatcher:
-    """Census or ZNCC, summed over a box; the least cost wins; checked and fitted to sub-pixels.
+    """Census or ZNCC, summed over a box; winner takes all, with checks and a sub-pixel fit.
 
-    Pixels are left without disparity where the winner is not unique, where the right image has
-    another one, at the ends of the disparity range, and in small patches: much as the depth cameras
-    themselves leave holes on what does not show the projected pattern.
+    Pixels have no disparity if the winner is not unique, if the right image's winner differs, at
+    the ends of the disparity range, and in small patches. Real depth cameras leave similar holes on
+    surfaces that do not show the projected pattern.
     """
 
     def __init__(self, options: LocalMatcherOptions | None = None) -> None:

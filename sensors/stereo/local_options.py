@@ -1,7 +1,4 @@
-"""Options of the local stereo matcher, and the window sums that both of its backends use.
-
-What the correlation needs of each image alone: sums and spreads of its windows, exactly.
-"""
+"""Options of the local stereo matcher, and the window sums that both backends use."""
 
 from __future__ import annotations
 
@@ -13,24 +10,24 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 
-# The winner of a pixel is kept as cost * DISPARITIES + disparity in 32 bits; see `winners`.
+# A pixel's winner is stored as cost * DISPARITIES + disparity in 32 bits; see `winners`.
 DISPARITIES = 512
 
-# Cost of one pixel and disparity, before aggregation: 48 bits that differ, or this many steps of
-# 1 - correlation.
+# Cost of one pixel and disparity before aggregation: up to 48 differing bits, or this many steps
+# of 1 - correlation.
 ZNCC_STEPS = 4096
 
-# Where the gaussian has its foot, in 1 - correlation: found on dots 1.6 to 2.6 px wide. Beside its
-# peak the correlation of a dot pattern falls below zero.
+# Foot of the gaussian in 1 - correlation, determined on dots 1.6 to 2.6 px wide. Beside its peak
+# the correlation of a dot pattern is negative.
 GAUSSIAN_FOOT = 1.3
 
-# Standard deviation, in grey levels, that is added to every window's: without it the noise of
-# textureless places would correlate by chance as strongly as a pattern does.
+# Standard deviation, in grey levels, added to that of every window. Without it the noise of
+# textureless regions would correlate by chance as strongly as a pattern does.
 NOISE_LEVELS = 1.0
 
 
 class Cost(enum.StrEnum):
-    """What tells how alike two places are."""
+    """Measure of similarity."""
 
     CENSUS = "census"
     ZNCC = "zncc"
@@ -39,8 +36,8 @@ class Cost(enum.StrEnum):
 class Subpixel(enum.StrEnum):
     """Curve through the costs of the winner and its two neighbours.
 
-    On dots two pixels wide the error repeats with every pixel of disparity. Its worst mean over a
-    tenth of a pixel was measured (`perf/stereo.py`) as
+    On dots two pixels wide the error is periodic in the disparity with a period of one pixel. Its
+    worst mean over a tenth of a pixel was measured (`perf/stereo.py`) as
 
     ============  ======  =====
     curve         census  ZNCC
@@ -59,7 +56,7 @@ class Subpixel(enum.StrEnum):
 
 
 class Backend(enum.StrEnum):
-    """What computes: compiled code on the processor, or tensors on any device of torch."""
+    """Compiled code on the CPU, or tensors on any device of torch."""
 
     NUMBA = "numba"
     TORCH = "torch"
@@ -67,23 +64,23 @@ class Backend(enum.StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class LocalMatcherOptions:
-    """How the local matcher finds disparities. The defaults come nearest to a D415's own depth.
+    """Options of the local matcher. The defaults are closest to a D415's own depth.
 
     Attributes:
         cost: of a single pixel: census of 7x7 pixels, or correlation of a window.
         zncc_px: side of the correlation's window.
         aggregation_px: side of the square over which costs are summed.
         min_disparity, max_disparity: pixels, both included. The first and the last are never
-            winners: their neighbours, which the sub-pixel fit needs, are not known.
+            winners: the sub-pixel fit needs both neighbours.
         subpixel: curve through the winner and its neighbours; auto takes the one with the least
             bias, equiangular for census and gaussian for ZNCC.
         uniqueness_percent: the second best minimum must cost at least this much more.
-        left_right_px: the right image's own winner may differ by as much; None: not checked.
+        left_right_px: largest difference from the right image's winner; None: not checked.
         median_px: side of the median filter on valid disparities; 1: none.
         speckle_px: smaller connected patches are removed; 0: none.
         speckle_step_px: neighbours whose disparities differ by more are not connected.
         backend: numba or torch; the results are equal.
-        device: of torch, such as cuda; None: the first GPU, or else the processor.
+        device: of torch, such as cuda; None: the first GPU, otherwise the CPU.
         threads: of the numba backend; None: one per core.
     """
 
@@ -145,7 +142,7 @@ class LocalMatcherOptions:
 
     @property
     def curve(self) -> Subpixel:
-        """The sub-pixel curve, `auto` resolved."""
+        """The sub-pixel curve, with `auto` resolved."""
         if self.subpixel is not Subpixel.AUTO:
             return self.subpixel
         return Subpixel.EQUIANGULAR if self.cost is Cost.CENSUS else Subpixel.GAUSSIAN
@@ -157,7 +154,7 @@ class LocalMatcherOptions:
 
     @property
     def count(self) -> int:
-        """Number of disparities that are tried."""
+        """Number of disparities searched."""
         return self.max_disparity - self.min_disparity + 1
 
     def _check_odd(self, name: str, low: int, high: int) -> None:

@@ -1,6 +1,6 @@
-"""The local matcher on the processor: bands of rows over threads of compiled code.
+"""The local matcher on the CPU: bands of rows over threads of compiled code.
 
-Filters of a disparity map with holes, compiled.
+Includes compiled filters of a disparity map with holes.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from sensors.stereo import numba_kernels
 from sensors.stereo.local_options import Cost, LocalMatcherOptions, Subpixel, window_sums
 from sensors.stereo.stereo_matcher import Disparity, Image
 
-# Rows of a band: few enough that its costs (10 MB for 100 disparities of 640 columns) and those of
-# the rows that it shares with its neighbours are cheap, many enough that the latter are few.
+# Rows of a band: few enough that its costs (10 MB for 100 disparities of 640 columns) are
+# cheap, many enough that few rows are shared with the neighbouring bands.
 BAND_ROWS = 45
 
 CURVES = {
@@ -32,7 +32,7 @@ Rows = Callable[[int, int, NDArray[np.uint16]], None]
 
 
 def match(left: Image, right: Image, options: LocalMatcherOptions, threads: int) -> Disparity:
-    """See `LocalMatcher.match`. Threads are Python's own: numba's may not outlive a fork."""
+    """See `LocalMatcher.match`. Uses Python threads: numba's may not survive a fork."""
     height, width = left.shape
     bands = list(pairwise([*range(0, height, BAND_ROWS), height]))
     with ThreadPoolExecutor(threads) as pool:
@@ -67,7 +67,7 @@ def match(left: Image, right: Image, options: LocalMatcherOptions, threads: int)
 
 
 def continued(image: Image, radius: int) -> Image:
-    """The picture continued by its border pixels."""
+    """The image padded by its border pixels."""
     return np.pad(image, radius, mode="edge")
 
 
@@ -78,7 +78,7 @@ def _cost_rows(
     pool: ThreadPoolExecutor,
     bands: list[tuple[int, int]],
 ) -> Rows:
-    """What fills in the costs of some rows."""
+    """A function that computes the costs of some rows."""
     d0 = options.min_disparity
     if options.cost is Cost.CENSUS:
         a, b = (_census(image, pool, bands) for image in (left, right))
@@ -102,9 +102,9 @@ def _census(
 
 @compiled
 def median_rows(disparity, side, y0, y1, out):  # type: ignore[no-untyped-def]
-    """Rows y0..y1: of every valid pixel the (lower) median of the valid ones around it.
+    """Rows y0..y1: the (lower) median of the valid pixels around each valid pixel.
 
-    Holes stay holes: their disparity is 0 and takes no part.
+    Holes stay holes: their disparity is 0 and is ignored.
     """
     height, width = disparity.shape
     radius = side // 2

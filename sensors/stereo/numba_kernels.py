@@ -1,10 +1,8 @@
-"""The local matcher's inner loops in machine code: costs of pixels, and the winning disparity.
+"""The local matcher's compiled inner loops: costs of pixels, and the winning disparity.
 
-Costs of single pixels, compiled: census and zero-mean normalised correlation.
-
-All functions release the interpreter's lock and work on rows of their own, so that threads share a
-picture. Costs are integers: sums of them do not depend on their order, which makes the torch
-backend give the same disparities.
+The costs are census and zero-mean normalised correlation. All functions release the GIL and work on
+separate rows, so that threads can share an image. Costs are integers: their sums do not depend on
+the order, so that the torch backend gives the same disparities.
 """
 
 from __future__ import annotations
@@ -27,9 +25,9 @@ def winners(  # type: ignore[no-untyped-def]
 ):
     """Disparities of rows y0..y1.
 
-    Sums of windows that reach over the border, or where the right pixel lies outside, are scaled to
-    the full number of pixels. The winner is the least `cost * DISPARITIES + index`: of equal costs
-    the smaller disparity.
+    Sums of windows that extend beyond the border, or where the right pixel is outside, are scaled
+    to the full number of pixels. The winner is the minimum of `cost * DISPARITIES + index`: for
+    equal costs the smaller disparity.
 
     Args:
         costs: (rows, W, D) uint16 of rows top, top + 1, ...
@@ -37,7 +35,7 @@ def winners(  # type: ignore[no-untyped-def]
         uniqueness: percent.
         left_right: pixels, -1 = not checked.
         curve: of the sub-pixel fit.
-        plateau: cost at which the gaussian has its foot.
+        plateau: cost at the foot of the gaussian.
         out: (H, W) float32, 0 = none.
     """
     width, count = costs.shape[1], costs.shape[2]
@@ -82,7 +80,7 @@ def winners(  # type: ignore[no-untyped-def]
             for d in range(reach):
                 best = min(best, here[d] * np.int32(DISPARITIES) + np.int32(d))
             left_key[x] = best
-            # The right image's keys lie mirrored, so that both run upwards with the disparity.
+            # The right image's keys are mirrored, so that both run upwards with the disparity.
             first = width - 1 - x + d0
             for d in range(reach):
                 key = here[d] * np.int32(DISPARITIES) + np.int32(d)
@@ -114,7 +112,7 @@ def _add(columns, costs, sign):  # type: ignore[no-untyped-def]
 def _checked(  # type: ignore[no-untyped-def]
     costs, reach, key, right_key, x, d0, uniqueness, left_right, curve, plateau
 ):
-    """Disparity of one pixel from its costs, 0 where it fails a check."""
+    """Disparity of one pixel from its costs, 0 if it fails a check."""
     best = key % DISPARITIES
     if key == _NEVER or best == 0 or best + 1 >= reach:
         return np.float32(0)
@@ -136,11 +134,11 @@ def _checked(  # type: ignore[no-untyped-def]
 
 @compiled
 def _offset(before, least, after, curve, plateau):  # type: ignore[no-untyped-def]
-    """Place of the curve's minimum, -0.5 to 0.5 of a pixel."""
+    """Position of the curve's minimum, -0.5 to 0.5 of a pixel."""
     if curve == NONE:
         return np.float32(0)
     if curve == GAUSSIAN:
-        # Costs above the foot have no logarithm; the winner next to them is a lone peak.
+        # Costs above the foot have no logarithm; the winner next to them is an isolated peak.
         floor = np.float64(plateau) * 1e-3
         a = np.log(max(np.float64(plateau - before), floor))
         b = np.log(max(np.float64(plateau - after), floor))
@@ -163,7 +161,7 @@ def census(image, y0, y1, out):  # type: ignore[no-untyped-def]
     """Rows y0..y1 of the census: one bit per neighbour in 7x7 that is darker than the centre.
 
     Args:
-        image: (H + 6, W + 6) uint8, the picture continued by its border pixels.
+        image: (H + 6, W + 6) uint8, the image padded by its border pixels.
         out: (H, W) uint64.
     """
     width = out.shape[1]
@@ -181,7 +179,7 @@ def census(image, y0, y1, out):  # type: ignore[no-untyped-def]
 
 @compiled
 def _ones(word):  # type: ignore[no-untyped-def]
-    """Number of set bits; LLVM makes one instruction of this where the processor has it."""
+    """Number of set bits; LLVM compiles this to one instruction if the CPU has it."""
     word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
     word = (word & np.uint64(0x3333333333333333)) + (
         (word >> np.uint64(2)) & np.uint64(0x3333333333333333)
@@ -192,11 +190,11 @@ def _ones(word):  # type: ignore[no-untyped-def]
 
 @compiled
 def census_rows(left, right, d0, y0, y1, out):  # type: ignore[no-untyped-def]
-    """Bits that differ: out[y - y0, x, d] for pixel x of row y and disparity d0 + d, both images'.
+    """Differing bits: out[y - y0, x, d] for pixel x of row y and disparity d0 + d.
 
     Args:
         left, right: (H, W) uint64 of `census`.
-        out: (>= y1 - y0, W, D) uint16; 0 where the right pixel lies outside.
+        out: (>= y1 - y0, W, D) uint16; 0 where the right pixel is outside.
     """
     width, count = left.shape[1], out.shape[2]
     mirrored = np.empty(width, dtype=np.uint64)
@@ -219,11 +217,11 @@ def zncc_rows(left, right, l_sum, r_sum, l_inv, r_inv, size, d0, y0, y1, out):  
     """Steps of 1 - correlation, 0 to 2 ZNCC_STEPS, in the layout of `census_rows`.
 
     Args:
-        left, right: (H + size - 1, W + size - 1) uint8, continued by their border pixels.
+        left, right: (H + size - 1, W + size - 1) uint8, padded by their border pixels.
         l_sum, r_sum: (H, W) int32 sums over the windows.
         l_inv, r_inv: (H, W) float64, one over (number of pixels times standard deviation).
         size: side of the window.
-        out: (>= y1 - y0, W, D) uint16; 0 where the right pixel lies outside.
+        out: (>= y1 - y0, W, D) uint16; 0 where the right pixel is outside.
     """
     width = l_sum.shape[1]
     count, padded = out.shape[2], left.shape[1]

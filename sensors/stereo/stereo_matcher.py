@@ -1,4 +1,4 @@
-"""Stereo matchers as interchangeable parts, and what turns disparity into depth."""
+"""The interface of stereo matchers, and the conversion of disparity to depth."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ Disparity = NDArray[np.float32]
 
 
 class StereoMatcher(Protocol):
-    """Finds where the pixels of a left image lie in a rectified right one."""
+    """Finds the pixels of a left image in a rectified right one."""
 
     def match(self, left: Image, right: Image) -> Disparity:
         """Disparity of every pixel of the left image.
 
         Args:
-            left, right: (H, W) uint8, rectified: a point lies in the same row of both, in the
+            left, right: (H, W) uint8, rectified: a point is in the same row of both images, in the
                 right one further left by its disparity.
 
         Returns:
@@ -46,7 +46,7 @@ def make_matcher(name: str, **options: Any) -> StereoMatcher:
     """The matcher called `name` with its own options.
 
     Raises:
-        ToolkitError: no such matcher or option, or a value that the option cannot have.
+        ToolkitError: no such matcher or option, or an invalid value.
     """
     maker = MATCHERS.get(name)
     try:
@@ -58,7 +58,7 @@ def make_matcher(name: str, **options: Any) -> StereoMatcher:
 
 
 def check_pair(left: Image, right: Image) -> None:
-    """Refuse what is not a pair of 8-bit grey images of one size."""
+    """Raise unless the images are 8-bit, grey and of one size."""
     for side, image in (("left", left), ("right", right)):
         if image.dtype != np.uint8 or image.ndim != 2:
             raise ToolkitError(
@@ -79,7 +79,7 @@ def disparity_to_depth(
     baseline_m: float,
     range_m: tuple[float, float] = (0.0, np.inf),
 ) -> NDArray[np.float32]:
-    """z-depth (H, W) float32 metres, 0 = none: where disparity is 0, or depth out of range.
+    """z-depth (H, W) float32 metres; 0 where disparity is 0 or depth is out of range.
 
     Args:
         disparity: (H, W) pixels of the left image, 0 = none.

@@ -1,6 +1,6 @@
 """The local matcher on any device of torch. Integer costs make it equal to the numba backend.
 
-Filters of a disparity map with holes, on any device; equal to `numba_filters`.
+Includes the filters of a disparity map with holes, equal to those of `numba_backend`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def device_of(options: local_options.LocalMatcherOptions) -> torch.device:
     """The device to compute on.
 
     Raises:
-        ToolkitError: torch does not know it or cannot use it here.
+        ToolkitError: torch does not know the device or cannot use it here.
     """
     name = options.device or ("cuda" if torch.cuda.is_available() else "cpu")
     try:
@@ -79,12 +79,12 @@ def _pixel_costs(
 
 
 def _disparities(options: local_options.LocalMatcherOptions, width: int) -> list[tuple[int, int]]:
-    """(index, disparity) of those that any pixel can have."""
+    """(index, disparity) of those that occur in the image width."""
     return [(i, d) for i, d in enumerate(range(options.min_disparity, width)) if i < options.count]
 
 
 def _continued(image: Tensor, radius: int) -> Tensor:
-    """(H + 2 radius, W + 2 radius): the picture continued by its border pixels."""
+    """(H + 2 radius, W + 2 radius): the image padded by its border pixels."""
     rows, columns = (
         torch.arange(-radius, n + radius, device=image.device).clamp(0, n - 1) for n in image.shape
     )
@@ -108,7 +108,7 @@ def _ones(word: Tensor) -> Tensor:
     word = word - ((word >> 1) & _HALVES[0])
     word = (word & _HALVES[1]) + ((word >> 2) & _HALVES[1])
     word = (word + (word >> 4)) & _HALVES[2]
-    # The top byte of the product is the sum of all; 48 keeps it from the sign.
+    # The top byte of the product is the sum of all bytes; 48 does not reach the sign bit.
     return (word * _HALVES[3]) >> 56
 
 
@@ -140,10 +140,10 @@ def _aggregated(costs: Tensor, options: local_options.LocalMatcherOptions) -> Te
 
 
 def _winners(costs: Tensor, options: local_options.LocalMatcherOptions) -> Tensor:
-    """(H, W) float32 disparity, 0 = none; see `numba_winner.winners`."""
+    """(H, W) float32 disparity, 0 = none; see `numba_kernels.winners`."""
     count, height, width = costs.shape
     index = torch.arange(count, dtype=torch.int32, device=costs.device)[:, None, None]
-    # One disparity at a time: keys of the whole volume would take as much memory again.
+    # One disparity at a time: keys of the whole volume would double the memory.
     left_key = torch.full((height, width), NEVER, dtype=torch.int32, device=costs.device)
     right_key = left_key.clone()
     for i, d in _disparities(options, width):
@@ -173,7 +173,7 @@ def _winners(costs: Tensor, options: local_options.LocalMatcherOptions) -> Tenso
 def _offset(
     before: Tensor, least: Tensor, after: Tensor, options: local_options.LocalMatcherOptions
 ) -> Tensor:
-    """Place of the minimum of the curve through three costs, -0.5 to 0.5 of a pixel."""
+    """Position of the minimum of the curve through three costs, -0.5 to 0.5 of a pixel."""
     curve = options.curve
     if curve is local_options.Subpixel.NONE:
         return torch.zeros_like(least, dtype=torch.float32)
@@ -184,7 +184,7 @@ def _offset(
         bend = a + b - 2 * c
         offset = torch.where(bend > -1e-12, 0, (a - b) / (2 * bend))
         return offset.clamp(-0.5, 0.5).float()
-    # No sum may leave 32 bits where a cost does not exist; such pixels are dropped anyway.
+    # No sum may overflow 32 bits where a cost does not exist; such pixels are dropped anyway.
     before, after = before.long(), after.long()
     if curve is local_options.Subpixel.QUADRATIC:
         bend = 2 * (before + after - 2 * least)
@@ -195,7 +195,7 @@ def _offset(
 
 
 def median(disparity: Tensor, side: int) -> Tensor:
-    """(H, W): of every valid pixel the (lower) median of the valid ones in side x side."""
+    """(H, W): the (lower) median of the valid pixels in size side x side, for valid pixels."""
     height, width = disparity.shape
     radius = side // 2
     padded = pad(disparity, (radius,) * 4)
@@ -203,7 +203,7 @@ def median(disparity: Tensor, side: int) -> Tensor:
         [padded[v : v + height, u : u + width] for v in range(side) for u in range(side)]
     )
     valid = around > 0
-    # Holes sort behind everything.
+    # Holes are sorted last.
     ordered = torch.where(valid, around, torch.inf).sort(dim=0).values
     middle = ((valid.sum(0) - 1) // 2).clamp(min=0)
     found = ordered.gather(0, middle[None])[0]
@@ -213,7 +213,7 @@ def median(disparity: Tensor, side: int) -> Tensor:
 def remove_speckles(disparity: Tensor, smallest: int, step: float) -> Tensor:
     """(H, W) without connected patches of fewer than `smallest` valid pixels.
 
-    Every pixel takes the least label of its neighbours in turn, and then the label of its label,
+    Every pixel alternately takes the least label of its neighbours and the label of its label,
     until nothing changes: some tens of rounds, as the paths halve.
     """
     height, width = disparity.shape

@@ -1,4 +1,4 @@
-"""A small synthetic recording with known truth: what the tests and the demo run on.
+"""A small synthetic recording with known ground truth, for the tests and the demo.
 
 Ray cast with procedural textures, one bounce of reflection and refraction, and a model of an
 active stereo sensor's noise, bias and holes. It is quick (a few seconds) rather than physical.

@@ -1,6 +1,6 @@
-"""What the quick camera sees: its colour image, and the depth of an active stereo sensor.
+"""Images of the quick camera: colour, and the depth of an active stereo sensor.
 
-What an active stereo camera would report: noise, bias, holes, and failure on glass and metal.
+The depth has noise, bias, holes, and failures on glass and metal.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class FrameMaps:
 def render_frame(
     world: World, camera: Camera, T_world_cam: SE3, *, rng: np.random.Generator, samples: int = 2
 ) -> FrameMaps:
-    """Render one frame; colour has samples x samples rays a pixel, depth the centre ray."""
+    """Render one frame; colour has samples x samples rays per pixel, depth the centre ray."""
     rays = camera.rays().reshape(-1, 3)
     along = rays @ T_world_cam.R.T
     eye = np.broadcast_to(T_world_cam.t, along.shape)
@@ -61,11 +61,11 @@ def render_frame(
 
 
 def _needs_samples(ids: NDArray[np.int64], entity: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Pixels at the border between two surfaces, where one ray would leave a jagged edge."""
+    """Pixels at the border between two surfaces, where one ray would give a jagged edge."""
     surface = (entity + 1).astype(np.uint8)
     near = np.ones((3, 3), np.uint8)
     border = cv2.dilate(surface, near) != cv2.erode(surface, near)
-    # Mirrors and glass show borders of other things inside their own.
+    # Mirrors and glass show borders of other objects inside their own.
     return np.asarray(border | (cv2.dilate((ids > 0).astype(np.uint8), near) > 0))
 
 
@@ -114,14 +114,14 @@ def sensor_depth(
         material: (H, W) 0 background, 1 raw or diffuse, 2 transparent, 3 specular.
         fx: focal length in pixels.
         bias: factor on all depth (1.015: the sensor reads 1.5 % too far).
-        rng: of noise and holes.
+        rng: generator of noise and holes.
     """
     glass, metal = material == 2, material == 3
     depth = np.where(glass, behind, exact).astype(np.float64)
-    # Matching windows make the noise smooth over a few pixels.
+    # Matching windows smooth the noise over a few pixels.
     noise = DISPARITY_NOISE_PX * _smooth_noise(rng, exact.shape, 1.5)
     depth += np.where(depth > 0, noise * depth**2 / (fx * BASELINE_M), 0)
-    # Metal mirrors the pattern: what is matched there is anywhere between it and its image.
+    # Metal mirrors the pattern: the matched depth is anywhere between the surface and the image.
     blobs = _smooth_noise(rng, exact.shape, 6)
     depth = np.where(metal, depth + 0.03 * np.abs(blobs), depth)
     missing = (depth <= 0) | (glass & (blobs > -1.0)) | (metal & (blobs > -0.8))

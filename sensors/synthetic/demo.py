@@ -1,4 +1,4 @@
-"""The demo: a simulated recording through the whole pipeline, with the commands a user types."""
+"""The demo: a simulated recording through the whole pipeline, with the user's commands."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _SIMULATOR = ("coacd", "manifold3d", "mitsuba", "mujoco", "numba")
 
 
 def run_demo(out: Path, *, quick: bool = False, simulated: SimulatedOptions = SIMULATED) -> int:
-    """Record, import, label, run, export, score; what is done already is kept.
+    """Record, import, label, run, export, score; completed steps are kept.
 
-    Where the simulator is not installed, or would be too slow, the quick recording serves, in a
-    folder of its own.
+    If the simulator is not installed, or would be too slow, the quick recording is used, in a
+    separate folder.
 
     Args:
         out: folder for everything.
-        quick: take the quick recording in any case.
+        quick: use the quick recording in any case.
         simulated: the simulated recording.
 
     Returns:
@@ -50,7 +50,7 @@ def run_demo(out: Path, *, quick: bool = False, simulated: SimulatedOptions = SI
         truth = make_recording(recording, QUICK)
     else:
         _say(f"Simulating {simulated.frames} frames of an active stereo camera to {recording}")
-        # A process of its own: its memory is free again for the steps that follow.
+        # A separate process, which frees its memory for the steps that follow.
         status = _python("sensors.synthetic", _record_arguments(recording, simulated))
         if status:
             return status
@@ -71,8 +71,9 @@ def run_demo(out: Path, *, quick: bool = False, simulated: SimulatedOptions = SI
             f"--category {item.category} --material {item.material} --symmetry {symmetry} "
             f"--frame 0 --pose {poses[item.name]} --annotator demo"
         )
-    # The quick sensor reads 1.5 % too far, which only objects of known size can tell. The simulated
-    # one is calibrated without error: its metres are better than what six small objects tell.
+    # The quick sensor reads 1.5 % too far, which only objects of known size can correct. The
+    # simulated one is calibrated without error: its scale is better than an estimate from six
+    # small objects.
     commands.append(f"run {scene} --refine-scale" if quick else f"run {scene}")
     commands.append(f"export {scene} --format bop --out {out}/bop")
     commands.append(f"export {scene} --format std --out {out}/std")
@@ -91,7 +92,7 @@ def run_demo(out: Path, *, quick: bool = False, simulated: SimulatedOptions = SI
 
 
 def why_no_simulator() -> str | None:
-    """Why the simulator cannot make the recording here in minutes, or None."""
+    """Reason why the simulator cannot make the recording here in minutes, or None."""
     absent = [name for name in _SIMULATOR if importlib.util.find_spec(name) is None]
     if absent:
         return f"the simulator is not installed ({', '.join(absent)}; pip install '.[sim]')"

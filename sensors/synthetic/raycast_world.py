@@ -1,4 +1,4 @@
-"""The synthetic table top as rays see it: geometry, albedo, light, reflection, refraction."""
+"""The synthetic table top for ray casting: geometry, albedo, light, reflection, refraction."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ GLASS_INDEX = 1.45
 
 @dataclass(frozen=True)
 class Hits:
-    """What rays met: arrays over rays.
+    """Ray hits: arrays over rays.
 
     Attributes:
         t: ray parameter, inf where nothing was hit.
@@ -138,7 +138,7 @@ class World:
         fresnel = 0.06 + 0.94 * (1 - np.clip(cosine, 0, 1)) ** 5
         reflected = d + 2 * cosine * n
         mirror = self.radiance(hits.points[rows] + 1e-5 * n, reflected, bounces=bounces - 1)
-        # A thin wall hardly bends light, its rim does: bend in proportion to the obliqueness.
+        # A thin wall hardly refracts, its rim does: refract in proportion to the obliqueness.
         bent = d - (1 - 1 / GLASS_INDEX) * (1 - cosine) * 1.3 * n
         bent /= np.linalg.norm(bent, axis=1, keepdims=True)
         behind = self.cast(hits.points[rows] - 1e-5 * n, bent, through_glass=True)
@@ -177,7 +177,7 @@ _KIND = {"raw": 0, "diffuse": 0, "specular": 1, "transparent": 2}
 
 
 def _paints(count: int) -> list[tuple[float, float, float]]:
-    """Well-told-apart ground colours of the objects, linear RGB."""
+    """Clearly distinct base colours of the objects, linear RGB."""
     hues = (np.arange(count) * 0.381966 + 0.08) % 1
     channels = 0.12 + 0.55 * (0.5 + 0.5 * np.cos(2 * np.pi * (hues[:, None] - np.arange(3) / 3)))
     return [(float(r), float(g), float(b)) for r, g, b in channels]
@@ -189,7 +189,7 @@ def _plane(half: float, z: float) -> trimesh.Trimesh:
 
 
 def _sky(directions: Array) -> Array:
-    """A bright soft box above, grey walls around: enough for mirrors and glass to show."""
+    """A bright soft box above, grey walls around, for reflection in mirrors and glass."""
     up = directions[:, 2:3]
     wall = np.array([0.50, 0.52, 0.55]) + 0.12 * np.sin(3 * directions[:, :1] + 1.3)
     lamp = 1 / (1 + np.exp(-30 * (up - 0.75)))

@@ -1,6 +1,6 @@
-"""Writes a synthetic recording as a camera would leave it, and its truth beside it.
+"""Writes a synthetic recording in the form of a camera recording, with its ground truth.
 
-A hand-held arc around the table.
+The camera moves along a hand-held arc around the table.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ DEPTH_SCALE = 0.001
 # Mesh frame y up, world z up.
 UPRIGHT = so3_exp([np.pi / 2, 0.0, 0.0])
 
-# Where the camera looks: a little above the table's middle.
+# Point that the camera looks at: slightly above the centre of the table.
 TARGET_M = np.array([0.0, 0.0, 0.05])
 
 
@@ -38,11 +38,11 @@ class RecordingOptions:
 
     Attributes:
         frames: number of frames.
-        arc_degrees: angle of the camera's way around the table.
+        arc_degrees: angle of the camera's path around the table.
         width, height: image size; the horizontal field of view is 56 degrees.
         depth_bias: factor on the sensor's depth.
         samples: rays per pixel and axis for colour.
-        seed: of places, textures, path and noise.
+        seed: of object poses, textures, path and noise.
     """
 
     frames: int = 120
@@ -61,7 +61,7 @@ class RecordingOptions:
 
     def camera(self) -> Camera:
         f = 0.94 * self.width
-        # A principal point off the middle: a mistake about it must not go unnoticed.
+        # An off-centre principal point, so that errors in its handling are detected.
         return Camera(self.width, self.height, f, f, self.width / 2 + 3.3, self.height / 2 - 2.7)
 
 
@@ -70,7 +70,7 @@ def make_recording(
 ) -> Truth:
     """Write color/, depth/ (16-bit PNG, mm), models/, intrinsics.json and truth.json to `out`.
 
-    Frames that are there already are kept: truth.json tells that a recording is complete.
+    Existing frames are kept; a recording with truth.json is complete.
     """
     options = options or RecordingOptions()
     shapes = default_shapes()
@@ -123,7 +123,7 @@ def _truth(options: RecordingOptions, shapes: list[Shape]) -> Truth:
 
 
 def _places(shapes: list[Shape], seed: int) -> list[SE3]:
-    """Upright on the table, as close together as clutter is, none inside another."""
+    """Upright poses on the table, as close together as clutter, without overlap."""
     rng = np.random.default_rng(seed + 1)
     placed: list[tuple[float, float, float]] = []
     poses = []
@@ -191,7 +191,7 @@ def look_at(eye: NDArray[np.float64], target: NDArray[np.float64], *, roll: floa
 def arc(
     frames: int, *, degrees: float, radius_m: float, seed: int, start_degrees: float = -60.0
 ) -> list[SE3]:
-    """T_world_cam along an arc, with the slow wander and the tremor of a hand."""
+    """T_world_cam along an arc, with the slow drift and the tremor of a hand."""
     rng = np.random.default_rng(seed)
     s = np.linspace(0, 1, frames)
     azimuth = np.radians(start_degrees + degrees * s)

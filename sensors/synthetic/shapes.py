@@ -1,7 +1,4 @@
-"""The objects of the quick recording: meshes and printed textures.
-
-Printed-looking random textures, and how they wrap around objects.
-"""
+"""The objects of the quick recording: meshes, and random printed textures wrapped around them."""
 
 from __future__ import annotations
 
@@ -28,7 +25,7 @@ _WORDS = ("OATS", "SOUP", "250 g", "net", "fresh", "A4", "lab", "42", "cocoa", "
 
 @dataclass(frozen=True)
 class Shape:
-    """An object as it is put on the table.
+    """An object before it is placed on the table.
 
     Attributes:
         name: unique in the recording.
@@ -102,7 +99,7 @@ def tumbler(radius: float, height: float, wall: float = 0.003) -> trimesh.Trimes
 def mug(radius: float, height: float, wall: float = 0.004) -> trimesh.Trimesh:
     r, h = radius, height
     cup = lathe([(0, 0), (r, 0), (r, h), (r - wall, h), (r - wall, wall), (0, wall)])
-    # An arc from the upper to the lower part of the wall, its ends buried in the wall.
+    # An arc from the upper to the lower part of the wall, with its ends inside the wall.
     angles = np.linspace(-1.25, 1.25, 25)
     arc = np.stack(
         [
@@ -119,7 +116,7 @@ def mug(radius: float, height: float, wall: float = 0.004) -> trimesh.Trimesh:
     return _centred(trimesh.Trimesh(vertices, faces, process=False))
 
 
-# The objects of the default recording: four that a stereo sensor sees, two that it does not.
+# The objects of the default recording: four that a stereo sensor measures, two that it does not.
 DEFAULT_SHAPES: tuple[tuple[str, str, Material, Callable[[], trimesh.Trimesh], Symmetry], ...] = (
     ("cereal_box", "other", "diffuse", lambda: box(0.11, 0.16, 0.05), Symmetry()),
     ("soup_can", "can", "diffuse", lambda: can(0.034, 0.102), TURN),
@@ -179,20 +176,20 @@ def printed_texture(
     contrast: float = 1.0,
     mark_size: tuple[float, float] = (0.02, 0.1),
 ) -> Image:
-    """(height, width, 3) float32 RGB in [0, 1]: a paper colour with shapes, words and grain.
+    """(height, width, 3) float32 RGB in [0, 1]: a paper colour with shapes, words and noise.
 
     Args:
-        base: colour of the ground.
+        base: background colour.
         marks: number of shapes and words.
-        contrast: 1 prints in any colour, 0 in the ground's.
-        mark_size: extent of the marks as a share of the shorter side.
+        contrast: 1 prints in any colour, 0 in the background's.
+        mark_size: extent of the marks as a fraction of the shorter side.
     """
     image = np.empty((height, width, 3), np.uint8)
     image[:] = np.rint(np.asarray(base) * 255)
     size = min(width, height)
     for _ in range(marks):
         ink = rng.uniform(0.05, 0.95, 3)
-        # Most prints are near grey; a table of saturated colours would hide every object.
+        # Most prints are near grey; with saturated colours everywhere no object would stand out.
         ink = ink.mean() + 0.45 * (ink - ink.mean())
         colour = tuple(int(255 * x) for x in np.asarray(base) + contrast * (ink - base))
         x, y = int(rng.uniform(0, width)), int(rng.uniform(0, height))
@@ -231,7 +228,7 @@ def sample(texture: Image, u: NDArray[np.floating], v: NDArray[np.floating]) -> 
     height, width = texture.shape[:2]
     x = (np.mod(u, 1) * width).astype(np.float32)
     y = (np.mod(v, 1) * height).astype(np.float32)
-    # OpenCV's remap takes at most 32767 columns: fold the list into rows.
+    # OpenCV's remap accepts at most 32767 columns: fold the list into rows.
     count = len(x)
     columns = 4096
     rows = -(-count // columns)
@@ -247,7 +244,7 @@ def wrap(
 ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     """Texture coordinates of surface points (N, 3) of a centred object: one print per side.
 
-    Each of the six directions that a normal can face most gets its own tile of the texture.
+    Each of the six main directions of normals gets its own tile of the texture.
     """
     axis = np.argmax(np.abs(normals), axis=1)
     other = np.array([[2, 1], [0, 2], [0, 1]])[axis]

@@ -1,7 +1,7 @@
-"""A recording of the path-tracing simulator, of chosen objects: what the demo runs on.
+"""A recording of chosen objects by the path-tracing simulator, used by the demo.
 
 The form on disk is that of the quick recordings (`sensors.synthetic.recording`): color/, depth/
-(16 bit), models/, intrinsics.json, truth.json. Depth is what a stereo matcher finds in the
+(16 bit), models/, intrinsics.json, truth.json. Depth is the stereo matcher's result on the
 simulated infrared pair of a D415, aligned to colour: with holes and errors on glass and metal.
 """
 
@@ -37,26 +37,26 @@ OBJECTS: tuple[tuple[str, float, Material, str], ...] = (
     ("can-p1-000018", 0.14, "raw", ""),
     ("car-p1-000002", 0.22, "diffuse", "coarse_plastic_bright"),
 )
-# They stand close together, as clutter does, and most of them upright.
+# They are close together, as in clutter, and most of them are upright.
 HALF_WIDTH_M = 0.24
 TILT_RAD = 0.05
-# Frames made at a time; what a killed run loses at most.
+# Frames made at a time; a killed run loses at most these.
 CHUNK = 5
-# The floor's picture covers this much; a renderer reduces it to 1024 pixels, as fine as the images.
+# Extent of the floor image; a renderer reduces it to 1024 pixels, as fine as the camera images.
 FLOOR_TILE_M = 1.5
 FLOOR_PX = 1024
 _BEGUN = "simulated.json"
 
 
 class SimulatedOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What to simulate.
+    """Options of a simulated recording.
 
     Attributes:
         frames: number of frames.
-        sweep_deg: angle of the camera's way around the objects.
+        sweep_deg: angle of the camera's path around the objects.
         width, height: of all images.
         quality: light paths per pixel, one of `sensors.simulation.options`.
-        seed: of places, light, way and noise.
+        seed: of object poses, light, path and noise.
     """
 
     frames: int = 36
@@ -73,7 +73,7 @@ class SimulatedOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
 
 class Begun(Document, frozen=True, kw_only=True):
-    """simulated.json: what a recording was begun with; written before its first frame."""
+    """simulated.json: the options of a recording, written before its first frame."""
 
     version_of_tool: str
     options: SimulatedOptions
@@ -84,16 +84,16 @@ def make_simulated_recording(
 ) -> Truth:
     """Write color/, depth/ (16-bit PNG, mm), models/, intrinsics.json and truth.json to `out`.
 
-    Frames that are there already are kept: truth.json tells that a recording is complete. The
-    same options give the same files, however often it was interrupted.
+    Existing frames are kept; a recording with truth.json is complete. The same options give the
+    same files, also after interruptions.
 
     Args:
-        out: folder; made if need be.
+        out: folder; created if missing.
         options: what to simulate.
-        parts_cache: keeps the objects' convex parts over recordings; the user's by default.
+        parts_cache: cache of the objects' convex parts; default: the user's cache.
 
     Raises:
-        ToolkitError: another recording is there, or the simulator does not work here.
+        ToolkitError: another recording exists at `out`, or the simulator does not work here.
     """
     options = options or SimulatedOptions()
     _begin(out, options)
@@ -102,7 +102,7 @@ def make_simulated_recording(
     chunks = [range(i, min(i + CHUNK, options.frames)) for i in range(0, options.frames, CHUNK)]
     missing = [c for c in chunks if not all(_depth_path(out, i).exists() for i in c)]
     recorder = _Recorder(out, options, parts_cache)
-    # One after the other in this process: the renderer itself uses all cores.
+    # Sequentially in this process: the renderer itself uses all cores.
     run_jobs(
         partial(_write_chunk, recorder),
         missing,
@@ -114,7 +114,7 @@ def make_simulated_recording(
 
 
 class _Recorder:
-    """The scene at rest, and the simulator that looks at it."""
+    """The scene at rest, and its simulator."""
 
     def __init__(self, out: Path, options: SimulatedOptions, cache: Path | None) -> None:
         from sensors.assets import SourceOptions, open_source
@@ -162,12 +162,12 @@ class _Recorder:
             seed=options.seed,
             objects=objects,
             floor=FloorDraw(
-                # A printed cloth: structure from motion needs something to hold on to.
+                # A printed cloth: structure from motion needs texture.
                 material=msgspec.structs.replace(cloth, texture=None, own_share=1.0),
                 image=str(_write_floor(out / "floor.png", options.seed)),
                 image_tile_m=FLOOR_TILE_M,
             ),
-            # A recording is made in one light.
+            # The light is constant during a recording.
             light=[draw_lighting(rng, environment.name)] * options.frames,
         )
         falling = [
@@ -190,7 +190,7 @@ class _Recorder:
         draw = self.world.draw
         part = replace(
             self.world,
-            # The noise of a chunk is its own: what was made before it does not matter.
+            # Each chunk has its own noise, independent of earlier ones.
             draw=msgspec.structs.replace(
                 draw,
                 seed=draw.seed * 100_000 + frames.start,
@@ -204,7 +204,7 @@ class _Recorder:
             )
 
     def finish(self) -> Truth:
-        """Write models, intrinsics and the truth, when every frame is there."""
+        """Write models, intrinsics and the truth after every frame was written."""
         from sensors.output.recording_writer import write_truth
         from sensors.simulation.equipment import Equipment
 

@@ -1,8 +1,7 @@
-"""What the truth of a recording serves for: first-frame poses, a labelled scene, label errors.
+"""Uses of a recording's ground truth: first-frame poses, a labelled scene, label errors.
 
-A simulated annotator: the true pose, as well as a person with a mouse finds it.
-
-A scene whose poses and labels are the truth: for steps that are tested by themselves.
+First-frame poses have the error of a human annotator. The labelled scene has exact poses and
+labels, for tests of single steps.
 """
 
 from __future__ import annotations
@@ -60,7 +59,7 @@ class LabelErrors:
 
 
 def label_errors(scene: Scene, recording: Path) -> LabelErrors:
-    """Errors of a scene's propagated labels; in camera frames, so that no alignment is needed.
+    """Errors of a scene's propagated labels, in camera frames so that no alignment is needed.
 
     Raises:
         ToolkitError: an object or all of its frames have no label.
@@ -107,9 +106,9 @@ def annotate_first_frame(
 ) -> dict[str, SE3]:
     """T_cam_obj of every object in one frame, with an annotator's error.
 
-    Sideways the pose is off by `pixels` (standard deviation per axis). Along the viewing ray it
-    is off by what changes the size of the silhouette by `pixels`: at 0.7 m and f = 600 px one
-    pixel on an object of 100 mm is 1.2 mm sideways but 8 mm in depth.
+    The lateral error is `pixels` (standard deviation per axis). The error along the viewing ray
+    changes the size of the silhouette by `pixels`: at 0.7 m and f = 600 px one pixel on an object
+    of 100 mm is 1.2 mm sideways but 8 mm in depth.
 
     Args:
         extents_m: size of each object across the view, metres, by name.

@@ -1,1 +1,1 @@
-"""Where the simulator's cameras stand: random viewpoints of a scene, and smooth ways around it."""
+"""Camera poses of the simulator: random viewpoints of a scene, and smooth paths around it."""

@@ -1,4 +1,4 @@
-"""Smooth ways of a hand-held camera around a table."""
+"""Smooth paths of a hand-held camera around a table."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ _STREAM = 0x7124
 
 @dataclass(frozen=True, kw_only=True)
 class TrajectoryOptions:
-    """A way around the table. World frame: z up, floor at z = 0, metres.
+    """A path around the table. World frame: z up, floor at z = 0, metres.
 
-    The camera goes around the target at an even rate. On an `arc` its elevation and distance
-    wander slowly within their ranges; on a `spiral` it climbs from the lowest elevation to the
-    highest while only the distance wanders. A hand's sway is added to its place and a slow drift
-    to the point that it looks at. All of them are cubic splines: velocity and acceleration are
-    continuous, and more frames only sample the same way more finely.
+    The camera moves around the target at a constant angular rate. On an `arc` its elevation and
+    distance vary slowly within their ranges; on a `spiral` it climbs from the lowest elevation to
+    the highest while only the distance varies. A hand's sway is added to its position and a slow
+    drift to the point that it looks at. All of them are cubic splines: velocity and acceleration
+    are continuous, and more frames only sample the same path more finely.
 
     Attributes:
         kind: arc or spiral.
         frames: number of frames.
-        sweep_deg: angle of the way around the vertical, negative for clockwise.
+        sweep_deg: angle of the path around the vertical, negative for clockwise.
         start_deg: azimuth of the first frame; None draws it.
         distance_m: range of the distance to the target, before sway.
         elevation_deg: range of the elevation above the target's horizon, before sway.
-        target_m: what the camera goes around.
-        drift_m: largest distance, along each axis, of the point looked at from the target.
+        target_m: centre of the path.
+        drift_m: largest offset, along each axis, of the point looked at from the target.
         sway_m: largest displacement of the hand along each axis.
         roll_deg: largest roll about the optical axis.
-        sways: how often on the whole way the hand changes its mind.
+        sways: number of changes of the hand's direction along the path.
     """
 
     kind: Kind = "arc"
@@ -84,11 +84,11 @@ class TrajectoryOptions:
 
 
 def smooth_trajectory(seed: int, options: TrajectoryOptions | None = None) -> list[SE3]:
-    """T_world_cam of every frame along a smooth way.
+    """T_world_cam of every frame along a smooth path.
 
     Args:
-        seed: of start, wander, drift and sway, 0 or above.
-        options: shape of the way.
+        seed: of start, variation, drift and sway, 0 or above.
+        options: shape of the path.
 
     Raises:
         ToolkitError: a negative seed.
@@ -135,7 +135,7 @@ def _wander(rng: np.random.Generator, s: Array, *, knots: int, columns: int) -> 
 
     knots = max(knots, 4)
     spline = CubicSpline(np.linspace(0, 1, knots), rng.uniform(-1, 1, (knots, columns)))
-    # The extremes of the function, not of its samples: the way must not depend on the frames.
+    # The extremes of the function, not of its samples: the path must not depend on the frames.
     turning = spline.derivative().roots(extrapolate=False)
     highest = []
     for column, places in enumerate(turning):

@@ -1,9 +1,4 @@
-"""Single views: a camera that looks at a point, random viewpoints, and which objects are in view.
-
-A camera that looks at a point.
-
-Which objects a view is too narrow for.
-"""
+"""Single views: a camera that looks at a point, random viewpoints, and the objects in view."""
 
 from __future__ import annotations
 
@@ -18,18 +13,18 @@ from std_toolkit.geometry import SE3, Camera
 
 Range = tuple[float, float]
 
-# Keeps the random numbers of viewpoints apart from others that are drawn from the same seed.
+# Separates the random numbers of viewpoints from others drawn from the same seed.
 _STREAM = 0x71E35
 
 WORLD_UP = (0.0, 0.0, 1.0)
 
-# Sine of the smallest angle between the line of sight and the up vector that still tells a roll.
+# Smallest sine of the angle between the line of sight and the up vector that defines a roll.
 _LEAST_ANGLE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewpointOptions:
-    """From where a scene is looked at. World frame: z up, floor at z = 0, metres.
+    """Ranges of the viewpoints. World frame: z up, floor at z = 0, metres.
 
     The defaults are the constants of the DREDS generator, with one difference: it draws only the
     second component of the up vector and keeps the first at -0.18, which tilts all images to the
@@ -41,7 +36,7 @@ class ViewpointOptions:
         sideways: the horizontal components of the unit vector from that point to the camera are
             drawn from +-`sideways`, at most 0.7. 0.6 keeps the elevation above 31.9 degrees.
         target_m: point around which the cameras look.
-        jitter_m: the point looked at is off the target by up to this along each axis.
+        jitter_m: largest offset of the point looked at from the target along each axis.
         up_x, up_y: ranges of the horizontal components of the up vector (x, y, 1), which roll the
             image.
     """
@@ -61,7 +56,7 @@ class ViewpointOptions:
             raise ToolkitError(
                 "must be two rising distances above 0", field="distance_m", value=self.distance_m
             )
-        # At 1/sqrt(2) a camera could stand on the floor.
+        # At 1/sqrt(2) the camera could be on the floor.
         if not 0 <= self.sideways <= 0.7:
             raise ToolkitError("must lie in 0..0.7", field="sideways", value=self.sideways)
         if not 0 <= self.jitter_m < np.inf or not np.isfinite(self.target_m).all():
@@ -79,7 +74,7 @@ class ViewpointOptions:
 
     @property
     def least_elevation_rad(self) -> float:
-        """No camera stands lower than this above the horizon of the point that it looks at."""
+        """Smallest elevation of a camera above the horizon of the point that it looks at."""
         return float(np.arcsin(np.sqrt(1 - 2 * self.sideways**2)))
 
 
@@ -90,7 +85,7 @@ class Viewpoint:
     Attributes:
         T_world_cam: OpenCV camera to world.
         target_m: (3,) point that the optical axis goes through.
-        up: (3,) vector that the image's vertical was made from.
+        up: (3,) vector that defines the image's vertical.
     """
 
     T_world_cam: SE3
@@ -99,7 +94,7 @@ class Viewpoint:
 
     @property
     def distance_m(self) -> float:
-        """From the camera to the point that it looks at."""
+        """Distance from the camera to the point that it looks at."""
         return float(np.linalg.norm(self.T_world_cam.t - self.target_m))
 
     @property
@@ -111,7 +106,7 @@ class Viewpoint:
 def random_viewpoints(seed: int, options: ViewpointOptions | None = None) -> list[Viewpoint]:
     """Viewpoints of one scene.
 
-    Viewpoint i depends on the seed and i alone: asking for more of them changes none.
+    Viewpoint i depends only on the seed and i: a larger count does not change earlier ones.
 
     Args:
         seed: of the scene, 0 or above.
@@ -133,7 +128,7 @@ def _draw(rng: np.random.Generator, options: ViewpointOptions) -> Viewpoint:
     target = np.array(options.target_m) + rng.uniform(-options.jitter_m, options.jitter_m, 3)
     up = np.array([rng.uniform(*options.up_x), rng.uniform(*options.up_y), 1.0])
     if np.linalg.norm(np.cross(outward, up)) < 1e-3:
-        up[0] += 1.0  # along the line of sight it tells no roll
+        up[0] += 1.0  # along the line of sight it would define no roll
     return Viewpoint(look_at(target + distance * outward, target, up=up), target, up)
 
 
@@ -166,7 +161,7 @@ def look_at(eye: ArrayLike, target: ArrayLike, *, up: ArrayLike = WORLD_UP) -> S
 
 @dataclass(frozen=True, kw_only=True)
 class ViewMargins:
-    """Part of the image, as shares of its width and height, that an object's centre must lie in.
+    """Part of the image, as fractions of its width and height, that object centres must be in.
 
     The defaults are those of the DREDS generator.
     """
@@ -187,18 +182,18 @@ def hidden_objects(
     centres: Mapping[int, ArrayLike],
     margins: ViewMargins | None = None,
 ) -> tuple[int, ...]:
-    """Ids of the objects that are left out of a view because their centre is at its edge or beyond.
+    """Ids of the objects left out of a view because their centre is at its edge or outside.
 
-    An object of which a sliver reaches into the image would count as one that a method missed.
+    An object of which only a sliver is visible would count as one that a method missed.
 
     Args:
         T_world_cam: of the view.
-        camera: intrinsics; a share of 0 is the outer edge of the first pixel.
+        camera: intrinsics; a fraction of 0 is the outer edge of the first pixel.
         centres: (3,) of every object in the world, metres, by instance id.
-        margins: what lies outside is left out.
+        margins: objects outside them are left out.
 
     Returns:
-        Rising ids.
+        Increasing ids.
     """
     margins = margins or ViewMargins()
     T_cam_world = T_world_cam.inverse()

@@ -17,7 +17,7 @@ PLANS = ("airliner", "jumbo", "business", "propeller", "biplane", "fighter")
 
 
 def aeroplane(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
-    """An aeroplane of a length of about 10."""
+    """An aeroplane about 10 units long."""
     plan = PLANS[int(rng.integers(len(PLANS)))]
     if plan in ("airliner", "jumbo", "business"):
         return _jet(rng, paint, plan)
@@ -223,7 +223,7 @@ def _fighter(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
 
 
 def _fuselage(spine: list[tuple[float, float, float]], r: float, *, flat: float = 1.0) -> Manifold:
-    """Round sections along z: (z, share of the radius, height of the middle as a share)."""
+    """Round sections along z: (z, radius as a fraction, centre height as a fraction)."""
     from scipy.interpolate import PchipInterpolator
 
     z, size, rise = np.array(spine).T
@@ -266,7 +266,7 @@ def _wing(
         * thickness
         * (0.2969 * u**0.5 - 0.126 * u - 0.3516 * u**2 + 0.2843 * u**3 - 0.1036 * u**4)
     )
-    # The trailing edge keeps some thickness, or it could not be a solid.
+    # The trailing edge keeps a minimum thickness; otherwise it is not a solid.
     half = np.maximum(half, 0.012)
     half[0] = 0.0
     profile = np.concatenate([np.stack([u, half], 1), np.stack([u[::-1], -half[::-1]], 1)[:-1]])
@@ -304,12 +304,12 @@ def _engine(
     )
     cone = solids.outline_of_turn([(0.04, 0.06 * length), (0.26 * radius, 0.3 * length)])
     made = made + paint(solids.turned(cone, 24), solids.SILVER)
-    # Turned bodies stand on y; nacelles lie along z.
+    # Bodies of revolution have their axis along y; nacelles have it along z.
     return made.rotate([90, 0, 0]).translate(list(at))
 
 
 def _row(r: float, start: float, end: float, count: int) -> Manifold:
-    """Blocks through the fuselage where cabin windows are."""
+    """Blocks through the fuselage at the cabin windows."""
     from manifold3d import Manifold
 
     step = (end - start) / count
@@ -320,7 +320,7 @@ def _row(r: float, start: float, end: float, count: int) -> Manifold:
 def _with_glass(
     paint: solids.Paint, hull: Manifold, color: solids.Rgb, windows: list[Manifold]
 ) -> Manifold:
-    """The hull with windows let in: a thinner body of glass shows through the openings."""
+    """The hull with window openings; a slightly thinner body of glass fills them."""
     shell = paint(hull, color)
     for window in windows:
         shell = shell - paint(window, solids.DARK)

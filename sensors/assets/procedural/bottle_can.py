@@ -23,7 +23,7 @@ CAN_PLANS = ("drink", "sleek", "food", "flat", "spray")
 
 
 def bottle(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
-    """A bottle, height about 20, open with its neck's hole or closed by a cap."""
+    """A bottle about 20 units high, open at the neck or closed by a cap."""
     plan = BOTTLE_PLANS[int(rng.integers(len(BOTTLE_PLANS)))]
     h = 20.0
     r, neck, shoulder, neck_base = _proportions(plan, rng)
@@ -33,7 +33,7 @@ def bottle(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     profile = np.concatenate([[(0.86 * r, 0.0)], profile[1:]])
     opening = neck - wall
     section = solids.vessel(profile, wall, base=float(rng.uniform(0.4, 0.8)))
-    # A ring below the mouth, as bottles have it to hold a cap or a crown cork.
+    # A ring below the mouth, which on real bottles holds a cap or a crown cork.
     lip, at = neck * rng.uniform(1.1, 1.22), h - rng.uniform(0.5, 0.9)
     for side in (-1, 1):
         ring = solids.rectangle((side * opening, at - 0.35), (side * lip, at + 0.1))
@@ -59,7 +59,7 @@ def bottle(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
 
 
 def _proportions(plan: str, rng: np.random.Generator) -> tuple[float, float, float, float]:
-    """Radius of body and neck; where the shoulder ends and the neck begins, share of height."""
+    """Radius of body and neck; end of the shoulder and start of the neck as fractions of height."""
     ranges = {
         "bordeaux": ((2.5, 2.9), (0.9, 1.1), (0.58, 0.64), (0.72, 0.76)),
         "longneck": ((2.3, 2.8), (0.95, 1.15), (0.46, 0.54), (0.72, 0.8)),
@@ -145,7 +145,7 @@ def _cap(plan: str, rng: np.random.Generator, h: float, neck: float, lip: float)
 
 
 def _label(profile: Array, top: float, rng: np.random.Generator) -> CrossSection | None:
-    """Section of a paper ring round the body; none on some bottles."""
+    """Section of a paper ring around the body, or None for a bottle without a label."""
     if rng.uniform() < 0.35:
         return None
     low, high = 0.14 * 20 + rng.uniform(0, 0.8), top - rng.uniform(0.4, 1.5)
@@ -177,7 +177,7 @@ def _glass(plan: str, rng: np.random.Generator) -> solids.Rgb:
 
 
 def can(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
-    """A closed can of a radius of about 3.3. Its tab is left out: it turns without a change."""
+    """A closed can of radius about 3.3, without a tab so that it is rotationally symmetric."""
     plan = CAN_PLANS[int(rng.integers(len(CAN_PLANS)))]
     r = 3.3
     if plan in ("drink", "sleek"):

@@ -1,7 +1,4 @@
-"""Bowls and mugs.
-
-Bowls: turned, hollow, on a foot or a flat bottom.
-"""
+"""Bowls and mugs. Bowls are hollow bodies of revolution with a foot or a flat bottom."""
 
 from __future__ import annotations
 
@@ -25,7 +22,7 @@ BOWL_PLANS = ("round", "conical", "straight", "wide_rim", "deep", "rolled")
 
 
 def mug(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
-    """A mug of a radius of about 4."""
+    """A mug of radius about 4."""
     plan = MUG_PLANS[int(rng.integers(len(MUG_PLANS)))]
     r, h = 4.0, float(rng.uniform(8.0, 10.5))
     bend = float(rng.uniform(0.06, 0.14))
@@ -49,7 +46,7 @@ def mug(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
         _handle(rng, profile, h, wall),
         glaze if rng.uniform() < 0.6 else solids.one_of(rng, solids.vivid(rng)),
     )
-    # The handle's ends are sunk in the wall; what reaches the inside is cut away.
+    # The ends of the handle are sunk into the wall; parts that reach the inside are cut away.
     room = solids.outline_of_turn(
         np.concatenate([profile, [(profile[-1, 0], 2 * h)]]) - [0.5 * wall, 0]
     )
@@ -101,7 +98,7 @@ def _handle(rng: np.random.Generator, profile: Array, h: float, wall: float) -> 
     line = _smoothed(np.array(keys, dtype=np.float64), smooth)
     share = np.linspace(1, 0, len(line))
     line[:, 0] += at_low + (at_high - at_low) * share
-    # Both ends go on into the wall.
+    # Both ends extend into the wall.
     sunk = 0.9 * wall
     line[0, 0] -= sunk
     line[-1, 0] -= sunk
@@ -111,7 +108,7 @@ def _handle(rng: np.random.Generator, profile: Array, h: float, wall: float) -> 
 
 
 def _smoothed(keys: Array, width: float) -> Array:
-    """40 points along a line of key points, its corners rounded over about `width`."""
+    """40 points along a line of key points, corners rounded over about `width`."""
     from scipy.ndimage import gaussian_filter1d
 
     length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(keys, axis=0), axis=1))])

@@ -17,7 +17,7 @@ COAT: solids.Rgb = (64, 44, 110)
 
 
 def camera(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
-    """A still camera of a width of about 12."""
+    """A still camera about 12 units wide."""
     plan = PLANS[int(rng.integers(len(PLANS)))]
     return {
         "reflex": _reflex,
@@ -208,7 +208,7 @@ def _lens(
     length: float,
     barrel: solids.Rgb = solids.DARK,
 ) -> Manifold:
-    """A lens whose mount is at `at`, looking to -z: rings, bevel and a curved front glass."""
+    """A lens with its mount at `at`, facing -z: rings, bevel and a curved front glass."""
     r, n = radius, length
     keys = [(1.06 * r, -0.3), (1.06 * r, 0.16 * n), (0.94 * r, 0.2 * n), (0.94 * r, 0.5 * n)]
     keys += [(0.99 * r, 0.53 * n), (0.99 * r, 0.8 * n), (0.9 * r, 0.84 * n), (0.9 * r, n)]

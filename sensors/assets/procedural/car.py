@@ -23,7 +23,7 @@ class _Shape:
 
     Attributes:
         roof_h, hood_h, tail_h: heights above the body's lower edge.
-        hood_u, roof_u, roof_end_u, tail_u: where hood, roof and rear window end.
+        hood_u, roof_u, roof_end_u, tail_u: ends of hood, roof and rear window.
     """
 
     length: float
@@ -103,7 +103,7 @@ def car(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
             (-0.42 * s.width, 0.45 * s.tail_h, rear), (0.42 * s.width, 2.0, 0.965 * s.length)
         )
         shell = shell - paint(bed, solids.DARK)
-    # Glass is the same body a little smaller: it shows where windows are cut out of the shell.
+    # The glass is a slightly smaller copy of the body, visible through the window openings.
     middle = np.array([0.0, 0.5 * s.hood_h, 0.5 * s.length])
     inner = hull.translate((-middle).tolist()).scale([0.965, 0.975, 0.985])
     glass = inner.translate(middle.tolist())
@@ -146,12 +146,12 @@ def _side(s: _Shape) -> CrossSection:
     ]
     points = np.array(top) * [s.length, 1.0]
     section = solids.rounded(solids.polygon(points), 0.07, 24)
-    # Hollows, such as the one before the windscreen, are rounded from outside.
+    # Concave corners, such as the one at the windscreen, are rounded too.
     return section.offset(0.06).offset(-0.06)
 
 
 def _warped(solid: Manifold, s: _Shape, belt: float) -> Manifold:
-    """Narrower to the nose, the tail and the roof, the roof and hood arched."""
+    """Taper the body towards nose, tail and roof, and arch the roof and hood."""
 
     def warp(p: Array) -> Array:
         q = np.array(p)
@@ -184,7 +184,7 @@ def _window_cut(s: _Shape, side: CrossSection, belt: float) -> Manifold:
     rear = solids.box(
         (-half, low, s.roof_end_u * s.length - 0.1), (half, high - 0.02, s.length + 0.1)
     )
-    # The screens taper with the roof.
+    # The windscreen and rear window taper with the roof.
     return cut + front + rear
 
 

@@ -1,4 +1,4 @@
-"""Things that are none of the seven categories."""
+"""Objects outside the seven categories."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def distractor(rng: np.random.Generator, paint: solids.Paint) -> tuple[Manifold, bool]:
-    """A body of any unit, and whether turning about y leaves it as it is."""
+    """A body in arbitrary units, and whether it is symmetric under rotations about y."""
     makers = (*_TURNED, *_OTHERS)
     chosen = int(rng.integers(len(makers)))
     return makers[chosen](rng, paint), chosen < len(_TURNED)

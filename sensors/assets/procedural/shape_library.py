@@ -1,6 +1,6 @@
-"""The built-in library: objects of the seven categories and distractors, made from a number.
+"""The built-in library: objects of the seven categories and distractors, generated from a seed.
 
-Texture coordinates for shapes that bring none.
+Also generates texture coordinates for shapes that have none.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from std_toolkit.geometry.symmetry import Symmetry
 if TYPE_CHECKING:
     from manifold3d import Manifold
 
-# Changed whenever a seed gives another shape than it did: part of every id.
+# Part of every id; increased whenever a seed gives a different shape.
 EDITION = 1
 
 OTHER = "other"
 
 CATEGORIES = ("aeroplane", "bottle", "bowl", "camera", "can", "car", "mug", OTHER)
 
-# Bodies that turning about y leaves as they are, colours included.
+# Bodies that are symmetric under rotations about y, colours included.
 _TURNED = ("bottle", "bowl", "can")
 
 _SEEDS = 1_000_000
 
-# `sample` draws from so many shapes of a category, as a data set has so many models: what is made
-# of a shape once, such as its convex parts, is then made once for many scenes.
+# `sample` draws from this many shapes per category, as a data set has a fixed number of models.
+# Results computed once per shape, such as its convex parts, are then reused in many scenes.
 INSTANCES = 500
 
 _ID = re.compile(r"([a-z]+)-p(\d+)-(\d{6})")
@@ -43,13 +43,13 @@ Array = NDArray[np.float64]
 
 
 class ProceduralSource:
-    """Parametric objects. A category and a seed below a million are an object, bit for bit.
+    """Parametric objects. A category and a seed below a million define an object, bit for bit.
 
     Sampling draws from the first 500 seeds: the even ones are the training split, the odd ones
     the test split.
 
     Args:
-        options: `split` is heeded; there are no files.
+        options: only `split` is used; there are no files.
     """
 
     def __init__(self, options: SourceOptions) -> None:
@@ -79,14 +79,14 @@ class ProceduralSource:
 
 
 def make(category: str, seed: int) -> Asset:
-    """The object of a category and a seed.
+    """Generate the object of a category and a seed.
 
     Args:
         category: one of `CATEGORIES`.
         seed: 0 to 999999.
 
     Raises:
-        ToolkitError: another category or seed, or manifold3d is not installed.
+        ToolkitError: unknown category, seed out of range, or manifold3d is not installed.
     """
     if category not in CATEGORIES:
         raise ToolkitError(
@@ -106,8 +106,8 @@ def make(category: str, seed: int) -> Asset:
     vertices, faces, colors = paint.mesh(body)
     vertices, _ = canonical_frame(vertices, faces)
     places, corners, kept = welded(vertices, faces)
-    # Rounding brings corners of slivers together, which then go. Where two parts touch in an edge
-    # they stay apart: welded, four faces would meet there.
+    # Rounding merges corners of slivers, which are then dropped. Parts that touch in an edge stay
+    # separate: if welded, four faces would share that edge.
     if trimesh.Trimesh(places, corners, process=False).is_watertight:
         vertices, faces, colors = places, corners, colors[kept]
     wrap = wrapped_uv if category in (*_TURNED, "mug") else box_uv
@@ -150,7 +150,7 @@ def _body(category: str, rng: np.random.Generator, paint: Paint) -> tuple[Manifo
 
 
 def box_uv(vertices: Array, faces: NDArray[np.integer]) -> NDArray[np.float32]:
-    """(F, 3, 2) coordinates seen from the one of six sides that each face looks to most.
+    """(F, 3, 2) coordinates projected from the side of a box that each face is most aligned with.
 
     Args:
         vertices: (V, 3) canonical; one unit of texture is one unit of length.
@@ -167,9 +167,9 @@ def box_uv(vertices: Array, faces: NDArray[np.integer]) -> NDArray[np.float32]:
 
 
 def wrapped_uv(vertices: Array, faces: NDArray[np.integer]) -> NDArray[np.float32]:
-    """(F, 3, 2) coordinates wrapped round the y axis once, v along it; lids as `box_uv`.
+    """(F, 3, 2) coordinates wrapped once around the y axis, v along it; lids as in `box_uv`.
 
-    u goes past 1 on faces that cross the seam: the texture repeats there.
+    u exceeds 1 on faces that cross the seam: the texture repeats there.
     """
     corners = np.asarray(vertices, dtype=np.float64)[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -1,9 +1,7 @@
-"""What procedural shapes are made of: solids, and the paint on them.
+"""Solids and colours for procedural shapes, finished as one mesh.
 
-Everything is a `manifold3d.Manifold`: unions and cuts of them are closed again, which meshes glued
-together would not be.
-
-A body of coloured parts, finished as a mesh.
+Every solid is a `manifold3d.Manifold`: unions and differences of them are closed again, unlike
+meshes that are merely joined.
 """
 
 from __future__ import annotations
@@ -36,7 +34,7 @@ RED: Rgb = (178, 32, 30)
 
 AMBER: Rgb = (226, 150, 40)
 
-# What cutting lays bare where the cutter has no colour of its own.
+# Colour of faces that a cut exposes if the cutter has no colour.
 _BARE = GREY
 
 FEWEST_FACES, MOST_FACES = 2000, 20000
@@ -47,13 +45,13 @@ LATHE_SECTIONS = 80
 
 
 class Paint:
-    """Remembers which part has which colour, through all unions and cuts."""
+    """Keeps the colour of every part through unions and differences."""
 
     def __init__(self) -> None:
         self._colors: dict[int, Rgb] = {}
 
     def __call__(self, solid: Manifold, color: Rgb) -> Manifold:
-        """The solid as a part of a colour. Cutting with it leaves its colour on the cut."""
+        """The solid as a part with a colour. Cutting with it leaves its colour on the cut."""
         part = solid.as_original()
         self._colors[part.original_id()] = color
         return part
@@ -61,11 +59,11 @@ class Paint:
     def mesh(self, body: Manifold) -> tuple[Array, NDArray[np.int64], NDArray[np.uint8]]:
         """Vertices (V, 3), faces (F, 3) and their colours (F, 3) of a finished body.
 
-        Slivers that cuts leave are removed, and large flat faces divided until there are some
+        Slivers left by cuts are removed, and large flat faces are divided until there are some
         thousands of faces.
 
         Raises:
-            ToolkitError: a body that is empty or cannot be held within the number of faces.
+            ToolkitError: the body is empty or exceeds the number of faces.
         """
         low, high = np.split(np.array(body.bounding_box()), 2)
         diagonal = float(np.linalg.norm(high - low))
@@ -96,12 +94,12 @@ def hsv(hue: float, saturation: float, value: float) -> Rgb:
 
 
 def vivid(rng: np.random.Generator) -> Rgb:
-    """A saturated colour, as of packaging and toys."""
+    """A saturated colour, as on packaging and toys."""
     return hsv(rng.uniform(), rng.uniform(0.55, 0.9), rng.uniform(0.5, 0.95))
 
 
 def muted(rng: np.random.Generator) -> Rgb:
-    """A soft colour, as of glazed crockery."""
+    """A muted colour, as on glazed crockery."""
     return hsv(rng.uniform(), rng.uniform(0.05, 0.5), rng.uniform(0.35, 0.95))
 
 
@@ -116,7 +114,7 @@ def one_of(rng: np.random.Generator, *colors: Rgb) -> Rgb:
 
 
 def polygon(points: ArrayLike) -> CrossSection:
-    """A filled polygon (N, 2), whichever way round it is given."""
+    """A filled polygon (N, 2) of either orientation."""
     from manifold3d import CrossSection, FillRule
 
     p = np.asarray(points, dtype=np.float64)
@@ -140,28 +138,28 @@ def rounded(section: CrossSection, radius: float, segments: int = 20) -> CrossSe
 
 
 def outline_of_turn(profile: ArrayLike) -> CrossSection:
-    """The section of a turned body by a plane through its axis.
+    """The section of a body of revolution in a plane through its axis.
 
     Args:
-        profile: (N, 2) radius and height from the bottom to the top, the outer side only.
+        profile: (N, 2) radius and height from bottom to top, the outer side only.
     """
     p = np.asarray(profile, dtype=np.float64)
     return polygon(np.concatenate([p, (p * [-1, 1])[::-1]]))
 
 
 def vessel(profile: ArrayLike, wall: float, *, base: float) -> CrossSection:
-    """Section of a hollow turned body, open at its top.
+    """Section of a hollow body of revolution, open at its top.
 
     Args:
         profile: (N, 2) outer radius and height, bottom to top.
-        wall: thickness of the wall, the same everywhere.
+        wall: uniform thickness of the wall.
         base: thickness of the bottom at the axis.
     """
     from manifold3d import JoinType
 
     p = np.asarray(profile, dtype=np.float64)
     floor, top = p[:, 1].min() + base, p[:, 1].max()
-    # The hollow is that of a body which goes on beyond the mouth the way it reaches it.
+    # The hollow is that of a body extended beyond the mouth along its last slope.
     slope = (p[-1] - p[-2]) / np.linalg.norm(p[-1] - p[-2])
     beyond = np.maximum(p[-1] + 4 * wall * slope, [0.1 * wall, 0])
     longer = outline_of_turn(np.concatenate([p, [beyond, beyond + np.array([0, 4 * wall])]]))
@@ -173,12 +171,12 @@ def vessel(profile: ArrayLike, wall: float, *, base: float) -> CrossSection:
 
 
 def turned(section: CrossSection, sections: int = LATHE_SECTIONS) -> Manifold:
-    """The body that a section of radius and height makes by turning about y."""
+    """The body of revolution about y of a section of radius and height."""
     return section.revolve(sections).rotate([-90, 0, 0])
 
 
 def smooth_profile(keys: ArrayLike, samples: int = 40) -> Array:
-    """(N, 2) radius and height through key points of rising height, without overshoot."""
+    """(N, 2) radius and height through key points of increasing height, without overshoot."""
     from scipy.interpolate import PchipInterpolator
 
     r, y = np.asarray(keys, dtype=np.float64).T
@@ -187,7 +185,7 @@ def smooth_profile(keys: ArrayLike, samples: int = 40) -> Array:
 
 
 def along_x(section: CrossSection, width: float) -> Manifold:
-    """A section of (z, y) made as wide as `width`, centred at x = 0."""
+    """A section of (z, y) extruded to `width`, centred at x = 0."""
     from manifold3d import Manifold
 
     solid = Manifold.extrude(section.mirror([1, 0]), width)
@@ -195,7 +193,7 @@ def along_x(section: CrossSection, width: float) -> Manifold:
 
 
 def along_y(section: CrossSection, low: float, high: float) -> Manifold:
-    """A section of (x, z) between two heights."""
+    """A section of (x, z) extruded between two heights."""
     from manifold3d import Manifold
 
     solid = Manifold.extrude(section.mirror([0, 1]), high - low)
@@ -203,7 +201,7 @@ def along_y(section: CrossSection, low: float, high: float) -> Manifold:
 
 
 def along_z(section: CrossSection, low: float, high: float) -> Manifold:
-    """A section of (x, y) between two z."""
+    """A section of (x, y) extruded between two z."""
     from manifold3d import Manifold
 
     return Manifold.extrude(section, high - low).translate([0, 0, low])
@@ -218,7 +216,7 @@ def box(low: Sequence[float], high: Sequence[float]) -> Manifold:
 
 
 def rounded_box(size: Sequence[float], radius: float, segments: int = 20) -> Manifold:
-    """A box of a size (3,) about the origin with rounded edges."""
+    """A box of size (3,) centred at the origin with rounded edges."""
     from manifold3d import Manifold
 
     ball = Manifold.sphere(radius, segments)
@@ -228,7 +226,7 @@ def rounded_box(size: Sequence[float], radius: float, segments: int = 20) -> Man
 
 
 def ellipsoid(size: Sequence[float], segments: int = 32) -> Manifold:
-    """An ellipsoid of a size (3,) about the origin."""
+    """An ellipsoid of size (3,) centred at the origin."""
     from manifold3d import Manifold
 
     return Manifold.sphere(0.5, segments).scale(list(map(float, size)))
@@ -254,10 +252,10 @@ def rod(
 
 
 def loft(rings: ArrayLike) -> Manifold:
-    """The skin over rings (N, S, 3) of equally many points, both ends closed flat.
+    """The surface through rings (N, S, 3) of equally many points, both ends closed flat.
 
     Raises:
-        ToolkitError: the rings make no closed solid.
+        ToolkitError: the rings do not form a closed solid.
     """
     r = np.asarray(rings, dtype=np.float64)
     count, sides, _ = r.shape
@@ -280,7 +278,7 @@ def loft(rings: ArrayLike) -> Manifold:
 def tube(
     path: ArrayLike, half_width: ArrayLike, half_height: ArrayLike, sides: int = 24
 ) -> Manifold:
-    """A bar along a path (N, 3) in the x-y plane, its section an ellipse.
+    """A bar along a path (N, 3) in the x-y plane with an elliptic section.
 
     Args:
         half_width: along z, one number or one per point.
@@ -302,7 +300,7 @@ def tube(
 
 
 def closed(vertices: Array, faces: NDArray[Any]) -> Manifold:
-    """A solid of a closed mesh, turned inside out if it was given so.
+    """A solid of a closed mesh; inverted faces are reversed.
 
     Raises:
         ToolkitError: the mesh is not closed.

@@ -130,7 +130,7 @@ def test_going_on_with_what_is_not_there_or_another_camera(
 ) -> None:  # type: ignore[no-untyped-def]
     out = tmp_path / "s"
     resume = ["--from", str(recorded_file), "--resume"]
-    refused([str(out), *resume], "no scene to go on with")
+    refused([str(out), *resume], "no scene to resume")
     refused([str(out), "--recover"], "no scene here")
     assert main([str(out), "--from", str(recorded_file), "--frames", "2"]) == 0
     other = COLOR.resized(*COLOR.size)
