@@ -49,7 +49,9 @@ SHORT_TITLES = {
 
 OPACITY_TIP = "How much of the image shines through solid meshes."
 
-BEGIN = "<!-- keys: written by `python -m annotator.app.action_table docs/annotating.md` -->"
+BEGIN = (
+    "<!-- keys: written by `python -m annotator.app.action_table docs/annotating-reference.md` -->"
+)
 
 END = "<!-- end of keys -->"
 

@@ -1,4 +1,4 @@
-"""The guide docs/annotating.md says what is so."""
+"""The guide docs/annotating.md and its reference agree with the program."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ from std_toolkit.scene import Scene
 
 REPOSITORY = Path(__file__).parents[2]
 GUIDE = REPOSITORY / "docs/annotating.md"
+REFERENCE = REPOSITORY / "docs/annotating-reference.md"
 TEXT = GUIDE.read_text(encoding="utf-8")
+REFERENCE_TEXT = REFERENCE.read_text(encoding="utf-8")
 PICTURES_KB = 1024
 
 
@@ -28,8 +30,8 @@ def block(mark: str) -> str:
 
 
 def test_its_keys_are_those_of_the_actions() -> None:
-    assert with_key_table(TEXT) == TEXT, (
-        "run: python -m annotator.app.action_table docs/annotating.md"
+    assert with_key_table(REFERENCE_TEXT) == REFERENCE_TEXT, (
+        "run: python -m annotator.app.action_table docs/annotating-reference.md"
     )
     for action in ACTIONS:
         for key in action.keys:
@@ -43,7 +45,7 @@ def test_a_guide_without_marks_is_refused() -> None:
 
 def test_keys_that_the_text_names_do_something() -> None:
     known = {key for action in ACTIONS for key in action.keys}
-    prose = TEXT.split("## Keys and mouse")[0]
+    prose = TEXT + REFERENCE_TEXT.split("## Keys and mouse")[0]
     named = set(
         re.findall(
             r"`((?:(?:Ctrl|Shift|Alt)\+)?(?:[A-Z0-9\[\]]|F\d|Pg\w+|Space|Home|Tab|Esc|Del|Return|Left|Right|Up|Down))`",
@@ -55,17 +57,19 @@ def test_keys_that_the_text_names_do_something() -> None:
 
 
 def test_its_links_and_pictures_are_there() -> None:
-    links = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", TEXT)
+    links = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", TEXT + REFERENCE_TEXT)
     missing = [link for link in links if not (GUIDE.parent / link).exists()]
     assert missing == []
-    pictures = [GUIDE.parent / link for link in links if link.endswith(".jpg")]
+    pictures = {GUIDE.parent / link for link in links if link.endswith(".jpg")}
     assert len(pictures) >= 4
     assert sum(p.stat().st_size for p in pictures) < PICTURES_KB * 1024
 
 
-def test_its_anchors_are_headings() -> None:
-    for link, anchor in re.findall(r"\]\(([^)#]*)#([^)]+)\)", TEXT):
-        page = (GUIDE.parent / link).resolve() if link else GUIDE
+@pytest.mark.parametrize("source", [GUIDE, REFERENCE], ids=lambda path: path.stem)
+def test_its_anchors_are_headings(source: Path) -> None:
+    text = source.read_text(encoding="utf-8")
+    for link, anchor in re.findall(r"\]\(([^)#]*)#([^)]+)\)", text):
+        page = (source.parent / link).resolve() if link else source
         headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
         # As GitHub makes anchors: lower case, no punctuation, hyphens for spaces.
         anchors = [re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings]
@@ -118,7 +122,7 @@ def _told() -> list[str]:
 
 
 def test_the_messages_that_it_explains_are_those_of_the_program() -> None:
-    rows = TEXT.split("## When something is refused")[1].split("##")[0].splitlines()
+    rows = REFERENCE_TEXT.split("## Error messages")[1].split("##")[0].splitlines()
     quoted = [m for row in rows if (m := "".join(re.findall(r"^\| `([^`]+)`", row)))]
     assert len(quoted) > 10
     told = _told()
