@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
 from pathlib import Path
 
 import pytest
 
+from benchmark.evaluation import engine
 from benchmark.evaluation.config import DepthConfig
 from benchmark.evaluation.tasks.depth import plan_runs
 from std_toolkit.errors import ToolkitError
@@ -80,3 +82,16 @@ def test_what_cannot_be_meant_is_refused(changes: dict[str, object], told: str) 
 
 def test_a_plug_in_has_a_label_that_can_be_a_folder() -> None:
     assert plan_runs(config(methods=("my.module:Class",)))[0].label == "my.module.Class"
+
+
+def test_a_device_that_is_taken_is_not_given_again(tmp_path: Path, monkeypatch) -> None:
+    devices = ("cuda:0", "cuda:1")
+    with (tmp_path / "device-cuda-0.lock").open("w") as taken:
+        fcntl.flock(taken, fcntl.LOCK_EX)
+        assert engine.claim_device(devices, tmp_path) == "cuda:1"
+        engine.claim_device.cache_clear()
+        monkeypatch.setattr(engine, "_PATIENCE_S", 0.2)
+        with pytest.raises(ToolkitError, match="more worker processes than devices"):
+            engine.claim_device(devices, tmp_path)
+    assert engine.claim_device(devices, tmp_path) == "cuda:0"
+    engine.claim_device.cache_clear()

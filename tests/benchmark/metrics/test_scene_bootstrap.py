@@ -87,3 +87,9 @@ def test_what_is_refused() -> None:
         scene_sums([1.0, 2.0], ["a"])
     with pytest.raises(ToolkitError, match="level"):
         mean_interval([1.0, 2.0], ["a", "b"], level=95)
+
+
+@pytest.mark.parametrize("wrong", [{"level": 1.0}, {"level": 0.0}, {"samples": 0}])
+def test_an_interval_needs_a_level_below_one_and_a_sample(wrong: dict[str, float]) -> None:
+    with pytest.raises(ToolkitError, match="needs a level"):
+        mean_interval([1.0, 2.0], [0, 1], **wrong)  # type: ignore[arg-type]

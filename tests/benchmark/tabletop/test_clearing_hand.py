@@ -91,3 +91,9 @@ def test_a_move_ends_where_it_was_sent():
     target = hand.data.ctrl[:3] + np.array([0.01, -0.02, 0.05])
     hand._move(target, 0.2)
     np.testing.assert_allclose(hand.data.ctrl[:3], target, atol=1e-12)
+
+
+def test_a_hand_that_starts_in_the_table_does_not_move():
+    done = _try(from_above((0, 0.15, -0.2)))
+    assert done.outcome == "start-hits-table"
+    assert len(done.stages) == 1

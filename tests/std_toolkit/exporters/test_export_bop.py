@@ -9,6 +9,7 @@ import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import msgspec
@@ -18,6 +19,7 @@ from scene_factory import SERIAL, WORLD_POSES, make_scene
 
 from std_toolkit.exporters import export_scene
 from std_toolkit.exporters.bop_exporter import _box, depth_units
+from std_toolkit.exporters.bop_metadata import targets_19
 from std_toolkit.exporters.std_exporter import write_depth_exr
 from std_toolkit.geometry import SE3, so3_exp
 from std_toolkit.scene import Scene
@@ -334,3 +336,17 @@ def test_depth_is_as_fine_as_its_range_allows(tmp_path, farthest_m, unit_mm):
     assert units.scale_mm == unit_mm
     assert units.values[0, 0] == 900 / unit_mm
     assert units.values[3, 4] == round(1000 * farthest_m / unit_mm)
+
+
+def test_targets_count_the_instances_of_which_a_tenth_is_visible() -> None:
+    def row(frame: int, *objects: tuple[int, float]) -> SimpleNamespace:
+        gt = [{"obj_id": number} for number, _ in objects]
+        info = [{"visib_fract": share} for _, share in objects]
+        return SimpleNamespace(frame=SimpleNamespace(id=frame), extra={"gt": gt, "gt_info": info})
+
+    rows = [row(3, (2, 0.1), (1, 1.0), (2, 0.9), (5, 0.0999)), row(4, (5, 0.05))]
+    target = SimpleNamespace(options=SimpleNamespace(scene_number=7))
+    assert targets_19(target, rows) == [
+        {"im_id": 3, "inst_count": 1, "obj_id": 1, "scene_id": 7},
+        {"im_id": 3, "inst_count": 2, "obj_id": 2, "scene_id": 7},
+    ]

@@ -7,16 +7,21 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import trimesh
 from scene_factory import MODELS_OF, SERIAL, make_scene
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters import ExportOptions, export_scene
+from std_toolkit.exporters.frame_maps import _hidden, _row
 from std_toolkit.exporters.std_exporter import nocs_image
-from std_toolkit.geometry import SE3, rotation_angle, umeyama
+from std_toolkit.geometry import SE3, Camera, rotation_angle, umeyama
 from std_toolkit.geometry.mesh import nocs_frame
 from std_toolkit.io.exr import read_exr
 from std_toolkit.io.images import image_size
-from std_toolkit.rendering.ground_truth import read_ground_truth
+from std_toolkit.rendering.choose import get_renderer
+from std_toolkit.rendering.ground_truth import ObjectTruth, read_ground_truth
+from std_toolkit.rendering.maps import Composition, compose
+from std_toolkit.rendering.renderer import PlacedMesh
 from std_toolkit.scene import Scene
 
 SUFFIXES = ("color.png", "depth_415.exr", "gt_depth.exr", "coord.png", "mask.png", "meta.txt")
@@ -203,6 +208,43 @@ def test_distorted_images_are_undistorted(tmp_path):
     centre, _ = nocs_frame(scene.mesh("brick"))
     assert np.linalg.norm(fit.t - truth @ centre) < 1e-3
     assert rotation_angle(fit.R.T @ truth.R) < np.radians(0.5)
+
+
+def test_pixels_at_the_border_are_compared_with_those_inside() -> None:
+    """Of the 2x2 pixels around the last row and column, one row and one column do not exist."""
+    camera = Camera(16, 12, 20.0, 20.0, 7.5, 5.5)
+    index = np.zeros((12, 16), np.int16)
+    index[:, :3] = -1
+    nothing = np.zeros((12, 16), np.float32)
+    composition = Composition(nothing, index, index.astype(np.int32), [])
+    for shown, missing in ((1, 0), (2, 13 * 12)):
+        mask = np.full((12, 16), shown, np.uint8)
+        hidden = _hidden(composition, [1], camera, camera, mask)
+        assert np.count_nonzero(hidden) == missing
+        assert not hidden[:, :3].any()
+
+
+def test_valid_pixels_are_those_with_sensor_depth() -> None:
+    camera = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
+    plate = trimesh.creation.box((0.4, 0.2, 1e-4))
+    placed = PlacedMesh(1, plate, SE3(np.eye(3), np.array([0, 0, 1.0])))
+    composition = compose(get_renderer("raycast"), camera, [placed])
+    old = ObjectTruth(
+        object=1,
+        T_cam_obj=placed.T_cam_obj.flat(),
+        px_all=0,
+        px_valid=0,
+        px_visible=0,
+        visible_fraction=0.0,
+        bbox_amodal=None,
+        bbox_visible=None,
+    )
+    sensor = np.ones((48, 64), np.float32)
+    sensor[:24] = 0
+    row = _row(old, composition, 0, camera, sensor)
+    assert row.px_all == 24 * 12
+    assert row.px_valid == 24 * 6
+    assert _row(old, composition, 0, camera, None).px_valid == 24 * 12
 
 
 def test_what_hides_objects_is_taken_over_to_the_labels_size(tmp_path):

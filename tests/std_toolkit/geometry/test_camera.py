@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from hypothesis import strategies as st
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import Camera, undistort_image
 from std_toolkit.geometry.camera import (
+    check_depth_unit,
     largest_radius2,
     on_depth_step,
     unproject_depth,
@@ -259,3 +262,21 @@ def test_a_depth_step_is_one_pixel_wide_on_either_side(turned: bool) -> None:
 def test_the_radius_at_which_a_lens_folds(distortion: tuple[float, ...], expected: float) -> None:
     """r (1 + k1 r^2) increases while 1 + 3 k1 r^2 is positive."""
     assert largest_radius2(distortion) == pytest.approx(expected)
+
+
+def test_a_point_that_is_barely_behind_the_camera_has_no_pixel() -> None:
+    assert np.isnan(PINHOLE.project(np.array([[0.1, 0.1, -0.5], [0.1, 0.1, 0.0]]))).all()
+
+
+@pytest.mark.parametrize("factor", [0.19, 20.5])
+def test_a_focal_length_that_does_not_fit_the_image_is_refused(factor: float) -> None:
+    Camera(100, 100, 100.0 * (0.2 if factor < 1 else 20), 100.0, 49.5, 49.5)
+    with pytest.raises(ToolkitError, match="does not fit a 100x100 image"):
+        Camera(100, 100, 100.0 * factor, 100.0, 49.5, 49.5)
+
+
+@pytest.mark.parametrize("metres", [0.001, 100.0])
+def test_an_implausible_median_depth_is_refused(tmp_path: Path, metres: float) -> None:
+    with pytest.raises(ToolkitError, match="median depth is implausible"):
+        check_depth_unit(tmp_path, np.full((80, 80), metres, np.float32), 0.001)
+    check_depth_unit(tmp_path, np.full((80, 80), 0.7, np.float32), 0.001)

@@ -136,3 +136,11 @@ def test_a_continuous_symmetry_turns_about_its_offset() -> None:
 def test_what_is_no_symmetry_is_refused(wrong: dict) -> None:
     with pytest.raises(ToolkitError):
         Symmetry(**wrong)
+
+
+@pytest.mark.parametrize("steps", [7, 360])
+def test_any_turn_about_the_axis_of_symmetry_is_found(steps: int) -> None:
+    T = SE3.exp([0.1, 0.2, 0.7, 0.3, 0.2, 0.1])
+    for angle in np.linspace(0, 2 * np.pi, 50):
+        turned = T @ BOTTLE.turn(0, float(angle))
+        assert mssd(turned, T, ring(), BOTTLE, steps=steps) < 1e-6

@@ -121,3 +121,13 @@ def test_many_frames_are_thinned_evenly(
         BoardScale().estimate(context)
     assert len(looked_at) == expected
     assert len({int(b) - int(a) for a, b in pairwise(looked_at)}) == 1
+
+
+def test_a_board_may_be_smaller_than_a_millimetre(tmp_path: Path) -> None:
+    description = {"squares_x": 6, "squares_y": 4, "square_mm": 0.8, "marker_mm": 0.5}
+    path = tmp_path / "board.json"
+    path.write_text(json.dumps({"charuco": {**description, "dictionary": "DICT_5X5_100"}}))
+    Board.read(path)
+    path.write_text(json.dumps({"charuco": {**description, "marker_mm": 0}}))
+    with pytest.raises(ToolkitError, match="positive number"):
+        Board.read(path)

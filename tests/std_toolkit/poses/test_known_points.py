@@ -80,3 +80,12 @@ def test_a_refit_finds_the_scale_from_a_wrong_start() -> None:
     exact = fit_body(views(4), threshold_m=0.02)
     off = BodyFit(1.05 * exact.scale, exact.T_world_body, exact.rms_px)
     assert known_points._refit(views(4), off) == pytest.approx(UNIT, rel=1e-6)
+
+
+def test_points_are_triangulated_where_they_are() -> None:
+    seen = views(3)
+    model, body = known_points._triangulate(seen)
+    np.testing.assert_allclose(body, seen[0].xyz)
+    for view in seen:
+        pixels = CAMERA.project(view.T_cam_world @ model)
+        np.testing.assert_allclose(pixels, view.uv, atol=1e-4)

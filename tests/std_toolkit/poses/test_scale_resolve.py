@@ -9,9 +9,10 @@ import pytest
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.plugins import Registry
-from std_toolkit.poses import scale_sources
+from std_toolkit.poses import PoseOptions, scale_sources
+from std_toolkit.poses.pose_step import _judged
 from std_toolkit.poses.scale_sources import ScaleContext, resolve_scale
-from std_toolkit.scene.model import ScaleEstimate
+from std_toolkit.scene.model import ScaleEstimate, ScaleReport
 
 
 class Fixed:
@@ -118,3 +119,16 @@ def test_a_plug_in_named_by_its_path(monkeypatch, context) -> None:
     use(monkeypatch, Absent)
     factor, report = resolve_scale(context, scale=f"{Far.__module__}:Far", max_disagreement=0.005)
     assert factor == 1.02 and report.chosen.endswith(":Far")
+
+
+def test_a_source_the_user_named_is_judged_alone() -> None:
+    estimates = [
+        ScaleEstimate(source=s, factor=f, spread=0.01, standard_error=0.001, count=9)
+        for s, f in (("depth", 0.3), ("board", 0.4))
+    ]
+    report = ScaleReport(unit="metre", chosen="board", estimates=estimates, disagreement=0.3)
+    assert _judged(report, PoseOptions(scale="auto")) is report
+    named = _judged(report, PoseOptions(scale="board"))
+    assert (named.unit, named.chosen) == ("metre", "board")
+    assert not named.estimates
+    assert named.disagreement == 0

@@ -109,3 +109,21 @@ def test_gl_that_pyrender_can_use_is_found(tmp_path: Path) -> None:
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True
     )
     assert found.stdout.startswith("('egl'"), found.stdout + found.stderr
+
+
+def test_the_platform_that_is_loaded_is_the_only_one_tried(
+    fresh_probe: pytest.MonkeyPatch,
+) -> None:
+    tried: list[str] = []
+
+    def probe(platform: str) -> None:
+        tried.append(platform)
+
+    fresh_probe.setattr(choose, "_probe", probe)
+    fresh_probe.delenv("PYOPENGL_PLATFORM", raising=False)
+    for loaded in ("osmesa", "egl"):
+        fresh_probe.setattr(choose, "loaded_platform", lambda loaded=loaded: loaded)
+        fresh_probe.setenv(ANSWER_VARIABLE, "")
+        find_gl.cache_clear()
+        assert find_gl()[0] == loaded
+    assert tried == ["osmesa", "egl"]

@@ -48,6 +48,7 @@ def test_normals_keep_a_thousandth_of_a_degree(tmp_path: Path, random: np.random
     assert not back[:20].any()
     sine = np.linalg.norm(np.cross(back[20:], normals[20:]), axis=2)
     assert np.rad2deg(sine).max() < 0.002
+    assert np.abs((back[20:] * normals[20:]).sum(axis=2) - 1).max() < 1e-4
 
 
 def test_files_are_byte_deterministic(tmp_path: Path, random: np.random.Generator) -> None:

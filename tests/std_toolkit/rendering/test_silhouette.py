@@ -109,3 +109,19 @@ def test_pixels_without_an_object_have_no_face(renderer: Renderer) -> None:
     assert 0 < np.count_nonzero(drawn) < drawn.size
     assert (composition.face[~drawn] == -1).all()
     assert (composition.face[drawn] >= 0).all()
+
+
+@pytest.mark.parametrize("distortion", [(), (0.1, -0.05, 0.001, 0.0)], ids=["pinhole", "lens"])
+def test_the_window_fits_the_silhouette(distortion: tuple[float, ...]) -> None:
+    """No pixel of the object is outside the window, and the window is hardly larger."""
+    camera = Camera(320, 240, 300.0, 300.0, 159.5, 119.5, distortion)
+    for x, y in ((-0.31, 0.15), (0.27, -0.12), (0.0, 0.0)):
+        mesh, pose = plate(x, y)
+        window = object_window(camera, prepare_mesh(mesh), pose)
+        box = object_silhouette(get_renderer("raycast"), camera, mesh, pose, canvas=1).box
+        assert window is not None
+        assert box is not None
+        found = np.array([window.x, window.y, window.x1 - 1, window.y1 - 1])
+        slack = (np.array(box) - found) * [1, 1, -1, -1]
+        assert (slack >= 0).all(), (found, box)
+        assert (slack <= (3 if distortion else 1)).all(), (found, box)

@@ -265,6 +265,15 @@ def test_ground_truth_of_other_inputs_is_not_current(make_scene: MakeScene, chan
     assert not truth_is_current(Scene.open(scene.root), truth)
 
 
+def test_a_map_that_is_missing_is_named(make_scene: MakeScene) -> None:
+    scene = make_scene(frames=1)
+    render_ground_truth(scene)
+    path = map_paths(scene.root, 0)["mask"]
+    path.unlink()
+    with pytest.raises(ToolkitError, match=rf"{path.name}: map is missing"):
+        read_ground_truth(scene, 0)
+
+
 def test_a_damaged_record_of_a_frame_is_not_finished(make_scene: MakeScene) -> None:
     scene = make_scene(frames=1)
     render_ground_truth(scene)

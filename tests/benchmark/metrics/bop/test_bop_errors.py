@@ -108,3 +108,15 @@ def test_behind_the_camera() -> None:
     assert mspd(at(0, 0, 1), at(0, 0, -1), CORNERS, CAMERA) == np.inf
     with pytest.raises(ToolkitError, match="vertices"):
         mspd(at(0, 0, 1), at(0, 0, 1), CORNERS[0], CAMERA)
+
+
+def test_distances_are_along_the_rays() -> None:
+    """A square at z = 1 m is farther away towards its corners: z times the length of the ray."""
+    true = at(0.3, 0.2, 1)
+    surface = see(DRAW, CAMERA, SQUARE, true, np.zeros((CAMERA.height, CAMERA.width), np.float32))
+    assert surface.window is not None
+    x0, y0 = surface.window.x, surface.window.y
+    rays = CAMERA.rays()[y0 : surface.window.y1, x0 : surface.window.x1]
+    hit = surface.distance > 0
+    assert hit.any()
+    np.testing.assert_allclose(surface.distance[hit], np.linalg.norm(rays, axis=2)[hit], rtol=1e-6)

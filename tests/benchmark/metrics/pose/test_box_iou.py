@@ -171,3 +171,8 @@ def test_shapes_that_do_not_belong_together() -> None:
         box_iou(np.eye(4)[None], np.ones((2, 3)), np.eye(4)[None], np.ones((1, 3)))
     with pytest.raises(ToolkitError, match="round_about_y"):
         box_iou(*(np.eye(4)[None], np.ones((1, 3))) * 2, round_about_y=np.array([True, False]))
+
+
+@pytest.mark.parametrize("definition", list(BoxIoU))
+def test_large_boxes_that_are_apart_have_nothing_in_common(definition: BoxIoU) -> None:
+    assert iou((pose(), 3 * CUBE), (pose(t=(5, 0, 0)), 3 * CUBE), definition) == 0

@@ -24,6 +24,7 @@ from benchmark.metrics.pose import (
     score_matches,
     score_poses,
 )
+from benchmark.metrics.pose.pose_frames import flatten, group
 from std_toolkit.errors import ToolkitError
 
 STRICT = get_pose_protocol("strict")
@@ -246,3 +247,42 @@ def test_what_is_no_evaluation() -> None:
         PoseClasses(upside_down=frozenset({"car"}))
     with pytest.raises(ToolkitError, match="no such class"):
         PoseClasses(round_about_y=frozenset({"teapot"}))
+
+
+def at(degrees: float, cm: float) -> np.ndarray:
+    return pose((0, np.deg2rad(degrees), 0), (0, cm / 100, 0))
+
+
+@pytest.mark.parametrize(
+    ("second", "first_found", "other_found"),
+    [
+        # By degrees times cm, the first estimate would take the object that the other needs.
+        pytest.param((2.5, 1.7), (4.5, 0.2), (-3.0, 0.0), id="product"),
+        # By degrees less cm too.
+        pytest.param((4.5, 2.0), (2.0, 0.1), (6.5, 2.0), id="difference"),
+    ],
+)
+def test_an_estimate_takes_the_object_with_the_smallest_sum_of_both_errors(
+    second: tuple[float, float],
+    first_found: tuple[float, float],
+    other_found: tuple[float, float],
+) -> None:
+    two = frame_of((CAMERA, at(0, 0)), (CAMERA, at(*second)))
+    both = found((CAMERA, at(*first_found), 0.9), (CAMERA, at(*other_found), 0.8))
+    assert match_poses([two], [both]).hits[:, COLUMNS.index("5deg2cm")].all()
+
+
+def test_classes_of_different_frames_do_not_meet() -> None:
+    """The largest class of a frame and the smallest of the next are different objects."""
+    top = [frame_of((6, np.eye(4))), frame_of((6, np.eye(4)))]
+    scores = score_poses(top, [found(), found((6, np.eye(4), 1.0))])
+    assert scores.of_class("mug")["iou50"] == 0.5
+    groups = group(*flatten(top, [found(), found((6, np.eye(4), 1.0))], classes=7))
+    assert [g.truths.tolist() for g in groups] == [[[1]]]
+
+
+@pytest.mark.parametrize(("true", "predicted"), [(2, 1), (1, 2)])
+def test_frames_without_their_partner_are_refused(true: int, predicted: int) -> None:
+    truths, predictions = [frame_of((1, np.eye(4)))], [found((1, np.eye(4), 1.0))]
+    with pytest.raises(ToolkitError, match="as many true frames as predicted"):
+        score_poses(truths * true, predictions * predicted)

@@ -18,11 +18,13 @@ from table_scene import (
 )
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import Camera
 from std_toolkit.io.images import write_depth_png16
 from std_toolkit.rendering.point_cloud import (
     FusionCancelled,
     MultiViewCells,
     VoxelGrid,
+    _stride,
     frame_cloud,
     fuse_clouds,
     sparse_points,
@@ -101,6 +103,21 @@ def test_readings_in_mid_air_are_dropped(tmp_path: Path) -> None:
     assert (off_surface(camera_pose(4, 8) @ points.astype(float)) > 0.03).sum() > 500
     cloud = fuse_clouds(scene, scene.frames)
     assert (off_surface(cloud.points) > 0.03).sum() == 0
+
+
+def test_what_is_beyond_the_farthest_depth_is_left_out(scene: Scene) -> None:
+    near = fuse_clouds(scene, scene.frames[:1], farthest_m=0.75)
+    points = camera_pose(0, 8).inverse() @ near.points.astype(float)
+    assert 1000 < len(points) < len(fuse_clouds(scene, scene.frames[:1]).points)
+    assert points[:, 2].max() <= 0.75 + near.voxel_m
+
+
+@pytest.mark.parametrize(("voxel_m", "step"), [(0.001, 1), (0.006, 2), (0.01, 3), (0.3, 8)])
+def test_two_pixels_fall_into_each_voxel(voxel_m: float, step: int) -> None:
+    """At 1 m and a focal length of 700 pixels a pixel is 1.43 mm wide."""
+    camera = Camera(64, 48, 700.0, 700.0, 31.5, 23.5)
+    depth = np.ones((48, 64), np.float32)
+    assert _stride(depth, camera, voxel_m) == step
 
 
 def test_missing_depth_is_told(tmp_path: Path) -> None:
