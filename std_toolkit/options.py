@@ -173,7 +173,7 @@ class LabelCommand:
     category: str | None = None
     """category, such as mug (default: other)"""
     material: Material | None = None
-    """material; refinement uses sensor depth on diffuse objects only (default: diffuse)"""
+    """material; refinement uses sensor depth on raw and diffuse objects only (default: diffuse)"""
     symmetry: tuple[str, ...] | None = field(default=None, metadata=_REPEATED)
     """axis:z (continuous about z), fold:z:4 (four-fold about z), a JSON file, or none; the axis
     passes through the centre of the bounding box, or with '@origin' through the mesh origin; may
@@ -213,7 +213,7 @@ class PropagateOptions:
     """propagate this object only; may be repeated (default: all labelled objects)"""
     refine: bool = False
     """refine the pose of each object jointly over spread keyframes, from image edges, silhouettes
-    and, on diffuse objects only, sensor depth"""
+    and, on raw and diffuse objects only, sensor depth"""
     refine_scale: bool = False
     """also correct the scale of the camera poses from the known sizes of the objects"""
     keyframes: Annotated[int, msgspec.Meta(ge=2, le=200)] = 10

@@ -68,3 +68,11 @@ def test_help_takes_little_processor_time(module: str, words: list[str], seconds
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         taken.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
     assert min(taken) <= seconds, taken
+
+
+@pytest.mark.parametrize("words", ["--help", "priors --help", "list splits"])
+def test_a_reader_that_stops_early_is_no_error(words: str) -> None:
+    """As `std-bench --help | head`."""
+    line = f"std-bench {words} | true; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")

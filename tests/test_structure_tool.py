@@ -68,7 +68,7 @@ def test_a_circle_of_types_is_seen_apart(structure: ModuleType, made_up: Path) -
     ("name", "expected"),
     [
         ("std_toolkit.cli.check", True),
-        ("annotator.compare.compare_cli", True),
+        ("std_toolkit.cli.labels", True),
         ("sensors.synthetic.__main__", True),
         ("std_toolkit.scene.click", False),
     ],

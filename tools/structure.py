@@ -111,9 +111,8 @@ def measured(run):
     threading.setprofile(see); sys.setprofile(see)
     try: status = run()
     finally: sys.setprofile(None); threading.setprofile(None)
-    ours = sorted(str(Path(f).relative_to(ROOT)) for f in files
-                  if f.startswith(str(ROOT)) and "/.venv/" not in f and "/tests/" not in f
-                  and "/tools/" not in f)
+    ours = sorted(str(Path(f).relative_to(ROOT)) for f in files if Path(f).is_relative_to(ROOT))
+    ours = [f for f in ours if f.split("/")[0] in {packages!r}]
     print("FILES", *ours)
     print("IMPORTED", sum(n.split(".")[0] in {packages!r} for n in sys.modules))
 """

@@ -103,12 +103,13 @@ def begin(folder: Path, manifest: Any, name: str = MANIFEST, beside: Sequence[st
     for field in manifest.setup.__struct_fields__:
         was, now = getattr(begun.setup, field), getattr(manifest.setup, field)
         if was != now:
+            other = "--label or --out" if hasattr(manifest, "label") else "--out"
             raise ToolkitError(
                 f"these results were begun with {was!r}",
                 path=path,
                 field=f"setup.{field}",
                 value=now,
-                hint="give the new run a name of its own with --label, or another --out",
+                hint=f"choose another {other}",
             )
 
 

@@ -51,7 +51,7 @@ INTERRUPTED = 130
 SHELLS = ("bash", "zsh", "fish")
 COMPLETION = "--print-completion"
 _MAPPINGS = (dict, Mapping)
-_REPEATED = re.compile(r"\[(\{[^{}]*\}|[A-Z]+) \[\1 \.\.\.\]\]")
+_REPEATED = re.compile(r"\{?\[(\{[^{}]*\}|[A-Z]+) \[\1 \.\.\.\]\]\}?")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,6 +109,10 @@ class Program:
         except _UsageError as error:
             print(f"error: {error}", file=sys.stderr)
             return WRONG_USAGE
+        except BrokenPipeError:
+            # `std-curate info SCENE | head` is not an error.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
 
     def _main(self, words: list[str]) -> int:
         first = next((word for word in words if word not in ("--quiet", "--debug")), None)
@@ -283,9 +287,7 @@ def exit_status(
         print(f"error: {error}", file=sys.stderr)
         return 1
     except BrokenPipeError:
-        # `std-curate info SCENE | head` is not an error.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        raise
     except OSError as error:
         if debug:
             raise
