@@ -71,12 +71,12 @@ def test_the_numbers_follow_the_hand_and_escape_puts_the_object_back(
     page.mouse.down()
     page.mouse.move(x + 30, y)
     wait_for_move(page, before)  # the button is still held
-    page.wait_for_selector("#hint:has-text('let go')")
+    page.wait_for_selector("#hint:has-text('release')")
     page.keyboard.press("Escape")
     wait_until_at(page, before)
     page.mouse.move(x + 60, y)
     page.mouse.up()
-    page.wait_for_selector("#hint:not(:has-text('let go'))")
+    page.wait_for_selector("#hint:not(:has-text('release'))")
     wait_until_at(page, before)
 
 
@@ -145,7 +145,7 @@ def test_the_mouse_wheel_with_ctrl_moves_along_the_viewing_ray(served: Served, p
     sight = before / np.linalg.norm(before)
     wait_until_at(page, before + sight, tolerance=0.02)
     # Further notches would have belonged to the same edit.
-    page.wait_for_selector("#hint:not(:has-text('let go'))")
+    page.wait_for_selector("#hint:not(:has-text('release'))")
     page.keyboard.press("Control+z")
     wait_until_at(page, before)
 
