@@ -22,7 +22,7 @@ _NAMES = (
     ("real-val", "real-known", "real-test", "real-novel", "synthetic-val", "synthetic-test"),
 )
 
-# Parent folders that archives and users create around the data sets.
+# Folders between the root and the data sets, as created by archives and users.
 _WRAPPERS = (
     "", "dreds", "std", "cleargrasp", "cleargrasp-dataset-test-val", "data", "data/dreds",
     "data/std", "data/cleargrasp", "data/cleargrasp-dataset-test-val",
@@ -43,7 +43,7 @@ class Place:
     """Possible folders of the scenes of a split.
 
     Attributes:
-        folders: names below the root or one of its usual parent folders, preferred first; levels
+        folders: names in the root or in one of the wrapper folders in it, preferred first; levels
             are separated by "/". Case is ignored, and `-` and `_` are equal.
         data_set: folder name of the data set, "" for any.
         part: whether the data set has parts, so that the folder must not have the name of another
@@ -84,7 +84,7 @@ class Place:
 
 
 def find_all(root: Path, folders: Sequence[str]) -> list[Path]:
-    """Those of these folders that are below the root or one of the usual folders around it."""
+    """Return those folders that exist in the root, or else in a wrapper folder in it."""
     for wrapper in _WRAPPERS:
         found = [_descend(root, (*wrapper.split("/"), f)) for f in folders]
         if any(found):
@@ -134,7 +134,7 @@ def _layout_scenes(name: str, layout: str, place: Place) -> Callable[[Path], spl
 
 def _open_exports(root: Path) -> splits.DepthSource:
     layout = dreds_std.LAYOUTS["std"]
-    # Exports for other tools may lie beside; NOCS names its colour and masks alike.
+    # Exports for other tools may be in the same folder; NOCS has equal names for colour and masks.
     depth = (layout.raw, *layout.ground_truth)
     index = loading.list_scenes(root, dreds_std.frame_suffixes(layout), telling=depth)
     if not len(index):
