@@ -159,23 +159,23 @@ def degrade(
     shares: Mapping[int, Floats] | None = None,
     model: DepthModel | None = None,
 ) -> NDArray[np.float32]:
-    """What the camera measures.
+    """Return the measured depth.
 
     Args:
         depth: (h, w) float32 metres, exact.
         mask: (h, w) object of each pixel, `BACKGROUND` on the table.
-        behind: (h, w) float32 metres, what lies behind each pixel's object.
-        material_of: class of each object.
-        camera: of all these maps.
-        rng: consumed.
-        shares: each object's shares, of `draw_shares`; drawn here if not given.
-        model: the fitted one by default.
+        behind: (h, w) float32 metres, depth behind the object of each pixel.
+        material_of: material class of each object.
+        camera: camera of these maps.
+        rng: random generator; its state changes.
+        shares: label fractions of each object, from `draw_shares`; sampled here by default.
+        model: model; by default the fitted one.
 
     Returns:
-        (h, w) float32 metres, 0 where nothing is measured.
+        (h, w) float32 metres, 0 where not measured.
     """
     model = model or load_depth_model()
-    # The baseline stays; the focal length is the camera's own.
+    # The baseline is that of the fit, the focal length that of the camera.
     focal_baseline = camera.fx * model.focal_baseline / FITTED_FX
     kinds, other = pixel_kinds(depth, mask, behind, material_of, focal_baseline=focal_baseline)
     if shares is None:

@@ -281,9 +281,9 @@ class _Attempt:
         )
 
     def _move(self, target: Array, speed: float, *, stops: bool = False) -> bool:
-        """Go straight to a place; False if something was in the way and `stops` is asked for."""
+        """Move straight to a target; False if blocked and `stops` is set."""
         begin = self.data.ctrl[:3].copy()
-        # The fastest moment of this smooth course is 15/8 of its mean.
+        # The maximum speed of this smooth motion is 15/8 of its mean.
         seconds = 15 / 8 * float(np.linalg.norm(target - begin)) / speed
         steps = max(1, round(seconds / TIMESTEP_S / _CONTROL_STEPS))
         for k in range(1, steps + 1):
