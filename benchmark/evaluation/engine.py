@@ -118,13 +118,13 @@ def as_unusable_method(devices: Sequence[str]) -> Iterator[None]:
 def weights_digest(name: str, method: object, options: MethodOptions) -> str:
     """Return the hash of the weight file of a method, either given or shipped.
 
-    Returns:
-        128-bit BLAKE2b hash in hexadecimal (see `digest_file`); empty without a weight file.
-
     Args:
         name: name of the method.
         method: the method; None if there is none, as for raw depth.
         options: options that the method was created with.
+
+    Returns:
+        128-bit BLAKE2b hash in hexadecimal (see `digest_file`); empty without a weight file.
     """
     if method is None:
         return ""
