@@ -1,4 +1,4 @@
-"""How near the truth a simulated annotator's labels are: `python perf/annotate_accuracy.py`.
+"""Accuracy of the labels of a simulated annotator: `python perf/annotate_accuracy.py`.
 
     python perf/annotate_accuracy.py [--seeds 1 2 3 4] [--views 3 4 6 10] [--starts 2]
 
@@ -6,7 +6,7 @@ Each object of synthetic recordings is placed in the first frame, by clicks with
 by hand 30 mm and 15 degrees off, refined once in so many images, and compared with the truth:
 surface distance (MSSD) and rotation, symmetry aware. Camera poses are the true ones.
 
-CPU seconds, of all threads, tell what a busy machine hides.
+CPU seconds, of all threads, are reliable on a busy machine.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ LIMITS = {True: (1.5, 0.7), False: (2.5, 1.0)}
 
 
 def spread(count: int) -> tuple[int, ...]:
-    """So many of the frames, the first and the last among them."""
+    """`count` of the frames, including the first and the last."""
     return tuple(int(i) for i in np.linspace(0, FRAMES - 1, count).round())
 
 

@@ -1,13 +1,13 @@
-"""How fast std-annotate opens a scene of 900 frames of 1280x720, and how much memory it takes.
+"""Time and memory of std-annotate when it opens a scene of 900 frames of 1280x720.
 
     python perf/annotate_open.py [--frames 900] [--runs 5] [--scene DIR]
 
 Every run is a fresh process, timed from its start by the system's clock; CPU seconds, of all
-threads, tell what a busy machine hides. Times are the least of all runs, memory is the largest;
+threads, are reliable on a busy machine. Times are the least of all runs, memory is the largest;
 the images are in the file cache.
 
 session       the headless session alone, until the first image is decoded; then all images
-bare window   one empty view of pyvistaqt, which no window can undercut
+bare window   one empty view of pyvistaqt, the lower bound for any window
 std-annotate  the command, watched from outside on a virtual display drawn in software: until the
               image of the first frame is on the screen, until the views show it beside the
               panels, and until the meshes are there, too, and nothing changes any more
@@ -39,7 +39,7 @@ Stages = dict[str, list[float]]
 
 
 def make_scene(folder: Path, frames: int) -> Path:
-    """A labelled scene of the synthetic table top; a few images are linked again and again."""
+    """A labelled scene of the synthetic table top; all frames are links to a few images."""
     import msgspec
 
     from sensors.synthetic import RecordingOptions, make_recording, scene_from_truth
@@ -154,9 +154,9 @@ def child(kind: str, scene: Path, began: float) -> None:
 
 @contextmanager
 def virtual_display() -> Iterator[tuple[dict[str, str], Callable[[], NDArray[np.uint8]]]]:
-    """The environment for a program on a new display, and a function that gives what it shows.
+    """Yield the environment for a program on a new display, and a function that returns its screen.
 
-    That is (H, W, 3) in the order blue green red; nothing is asked of the program itself.
+    The screen is (H, W, 3) in BGR order, read from the display server, not from the program.
     """
     number, tell_number = os.pipe()
     command = ["Xvfb", "-displayfd", str(tell_number), "-screen", "0", f"{WIDTH}x{HEIGHT}x24"]

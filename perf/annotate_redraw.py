@@ -1,4 +1,4 @@
-"""How fast the annotator's views follow the mouse, and when full detail is back.
+"""Latency of the annotator's views while an object is dragged, and time to full detail.
 
     python perf/annotate_redraw.py [--drags 40]
 
@@ -8,9 +8,9 @@ them. Printed are the time until the view in hand shows the new pose, the time u
 and the time from letting go until all four are in full detail. Where there is no display, one is
 started; the driver drawn with is named.
 
-The last column is what the clock would show if nothing else ran: processor time of the main thread,
-and that of the driver's threads shared among the cores. Where other programs load the machine, only
-that column says something.
+The last column estimates the elapsed time on an idle machine: processor time of the main thread,
+and that of the driver's threads divided among the cores. On a busy machine only that column is
+valid.
 """
 
 from __future__ import annotations
@@ -58,14 +58,14 @@ def scene_with_depth(root: Path) -> Scene:
 
 
 class Taken(NamedTuple):
-    """Milliseconds by the clock, and what it would show if nothing else ran."""
+    """Elapsed milliseconds, and their estimate on an idle machine."""
 
     clock: float
     alone: float
 
 
 class Watch:
-    """Takes the time from where it was made."""
+    """Measures the time since its creation."""
 
     def __init__(self) -> None:
         self.start = time.perf_counter()
@@ -139,7 +139,7 @@ class Bench:
                 raise TimeoutError("the views do not settle")
 
     def settle(self) -> None:
-        """Until all views are in full detail and nothing is drawn any more."""
+        """Wait until all views are in full detail and drawing has finished."""
         self.wait(lambda: not any(v.moving for v in self.views.views))
         quiet = time.perf_counter() + 0.5
         while time.perf_counter() < max(quiet, max(self.drawn) + 0.4):
@@ -165,7 +165,7 @@ class Bench:
         self.app.sendEvent(widget, event)
 
     def drag(self, name: str, moves: int) -> dict[str, list[Taken]]:
-        """What each measurement takes while an object is dragged and let go."""
+        """Return the measurements while an object is dragged and released."""
         view = self.views.views[0]
         pose, solid = view.T_eye_obj(name), view.solid(name)
         assert pose is not None and solid is not None

@@ -1,4 +1,4 @@
-"""How fast a page of `std-annotate --web` follows the mouse, in Chromium on this machine.
+"""Latency of a page of `std-annotate --web` while an object is dragged, in Chromium.
 
     python perf/annotate_web.py [--moves 40]
 

@@ -1,8 +1,8 @@
 """Reading frames to score, per frame and core: `python perf/bench_data.py`.
 
-Beside each row stands what one would write without this package: cv2.imread, the OpenEXR package
-with all channels, no check of anything. Processor time on one thread, the least of several rounds,
-because others may be using the machine.
+Each row is compared with a baseline without this package: cv2.imread, the OpenEXR package with all
+channels, no checks. Processor time on one thread, the least of several rounds, because the machine
+may be busy.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""How long the methods without learning take: `python perf/bench_filling.py [--repeats 3]`.
+"""Run time of the methods without learning: `python perf/bench_filling.py [--repeats 3]`.
 
 The scene is a table before a wall with boxes and balls on it; 15 % of the depth is missing, in
 round holes, in shadows beside the objects and in specks. Times are processor time of one thread per
-frame, least of the repeats: others may be using the machine. The second table is ClearGrasp's
+frame, the least of the repeats, because the machine may be busy. The second table is ClearGrasp's
 global optimisation, with exact normals. The third solves the system of colorization in several
-ways, and tells how far each is from the exact solution. BLAS threads are held to one.
+ways, with the error of each against the exact solution. BLAS uses one thread.
 """
 
 from __future__ import annotations

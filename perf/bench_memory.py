@@ -1,8 +1,8 @@
-"""Memory of a run over 30,000 frames: resident size of the process that scores, as it goes on.
+"""Memory of a run over 30,000 frames: resident size of the scoring process during the run.
 
     python perf/bench_memory.py [--frames 30000]
 
-The frames are made up when asked for, 64x36 pixels: what grows is what the run itself holds.
+The frames of 64x36 pixels are generated on demand, so that only the memory of the run can grow.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ CAMERA = Camera(64, 36, 60.0, 60.0, 31.5, 17.5)
 
 
 class MadeUp:
-    """A split of frames that nothing keeps."""
+    """A split of generated frames that are not kept."""
 
     name = "made-up"
 

@@ -1,12 +1,12 @@
-"""How long the networks take per frame, how much memory, and what the faster forms bring.
+"""Time and memory of the networks per frame, and the gain of the optimised implementations.
 
     python perf/bench_networks.py [--method swindrnet nlspn lidf ...] [--threads 2] [--rounds 7]
 
 For each network at its published size: elapsed time and processor time of a frame (the least of
-several rounds, for others may be using the machine), products, parameters, and the peak memory of
-a process that restores frames and does nothing else. SwinDRNet is measured as `std-bench` runs it
-and, by turns with it, in the form in which it was published, which computes the same; their ratio
-is the figure that compares between machines. Weights are random: the work is the same.
+several rounds, because the machine may be busy), products, parameters, and the peak memory of a
+process that only restores frames. SwinDRNet is measured as in `std-bench` and, alternating with it,
+in its published implementation, which computes the same result; their ratio is comparable between
+machines. Weights are random, which does not change the amount of work.
 
 On a GPU: `--device cuda --precision bf16 --compile`.
 """
@@ -65,7 +65,7 @@ def synthetic_view(size: tuple[int, int]):
 
 
 def least(works: list[Callable[[], object]], rounds: int) -> list[tuple[float, float]]:
-    """Elapsed and processor seconds of each, by turns."""
+    """Elapsed and processor seconds of each, measured alternately."""
     for work in works:
         work()
     found = [(float("inf"), float("inf"))] * len(works)

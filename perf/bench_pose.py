@@ -3,8 +3,8 @@
 10 000 predictions with exact overlap of boxes, in frames of the seven classes of the data sets,
 some objects found twice. The loop takes one pair of boxes at a time in plain Python and NumPy: it
 cuts the faces of one box by the planes of the other, and matches as the field's evaluations do. It
-is timed on some of the frames. Processor time is what to trust on a busy machine; the elapsed time
-of one process stands beside it.
+is timed on some of the frames. Processor time is reliable on a busy machine; the elapsed time of
+one process is printed next to it.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def frames(predictions: int, seed: int) -> tuple[list[PoseTruth], list[PosePredi
 
 
 def cut(polygon: list[np.ndarray], axis: int, side: float) -> list[np.ndarray]:
-    """What of a polygon lies on the inner side of one plane of the cube."""
+    """The part of a polygon on the inner side of one plane of the cube."""
     kept = []
     for p, q in zip(polygon, polygon[1:] + polygon[:1], strict=True):
         dp, dq = 1 - side * p[axis], 1 - side * q[axis]
@@ -86,7 +86,7 @@ def fans(polygon: list[np.ndarray]) -> list[tuple[float, float]]:
 
 
 def common(A: np.ndarray, B: np.ndarray) -> float:
-    """Volume that two boxes share, as `benchmark.metrics.pose.box_iou` has it."""
+    """Common volume of two boxes, as in `benchmark.metrics.pose.box_iou`."""
     inverse = np.linalg.inv(A[:3, :3])
     edges, centre = inverse @ B[:3, :3], inverse @ (B[:3, 3] - A[:3, 3])
     flux = 0.0

@@ -1,4 +1,4 @@
-"""How many saved results a second are scored: `python perf/bench_score.py [--frames 64]`.
+"""Scoring rate of saved results: `python perf/bench_score.py [--frames 64]`.
 
 Data sets in the layouts of STD and ClearGrasp are written, and beside them restored depth as
 `std-bench --save-depth` keeps it. Each frame is then loaded (ground truth, mask, meta file and
@@ -42,7 +42,7 @@ SHOWN = 8  # frames written; the disk's cache holds them as it would hold a data
 
 
 def picture(size: tuple[int, int], seed: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Ground truth of eight round things, 0 elsewhere, and their mask."""
+    """Ground truth of eight round objects, 0 elsewhere, and their mask."""
     width, height = size
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[:height, :width].astype(np.float32)

@@ -4,7 +4,7 @@
 
 SETS is a folder that `std-sim --layout dreds` wrote. Half of the frames are fitted to, the other
 half compared with: shares of holes, of depth within 1 cm and of the background seen through
-objects, by material class. `--write` puts the figures into benchmark/tabletop/depth_model.json.
+objects, by material class. `--write` saves the parameters in benchmark/tabletop/depth_model.json.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Region:
 
 
 def behind_of(frame: DepthFrame) -> Any:
-    """Depth of the floor under everything: a plane through what is seen of it."""
+    """Depth of the floor: a plane fitted to its visible part."""
     rays = frame.camera.rays()
     points = rays * frame.depth_true[..., None]
     floor = points[(frame.mask == BACKGROUND) & (frame.depth_true > 0)][::20]
@@ -166,14 +166,14 @@ def fit(found: list[Region], focal_baseline: float) -> KindModel:
 
 
 def agreement(labels: Any, member: Any) -> tuple[float, float]:
-    """Pairs of pixels a few columns apart whose hole-ness is equal, and how many pairs."""
+    """Number of pixel pairs a few columns apart that agree in being holes, and of all pairs."""
     a, b = labels[:, :-_LAG], labels[:, _LAG:]
     both = member[:, :-_LAG] & member[:, _LAG:]
     return float(((a == HOLE) == (b == HOLE))[both].sum()), float(both.sum())
 
 
 def patch_of(found: list[Region]) -> float:
-    """The patch size whose labels agree as often as those measured."""
+    """The patch size whose labels agree as often as the measured ones."""
     rng = np.random.default_rng(0)
     taken = found[:: max(1, len(found) // 60)]
     pairs = [agreement(r.labels, r.labels >= 0) for r in taken]

@@ -1,8 +1,7 @@
-"""Files and geometry of the core beside a naive reference, in one run: `python perf/core.py`.
+"""Files and geometry of the core against a naive reference, in one run: `python perf/core.py`.
 
-Prints the median time of each and how many times faster than the reference it is. The reference
-is what one would write without this package: another library for files, a plain loop or formula
-for geometry.
+Prints the median time of each and its speed relative to the reference. The reference does not use
+this package: another library for files, a plain loop or formula for geometry.
 """
 
 from __future__ import annotations
@@ -57,7 +56,7 @@ def file_rows(folder: Path) -> list[tuple[str, Callable[[], object], Callable[[]
             return file.channels()["Y"].pixels.copy()
 
     def png_three_channels() -> None:
-        # Pillow cannot write 16-bit colour: three grey files are what one does instead.
+        # Pillow cannot write 16-bit colour: the reference writes three grey files instead.
         for i in range(3):
             Image.fromarray(np.ascontiguousarray(nocs[..., i])).save(plain / f"n{i}.png")
 
@@ -108,7 +107,7 @@ def umeyama_by_loop(p: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def ransac_of_fixed_length(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """128 samples of 5 points whatever they show, as the field's working implementations do."""
+    """128 samples of 5 points without early stop, as in common implementations."""
     rng = np.random.default_rng(0)
     best = np.zeros(len(p), dtype=bool)
     for _ in range(128):

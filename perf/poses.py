@@ -1,4 +1,4 @@
-"""Camera poses: `std-curate poses` beside plain pycolmap, in one run on the same images.
+"""Camera poses: `std-curate poses` against plain pycolmap, in one run on the same images.
 
     python perf/poses.py [--images DIR --intrinsics FILE] [--skip-exhaustive]
 

@@ -1,4 +1,4 @@
-"""How near simulated depth comes to real depth: `python perf/realism.py [--scenes 4] [--data DIR]`.
+"""Comparison of simulated and real depth: `python perf/realism.py [--scenes 4] [--data DIR]`.
 
 Three tables of completeness, median error, root mean square of the error and share of values off by
 more than a centimetre. Controlled: all 36 diffuse materials as tiles of a board at 0.6 m, and every
@@ -6,8 +6,8 @@ metal, other specular, glass and some diffuse materials as vessels at 0.6 m. Ran
 `std-sim` makes them, by material class. Real: captures of a D415, a D435 and another RealSense,
 where the folder of real recordings is (STD_TEST_DATA, or ../shared/data).
 
-"clear" pixels lie on surfaces that both eyes see, a matching window away from steps in depth: the
-strip at the left edge, shadows and borders are holes of any stereo camera.
+"clear" pixels are on surfaces visible in both cameras, a matching window away from steps in depth:
+the strip at the left edge, shadows and borders are holes of any stereo camera.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ IN_A_VIEW = 6
 DIFFUSE_VESSELS = 12
 TWINS, OWN = "D435, painted twins", "D415, cloth with things, its own depth"
 WITHOUT_TRUTH = (f"{TWINS}, all", f"{TWINS}, core", OWN)
-"""Captures with nothing better to hold them against: completeness only."""
+"""Captures without reference depth: completeness only."""
 Tables = defaultdict[str, ErrorTally]
 
 
@@ -141,7 +141,7 @@ def random_scenes(renderer: Any, scenes: int, views: int) -> Tables:
 
 
 def real_captures(data: Path) -> Tables:
-    """What real cameras make of real things."""
+    """Tables of real captures."""
     table = Tables(ErrorTally)
     for name in ("080", "123", "130"):
         stem = data / "cleargrasp_real" / "real-val" / f"000000{name}"
@@ -179,7 +179,7 @@ def add_d415(table: Tables, folder: Path) -> None:
 
 
 def add_ycb(table: Tables, data: Path) -> None:
-    """Depth of household things against meshes at refined poses: their error is in it."""
+    """Depth of household objects against meshes at refined poses, including the pose error."""
     camera = Camera(640, 480, 618.0172729492188, 618.0033569335938, 312.376953125, 232.37530517578)
     meshes = data / "ycb_meshes"
     names = sorted(p.name for p in meshes.iterdir() if p.is_dir() and p.name != "051_large_clamp")

@@ -1,11 +1,11 @@
-"""Whether recording keeps up with a camera: `python perf/record.py`.
+"""Whether recording reaches the frame rate of a camera: `python perf/record.py`.
 
 Frames of 1280x720 with colour, depth to align and an infrared pair go through std-record's writer.
-First what each step takes of one core; then how many frames a second the writer takes with so many
-threads, over the camera's 30, and how many cores 30 frames a second need by their processor time,
-which other work on the machine changes little; then ten seconds at 30 frames a second, with the
-frames that were dropped. The last column is the ratio to the plainest way to do the same: one
-thread, PNG as OpenCV writes it by default, no sync to disk.
+The first table gives the time of each step on one core. The second gives the frame rate of the
+writer by number of threads, relative to the camera's 30, and the number of cores for 30 frames a
+second from the processor time, which depends little on other load. The third is ten seconds at 30
+frames a second, with the dropped frames. The last column is the ratio to a simple baseline: one
+thread, PNG with the defaults of OpenCV, no sync to disk.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def steps(folder: Path, frame: CapturedFrame) -> None:
 
 
 def plain_rate(folder: Path, pool: list[CapturedFrame]) -> float:
-    """Frames a second of the plainest writer."""
+    """Frames a second of the simple baseline."""
     calibration = DOCUMENT.calibration()
     began = time.perf_counter()
     for number, frame in enumerate(pool):
@@ -148,7 +148,7 @@ def rates(folder: Path, pool: list[CapturedFrame], plain: float) -> None:
 
 
 def paced(folder: Path, pool: list[CapturedFrame]) -> None:
-    """Ten seconds as a camera sends them, hints included."""
+    """Record ten seconds at the rate of a camera, including hints."""
     cores = os.cpu_count() or 1
     print(f"\n{SECONDS} s at {FPS} frames/s, {cores} cores")
     for title, files in (("JPEG", FileOptions()), ("PNG", FileOptions(color_format="png"))):

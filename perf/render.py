@@ -1,4 +1,4 @@
-"""How fast ground truth is rendered, where the time goes, and a plain pyrender loop beside it.
+"""Speed of ground truth rendering by step, compared with a plain pyrender loop.
 
     python perf/render.py [--frames 40] [--workers 2]
 
@@ -58,7 +58,7 @@ def bumpy_solid(seed: int) -> trimesh.Trimesh:
 
 
 def make_scene(root: Path, frames: int) -> Scene:
-    """Six solids in two rows, a camera that sways in front of them."""
+    """Six solids in two rows, and a camera that moves to and fro in front of them."""
     models, objects, labels = [], [], []
     for k in range(6):
         mesh = bumpy_solid(k)
@@ -195,7 +195,7 @@ def command_rate(scene: Scene, renderer: str, frames: int, workers: int) -> floa
 def processor_ms(scene: Scene, renderer: str, frames: int) -> float:
     """Processor milliseconds per frame of the whole step, in this process.
 
-    It hardly depends on what else runs; cores / this is the rate on idle cores.
+    It hardly depends on other load; cores / this is the rate on idle cores.
     """
     options = RenderOptions(renderer=renderer, policy="models", force=True)
     jobs = JobOptions(engine="serial", progress=False)

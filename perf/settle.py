@@ -1,11 +1,11 @@
-"""What it costs to settle a scene: `python perf/settle.py [--scenes 10] [--shapes 2] [--cache D]`.
+"""Cost of settling a scene: `python perf/settle.py [--scenes 10] [--shapes 2] [--cache D]`.
 
-Per category: making a shape, its convex parts (CoACD, once per shape), their number, and how much
-more room they take than the shape. Then scenes of eight objects, one of each category: building the
-simulation, falling until all lie still, attempts; the deepest overlap of the visual meshes with
-each other and the floor, and the drift over half a second afterwards.
+Per category: creating a shape, its convex parts (CoACD, once per shape), their number, and their
+volume relative to the shape. Then scenes of eight objects, one of each category: building the
+simulation, falling until all objects are at rest, attempts; the deepest overlap of the visual
+meshes with each other and the floor, and the drift over half a second afterwards.
 
-Seconds are processor time, children included: others may be using the machine.
+Seconds are processor time including child processes, because the machine may be busy.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a simulated frame costs: `python perf/simulate.py [--views 30] [--seed 0]`.
+"""Cost of a simulated frame: `python perf/simulate.py [--views 30] [--seed 0]`.
 
 One scene of the built-in objects is simulated from many views, as std-sim makes it: objects drawn
 and settled, infrared pair, colour, denoising, exact maps, matching, alignment, files in the DREDS
@@ -7,9 +7,9 @@ cores with the finishing of a view beside the rendering of the next, which tells
 clock. What a set of 130,000 images costs follows from the first on CPUs, where scenes go to
 one-thread workers, and from the second on a GPU where Mitsuba runs on one.
 
-Settling is told with the convex parts of all shapes made anew, and with parts that are kept: a
-shape costs once, however many scenes it is in. Seconds of processor time are the robust figure
-where others use the machine.
+Settling is measured with the convex parts of all shapes computed again, and with cached parts: the
+cost of a shape occurs once, for any number of scenes. Processor seconds are reliable on a busy
+machine.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Measured:
 
 
 def simulate(simulator: Simulator, seed: int, out: Path) -> tuple[Measured, int]:
-    """Make one scene; what all of it cost, and its number of objects."""
+    """Simulate one scene; returns its cost and its number of objects."""
     cost = Measured()
     with cost.block():
         world = simulator.world(seed, f"{seed:05d}")

@@ -1,4 +1,4 @@
-"""How near a real D415's depth the stereo matchers are, how biased and how fast.
+"""Accuracy, bias and speed of the stereo matchers, compared with the depth of a real D415.
 
     python perf/stereo.py [--data ../shared/data] [--repeats 5] [--device cuda]
 

@@ -1,8 +1,8 @@
 """Guides of the annotator against their time limits: `python perf/support.py`.
 
 Point clouds and the table plane of a 1280x720 recording, and penetration among six meshes of
-50 000 faces. The least of several runs counts: others may be using the machine. Penetration is
-set beside the signed distance of all vertices, which is what one would write without culling.
+50 000 faces. Times are the least of several runs, because the machine may be busy. Penetration is
+compared with the signed distance of all vertices, the baseline without culling.
 """
 
 from __future__ import annotations

@@ -117,7 +117,7 @@ def builtin(scene: SimScene) -> Any:
 
 
 def compiled_anew(renderer: Any, seed: int) -> str:
-    """Kernels that another scene, with other materials, compiled."""
+    """Kernels compiled for another scene with other materials."""
     import drjit as dr
 
     if "scalar" in renderer.name:

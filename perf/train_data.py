@@ -1,8 +1,8 @@
-"""Reading packed frames for training, beside the data set itself: `python perf/train_data.py`.
+"""Reading packed frames for training against the raw data set: `python perf/train_data.py`.
 
 Frames of DREDS (colour 1280x720, maps 640x360) at 224x224, in batches of 32. Processor time of one
-thread per frame, the least of several rounds, because others may be using the machine; the files
-are in the page cache. The goal is 400 frames a second on 2 cores: 5 ms of processor time per frame.
+thread per frame, the least of several rounds, because the machine may be busy; the files are in
+the page cache. The goal is 400 frames a second on 2 cores: 5 ms of processor time per frame.
 """
 
 from __future__ import annotations

@@ -1,15 +1,15 @@
-"""Mutation run: do the tests notice small changes of the code?  `make mutants`.
+"""Mutation testing: do the tests detect small changes of the code?  `make mutants`.
 
-Cosmic Ray makes the mutants: one operator, number or condition of a module is changed. A seeded
-sample is drawn over the modules where a silent mistake costs most. Each mutant runs in a copy of
-the repository against the tests that execute the changed lines, quick tests first, up to
-`--seconds` of them. Lines that numba compiles are not seen by the coverage; they are given the
-tests of their module. A mutant that no test notices survives and is listed with its difference.
+Cosmic Ray creates the mutants: it changes one operator, number or condition of a module. A seeded
+sample is drawn over the modules where an undetected mistake costs most. Each mutant runs in a copy
+of the repository against the tests that execute the changed lines, quick tests first, up to
+`--seconds` of them. Coverage does not record lines compiled by numba; they use the tests of their
+module. A mutant that no test detects survives and is listed with its diff.
 
-Left out are changes that no test can see, in annotations, decorators, messages of errors and code
-for type checkers; operators on bits in place of arithmetic, which every test would see; and
-identity in place of an order or the reverse. A test that is skipped in a mutant counts as failed:
-it ran without. A stopped run resumes.
+Skipped are changes that no test can detect, in annotations, decorators, error messages and code for
+type checkers; bit operators in place of arithmetic, which every test would detect; and identity in
+place of an order comparison or the reverse. A test that is skipped in a mutant counts as failed,
+because it runs without the mutation. A stopped run resumes.
 
 Exit status: 0 if at least `--least` of the mutants died, else 1.
 """
@@ -32,7 +32,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-# Area: its modules, and the tests that may notice a change of them.
+# Area: its modules, and the tests that may detect a change of them.
 AREAS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "geometry": (("std_toolkit/geometry/*.py",), ("tests/std_toolkit/geometry",)),
     "renderers": (
@@ -64,14 +64,14 @@ AREAS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     ),
 }
 _DURATION = re.compile(r"^([\d.]+)s (?:call|setup)\s+(\S.*)$")
-# Between numbers these raise an error at once, and any test would notice.
+# Between numbers these raise an error, which any test detects.
 _BITS = ("BitOr", "BitAnd", "BitXor", "LShift", "RShift", "Invert")
 _ORDER = "(Lt|LtE|Gt|GtE|Eq|NotEq)"
 _IDENTITY = re.compile(rf"_{_ORDER}_(Is|IsNot)$|_(Is|IsNot)_{_ORDER}$")
 _UNSEEN_CALLS = ("ToolkitError", "info", "warning", "debug")
 
 
-# Tests that a mutant skips ran before: it broke what they ask for, as a GL context.
+# Tests that a mutant skips ran before: it broke what they need, such as a GL context.
 _FAIL_SKIPPED = """
 import pytest
 
@@ -86,7 +86,7 @@ def pytest_runtest_makereport(item, call):
 
 @dataclass(frozen=True)
 class Mutant:
-    """One change of one module, and the tests it is shown to."""
+    """One change of one module, and the tests to run."""
 
     area: str
     module: str
@@ -120,7 +120,7 @@ def main() -> int:
         _measure_coverage(out)
         (out / "commit").write_text(commit)
     for number in range(args.workers):
-        _copy_repository(out / f"copy{number}")  # a run that was killed left a mutant behind
+        _copy_repository(out / f"copy{number}")  # a killed run may have left a mutant
     mutants = [m for area in args.area for m in _mutants(area, out, args.seconds)]
     mutants = list({m.key: m for m in mutants}.values())
     sample = random.Random(args.seed).sample(mutants, min(args.count, len(mutants)))
@@ -160,13 +160,13 @@ def _measure_coverage(out: Path) -> None:
 
 
 def _environment(copy: Path) -> dict[str, str]:
-    # As the workers of `make test` have it.
+    # As in the workers of `make test`.
     data = os.environ.get("STD_TEST_DATA", str(ROOT.parent / "shared" / "data"))
     return {**os.environ, "PYTHONPATH": str(copy), "STD_TEST_DATA": data, "OMP_NUM_THREADS": "1"}
 
 
 def _mutants(area: str, out: Path, seconds: float) -> list[Mutant]:
-    """All mutants of an area that some test could notice."""
+    """All mutants of an area that a test could detect."""
     from cosmic_ray.ast import ast_nodes, get_ast_from_path
     from cosmic_ray.plugins import get_operator, operator_names
 
@@ -211,7 +211,7 @@ def _mutants(area: str, out: Path, seconds: float) -> list[Mutant]:
 
 
 def _tests_by_line(coverage: Path, module: str) -> dict[int, set[str]]:
-    """Tests that execute each line; import alone is no test."""
+    """Tests that execute each line, without execution at import."""
     from coverage.numbits import numbits_to_nums
 
     lines: dict[int, set[str]] = defaultdict(set)
@@ -229,7 +229,7 @@ def _tests_by_line(coverage: Path, module: str) -> dict[int, set[str]]:
 
 
 def _unseen(path: Path) -> tuple[list[tuple[tuple[int, int], tuple[int, int]]], set[int]]:
-    """Ranges in which no change can matter, and lines that numba compiles."""
+    """Ranges in which no change has an effect, and lines compiled by numba."""
     ranges: list[tuple[tuple[int, int], tuple[int, int]]] = []
     compiled: set[int] = set()
 
@@ -240,7 +240,7 @@ def _unseen(path: Path) -> tuple[list[tuple[tuple[int, int], tuple[int, int]]], 
 
     source = path.read_text()
     for number, line in enumerate(source.splitlines(), 1):
-        if line.strip() == "*,":  # is taken for a product
+        if line.strip() == "*,":  # Cosmic Ray parses it as a product
             ranges.append(((number, 0), (number + 1, 0)))
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
@@ -264,7 +264,7 @@ def _is_unseen(node: ast.AST) -> bool:
 
 
 def _run(sample: list[Mutant], out: Path, workers: int) -> list[dict[str, object]]:
-    """Outcome of each mutant; those of an earlier run are read."""
+    """Outcome of each mutant; those of an earlier run are reused."""
     kept = out / "results.jsonl"
     known = {}
     if kept.is_file():

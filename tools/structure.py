@@ -1,10 +1,10 @@
 """Count the structure of the code: `python tools/structure.py [--flows] [--json]`.
 
-Prints, for the tree it stands in: code lines of the four packages (without blanks, comments and
-docstrings), modules and their median length, the share of imports, lines of the command-line
-modules, copies of the form `x=args.x`, circles of imports between modules and between folders,
-imports against the order of folders, and with `--flows` how many of the repository's files execute
-a function when a user does one thing.
+Prints for its source tree: code lines of the four packages (without blank lines, comments and
+docstrings), modules and their median length, the fraction of import lines, lines of the
+command-line modules, copies of the form `x=args.x`, import cycles between modules and between
+folders, imports against the order of folders, and with `--flows` how many files of the repository
+execute a function in typical user workflows.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("std_toolkit", "annotator", "sensors", "benchmark")
-# The folders and single modules of each package from the lowest layer up; "" is the package itself.
-# One may import what is in a line above its own, and nothing of its own line but itself.
+# Folders and single modules of each package from the lowest layer up; "" is the package itself.
+# Each may import from the lines above its own, and within its own line only from itself.
 # tests/test_import_arrows.py tests the same order.
 ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
     "std_toolkit": (
@@ -63,7 +63,7 @@ ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
     ),
 }
 
-# What a user does, as programs that end in the call of `measured`. `ROOT` and `TMP` are given.
+# User workflows, as programs that end in the call of `measured`. `ROOT` and `TMP` are defined.
 _SCENE = "from tests.scene_on_disk import write_scene; scene = write_scene(TMP / 'scene')\n"
 _FOLDER = _SCENE + (
     "arguments = ['import', '--color', str(TMP / 'scene/color'), '--depth',\n"
@@ -119,7 +119,7 @@ def measured(run):
 
 
 def modules(root: Path) -> dict[str, Path]:
-    """Every module of the four packages by its dotted name; packages end in `.__init__`."""
+    """Return every module of the four packages by dotted name; packages end in `.__init__`."""
     return {
         ".".join(path.relative_to(root).with_suffix("").parts): path
         for package in PACKAGES
@@ -128,13 +128,13 @@ def modules(root: Path) -> dict[str, Path]:
 
 
 def code_lines(text: str) -> tuple[int, int]:
-    """(lines of code, lines of them that belong to imports); no blanks, comments, docstrings."""
+    """Return (code lines, import lines among them), without blank lines, comments, docstrings."""
     tree = ast.parse(text)
     hidden: set[int] = set()
     imports: set[int] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            # Those of fields as well, which stand below them in the body of their class.
+            # Also those of fields, which follow them in the body of the class.
             for entry in node.body if isinstance(node, ast.ClassDef) else node.body[:1]:
                 if isinstance(entry, ast.Expr) and isinstance(entry.value, ast.Constant):
                     hidden.update(range(entry.lineno, (entry.end_lineno or 0) + 1))
@@ -155,7 +155,7 @@ def is_command_line(name: str) -> bool:
 
 
 def _at_run_time(tree: ast.AST) -> Iterator[ast.AST]:
-    """All nodes but those under `if TYPE_CHECKING`."""
+    """All nodes except those under `if TYPE_CHECKING`."""
     for child in ast.iter_child_nodes(tree):
         if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.dump(child.test):
             continue
@@ -164,11 +164,11 @@ def _at_run_time(tree: ast.AST) -> Iterator[ast.AST]:
 
 
 def import_graph(root: Path, *, for_types: bool = False) -> dict[str, set[str]]:
-    """Module to modules of ours that it imports, within functions too.
+    """Return the modules of the four packages that each module imports, also within functions.
 
     Args:
         root: folder of the packages.
-        for_types: with imports under `if TYPE_CHECKING`, except the lazy names of an `__init__`.
+        for_types: include imports under `if TYPE_CHECKING`, except lazy names of an `__init__`.
     """
     named = modules(root)
     plain = {name.removesuffix(".__init__"): name for name in named}
@@ -189,7 +189,7 @@ def import_graph(root: Path, *, for_types: bool = False) -> dict[str, set[str]]:
 
 
 def circles(graph: Mapping[str, set[str]]) -> list[list[str]]:
-    """Groups of nodes that reach each other, larger than one (Tarjan 1972)."""
+    """Return the strongly connected components of two or more nodes (Tarjan 1972)."""
     index: dict[str, int] = {}
     low: dict[str, int] = {}
     stack: list[str] = []
@@ -218,7 +218,7 @@ def circles(graph: Mapping[str, set[str]]) -> list[list[str]]:
 
 
 def folder_graph(graph: Mapping[str, set[str]]) -> dict[str, set[str]]:
-    """The same between first-level folders (or files) of one package; `__init__` left out."""
+    """Return imports between first-level folders (or files) of a package, without `__init__`."""
     folders: dict[str, set[str]] = {}
     for name, targets in graph.items():
         parts = name.split(".")
@@ -234,7 +234,7 @@ def folder_graph(graph: Mapping[str, set[str]]) -> dict[str, set[str]]:
 
 
 def arrows_up(graph: Mapping[str, set[str]]) -> list[str]:
-    """Imports between folders that lead to the same layer of `ORDER` or a higher one."""
+    """Return imports between folders to the same layer of `ORDER` or a higher one."""
     layer = {
         f"{package}.{name}": i
         for package, order in ORDER.items()
@@ -250,7 +250,7 @@ def arrows_up(graph: Mapping[str, set[str]]) -> list[str]:
 
 
 def run_flow(program: str, root: Path = ROOT) -> tuple[list[str], int]:
-    """Files of ours whose code a program executes while it is measured, and modules imported."""
+    """Return the repository's files that a program executes, and the number of modules imported."""
     with tempfile.TemporaryDirectory() as folder:
         head = _HARNESS.format(root=str(root), tmp=folder, packages=PACKAGES)
         done = subprocess.run(
@@ -263,7 +263,7 @@ def run_flow(program: str, root: Path = ROOT) -> tuple[list[str], int]:
 
 
 def count(root: Path = ROOT) -> dict[str, object]:
-    """The static part of the table."""
+    """Return the static part of the table."""
     named = modules(root)
     texts = {name: path.read_text(encoding="utf-8") for name, path in named.items()}
     lines = {name: code_lines(text) for name, text in texts.items()}

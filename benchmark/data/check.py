@@ -1,4 +1,4 @@
-"""What of a split is on disk, what is missing, and where it can be had."""
+"""Check of a split on disk: what exists, what is missing, and where to download it."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from typing import Any
 from benchmark.data.splits import DepthSource, SceneFiles, Split, get_split
 from std_toolkit.errors import ToolkitError
 
-# So many names of missing files, and of damaged frames, are told.
+# Number of missing files, and of damaged frames, that are named.
 _NAMED = 3
-# Frames that are read, spread over the split: enough to meet a wrong size or unit.
+# Frames that are read, spread over the split: enough to detect a wrong size or unit.
 _TRIED = 5
 
 
 @dataclass(frozen=True)
 class SplitReport:
-    """What `check_split` found.
+    """Result of `check_split`.
 
     Attributes:
-        split: what was looked for.
-        root: where.
-        scenes: what each has and lacks; empty where nothing was found.
+        split: the split.
+        root: folder that was searched.
+        scenes: existing and missing files of each scene; empty if nothing was found.
         problem: why nothing was found, else "".
-        sizes: what is (width, height), by "colour", "raw depth", "ground truth", of the frames
-            that were read.
-        unreadable: what is wrong with those that could not be read.
-        notes: on how the counts fit the published ones.
+        sizes: sizes (width, height) of the frames that were read, by "colour", "raw depth",
+            "ground truth".
+        unreadable: error lines of frames that could not be read.
+        notes: comparison of the counts with the published ones.
     """
 
     split: Split
@@ -41,12 +41,12 @@ class SplitReport:
 
     @property
     def frames(self) -> int:
-        """How many frames were found, incomplete ones included."""
+        """Number of frames found, including incomplete ones."""
         return sum(s.frames for s in self.scenes)
 
     @property
     def missing(self) -> dict[str, list[str]]:
-        """Missing files as scene/name, by what they hold."""
+        """Missing files as scene/name, by content."""
         found: dict[str, list[str]] = {}
         for scene in self.scenes:
             for what, names in scene.missing.items():
@@ -55,11 +55,11 @@ class SplitReport:
 
     @property
     def is_complete(self) -> bool:
-        """Frames are there, every one has its files, and those that were tried could be read."""
+        """Whether there are frames, all have their files, and the tested ones could be read."""
         return self.frames > 0 and not self.missing and not self.unreadable
 
     def record(self) -> dict[str, Any]:
-        """What was found, as plain values."""
+        """Return the result as plain values."""
         return {
             "split": self.split.name,
             "root": str(self.root),
@@ -73,7 +73,7 @@ class SplitReport:
         }
 
     def text(self) -> str:
-        """Some lines for a terminal."""
+        """Return the result as lines for a terminal."""
         lines = [f"{self.split.name}: {self.split.about}", f"  looked in {self.root}"]
         if not self.scenes:
             lines.append(f"  nothing found: {self.problem}")
@@ -108,16 +108,16 @@ class SplitReport:
 
 
 def check_split(root: Path | str, name: str) -> SplitReport:
-    """Look for a split before anything is run with it.
+    """Check a split on disk before it is used.
 
-    Every folder is listed; a few frames, spread over the split, are read.
+    Lists every folder, and reads a few frames spread over the split.
 
     Args:
-        root: folder that holds the data set, as for `open_split`.
-        name: of the split.
+        root: folder of the data set, as for `open_split`.
+        name: name of the split.
 
     Raises:
-        ToolkitError: no such split.
+        ToolkitError: unknown split.
     """
     split, root = get_split(name), Path(root)
     if not root.is_dir():
@@ -150,7 +150,7 @@ def _try_frames(
         try:
             frame = source.load(index)
         except ToolkitError as error:
-            # Files that are not there are told anyway.
+            # Missing files are reported separately.
             if error.path is None or Path(error.path).exists():
                 unreadable.append(str(error))
             continue
@@ -164,7 +164,7 @@ def _try_frames(
 
 
 def _compare(split: Split, frames: int, scenes: int) -> tuple[str, ...]:
-    """How many frames were found against what is published."""
+    """Notes that compare the number of frames with the published ones."""
     notes = []
     for said in split.published:
         counted = f"{said.frames} frames" + (f" in {said.scenes} scenes" if said.scenes else "")

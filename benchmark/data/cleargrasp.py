@@ -1,18 +1,20 @@
 """ClearGrasp's real captures and rendered images.
 
+Rendered images:
+
 rgb-imgs/NNNNNNNNN-rgb.jpg                           colour
 depth-imgs-rectified/NNNNNNNNN-depth-rectified.exr   exact z-depth, metres
 segmentation-masks/NNNNNNNNN-segmentation-mask.png   transparent objects (also `-mask.png`)
 json-files/NNNNNNNNN-masks.json                      field of view, among other things
 camera-normals, outlines, variant-masks              not read here
 
-No raw depth was simulated (issue 8 of the data set's repository). As raw depth, the exact one is
-given without the pixels of transparent objects: what a sensor would measure that sees nothing of
-them and everything else perfectly.
+The data set has no simulated raw depth (issue 8 of its repository). The raw depth here is the
+exact depth without the pixels of transparent objects, as from a sensor that measures nothing on
+them and everything else exactly.
 
 Source of the names: the sample set in github.com/Shreeyak/cleargrasp.
 
-ClearGrasp's real captures: `real-val/d435` (known objects), `real-test/d415` and `d435` (novel).
+Real captures: `real-val/d435` (known objects), `real-test/d415` and `d435` (novel).
 
 NNNNNNNNN-transparent-rgb-img.jpg    colour
 NNNNNNNNN-transparent-depth-img.exr  raw depth; float16 metres, 0 or NaN = missing
@@ -21,7 +23,7 @@ NNNNNNNNN-mask.png                   255 = transparent object, all of them toget
 NNNNNNNNN-normals.exr                rendered normals, not read here
 camera_intrinsics.yaml               in the folder or above it
 
-Every capture shows another arrangement, so each is a scene of its own.
+Every capture shows a different arrangement, so each is a separate scene.
 
 Source of the names: the data set's repository, github.com/Shreeyak/cleargrasp.
 """
@@ -57,7 +59,7 @@ NEEDED = {"colour": COLOR, "raw depth": RAW, "ground-truth depth": TRUTH, "mask"
 
 INTRINSICS = "camera_intrinsics.yaml"
 
-# Of the cameras' colour images; ClearGrasp's own evaluation uses it for all of them.
+# Field of view of the colour images; ClearGrasp's evaluation uses it for all of them.
 COLOR_FOV_X = math.radians(69.4)
 
 TRANSPARENT = frame.Instance(1, 0, frame.Material.TRANSPARENT)
@@ -132,7 +134,7 @@ class ClearGraspReal:
 
 
 def camera_of_view(size: tuple[int, int], fov_x: float = COLOR_FOV_X) -> Camera:
-    """Camera with square pixels and this horizontal field of view in radians, centred."""
+    """Return a centred camera with square pixels and horizontal field of view `fov_x`, radians."""
     width, height = size
     focal = width / 2 / math.tan(fov_x / 2)
     return Camera(width, height, focal, focal, width / 2 - 0.5, height / 2 - 0.5)
@@ -207,7 +209,7 @@ class ClearGraspSynthetic:
 
 
 def list_rendered(tops: Sequence[Path]) -> loading.FrameIndex:
-    """Scenes below these folders: every folder that holds `rgb-imgs`.
+    """List the scenes below these folders: every folder with `rgb-imgs`.
 
     Raises:
         ToolkitError: a folder cannot be read.
@@ -229,7 +231,7 @@ def list_rendered(tops: Sequence[Path]) -> loading.FrameIndex:
 
 
 def _field_of_view(path: Path) -> float:
-    """Horizontal, in radians; the usual one where the file is not there."""
+    """Horizontal field of view in radians; the default if the file does not exist."""
     if not path.is_file():
         return COLOR_FOV_X
     try:

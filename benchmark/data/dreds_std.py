@@ -1,4 +1,4 @@
-"""Scenes in the layouts of DREDS and STD: what was downloaded, exported or simulated.
+"""Scenes in the layouts of DREDS and STD: downloaded, exported or simulated.
 
 <scene>/NNNN_color.png                     colour
 <scene>/NNNN_simDepthImage.exr             raw depth of DREDS, of the label maps' size
@@ -9,12 +9,11 @@
 <scene>/NNNN_meta.txt                      a line per instance
 <scene>/NNNN_coord.png                     NOCS, of the category-known sets
 
-Intrinsics are those of the sidecar of a toolkit export, or of the record that `std-sim` writes in
-`parameters/`; else the constants of the released code, with the principal point in the middle.
+The layouts do not store intrinsics. They are read from the sidecar of a toolkit export, or from
+the record that `std-sim` writes in `parameters/`; otherwise they are the constants of the released
+code, with the principal point in the image centre.
 
 Source: the loaders of github.com/PKU-EPIC/DREDS, described in data_spec.md, sections 6.2 and 11.
-
-Intrinsics of scenes in the DREDS and STD layouts, which have no place for them.
 """
 
 from __future__ import annotations
@@ -50,9 +49,10 @@ class SceneCamera:
     """Cameras of the label maps of a scene.
 
     Attributes:
-        usual: of every frame that `by_stem` does not name.
-        by_stem: of single frames.
-        given: read from a file, so that it fits one image size only; else the layout's constant.
+        usual: camera of every frame that is not in `by_stem`.
+        by_stem: cameras of single frames.
+        given: whether it was read from a file and is valid for one image size only; otherwise it
+            is the constant of the layout.
         without_depth: stems of frames whose raw depth is a placeholder.
     """
 
@@ -62,10 +62,10 @@ class SceneCamera:
     without_depth: frozenset[str] = frozenset()
 
     def of(self, stem: str, size: tuple[int, int], *, path: Path) -> Camera:
-        """Camera of a frame whose label maps are of `size`; `path` is one of them.
+        """Return the camera of a frame with label maps of `size`; `path` is one of them.
 
         Raises:
-            ToolkitError: the intrinsics do not belong to this size.
+            ToolkitError: the intrinsics are for another size.
         """
         camera = self.by_stem.get(stem, self.usual)
         if camera.size == size:
@@ -88,10 +88,10 @@ class SceneCamera:
 
 
 def read_scene_camera(folder: Path, layout: std_importer.Layout) -> SceneCamera:
-    """The cameras of a scene folder.
+    """Read the cameras of a scene folder.
 
     Raises:
-        ToolkitError: a sidecar or a record is there, but damaged.
+        ToolkitError: a sidecar or record is damaged.
     """
     width, height = layout.focal_size
     fx, fy = layout.focal
@@ -190,7 +190,7 @@ class LayoutScenes:
             raise loading.about(error, key, mask_path) from error
 
     def known_boxes(self, index: int) -> dict[int, KnownBox]:
-        """See `BoxSource`: of the models that lie beside the scenes."""
+        """See `BoxSource`; boxes of the CAD models next to the scenes."""
         scene, stem = self.index.at(index)
         folder = Path(scene.path)
         found = {}
@@ -221,7 +221,7 @@ class LayoutScenes:
 
 
 def needed_files(layout: std_importer.Layout) -> dict[str, tuple[str, ...]]:
-    """What a frame's files hold, to the suffixes that such a file may have."""
+    """Return the accepted suffixes of each file of a frame, by content."""
     return {
         "colour": COLOR,
         "raw depth": (layout.raw,),
@@ -232,13 +232,13 @@ def needed_files(layout: std_importer.Layout) -> dict[str, tuple[str, ...]]:
 
 
 def frame_suffixes(layout: std_importer.Layout) -> tuple[str, ...]:
-    """Ends of the file names that make a frame."""
+    """Return the file name suffixes that identify a frame."""
     return tuple(s for suffixes in needed_files(layout).values() for s in suffixes)
 
 
 def _instance(line: std_objects.MetaLine) -> Instance:
     folder = line.class_folder or ""
-    # DREDS names its folders by WordNet's numbers, exports of the toolkit by category.
+    # DREDS names its folders by WordNet ids, exports of the toolkit by category.
     category = _CATEGORIES[line.class_id] if line.class_id or folder.isdigit() else folder
     return Instance(
         mask_id=line.mask_id,

@@ -1,8 +1,7 @@
 """A frame to score: sensor data and ground truth, selections of objects, resizing.
 
-Choosing objects of a frame by material, category, and whether they are distractors.
-
-Nearest-neighbour resizing with the very indices of `torch.nn.functional.interpolate`.
+Objects are selected by material, category, and whether they are distractors. Nearest-neighbour
+resizing uses the same indices as `torch.nn.functional.interpolate`.
 """
 
 from __future__ import annotations
@@ -25,14 +24,14 @@ Size = tuple[int, int]  # (width, height), as everywhere in the toolkit
 
 T = TypeVar("T", bound=np.generic)
 
-BACKGROUND = 255  # mask value of pixels that belong to no instance, as STD and DREDS have it
+BACKGROUND = 255  # mask value of pixels without an instance, as in STD and DREDS
 
 OTHER = 0
 
 
 @lru_cache(maxsize=256)
 def nearest_indices(length: int, wanted: int) -> NDArray[np.intp]:
-    """Which of `length` samples each of `wanted` samples takes.
+    """Return the source index of each of `wanted` samples.
 
     Args:
         length: samples along an axis of the source.
@@ -40,11 +39,11 @@ def nearest_indices(length: int, wanted: int) -> NDArray[np.intp]:
 
     Returns:
         (wanted,) read-only indices: `floor(i * length / wanted)` with quotient, product and floor
-        in float32. Torch computes so for float32 tensors, and another precision gives another
-        index for about one pair of lengths in sixty.
+        in float32, as in torch for float32 tensors. Another precision gives a different index for
+        about one pair of lengths in sixty.
 
     Raises:
-        ToolkitError: a length below 1, or beyond 2**24, where float32 cannot count.
+        ToolkitError: a length below 1, or above 2**24, where float32 is not exact for integers.
 
     >>> nearest_indices(5, 3).tolist()
     [0, 1, 3]
@@ -61,15 +60,15 @@ def nearest_indices(length: int, wanted: int) -> NDArray[np.intp]:
 
 @lru_cache(maxsize=32)
 def pixels_taken(size: Size, *steps: Size) -> NDArray[np.intp] | None:
-    """Which pixels of an image are left after it was resized to each of `steps` in turn.
+    """Return the source pixels of an image that is resized to each of `steps` in turn.
 
     Args:
         size: (width, height) of the image.
-        steps: sizes that it goes through, the last one being that of the result.
+        steps: intermediate sizes, and last the size of the result.
 
     Returns:
         (height * width of the last step,) read-only indices into the flat image, row by row;
-        None where every pixel stays in its place.
+        None if no pixel moves.
 
     Raises:
         ToolkitError: a size without pixels.
@@ -93,14 +92,14 @@ def pixels_taken(size: Size, *steps: Size) -> NDArray[np.intp] | None:
 
 
 def resize_nearest(image: NDArray[T], size: Size) -> NDArray[T]:
-    """An image at another size, each pixel being one of the source.
+    """Resize an image with nearest-neighbour sampling.
 
     Args:
         image: (H, W) or (H, W, C) of any type.
         size: wanted (width, height).
 
     Returns:
-        (height, width) or (height, width, C); a new array, also where the size stays.
+        (height, width) or (height, width, C); always a new array.
 
     Raises:
         ToolkitError: not an image, or a size without pixels.
@@ -116,7 +115,7 @@ def resize_nearest(image: NDArray[T], size: Size) -> NDArray[T]:
 
 
 class Material(IntEnum):
-    """Material class of an instance, with the numbers of the DREDS `_meta.txt`."""
+    """Material class of an instance, numbered as in the DREDS `_meta.txt`."""
 
     RAW = 0
     DIFFUSE = 1
@@ -133,7 +132,7 @@ class Instance:
         class_id: 0 other or distractor, 1 bottle, 2 bowl, 3 camera, 4 can, 5 car, 6 mug,
             7 aeroplane.
         material: its material class.
-        category, model: names of its category and CAD model, empty where the data set has none.
+        category, model: names of its category and CAD model, empty if the data set has none.
     """
 
     mask_id: int
@@ -148,20 +147,20 @@ class DepthFrame:
     """A colour image, raw depth and ground truth, each at its own resolution.
 
     Attributes:
-        scene, name: together they name the frame within its split.
+        scene, name: names of scene and frame, together unique within the split.
         color: (H, W, 3) uint8 RGB.
-        depth_raw: (h, w) float32 metres, z-depth aligned to the colour image; 0 no measurement.
+        depth_raw: (h, w) float32 metres, z-depth aligned to the colour image; 0 if not measured.
         depth_true: (k, l) float32 metres, z-depth; 0 where there is no ground truth.
         mask: (k, l) uint8 instance ids, `BACKGROUND` elsewhere.
         camera: intrinsics at the size of `depth_true`.
         instances: the objects of `mask`.
         nocs: (k, l, 3) float32 x y z in [0, 1], not flipped, 0 in the background; or None.
 
-    Colour and raw depth may be left out when a frame is loaded only to score what was restored
-    earlier: they are (0, 0, 3) and (0, 0) then.
+    Colour and raw depth may be omitted if a frame is loaded only to score depth restored earlier;
+    they are then (0, 0, 3) and (0, 0).
 
     Raises:
-        ToolkitError: shapes that do not belong together, or a mask id that no instance has.
+        ToolkitError: inconsistent shapes, or a mask id without an instance.
     """
 
     scene: str
@@ -185,7 +184,7 @@ class DepthFrame:
                     value=getattr(self, name).shape,
                 )
         known = {i.mask_id for i in self.instances} | {BACKGROUND}
-        # A histogram, because np.unique needs 3 ms at 1280x720 instead of 0.5.
+        # A histogram takes 0.5 ms at 1280x720, np.unique 3 ms.
         counts = cv2.calcHist([np.ascontiguousarray(self.mask)], [0], None, [256], [0, 256])
         strange = sorted(set(np.flatnonzero(counts).tolist()) - known)
         if strange:
@@ -203,11 +202,11 @@ class DepthFrame:
         return f"{self.scene}/{self.name}"
 
     def mask_of(self, *materials: Material) -> NDArray[np.bool_]:
-        """(k, l) pixels of the instances of any of these materials; of all where none is given."""
+        """Return the (k, l) mask of instances of these materials; of all instances by default."""
         return self.mask_where(lambda i: not materials or i.material in materials)
 
     def mask_where(self, wanted: Callable[[Instance], bool]) -> NDArray[np.bool_]:
-        """(k, l) pixels of the instances that `wanted` says yes to."""
+        """Return the (k, l) mask of the instances for which `wanted` is true."""
         table = np.zeros(256, np.uint8)
         table[[i.mask_id for i in self.instances if wanted(i)]] = 1
         return cv2.LUT(np.ascontiguousarray(self.mask), table).view(np.bool_)
@@ -215,13 +214,13 @@ class DepthFrame:
 
 @dataclass(frozen=True)
 class Selection:
-    """Which objects count.
+    """A selection of objects.
 
     Attributes:
-        materials: empty for all.
-        categories: names, as "mug"; empty for all.
-        distractors: whether objects of no category (class 0, "other") count. Category-novel sets
-            and ClearGrasp consist of nothing else.
+        materials: material classes; empty for all.
+        categories: names, such as "mug"; empty for all.
+        distractors: whether to include objects without a category (class 0, "other").
+            Category-novel sets and ClearGrasp have only such objects.
 
     Example:
         >>> glass = Instance(3, 6, Material.TRANSPARENT, "mug")
@@ -236,7 +235,7 @@ class Selection:
     distractors: bool = True
 
     def wants(self, instance: Instance) -> bool:
-        """Whether an object counts."""
+        """Whether an object is selected."""
         if self.materials and instance.material not in self.materials:
             return False
         if self.categories and instance.category not in self.categories:
@@ -244,21 +243,21 @@ class Selection:
         return self.distractors or instance.class_id != OTHER
 
     def mask(self, frame: DepthFrame) -> NDArray[np.bool_]:
-        """(k, l) pixels of the objects that count."""
+        """Return the (k, l) mask of the selected objects."""
         return frame.mask_where(self.wants)
 
 
 def selection_of(
     *, materials: list[str] | None = None, categories: list[str] | None = None, distractors: bool
 ) -> Selection:
-    """A selection of names as on a command line.
+    """Create a selection from names, as given on a command line.
 
     Args:
-        materials: of raw, diffuse, transparent, specular.
-        categories: of the data sets' seven; "other" for the rest.
+        materials: names among raw, diffuse, transparent, specular.
+        categories: names among the seven categories of the data sets; "other" for the rest.
 
     Raises:
-        ToolkitError: no such material or category.
+        ToolkitError: unknown material or category.
     """
     chosen = []
     for name in materials or []:

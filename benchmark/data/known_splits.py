@@ -1,10 +1,8 @@
-"""The built-in splits, and where each is found below the data root.
+"""The built-in splits, and the search for the folder of a split below the data root.
 
 Pages and counts: the papers (DREDS and STD: arXiv 2208.03792; ClearGrasp: arXiv 1910.02550) and the
-README files of github.com/PKU-EPIC/DREDS and github.com/Shreeyak/cleargrasp. About STD they
-contradict each other.
-
-Finding the folder of a split below what a user gives as root.
+README files of github.com/PKU-EPIC/DREDS and github.com/Shreeyak/cleargrasp. They contradict each
+other about STD.
 """
 
 from __future__ import annotations
@@ -17,14 +15,14 @@ from pathlib import Path
 from benchmark.data import cleargrasp, dreds_std, loading, splits, toolkit_scenes
 from std_toolkit.errors import ToolkitError
 
-# Folder names that mean one split of one data set: where they are met, it is not another's.
+# Folder names that identify one split of one data set; other splits skip these folders.
 _NAMES = (
     ("dreds-catknown", "dreds-catnovel", "std-catknown", "std-catnovel"),
     ("train", "val", "test"),
     ("real-val", "real-known", "real-test", "real-novel", "synthetic-val", "synthetic-test"),
 )
 
-# What archives and users put around the data sets.
+# Folders between the root and the data sets, as created by archives and users.
 _WRAPPERS = (
     "", "dreds", "std", "cleargrasp", "cleargrasp-dataset-test-val", "data", "data/dreds",
     "data/std", "data/cleargrasp", "data/cleargrasp-dataset-test-val",
@@ -42,13 +40,14 @@ _CLEARGRASP_FILES = "https://storage.googleapis.com/cleargrasp/cleargrasp-datase
 
 @dataclass(frozen=True)
 class Place:
-    """Where the scenes of a split may lie.
+    """Possible folders of the scenes of a split.
 
     Attributes:
-        folders: below the root or one of the usual folders around it, the best first; several
-            levels parted by "/". Upper and lower case, `-` and `_` are the same.
+        folders: names in the root or in one of the wrapper folders in it, preferred first; levels
+            are separated by "/". Case is ignored, and `-` and `_` are equal.
         data_set: folder name of the data set, "" for any.
-        part: whether the data set has parts, so that the folder's name must not be another's.
+        part: whether the data set has parts, so that the folder must not have the name of another
+            part.
     """
 
     folders: tuple[str, ...]
@@ -56,8 +55,9 @@ class Place:
     part: bool = False
 
     def find(self, root: Path) -> Path | None:
-        """The folder, or None. The root itself is taken where nothing about it says that it is
-        another split's or holds several.
+        """Return the folder, or None.
+
+        The root itself is returned unless it belongs to another split or contains several splits.
         """
         for wrapper in _WRAPPERS:
             for folder in self.folders:
@@ -84,7 +84,7 @@ class Place:
 
 
 def find_all(root: Path, folders: Sequence[str]) -> list[Path]:
-    """Those of these folders that are below the root or one of the usual folders around it."""
+    """Return those folders that exist in the root, or else in a wrapper folder in it."""
     for wrapper in _WRAPPERS:
         found = [_descend(root, (*wrapper.split("/"), f)) for f in folders]
         if any(found):
@@ -134,7 +134,7 @@ def _layout_scenes(name: str, layout: str, place: Place) -> Callable[[Path], spl
 
 def _open_exports(root: Path) -> splits.DepthSource:
     layout = dreds_std.LAYOUTS["std"]
-    # Exports for other tools may lie beside; NOCS names its colour and masks alike.
+    # Exports for other tools may be in the same folder; NOCS has equal names for colour and masks.
     depth = (layout.raw, *layout.ground_truth)
     index = loading.list_scenes(root, dreds_std.frame_suffixes(layout), telling=depth)
     if not len(index):
@@ -143,7 +143,7 @@ def _open_exports(root: Path) -> splits.DepthSource:
 
 
 def _check_layout(name: str, layout: str, index: loading.FrameIndex) -> None:
-    """Colour, masks and meta files are named alike in both layouts; depth tells them apart."""
+    """Check the layout by its depth files: other files have the same names in both layouts."""
     ours = dreds_std.LAYOUTS[layout]
     other = next(x for x in dreds_std.LAYOUTS.values() if x.name != layout)
     folder = Path(index.scenes[0].path)
@@ -199,7 +199,7 @@ def _nothing(name: str, place: Path) -> ToolkitError:
 def _dreds(
     name: str, part: str, about: str, published: tuple[splits.Published, ...]
 ) -> splits.Split:
-    # What the archives of the parts unpack to.
+    # Folders in the archives of the parts.
     inside = {"val": ("shapenet_generate_1216",), "test": ("shapenet_generate_1216_val_novel",)}
     folders = (f"DREDS-CatKnown/{part}", part, *inside.get(part, ()))
     place = Place(folders, data_set="DREDS-CatKnown", part=True)

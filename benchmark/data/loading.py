@@ -1,9 +1,4 @@
-"""What loaders share: lists of scenes and frames, maps read and checked.
-
-Reading the maps of foreign data sets quickly: depth, masks, NOCS.
-
-Which scenes and frames a folder holds, listed once and kept small.
-"""
+"""Common parts of loaders: compact lists of scenes and frames, reading and checking of maps."""
 
 from __future__ import annotations
 
@@ -28,7 +23,7 @@ from std_toolkit.importers.foreign_files import FARTHEST_MEDIAN_M, natural_key
 from std_toolkit.io.exr import read_exr_channel
 from std_toolkit.io.images import read_png
 
-# Folders of meshes, whose textures may be called as frames are, and of records.
+# Folders of meshes, whose textures may have the names of frames, and of records.
 _NO_SCENES = frozenset({"cad_model", "parameters"})
 
 # Renderers write 1e10 or the largest half float where a ray meets nothing.
@@ -45,8 +40,8 @@ class SceneFolder:
 
     Attributes:
         name: unique within the split.
-        path: of the folder.
-        stems: beginnings of the frames' file names, in natural order.
+        path: path of the folder.
+        stems: prefixes of the file names of frames, in natural order.
     """
 
     name: str
@@ -56,7 +51,7 @@ class SceneFolder:
 
 @dataclass(frozen=True)
 class FrameIndex:
-    """Frames of several scenes by number."""
+    """Frames of several scenes by index."""
 
     scenes: tuple[SceneFolder, ...]
 
@@ -67,10 +62,10 @@ class FrameIndex:
         return ((scene, stem) for scene in self.scenes for stem in scene.stems)
 
     def at(self, index: int) -> tuple[SceneFolder, str]:
-        """Scene and stem of a frame.
+        """Return scene and stem of a frame.
 
         Raises:
-            IndexError: no such frame.
+            IndexError: index out of range.
         """
         if not 0 <= index < len(self):
             raise IndexError(f"frame {index} of {len(self)}")
@@ -86,17 +81,16 @@ class FrameIndex:
 def list_scenes(
     top: Path, suffixes: Sequence[str], *, telling: Sequence[str] = (), depth: int = 3
 ) -> FrameIndex:
-    """Scene folders at and below `top`: those that hold files with these suffixes.
+    """List scene folders at and below `top`: those with files with these suffixes.
 
-    A frame is what any of its files begins with, so that one whose colour is missing is found
-    and told of when it is read, instead of being left out without a word. Folders in between, such
-    as `part0` of an unpacked archive, do not matter; where two scenes have one name, theirs are
-    put in front.
+    A frame is identified by any of its files, so that missing colour raises an error when the frame
+    is read instead of dropping the frame silently. Folders in between, such as `part0` of an
+    unpacked archive, are ignored; if two scenes have the same name, these folders are prepended.
 
     Args:
-        suffixes: ends of the frames' file names, as "_color.png".
-        telling: of these a scene must have one at least; () for any.
-        depth: folders are entered so deep below `top`.
+        suffixes: suffixes of the file names of frames, such as "_color.png".
+        telling: suffixes of which a scene must have at least one; () for any.
+        depth: maximum depth of folders below `top`.
 
     Raises:
         ToolkitError: a folder cannot be read.
@@ -127,14 +121,14 @@ def scene_files(
     *,
     placeholders: Mapping[str, Set[str]] | None = None,
 ) -> SceneFiles:
-    """What a scene has and lacks.
+    """List the existing and missing files of a scene.
 
     Args:
-        needed: what a frame's files hold, to the suffixes that such a file may have.
-        placeholders: stems whose file is there but holds nothing, by what it should hold.
+        needed: accepted suffixes of each file of a frame, by content.
+        placeholders: stems of files that exist but are empty, by content.
 
     Raises:
-        ToolkitError: the folder cannot be read any more.
+        ToolkitError: the folder cannot be read.
     """
     there = set(_entries(scene.path))
     missing = {}
@@ -170,7 +164,7 @@ def _scan(
                     continue
                 match = pattern.fullmatch(entry.name)
                 if match:
-                    # The same few hundred names come back in every scene.
+                    # The same few hundred names occur in every scene.
                     stems.add(intern(match.group(1)))
                     told = told or match.group(2) in telling
                 elif depth > 0 and entry.is_dir():
@@ -184,16 +178,16 @@ def _scan(
 
 
 def read_depth_map(path: Path) -> NDArray[np.float32]:
-    """Depth (H, W) in metres of an EXR file; 0 where nothing was measured.
+    """Read depth (H, W) in metres from an EXR file; 0 where not measured.
 
-    NaN, infinity, zero and negative numbers (DREDS writes -0.001) mean that nothing was measured.
+    NaN, infinity, zero and negative numbers (DREDS writes -0.001) mean that depth was not measured.
 
     Raises:
-        ToolkitError: missing, damaged, no depth, or not in metres.
+        ToolkitError: missing, damaged, not a depth map, or not in metres.
     """
     stored = read_exr_channel(path, require_equal=True)
     depth = stored.astype(np.float32, copy=False)
-    # NaN passes no comparison.
+    # Comparisons with NaN are false.
     depth[~((depth > 0) & (depth < NOTHING_BEYOND_M))] = 0
     sample = depth[::8, ::8]
     measured = sample[sample > 0]
@@ -207,13 +201,13 @@ def read_depth_map(path: Path) -> NDArray[np.float32]:
 
 
 def read_id_mask(path: Path) -> NDArray[np.uint8]:
-    """Instance ids (H, W) uint8 of a PNG, or of an EXR that holds id/255 in its channel R.
+    """Read instance ids (H, W) uint8 from a PNG, or from an EXR with id/255 in its channel R.
 
-    The EXR's numbers are rounded. Public loaders truncate, which half floats get wrong by one for
-    every second id.
+    EXR values are rounded. Public loaders truncate, which is wrong by one for every second id in
+    half precision.
 
     Raises:
-        ToolkitError: missing, damaged or no mask.
+        ToolkitError: missing, damaged or not a mask.
     """
     if path.suffix == ".exr":
         values = read_exr_channel(path, names=("R",)).astype(np.float32) * np.float32(255)
@@ -236,19 +230,21 @@ def read_id_mask(path: Path) -> NDArray[np.uint8]:
 
 
 def read_binary_mask(path: Path, inside: int) -> NDArray[np.uint8]:
-    """A mask that tells only whether, as instance `inside` and `BACKGROUND`.
+    """Read a binary mask as instance `inside` and `BACKGROUND`.
 
     Raises:
-        ToolkitError: missing, damaged or no mask.
+        ToolkitError: missing, damaged or not a mask.
     """
     return np.where(read_id_mask(path) > 0, np.uint8(inside), np.uint8(BACKGROUND))
 
 
 def read_coord_picture(path: Path, mask: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """NOCS (H, W, 3) in 0..1 of an 8-bit picture with R = x, G = y, B = 1 - z; 0 off the objects.
+    """Read NOCS (H, W, 3) in [0, 1] from an 8-bit image with R = x, G = y, B = 1 - z.
+
+    Pixels outside of objects are 0.
 
     Raises:
-        ToolkitError: missing, damaged, no such picture or of another size than the mask.
+        ToolkitError: missing, damaged, not such an image, or not of the size of the mask.
     """
     picture = read_png(path, size=(mask.shape[1], mask.shape[0]))
     if picture.ndim != 3 or picture.dtype != np.uint8:
@@ -266,10 +262,10 @@ for _array in (NO_COLOR, NO_DEPTH):
 
 
 def first_file(folder: Path, names: tuple[str, ...], what: str) -> Path:
-    """The first of these files that is there.
+    """Return the first of these files that exists.
 
     Raises:
-        ToolkitError: none is.
+        ToolkitError: none exists.
     """
     for name in names:
         path = folder / name
@@ -284,15 +280,15 @@ def first_file(folder: Path, names: tuple[str, ...], what: str) -> Path:
 
 
 def check_proportions(path: Path, image: NDArray[np.generic], size: tuple[int, int]) -> None:
-    """Refuse an image that does not show the same view as the ground truth.
+    """Check that an image has the aspect ratio of the ground truth.
 
     Args:
-        path: of the image.
+        path: path of the image.
         image: (H, W) or (H, W, C).
         size: (width, height) of the ground truth.
 
     Raises:
-        ToolkitError: other proportions.
+        ToolkitError: the aspect ratios differ.
     """
     height, width = image.shape[:2]
     if width * size[1] != height * size[0]:
@@ -307,7 +303,7 @@ def check_proportions(path: Path, image: NDArray[np.generic], size: tuple[int, i
 def check_same_size(
     path: Path, image: NDArray[np.generic], reference: NDArray[np.generic], what: str
 ) -> None:
-    """Refuse a map of another size than the ground truth's depth.
+    """Check that a map has the size of the ground truth depth.
 
     Raises:
         ToolkitError: the sizes differ.
@@ -322,7 +318,7 @@ def check_same_size(
 
 
 def about(error: ToolkitError, key: FrameKey, path: Path) -> ToolkitError:
-    """What a frame says of itself, told with the file that is to blame."""
+    """Return an error about a frame with the path of the file that causes it."""
     if error.path is None or error.path == str(key):
         return ToolkitError(
             error.problem, path=path, field=error.field, value=error.value, hint=error.hint

@@ -1,9 +1,4 @@
-"""Splits of data sets: frames by number, the registry of names, saved restored depth.
-
-A split of a data set: frames by number, read when asked for.
-
-A split whose raw depth is replaced by depth that a method restored and somebody saved.
-"""
+"""Splits of data sets: frames by index, the registry of names, splits with saved restored depth."""
 
 from __future__ import annotations
 
@@ -20,7 +15,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.io.exr import read_exr_channel
 from std_toolkit.plugins import Registry
 
-# Data sets by the beginning of their splits' names, and what they call raw depth.
+# Suffix of raw depth files by prefix of the split name.
 _SUFFIXES = {
     "dreds": "_simDepthImage.exr",
     "std": "_depth_415.exr",
@@ -31,7 +26,7 @@ _OTHERS = "_depth.exr"
 
 
 class FrameKey(NamedTuple):
-    """Which frame it is; `str(key)` is `DepthFrame.key`, unique within a split."""
+    """Key of a frame; `str(key)` is `DepthFrame.key`, unique within a split."""
 
     scene: str
     name: str
@@ -41,14 +36,13 @@ class FrameKey(NamedTuple):
 
 
 class SceneFiles(NamedTuple):
-    """What was found of a scene on disk.
+    """Files of a scene on disk.
 
     Attributes:
         scene: its name.
-        folder: where it is.
-        frames: how many frames it has.
-        missing: file names that a frame needs and that are not there, by what they hold, such as
-            "raw depth".
+        folder: its folder.
+        frames: number of frames.
+        missing: names of missing files by content, such as "raw depth".
     """
 
     scene: str
@@ -58,64 +52,65 @@ class SceneFiles(NamedTuple):
 
 
 class DepthSource(Protocol):
-    """Frames of a split. Sources can be pickled, so that worker processes can have them.
+    """Frames of a split. Sources can be pickled and sent to worker processes.
 
-    They know their frames from the beginning and hold no image: memory does not grow with the
-    number of frames that were read.
+    They list their frames when created and keep no images: memory does not grow with the number of
+    frames read.
     """
 
     @property
     def name(self) -> str:
-        """Of the split."""
+        """Name of the split."""
         ...
 
     def __len__(self) -> int: ...
 
     def keys(self) -> list[FrameKey]:
-        """Of all frames, in their order."""
+        """Return the keys of all frames, in order."""
         ...
 
     def load(self, index: int, *, sensor: bool = True, nocs: bool = False) -> DepthFrame:
         """Read a frame.
 
         Args:
-            index: from 0.
-            sensor: also colour and raw depth. Without them `color` is (0, 0, 3) and `depth_raw`
-                (0, 0): all that scoring of depth restored earlier needs takes a third of the time.
-            nocs: also the NOCS map, where the data set has one.
+            index: index of the frame, from 0.
+            sensor: also read colour and raw depth. Otherwise `color` is (0, 0, 3) and `depth_raw`
+                (0, 0), which is enough to score depth restored earlier and takes a third of the
+                time.
+            nocs: also read the NOCS map, if the data set has one.
 
         Raises:
-            ToolkitError: a file is missing, damaged or contradicts another.
-            IndexError: no such frame.
+            ToolkitError: a file is missing, damaged or inconsistent with another.
+            IndexError: index out of range.
         """
         ...
 
     def files(self) -> Iterator[SceneFiles]:
-        """What is there of every scene, for `check_split`."""
+        """Yield the files of every scene, for `check_split`."""
         ...
 
 
 def names_digest(keys: Iterable[FrameKey]) -> str:
-    """SHA-256 over the frames' names, in their order."""
+    """Return the SHA-256 hash of the frame names, in order."""
     return hashlib.sha256("\n".join(map(str, keys)).encode()).hexdigest()
 
 
 def iterate(
     source: DepthSource, *, start: int = 0, stop: int | None = None
 ) -> Iterator[DepthFrame]:
-    """The frames one after the other; only one is held at a time."""
+    """Yield the frames in order; only one is in memory at a time."""
     for index in range(start, len(source) if stop is None else min(stop, len(source))):
         yield source.load(index)
 
 
 @dataclass(frozen=True)
 class Published:
-    """How many frames someone says that a split has.
+    """A published number of frames of a split.
 
     Attributes:
-        source: who says so.
-        scenes: how many scenes, where that is said.
-        of_more: what is counted together, where it is more than the split.
+        source: source of the number.
+        scenes: number of scenes, if published.
+        of_more: description of what the number includes, if more than the split.
     """
 
     source: str
@@ -129,13 +124,13 @@ class Split:
     """A named part of a data set.
 
     Attributes:
-        name: as on the command line.
-        about: what it is, in a line.
-        layout: where its files are expected, for a user who has none yet.
-        open: makes the source of a root folder; it may search below it.
-        page: address of the data set's page.
-        download: addresses of the files.
-        published: frame counts of papers and pages. They need not agree.
+        name: name on the command line.
+        about: description in one line.
+        layout: expected location of its files, shown if there are none.
+        open: opens the source in a root folder; it may search below it.
+        page: URL of the page of the data set.
+        download: URLs of the files.
+        published: frame counts of papers and pages, which may differ.
     """
 
     name: str
@@ -168,10 +163,10 @@ splits: Registry[Split] = Registry(
 
 
 def get_split(name: str) -> Split:
-    """A split by its name, or by `package.module:SPLIT`.
+    """Return a split by name, or by `package.module:SPLIT`.
 
     Raises:
-        ToolkitError: no such split; the known ones are named.
+        ToolkitError: unknown split; the known ones are listed.
     """
     split = splits.get(name)
     if not isinstance(split, Split):
@@ -180,10 +175,10 @@ def get_split(name: str) -> Split:
 
 
 def open_split(name: str, root: Path | str) -> DepthSource:
-    """The frames of a split below a folder; see `Place` for how tolerant the search is.
+    """Open the frames of a split below a folder; see `Place` for the search.
 
     Raises:
-        ToolkitError: no such split, no such folder, or nothing of the split below it.
+        ToolkitError: unknown split, missing folder, or no data of the split below it.
     """
     split = get_split(name)
     root = Path(root)
@@ -193,23 +188,23 @@ def open_split(name: str, root: Path | str) -> DepthSource:
 
 
 def where_to_get(split: Split) -> str:
-    """What to do about a split that is not there."""
+    """Return the instructions for a missing split."""
     text = f"{split.name} is expected as {split.layout}"
     return f"{text}; download: {split.page}" if split.page else text
 
 
 def saved_depth_path(folder: Path, split: str, key: FrameKey) -> Path:
-    """Where the restored depth of a frame lies: FOLDER/SCENE/NAME and the data set's suffix."""
+    """Return the path of restored depth of a frame: FOLDER/SCENE/NAME + suffix of the data set."""
     suffix = _SUFFIXES.get(split.partition("-")[0], _OTHERS)
     return folder / key.scene / f"{key.name}{suffix}"
 
 
 @dataclass(frozen=True)
 class WithSavedDepth:
-    """See `DepthSource`: the frames of `source` with the depth of `folder` for the sensor's.
+    """Frames of `source` with saved depth of `folder` instead of sensor depth; see `DepthSource`.
 
     Raises:
-        ToolkitError: there is no such folder.
+        ToolkitError: the folder does not exist.
     """
 
     source: DepthSource

@@ -1,8 +1,8 @@
-"""The toolkit's own scene folders as frames to score.
+"""Scene folders of the toolkit as frames to score.
 
-A frame counts that has sensor depth and ground truth: what `std-curate render` drew, else what an
-imported recording brought along in `reference/`. Simulated scenes know the depth of everything,
-table and floor included; all of it is ground truth.
+Frames need sensor depth and ground truth: the maps of `std-curate render`, otherwise those of an
+imported recording in `reference/`. In simulated scenes the depth of all pixels, including table and
+floor, is ground truth.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from std_toolkit.rendering.ground_truth import info_path, load_nocs, map_paths, 
 from std_toolkit.scene.model import MATERIAL_IDS, Frame
 from std_toolkit.scene.scene import Scene
 
-# Documents of so many scenes are held at a time.
+# Number of scenes whose documents are kept in memory.
 _OPEN_SCENES = 4
 _CLEARGRASP = "import:cleargrasp"
 _SIMULATED = "simulated:"
@@ -35,7 +35,7 @@ _SIMULATED = "simulated:"
 
 @dataclass(frozen=True)
 class _Truth:
-    """Files of a frame's ground truth; `rendered` by the toolkit, or brought along."""
+    """Files of the ground truth of a frame; `rendered` by the toolkit, or imported."""
 
     depth: Path
     mask: Path
@@ -52,10 +52,11 @@ class _Truth:
 
 @dataclass(frozen=True)
 class ToolkitScenes:
-    """Frames of toolkit scenes; see `DepthSource`. Frames are named by their files' stems.
+    """Frames of toolkit scenes; see `DepthSource`. Frames are named by the stems of their files.
 
     Attributes:
-        left_out: why frames do not count, by scene: "raw depth" or "ground-truth depth" to names.
+        left_out: names of skipped frames by scene and missing map, "raw depth" or "ground-truth
+            depth".
     """
 
     name: str
@@ -105,7 +106,7 @@ class ToolkitScenes:
             raise loading.about(error, key, truth.mask) from error
 
     def known_boxes(self, index: int) -> dict[int, true_poses.KnownBox]:
-        """See `BoxSource`: of the scene's meshes, with the poses that were rendered."""
+        """See `BoxSource`; boxes of the scene's meshes, with the rendered poses."""
         listed, stem = self.index.at(index)
         scene = self._scene(listed.path)
         frame = next((f for f in scene.frames if f.name == stem), None)
@@ -144,14 +145,14 @@ class ToolkitScenes:
 
 
 def open_scenes(name: str, top: Path, *, depth: int = 3) -> ToolkitScenes:
-    """All toolkit scenes at and below a folder.
+    """Open all toolkit scenes at and below a folder.
 
     Args:
-        name: of the split.
-        depth: folders are entered so deep.
+        name: name of the split.
+        depth: maximum depth of folders.
 
     Raises:
-        ToolkitError: a scene's documents are damaged, or there is no scene.
+        ToolkitError: documents of a scene are damaged, or there is no scene.
     """
     paths = sorted(_scene_folders(top, depth), key=lambda p: natural_key(str(p)))
     if not paths:

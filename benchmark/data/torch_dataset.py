@@ -19,26 +19,26 @@ from std_toolkit.errors import ToolkitError
 class DepthDataset(Dataset[dict[str, Any]]):
     """The frames of a source, resized; a map-style data set for `torch.utils.data.DataLoader`.
 
-    An item holds
+    An item has
         color: (3, h, w) float32 in [0, 1], RGB.
-        depth_raw, depth_true: (1, h, w) float32 metres, 0 = none.
+        depth_raw, depth_true: (1, h, w) float32 metres, 0 = missing.
         mask: (h, w) uint8 instance ids, 255 elsewhere.
         material: (h, w) uint8 `Material`, 255 elsewhere.
         class_id: (h, w) uint8 category, 0 = other, 255 elsewhere.
-        K: (3, 3) float32 intrinsics at this size; fx and fy differ where the aspect is squeezed.
-        nocs: (3, h, w) float32, only if asked for.
-        index, key: number and name of the frame.
+        K: (3, 3) float32 intrinsics at this size; fx and fy differ if the aspect ratio changes.
+        nocs: (3, h, w) float32, only if requested.
+        index, key: index and name of the frame.
 
     Args:
-        source: whose frames; it is pickled to the worker processes.
-        size: (width, height) of all maps; the aspect need not be kept.
-        color: how colour is resized. Everything else always goes by the nearest pixel, with the
-            choice of `torch.nn.functional.interpolate`.
-        nocs: whether items hold the NOCS map.
+        source: source of the frames; it is pickled to the worker processes.
+        size: (width, height) of all maps; the aspect ratio may change.
+        color: interpolation of colour. All other maps use nearest-neighbour sampling with the
+            indices of `torch.nn.functional.interpolate`.
+        nocs: whether items have the NOCS map.
 
     Raises:
-        ToolkitError: an impossible size. Items raise what `DepthSource.load` does, and where
-            `nocs` is wanted of a frame that has none.
+        ToolkitError: invalid size. Items raise the errors of `DepthSource.load`, and an error if
+            `nocs` is requested and the frame has none.
     """
 
     def __init__(
@@ -61,12 +61,12 @@ class DepthDataset(Dataset[dict[str, Any]]):
 
     def __getitem__(self, index: int) -> dict[str, Any]:
         if get_worker_info() is not None:
-            # Every worker would start as many threads as there are cores.
+            # Otherwise every worker starts one thread per core.
             cv2.setNumThreads(0)
         return self.item(self.source.load(index, nocs=self.nocs), index)
 
     def item(self, frame: DepthFrame, index: int) -> dict[str, Any]:
-        """Tensors of a frame."""
+        """Return the tensors of a frame."""
         mask = self._nearest(frame.mask)[0, 0]
         materials, classes = (np.full(256, BACKGROUND, np.uint8) for _ in range(2))
         for instance in frame.instances:

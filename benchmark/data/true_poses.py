@@ -1,21 +1,17 @@
 """True poses of a frame's objects; box sides of CAD models; visible handles of mugs.
 
-Where a data set tells exact poses (scenes of this toolkit), these; else, as the paper's evaluation
-has it, the least-squares fit of the true coordinates to the true depth of all pixels of an object.
-Of 803 objects in simulated frames whose poses are known, that fit is off by 0.8 degrees and 0.8 mm
-at worst, by 0.02 as a rule, in spite of coordinates in 8 bits. Box sides are those of the CAD model
-where it is there, else what can be seen of the object tells them.
+If a data set has exact poses (scenes of this toolkit), these are used. Otherwise the pose is the
+least-squares fit of the true coordinates to the true depth of all pixels of an object, as in the
+paper's evaluation. For 803 objects in simulated frames with known poses, the largest error of that
+fit is 0.8 degrees and 0.8 mm, the typical error 0.02, with 8-bit coordinates. Box sides are those
+of the CAD model if it exists, otherwise they are estimated from the visible part of the object.
 
-Where a mug's handle is, and whether a frame shows it.
+The rotation of a mug about y is ambiguous if its handle is hidden. The axis of a mug is y; its body
+is round, and its diameter is the width of the mug across the handle.
 
-A mug whose handle is hidden looks the same from all sides: nobody can tell its turn about y. A mug
-stands on y; its body is round, and as wide as the mug is across the handle.
-
-Box sides of the CAD models that lie beside scenes in the layouts of DREDS and STD.
-
-`cad_model/[PART/]CLASS/INSTANCE/bbox.txt` beside the scenes or up to three folders above; its two
-rows are the corners of the model's bounding box. `model.obj` beside it tells where a mug's handle
-is.
+In the layouts of DREDS and STD, `cad_model/[PART/]CLASS/INSTANCE/bbox.txt` next to the scenes or up
+to three folders above has the corners of the bounding box of a model in two rows. The handle of a
+mug is found in `model.obj` next to it.
 """
 
 from __future__ import annotations
@@ -37,21 +33,22 @@ from std_toolkit.geometry import umeyama, unproject_depth
 if TYPE_CHECKING:
     import trimesh
 
-# So much farther from the body's axis than the body is wide, a point belongs to the handle.
+# Points farther from the axis than this factor times the radius of the body are on the handle.
 _BEYOND = 1.1
 
-# A mug that is not longer than wide by so much has no handle, or one that sticks out nowhere.
+# Smallest ratio of length to width of a mug with a protruding handle.
 _LEAST_LENGTH = 1.1
 
-# Of the surface of a mug; more of it outside the body means that the body is at the other side.
+# Largest fraction of the surface of a mug outside its body; with more, the body is on the other
+# side.
 _LARGEST_SHARE = 0.3
 
-# So few pixels of a handle may be a rim that the renderer drew half a pixel too wide.
+# Fewer handle pixels may be a rim that is rendered half a pixel too wide.
 LEAST_HANDLE_PIXELS = 10
 
 Floats = NDArray[np.float64]
 
-# Of less than so many pixels with true depth nobody knows the pose, and nobody is asked for it.
+# Objects with fewer pixels with true depth have no determinable pose and are not scored.
 LEAST_PIXELS = 30
 
 FOLDER = "cad_model"
@@ -63,12 +60,12 @@ _LEVELS_ABOVE = 4
 
 @dataclass(frozen=True)
 class MugHandle:
-    """The body of a mug, in normalised coordinates with the middle of the box at 0.
+    """The body of a mug, in normalised coordinates with the centre of the box at 0.
 
     Attributes:
-        axis: 0 or 2, along which the handle sticks out.
-        centre: of the body along that axis.
-        radius: of the body.
+        axis: 0 or 2, the axis along which the handle protrudes.
+        centre: centre of the body along that axis.
+        radius: radius of the body.
     """
 
     axis: int
@@ -76,7 +73,7 @@ class MugHandle:
     radius: float
 
     def pixels(self, coordinates: NDArray[np.floating]) -> int:
-        """How many of the coordinates (N, 3) are of the handle."""
+        """Return how many of the coordinates (N, 3) are on the handle."""
         return int((_distance(coordinates, self.axis, self.centre) > _BEYOND * self.radius).sum())
 
     def is_visible(self, coordinates: NDArray[np.floating]) -> bool:
@@ -85,14 +82,14 @@ class MugHandle:
 
 
 def find_handle(points: NDArray[np.floating], areas: NDArray[np.floating]) -> MugHandle | None:
-    """The handle of a mug.
+    """Find the handle of a mug.
 
     Args:
-        points: (N, 3) on its surface, in normalised coordinates with the middle of the box at 0.
-        areas: (N,) of the surface that each stands for.
+        points: (N, 3) on its surface, in normalised coordinates with the centre of the box at 0.
+        areas: (N,) surface areas represented by the points.
 
     Returns:
-        None where nothing sticks out of a round body.
+        The handle; None if nothing protrudes from a round body.
     """
     p, a = np.asarray(points, np.float64), np.asarray(areas, np.float64)
     half = np.abs(p).max(axis=0)
@@ -112,18 +109,18 @@ def find_handle(points: NDArray[np.floating], areas: NDArray[np.floating]) -> Mu
 
 
 def _distance(points: NDArray[np.floating], axis: int, centre: float) -> Floats:
-    """(N,) from the body's axis."""
+    """(N,) distances from the axis of the body."""
     return np.hypot(points[:, axis] - centre, points[:, 2 - axis]).astype(np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class KnownBox:
-    """What a data set knows of an object besides its maps.
+    """Information of a data set on an object besides its maps.
 
     Attributes:
-        sides: (3,) of its bounding box in normalised coordinates, of length 1 together.
-        RT: (4, 4) its exact pose, the diagonal in metres inside; None where nobody tells.
-        handle: of a mug whose mesh is there.
+        sides: (3,) sides of its bounding box in normalised coordinates, with norm 1.
+        RT: (4, 4) its exact pose, including the diagonal in metres as scale; None if unknown.
+        handle: handle of a mug whose mesh exists.
     """
 
     sides: Floats
@@ -133,13 +130,13 @@ class KnownBox:
 
 @runtime_checkable
 class BoxSource(Protocol):
-    """A source that knows more of its objects than their maps."""
+    """A source with information on its objects besides their maps."""
 
     def known_boxes(self, index: int) -> dict[int, KnownBox]:
-        """Boxes of the objects of a frame, by mask id; objects nothing is known of are missing.
+        """Return the boxes of the objects of a frame, by mask id, without unknown objects.
 
         Raises:
-            ToolkitError: a file that tells them is damaged.
+            ToolkitError: a file with them is damaged.
         """
         ...
 
@@ -149,12 +146,12 @@ class TruePose:
     """An object of a frame.
 
     Attributes:
-        instance: which it is.
-        RT: (4, 4) object to camera; the scale inside is the diagonal of its box in metres.
-        size: (3,) of its box before RT, of length 1.
-        pixels: with true depth.
-        handle_visible: whether the handle of a mug can be seen; true of everything else, and of
-            mugs whose mesh is not there.
+        instance: the instance.
+        RT: (4, 4) object to camera; its scale is the diagonal of the box in metres.
+        size: (3,) sides of its box before RT, with norm 1.
+        pixels: number of pixels with true depth.
+        handle_visible: whether the handle of a mug is visible; true for all other objects, and for
+            mugs without a mesh.
         box_known: whether `size` is that of the CAD model.
     """
 
@@ -167,24 +164,24 @@ class TruePose:
 
 
 def known_boxes(source: DepthSource, index: int) -> dict[int, KnownBox]:
-    """What a source knows of the boxes of a frame; nothing for one that knows nothing.
+    """Return the known boxes of a frame; empty for sources without boxes.
 
     Raises:
-        ToolkitError: a file that tells them is damaged.
+        ToolkitError: a file with them is damaged.
     """
     return source.known_boxes(index) if isinstance(source, BoxSource) else {}
 
 
 def true_poses(frame: DepthFrame, boxes: Mapping[int, KnownBox]) -> list[TruePose]:
-    """The objects of a frame that belong to a class and can be seen.
+    """Return the visible objects of a frame that belong to a class.
 
     Args:
-        frame: with NOCS.
-        boxes: what the data set knows, by mask id.
+        frame: frame with NOCS.
+        boxes: known boxes, by mask id.
 
     Returns:
         The objects in the order of `frame.instances`, without those that have fewer than
-        `LEAST_PIXELS` pixels or whose pixels determine no pose.
+        `LEAST_PIXELS` pixels or whose pixels do not determine a pose.
 
     Raises:
         ToolkitError: the frame has no NOCS.
@@ -225,11 +222,11 @@ def true_poses(frame: DepthFrame, boxes: Mapping[int, KnownBox]) -> list[TruePos
 
 
 def model_sides(scene: Path, class_folder: str, instance_folder: str) -> NDArray[np.float64] | None:
-    """Sides (3,) of a model's bounding box, of length 1 together; None where it is not there.
+    """Return the sides (3,) of a model's bounding box, with norm 1; None if it does not exist.
 
     Args:
         scene: folder of the scene.
-        class_folder, instance_folder: as the scene's meta file names them.
+        class_folder, instance_folder: names in the meta file of the scene.
 
     Raises:
         ToolkitError: a damaged file.
@@ -243,11 +240,11 @@ def model_sides(scene: Path, class_folder: str, instance_folder: str) -> NDArray
 
 
 def model_handle(scene: Path, class_folder: str, instance_folder: str) -> MugHandle | None:
-    """Where the handle of a mug is; None where the model is not there, or has none.
+    """Return the handle of a mug; None if the model does not exist or has no handle.
 
     Args:
         scene: folder of the scene.
-        class_folder, instance_folder: as the scene's meta file names them.
+        class_folder, instance_folder: names in the meta file of the scene.
 
     Raises:
         ToolkitError: a damaged mesh.
@@ -260,7 +257,7 @@ def model_handle(scene: Path, class_folder: str, instance_folder: str) -> MugHan
 
 
 def mesh_handle(mesh: trimesh.Trimesh) -> MugHandle | None:
-    """Where the handle of a mug is, from its mesh of any unit."""
+    """Find the handle of a mug in its mesh, of any unit."""
     from std_toolkit.geometry.mesh import nocs_frame
 
     centre, diagonal = nocs_frame(mesh)

@@ -1,7 +1,7 @@
-"""What a user asks of the benchmark: the options of each task, and what their texts mean.
+"""Options of each benchmark task, and the parsing of their values.
 
-The command line is made from these dataclasses; see `std_toolkit.cli.command`. They import nothing
-heavy.
+The command line is generated from these dataclasses; see `std_toolkit.cli.command`. The module
+imports no heavy packages.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def _option(name: str) -> dict[str, str]:
 
 @dataclass(frozen=True, kw_only=True)
 class BenchJobs(JobOptions):
-    """Where the work runs."""
+    """Options of the worker processes."""
 
     gpus: Annotated[float, msgspec.Meta(ge=0)] = field(
         default=0.0, metadata=_option("gpus-per-task")
@@ -44,7 +44,7 @@ class BenchJobs(JobOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class TaskConfig:
-    """What every task is asked."""
+    """Options of every task."""
 
     task: ClassVar[str]
 
@@ -58,7 +58,7 @@ class TaskConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class NetworkConfig(TaskConfig):
-    """What every task that runs methods is asked."""
+    """Options of every task that runs methods."""
 
     out: Path = field(metadata=_option("out"))
     """folder of results"""
@@ -85,7 +85,7 @@ class NetworkConfig(TaskConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class FrameConfig(NetworkConfig):
-    """What a task over the frames of data sets is asked; every method runs on every split."""
+    """Options of a task over the frames of data sets; every method runs on every split."""
 
     methods: tuple[str, ...] = field(metadata=_option("method"))
     """names of `std-bench list methods`, package.module:Class, or file.py:Class"""
@@ -110,7 +110,7 @@ class FrameConfig(NetworkConfig):
 
     @property
     def roots(self) -> dict[str | None, Path]:
-        """Folders of data by split; None for those that are not named."""
+        """Data folders by split; the key None is for splits without an entry."""
         return roots_of(self.data)
 
 
@@ -198,10 +198,10 @@ class BopConfig(TaskConfig):
 
 
 def options_by_method(config: NetworkConfig, methods: Sequence[str]) -> dict[str, MethodOptions]:
-    """Options of each method, by its name.
+    """Return the options of each method, by its name.
 
     Raises:
-        ToolkitError: weights or settings for a method that is not asked for.
+        ToolkitError: weights or settings for a method that is not requested.
     """
     from benchmark.methods.registry import MethodOptions, preset_for
 
@@ -220,10 +220,10 @@ def options_by_method(config: NetworkConfig, methods: Sequence[str]) -> dict[str
 
 
 def check_lists(config: object, *names: str) -> None:
-    """Refuse lists that are empty, or tell something twice.
+    """Check that lists are not empty and have no duplicates.
 
     Raises:
-        ToolkitError: the field, and what is told twice.
+        ToolkitError: a list is empty or has a duplicate; names the field and the duplicate.
     """
     for name in names:
         values = getattr(config, name)
@@ -234,7 +234,7 @@ def check_lists(config: object, *names: str) -> None:
 
 
 def roots_of(texts: Sequence[str]) -> dict[str | None, Path]:
-    """Folders of data by split; None for those that are not told otherwise.
+    """Return data folders by split; the key None is for splits without an entry.
 
     Args:
         texts: `SPLIT=ROOT`, or `ROOT`.
@@ -242,17 +242,17 @@ def roots_of(texts: Sequence[str]) -> dict[str | None, Path]:
     found: dict[str | None, Path] = {}
     for text in texts:
         split, equals, root = text.partition("=")
-        # A folder's own name may hold "=".
+        # The name of a folder may contain "=".
         named = bool(equals) and not Path(text).exists()
         found[split if named else None] = Path(root if named else text)
     return found
 
 
 def data_of(split: str, roots: Mapping[str | None, Path]) -> Path:
-    """The folder of a split's data.
+    """Return the data folder of a split.
 
     Raises:
-        ToolkitError: there is none for it.
+        ToolkitError: the split has no data folder.
     """
     root = roots.get(split, roots.get(None))
     if root is None:
@@ -261,27 +261,27 @@ def data_of(split: str, roots: Mapping[str | None, Path]) -> Path:
 
 
 def weights_by_method(texts: Sequence[str], methods: Sequence[str]) -> dict[str, Path]:
-    """Files of weights by the method that they are for.
+    """Return weight files by method.
 
     Args:
-        texts: `METHOD=FILE`, or `FILE` where there is one method.
-        methods: that there are.
+        texts: `METHOD=FILE`, or `FILE` if there is one method.
+        methods: names of all methods.
 
     Raises:
-        ToolkitError: weights for none of them.
+        ToolkitError: weights without a method.
     """
     return {m: Path(text) for m, text in _by_method(texts, methods, "weights", "=")}
 
 
 def settings_by_method(texts: Sequence[str], methods: Sequence[str]) -> dict[str, dict[str, str]]:
-    """Settings by the method that they are for, each of `methods` having some or none.
+    """Return settings by method, with an entry for each of `methods`.
 
     Args:
-        texts: `METHOD.NAME=VALUE`, or `NAME=VALUE` where there is one method.
-        methods: that there are.
+        texts: `METHOD.NAME=VALUE`, or `NAME=VALUE` if there is one method.
+        methods: names of all methods.
 
     Raises:
-        ToolkitError: a setting for none of them, or one without a value.
+        ToolkitError: a setting without a method, or without a value.
     """
     settings: dict[str, dict[str, str]] = {method: {} for method in methods}
     for method, text in _by_method(texts, methods, "settings", "."):
@@ -295,7 +295,7 @@ def settings_by_method(texts: Sequence[str], methods: Sequence[str]) -> dict[str
 def _by_method(
     texts: Sequence[str], methods: Sequence[str], field_name: str, separator: str
 ) -> list[tuple[str, str]]:
-    """Pairs of a method and what is told of it."""
+    """Pairs of a method and the text that applies to it."""
     found = []
     for text in texts:
         method = next((m for m in methods if text.startswith(m + separator)), None)
@@ -314,7 +314,7 @@ def _by_method(
 
 
 def plain_label(name: str) -> str:
-    """Label of a method or planner that is named by its place, such as `my/file.py:Class`.
+    """Return the label of a method or planner given by location, such as `my/file.py:Class`.
 
     >>> plain_label("my/file.py:Class")
     'file.py.Class'
@@ -323,10 +323,10 @@ def plain_label(name: str) -> str:
 
 
 def checked_label(text: str) -> str:
-    """A name of a method in tables and folders.
+    """Return `text` if it is usable as the name of a method in tables and folders.
 
     Raises:
-        ToolkitError: it cannot be a folder's name.
+        ToolkitError: it cannot be the name of a folder.
     """
     if len(text) > _LONGEST_LABEL:
         raise ToolkitError(

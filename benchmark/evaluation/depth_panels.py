@@ -13,25 +13,25 @@ from benchmark.data.frame import DepthFrame, resize_nearest
 Image = NDArray[np.uint8]
 # Titles of the panels of a strip, from the left.
 PANELS = ("colour", "raw depth", "restored", "ground truth", "error")
-TRUST_PANEL = "trust in the sensor"  # behind them, of methods that tell it
+TRUST_PANEL = "trust in the sensor"  # last panel, for methods that output a confidence
 PANEL_WIDTH = 320
-# Errors beyond are as red as it gets: 5 cm is useless for a gripper.
+# Larger errors have the last colour: depth with an error of 5 cm is useless for a gripper.
 LARGEST_ERROR_M = 0.05
 _NOTHING = np.array((28, 28, 32), np.uint8)  # no depth, or no ground truth
-_MISSED = np.array((150, 60, 200), np.uint8)  # ground truth without an answer
+_MISSED = np.array((150, 60, 200), np.uint8)  # ground truth without a prediction
 _GAP = 4
 
 
 @dataclass(frozen=True)
 class DepthScale:
-    """Metres at the two ends of the colours of depth."""
+    """Depth range of the colour map, metres."""
 
     near: float
     far: float
 
 
 def depth_scale(frame: DepthFrame) -> DepthScale:
-    """One scale for all depth panels of a frame: what its ground truth spans."""
+    """Return one scale for all depth panels of a frame: the range of its ground truth."""
     there = frame.depth_true[frame.depth_true > 0]
     if not there.size:
         there = frame.depth_raw[frame.depth_raw > 0]
@@ -47,7 +47,7 @@ def strip(
     restored: NDArray[np.float32],
     confidence: NDArray[np.float32] | None = None,
 ) -> Image:
-    """(h, w, 3) the panels of `PANELS` beside each other, and `TRUST_PANEL` where it is given."""
+    """Return the panels of `PANELS` side by side, (h, w, 3), plus `TRUST_PANEL` if given."""
     scale = depth_scale(frame)
     width = PANEL_WIDTH
     height = round(width * frame.camera.height / frame.camera.width)
@@ -70,7 +70,7 @@ def strip(
 
 
 def depth_picture(depth: NDArray[np.float32], scale: DepthScale) -> Image:
-    """(h, w, 3) depth in colours, near bright; almost black where there is none."""
+    """Return depth in colours, (h, w, 3): near is bright, missing depth almost black."""
     there = np.isfinite(depth) & (depth > 0)
     level = np.clip((np.where(there, depth, 0) - scale.near) / (scale.far - scale.near), 0, 1)
     picture = _colored(1 - level, cv2.COLORMAP_VIRIDIS)
@@ -79,8 +79,10 @@ def depth_picture(depth: NDArray[np.float32], scale: DepthScale) -> Image:
 
 
 def error_picture(restored: NDArray[np.float32], true: NDArray[np.float32]) -> Image:
-    """(h, w, 3) |error| where there is ground truth, up to `LARGEST_ERROR_M`; violet where the
-    method has no answer."""
+    """Return the absolute error in colours, (h, w, 3), up to `LARGEST_ERROR_M`.
+
+    Pixels without a prediction are violet, pixels without ground truth almost black.
+    """
     known = np.isfinite(true) & (true > 0)
     answered = np.isfinite(restored) & (restored > 0)
     error = np.abs(np.where(known & answered, restored - true, 0))
@@ -91,7 +93,7 @@ def error_picture(restored: NDArray[np.float32], true: NDArray[np.float32]) -> I
 
 
 def trust_picture(confidence: NDArray[np.float32]) -> Image:
-    """(h, w, 3) trust in the sensor's depth: 0 black, 1 light."""
+    """Return the confidence in the sensor depth in grey, (h, w, 3): 0 is black, 1 is light."""
     return _colored(np.clip(confidence, 0, 1), cv2.COLORMAP_BONE)
 
 

@@ -1,7 +1,7 @@
-"""The run engine: every task has its `TaskRun`; workers, resume and failures exist once, here.
+"""The run engine: workers, resume and failures for the `TaskRun` of every task.
 
-A run is a folder. Its manifest is written first, its table grows by parts, and whatever is
-interrupted, killed or spread over machines, the table is the same in the end.
+A run is a folder. Its manifest is written first; its table is written in parts. The final table is
+the same if the run is interrupted, killed or spread over machines.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from std_toolkit.io.atomic import hold_lock, sweep_temporaries
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.scene.document import digest_file
 
-# A worker that takes the place of a dead one waits until the system has freed its lock.
+# The replacement of a dead worker waits until the system has released the lock.
 _PATIENCE_S = 30.0
 
-# Frames that go through a method together, by their number in the split.
+# Frames that are passed to a method together, by their index in the split.
 Batch = tuple[int, ...]
 
 # Pieces per worker: enough that no worker waits long for the slowest at the end.
@@ -42,12 +42,12 @@ _FLUSH_S = 2.0
 
 
 def check_device(name: str) -> None:
-    """See that a device exists, whether or not the method will use it.
+    """Check that a device exists, whether or not the method uses it.
 
     Raises:
-        ToolkitError: no device is called so, or this machine does not have it.
+        ToolkitError: the name is not a device, or this machine does not have it.
     """
-    if name != "cpu":  # torch is not needed to know that it is there
+    if name != "cpu":  # do not import torch for the CPU
         from benchmark.methods.network import torch_device
 
         torch_device(name)
@@ -55,17 +55,17 @@ def check_device(name: str) -> None:
 
 @cache
 def claim_device(devices: tuple[str, ...], folder: Path) -> str:
-    """The device of this process until it ends; no two processes of a run get the same.
+    """Return the device of this process; no two processes of a run get the same device.
 
-    A lock on a file per device decides, which a dead process frees by dying. One device alone is
-    not locked: the run then has as many workers on it as the user asked for.
+    The process locks one file per device until it exits. A single device is not locked: the run
+    then uses it with the requested number of workers.
 
     Args:
         devices: torch devices.
-        folder: where the lock files lie, one folder per run.
+        folder: folder of the lock files, one per run.
 
     Raises:
-        ToolkitError: all are taken.
+        ToolkitError: all devices are in use.
     """
     if len(devices) == 1:
         return devices[0]
@@ -91,19 +91,19 @@ def _hold(path: Path) -> bool:
     except BlockingIOError:
         os.close(descriptor)
         return False
-    return True  # left open on purpose: the lock lives as long as the process
+    return True  # left open on purpose: the lock is held until the process exits
 
 
 class UnusableMethod(ToolkitError):
-    """A method that cannot be made with these options, whatever the data."""
+    """A method that cannot be created with these options, independent of the data."""
 
 
 @contextmanager
 def as_unusable_method(devices: Sequence[str]) -> Iterator[None]:
-    """What goes wrong while methods are made on these devices is an `UnusableMethod`.
+    """Check devices, and turn errors while methods are created into `UnusableMethod`.
 
     Raises:
-        UnusableMethod: a device that there is not, or what a method says of its options.
+        UnusableMethod: a device does not exist, or a method rejects its options.
     """
     try:
         for device in devices:
@@ -116,17 +116,19 @@ def as_unusable_method(devices: Sequence[str]) -> Iterator[None]:
 
 
 def weights_digest(name: str, method: object, options: MethodOptions) -> str:
-    """SHA-256 of the file of weights that a method uses, a user's or one that comes along; empty
-    where there is none.
+    """Return the hash of the weight file of a method, either given or shipped.
 
     Args:
-        name: of the method.
-        method: the method itself; None where there is none, as of raw depth.
-        options: what it was made with.
+        name: name of the method.
+        method: the method; None if there is none, as for raw depth.
+        options: options that the method was created with.
+
+    Returns:
+        128-bit BLAKE2b hash in hexadecimal (see `digest_file`); empty without a weight file.
     """
     if method is None:
         return ""
-    # A method of somebody's own may use the file without telling.
+    # A user's method may use the file without a `weights` attribute.
     weights = getattr(method, "weights", None) or options.weights
     if weights is None and (shipped := shipped_file(name, options.preset)).is_file():
         weights = shipped
@@ -140,14 +142,14 @@ M = TypeVar("M")
 class TaskRun(Generic[D, M]):
     """A run: methods M on data D, one folder of results.
 
-    A subclass is a frozen dataclass, so that worker processes can have it.
+    A subclass is a frozen dataclass, so that it can be sent to worker processes.
 
     Attributes:
-        manifest_name, table_name: files of a run.
-        unit: what its pieces of work are called, in the plural.
+        manifest_name, table_name: file names of a run.
+        unit: name of its work items, in the plural.
         beside: files of a run that older versions wrote without a manifest.
         network_shares_cpu: whether several workers may run a network on the CPU at a time.
-        devices: torch devices, of which each worker takes one.
+        devices: torch devices; each worker uses one.
     """
 
     manifest_name: ClassVar[str]
@@ -159,87 +161,87 @@ class TaskRun(Generic[D, M]):
 
     @property
     def folder(self) -> Path:
-        """Where its files lie."""
+        """Folder of its files."""
         raise NotImplementedError
 
     @property
     def title(self) -> str:
-        """For people."""
+        """Title in messages."""
         raise NotImplementedError
 
     @property
     def method_title(self) -> str:
-        """What its methods are called; runs of the same are left out where these are unusable."""
+        """Title of its methods; if they are unusable, runs with the same title are skipped."""
         return self.title
 
     @property
     def data_key(self) -> object:
-        """Of runs with the same key one is checked before anything runs."""
+        """Key of its data; before anything runs, one run per key is checked."""
         return self.title
 
     def check_data(self) -> None:
-        """See that the data are there.
+        """Check that the data exist.
 
         Raises:
-            ToolkitError: they are not.
+            ToolkitError: the data are missing.
         """
         self.open()
 
     def open(self) -> D:
-        """The data.
+        """Open the data.
 
         Raises:
-            ToolkitError: they are not there.
+            ToolkitError: the data are missing.
         """
         raise NotImplementedError
 
     def check(self, data: D) -> None:
-        """See that it can be done, before its methods are made.
+        """Check that the run is possible, before its methods are created.
 
         Raises:
-            ToolkitError: it cannot.
+            ToolkitError: the run is not possible.
         """
 
     def make(self, device: str) -> M:
-        """The methods.
+        """Create the methods.
 
         Raises:
-            ToolkitError: they cannot be made.
+            ToolkitError: the methods cannot be created.
         """
         raise NotImplementedError
 
     def parts(self, methods: M) -> tuple[object, ...]:
-        """Each of the methods, of which any may have a network."""
+        """Return each of the methods; any of them may have a network."""
         return (methods,)
 
     def begin_worker(self) -> None:
-        """Prepare a process for work."""
+        """Prepare a worker process."""
 
     def manifest(self, data: D, methods: M) -> Any:
-        """What the run is, see `benchmark.evaluation.manifest.begin`."""
+        """Return the manifest of the run, see `benchmark.evaluation.manifest.begin`."""
         raise NotImplementedError
 
     def items(self, data: D, done: set[int], workers: int) -> Sequence[Any]:
-        """The work that is left, given the numbers of what is finished."""
+        """Return the remaining work items, given the indices of the finished ones."""
         raise NotImplementedError
 
     def item_title(self, item: Any) -> str:
-        """A piece of work, for people."""
+        """Return the title of a work item in messages."""
         raise NotImplementedError
 
     def work(self, data: D, methods: M, item: Any) -> int:
-        """Do a piece of work and write its rows by `write_part`; returns how many frames."""
+        """Process a work item, write its rows with `write_part`, and return its frame count."""
         raise NotImplementedError
 
     def after(self) -> None:
-        """Make what a finished run has beside its table.
+        """Write the files of a finished run other than its table.
 
         Raises:
             ToolkitError: a file cannot be written.
         """
 
     def read(self) -> Any:
-        """Its results.
+        """Read the results.
 
         Raises:
             ToolkitError: a file is missing or damaged.
@@ -252,12 +254,12 @@ R = TypeVar("R", bound=TaskRun[Any, Any])
 
 @dataclass(frozen=True)
 class Task:
-    """Something that is scored.
+    """A benchmark task.
 
     Attributes:
-        plan: the runs that a user means, in the order that they are to run in.
-        table: results for a terminal, given what the user asked.
-        records: the figures of the table, for JSON.
+        plan: returns the runs of a configuration, in execution order.
+        table: formats results for a terminal, given the configuration.
+        records: returns the figures of the table, for JSON.
     """
 
     plan: Callable[[Any], Sequence[TaskRun[Any, Any]]]
@@ -266,30 +268,30 @@ class Task:
 
 
 def run_task(run: TaskRun[Any, Any], jobs: JobOptions | None = None) -> pd.DataFrame:
-    """Do what has not been done yet of a run, while nobody else writes to it.
+    """Process the remaining work items of a run, with its folder locked.
 
-    Work is numbered by its place in the data: whatever is interrupted, killed or spread over
-    machines, the table is the same in the end.
+    Work items are numbered by their position in the data. The final table is therefore the same if
+    the run is interrupted, killed or spread over machines.
 
     Returns:
         The run's table; frames that failed have a text in `error`.
 
     Raises:
-        UnusableMethod: the methods cannot be made.
-        ToolkitError: data cannot be used, work failed, another run was begun in this folder, or
-            somebody writes to it; what was finished is kept.
+        UnusableMethod: the methods cannot be created.
+        ToolkitError: data cannot be used, a work item failed, the folder has a different run, or
+            another process writes to it. Finished work is kept.
     """
     jobs = jobs or JobOptions()
     data = run.open()
     run.check(data)
-    # Once and at once, and not first in every worker: a wrong option is told in one line.
+    # Created here once before the workers start, so that a wrong option is reported once.
     with as_unusable_method(run.devices):
         methods = run.make(run.devices[0])
     manifest = run.manifest(data, methods)
     has_network = any(hasattr(part, "network") for part in run.parts(methods))
     shared = run.devices[0] == "cpu" and run.network_shares_cpu
     if jobs.workers is None and has_network and not shared:
-        # A network uses all of a device; a second process would only double its memory.
+        # A network uses the whole device; a second process would only double the memory.
         jobs = replace(jobs, workers=len(run.devices))
     del methods
     folder, table = run.folder, run.table_name
@@ -297,12 +299,12 @@ def run_task(run: TaskRun[Any, Any], jobs: JobOptions | None = None) -> pd.DataF
     with hold_lock(folder, "lock", doing="writing to"):
         begin(folder, manifest, run.manifest_name, run.beside)
         sweep_temporaries(folder)
-        # Joined before anything is added: the parts of this run may have the names of earlier ones.
+        # Joined before parts are added: they may have the names of earlier ones.
         work = run.items(data, good_frames(join_parts(folder, table)), jobs.worker_count)
         report = run_jobs(Worker(run), work, name=run.title, key=run.item_title, options=jobs)
         whole = join_parts(folder, table)
     if report.failed:
-        # The log has a line for each; here the first one, since they tend to be of one kind.
+        # The log has a line for each failure. They tend to have one cause: report the first.
         where, why = next(iter(report.failed.items()))
         raise ToolkitError(
             f"{len(report.failed)} of {len(work)} {run.unit} failed; {where}: {why}",
@@ -313,7 +315,7 @@ def run_task(run: TaskRun[Any, Any], jobs: JobOptions | None = None) -> pd.DataF
 
 
 class Worker:
-    """Does work in a worker process, which keeps data and methods from item to item."""
+    """Processes items in a worker process, which keeps data and methods between items."""
 
     def __init__(self, run: TaskRun[Any, Any]) -> None:
         self.run = run
@@ -326,7 +328,7 @@ _kept: dict[str, tuple[Any, Any]] = {}
 
 
 def _equipment(run: TaskRun[D, M]) -> tuple[D, M]:
-    """Data and methods of this process; those of an earlier run make room."""
+    """Data and methods of this process; those of an earlier run are released."""
     key = repr(run)
     if key not in _kept:
         _kept.clear()
@@ -338,11 +340,11 @@ def _equipment(run: TaskRun[D, M]) -> tuple[D, M]:
 
 @dataclass
 class Campaign(Generic[R]):
-    """What became of the runs.
+    """Outcome of `run_all`.
 
     Attributes:
         finished: the runs that have a table.
-        failed: an error line for each of the others.
+        failed: an error line for each of the others, by title.
         failed_frames: frames without a score, over all runs.
     """
 
@@ -352,10 +354,10 @@ class Campaign(Generic[R]):
 
 
 def run_all(runs: Sequence[R], jobs: JobOptions | None = None) -> Campaign[R]:
-    """Do all runs, see `run_task`; one that cannot run does not keep others from it.
+    """Execute all runs, see `run_task`; if a run fails, the others still run.
 
     Raises:
-        ToolkitError: data are not there; nothing has run then.
+        ToolkitError: data are missing; raised before any run starts.
     """
     for run in {run.data_key: run for run in runs}.values():
         run.check_data()

@@ -1,4 +1,4 @@
-"""Tasks over the frames of a split: batches, frames that fail, what their runs have in common."""
+"""Common parts of tasks over the frames of a split: batches, failed frames, run fields."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ V = TypeVar("V")
 D = TypeVar("D", bound=Any)
 M = TypeVar("M")
 
-# Frames that go through a method together, by their number in the split.
+# Frames that are passed to a method together, by their index in the split.
 Batch = tuple[int, ...]
 
 # Pieces per worker: enough that no worker waits long for the slowest at the end.
@@ -41,7 +41,7 @@ _FLUSH_S = 2.0
 
 
 def chosen_frames(total: int, limit: int | None) -> list[int]:
-    """Frames of a split that a run takes: all, or `limit` of them evenly spread.
+    """Return the frames of a split that a run uses: all, or `limit` of them evenly spaced.
 
     >>> chosen_frames(10, 2)
     [2, 7]
@@ -52,7 +52,7 @@ def chosen_frames(total: int, limit: int | None) -> list[int]:
 
 
 def batches_of(frames: Sequence[int], size: int) -> list[Batch]:
-    """Frames in batches.
+    """Split frames into batches.
 
     >>> batches_of([0, 1, 4, 5, 6], 2)
     [(0, 1), (4, 5), (6,)]
@@ -61,7 +61,7 @@ def batches_of(frames: Sequence[int], size: int) -> list[Batch]:
 
 
 def pieces_of(batches: Sequence[Batch], workers: int) -> list[tuple[Batch, ...]]:
-    """Batches in pieces of work."""
+    """Group batches into pieces, the work items."""
     each = max(1, min(_LONGEST_PIECE, len(batches) // (workers * _PIECES_PER_WORKER)))
     return [tuple(batches[i : i + each]) for i in range(0, len(batches), each)]
 
@@ -69,13 +69,13 @@ def pieces_of(batches: Sequence[Batch], workers: int) -> list[tuple[Batch, ...]]
 def pieces_left(
     frames: Sequence[int], size: int, workers: int, done: set[int]
 ) -> list[tuple[Batch, ...]]:
-    """Pieces of work of the batches of frames that are not finished to the last frame."""
+    """Return pieces of the batches that have at least one unfinished frame."""
     left = [batch for batch in batches_of(frames, size) if not done.issuperset(batch)]
     return pieces_of(left, workers)
 
 
 def read_ahead(batches: Sequence[Batch], read: Callable[[Batch], T]) -> Iterator[tuple[Batch, T]]:
-    """Batches with what `read` makes of them; the next is read while this one is worked on."""
+    """Yield each batch with the result of `read`; the next batch is read in the background."""
     with ThreadPoolExecutor(1) as reader:
         coming = reader.submit(read, batches[0])
         for place, batch in enumerate(batches):
@@ -91,16 +91,16 @@ def write_rows(
     read: Callable[[Batch], T],
     rows_of: Callable[[Batch, T], list[dict[str, Any]]],
 ) -> int:
-    """Write the rows of a piece of work as parts of a table, as they come.
+    """Write the rows of a piece as parts of a table, as they are computed.
 
     Args:
-        folder: of the run.
+        folder: folder of the run.
         batches: the piece.
-        read: what of a batch can be read ahead.
-        rows_of: the rows of a batch, with what was read.
+        read: reads the data of a batch; called ahead.
+        rows_of: returns the rows of a batch, given the data read.
 
     Returns:
-        How many frames there were.
+        The number of frames.
     """
     rows: list[dict[str, Any]] = []
     pending: list[Batch] = []
@@ -123,7 +123,7 @@ def write_rows(
 
 
 def describe_frames(piece: Sequence[Batch]) -> str:
-    """A piece of work by its frames, for people.
+    """Return the title of a piece in messages.
 
     >>> describe_frames([(0, 1), (4, 5)])
     'frames 0 to 5'
@@ -132,12 +132,12 @@ def describe_frames(piece: Sequence[Batch]) -> str:
 
 
 def error_line(error: Exception) -> str:
-    """An error as one line."""
+    """Return an error as one line."""
     return error_of(error).error or type(error).__name__
 
 
 def load_each(load: Callable[[int], T], indices: Sequence[int]) -> list[T | str]:
-    """The frames of a batch; for one that cannot be read, the error as one line."""
+    """Load the frames of a batch; for one that cannot be read, the error as one line."""
     loaded: list[T | str] = []
     for index in indices:
         try:
@@ -152,14 +152,14 @@ def answers_one_by_one(
     check: Callable[[V, A], None],
     views: Mapping[int, V],
 ) -> dict[int, A | str]:
-    """Answers of a method by index, or why there is none.
+    """Return the outputs of a method by index, or error lines of failed frames.
 
     If the batch fails as a whole, its frames are tried one by one.
 
     Args:
-        call: of the method.
-        check: raises where an answer is none.
-        views: what the method sees.
+        call: runs the method on a batch.
+        check: raises an error if an output is invalid.
+        views: inputs of the method by index.
     """
     if not views:
         return {}
@@ -183,7 +183,7 @@ def answers_one_by_one(
 
 
 def restore_views(restorer: Restorer, views: Mapping[int, View]) -> dict[int, Restored | str]:
-    """Restored depth by index, or why there is none; see `answers_one_by_one`."""
+    """Return restored depth by index, or error lines; see `answers_one_by_one`."""
     return answers_one_by_one(restorer.restore, _check_restored, views)
 
 
@@ -198,37 +198,36 @@ def _check_restored(view: View, answer: Restored) -> None:
         )
 
 
-Base = dict[str, Any]  # of a row: index, scene, frame
+Base = dict[str, Any]  # first columns of a row: index, scene, frame
 
 
 class FramesRun(TaskRun[D, M]):
     """A run of a task over frames.
 
     Attributes:
-        batch_size: frames that go through the method together.
+        batch_size: frames that are passed to the method together.
     """
 
     batch_size: int
 
     def chosen(self, data: D) -> Sequence[int]:
-        """The frames that it takes."""
+        """Return the frames that the run uses."""
         return range(len(data))
 
     def load(self, data: D, index: int) -> Any:
-        """What is read of a frame.
+        """Read the data of a frame.
 
         Raises:
-            ToolkitError: it cannot be read.
+            ToolkitError: the frame cannot be read.
         """
         raise NotImplementedError
 
     def rows(self, data: D, methods: M, frames: Sequence[tuple[Base, Any]]) -> list[dict[str, Any]]:
-        """The rows of a batch for the table.
+        """Return the table rows of a batch.
 
         Args:
-            data, methods: of the run.
-            frames: the beginning of each frame's rows, and what was read of it, or why there is
-                nothing.
+            data, methods: data and methods of the run.
+            frames: for each frame the first columns of its rows, and its data or the error line.
         """
         raise NotImplementedError
 
@@ -255,9 +254,9 @@ class FrameRun(FramesRun[DepthSource, M]):
     Attributes:
         split, root: name of the split and folder of the data.
         method, options: the method; `options.device` is ignored in favour of `devices`.
-        label: what the method is called in tables.
+        label: name of the method in tables.
         out: folder of results.
-        limit: of frames, evenly spread over the split; None for all.
+        limit: number of frames, evenly spaced over the split; None for all.
         gallery: keep pictures of a few frames.
     """
 
@@ -283,7 +282,7 @@ class FrameRun(FramesRun[DepthSource, M]):
         return chosen_frames(len(data), self.limit)
 
     def setup(self, data: DepthSource, method: object) -> dict[str, Any]:
-        """What decides the table, as far as all methods on frames have it."""
+        """Return the fields that determine the table and are common to all methods on frames."""
         keys, chosen = data.keys(), self.chosen(data)
         return {
             "split": self.split,
@@ -306,10 +305,10 @@ _OF_CONFIG = ("out", "devices", "batch_size", "limit", "gallery")
 def frame_options(
     config: FrameConfig, split: str, method: str, options: Mapping[str, MethodOptions]
 ) -> dict[str, Any]:
-    """The fields of `FrameRun`.
+    """Return the fields of `FrameRun`.
 
     Raises:
-        ToolkitError: a split without data, or a label that cannot be a folder's name.
+        ToolkitError: a split without data, or a label that cannot be the name of a folder.
     """
     return {
         "split": split,

@@ -1,4 +1,4 @@
-"""Manifests of runs: what decides a table, and the circumstances of the run."""
+"""Manifests of runs: the setup that determines a table, and the environment of the run."""
 
 from __future__ import annotations
 
@@ -28,15 +28,16 @@ BOP_MANIFEST, BOP_FILE = "bop_run.json", "bop.json"
 
 
 class _Frames(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What decides the table of a method on frames.
+    """Fields that determine the table of a method on frames.
 
     Attributes:
         split: name of the split.
         frames: number of frames.
-        frames_sha256: hash over the frames' names.
+        frames_sha256: SHA-256 hash of the frame names.
         method, preset, settings: the method and its options.
-        weights_sha256: hash of the file of weights; empty where there is none.
-        precision, compile, device: of the network; device is its kind, `cpu` or `cuda`.
+        weights_sha256: hash of the weight file (128-bit BLAKE2b, in spite of the name); empty
+            without a weight file.
+        precision, compile, device: options of the network; device is its type, `cpu` or `cuda`.
     """
 
     split: str
@@ -52,12 +53,12 @@ class _Frames(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class Setup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What decides a run's numbers; a run goes on only with the same.
+    """Fields that determine the table of a run; a run resumes only if they are unchanged.
 
     Attributes:
         protocol: the scoring protocol.
-        batch_size: frames that go through the method together.
-        depth_from: folder whose depth took the place of the sensor's; empty for the sensor's own.
+        batch_size: frames that are passed to the method together.
+        depth_from: folder of the depth that replaces the sensor depth; empty for sensor depth.
     """
 
     protocol: str
@@ -66,14 +67,14 @@ class Setup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A run's setup and its circumstances, which only tell a reader where it ran.
+    """Setup and environment of a run; the environment is informative only.
 
     Attributes:
-        version_of_tool: of this package.
-        label: what the method is called in tables.
-        root: where the data lay.
-        weights: the file of weights, as it was named.
-        packages: versions of the libraries that compute.
+        version_of_tool: version of this package.
+        label: name of the method in tables.
+        root: folder of the data.
+        weights: path of the weight file, as given.
+        packages: versions of the numerical libraries.
         hardware: processor, cores and GPUs.
     """
 
@@ -87,16 +88,16 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 def begin(folder: Path, manifest: Any, name: str = MANIFEST, beside: Sequence[str] = ()) -> None:
-    """Write the manifest of a new run, or see that the run that was begun there is the same.
+    """Write the manifest of a new run, or check that the existing run has the same setup.
 
     Args:
-        folder: of the run.
+        folder: folder of the run.
         manifest: a structure with a field `setup`, such as `Manifest`.
-        name: of its file.
-        beside: files that may be there without a manifest, of older versions.
+        name: file name.
+        beside: files of older versions that may exist without a manifest.
 
     Raises:
-        ToolkitError: another run was begun there; the field that differs is named.
+        ToolkitError: the folder has a run with a different setup; names the field.
     """
     path = folder / name
     begun = begin_folder(path, manifest, hint="choose another --out", beside=beside)
@@ -114,7 +115,7 @@ def begin(folder: Path, manifest: Any, name: str = MANIFEST, beside: Sequence[st
 
 
 def circumstances() -> dict[str, Any]:
-    """The fields of a manifest that tell where a run runs."""
+    """Return the environment fields of a manifest."""
     return {
         "version_of_tool": __version__,
         "packages": package_versions(),
@@ -123,7 +124,7 @@ def circumstances() -> dict[str, Any]:
 
 
 def package_versions() -> dict[str, str]:
-    """Versions of the libraries that compute, as far as they are installed."""
+    """Return the versions of Python and of the installed numerical libraries."""
     found = {"python": platform.python_version()}
     for name in _PACKAGES:
         try:
@@ -134,7 +135,7 @@ def package_versions() -> dict[str, str]:
 
 
 def hardware() -> dict[str, str]:
-    """Processor, usable cores, and the GPUs that torch sees if something has loaded torch."""
+    """Return the processor, the usable cores, and, if torch is imported, its GPUs."""
     found = {"processor": _processor(), "cores": str(len(os.sched_getaffinity(0)))}
     torch = sys.modules.get("torch")
     if torch is not None and torch.cuda.is_available():
@@ -153,19 +154,22 @@ def _processor() -> str:
 
 
 class GraspSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What decides a run's table; a run goes on only with the same. Rounds may be added.
+    """Fields that determine the table of a run; a run resumes only if they are unchanged.
+
+    Rounds may be added.
 
     Attributes:
-        seed: of all rounds.
-        attempts: at most so many a round.
+        seed: seed of all rounds.
+        attempts: maximum number of attempts per round.
         camera: `quick` or `simulated`.
-        depth_model_sha256: of the fitted figures behind the quick camera; empty for the other.
-        gripper: name of the hand.
+        depth_model_sha256: hash (128-bit BLAKE2b) of the fitted parameters of the quick camera;
+            empty for `simulated`.
+        gripper: name of the gripper.
         planner, planner_preset, planner_settings, planner_weights_sha256: the planner and its
             options.
-        depth, depth_preset, depth_settings, depth_weights_sha256: `raw`, `gt`, which have no
+        depth, depth_preset, depth_settings, depth_weights_sha256: `raw` or `gt`, which have no
             preset, or a restorer and its options.
-        precision, compile, device: of networks; device is its kind, `cpu` or `cuda`.
+        precision, compile, device: options of networks; device is its type, `cpu` or `cuda`.
     """
 
     seed: int
@@ -187,13 +191,13 @@ class GraspSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class GraspManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A run's setup and its circumstances, which only tell a reader where it ran.
+    """Setup and environment of a run; the environment is informative only.
 
     Attributes:
-        version_of_tool: of this package.
-        depth_label, planner_label: what depth and planner are called in tables.
-        planner_weights, depth_weights: the files of weights, as they were named.
-        packages: versions of the libraries that compute.
+        version_of_tool: version of this package.
+        depth_label, planner_label: names of depth and planner in tables.
+        planner_weights, depth_weights: paths of the weight files, as given.
+        packages: versions of the numerical libraries.
         hardware: processor, cores and GPUs.
     """
 
@@ -208,14 +212,17 @@ class GraspManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 class PoseSetup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What decides a run's table; a run goes on only with the same. The fit is among the settings.
+    """Fields that determine the table of a run; a run resumes only if they are unchanged.
+
+    The settings include the fit.
 
     Attributes:
-        batch_size: frames that go through the method together.
-        depth: what poses are fitted to: `raw`, `gt`, a restorer, or what a folder is called.
-        depth_preset, depth_settings, depth_weights_sha256: of the restorer; empty for the others.
-        depth_folder: that depth was read from; empty for the others.
-        as_input: whether networks look at that depth, too, and not at raw depth.
+        batch_size: frames that are passed to the method together.
+        depth: depth that poses are fitted to: `raw`, `gt`, a restorer, or the name of a folder.
+        depth_preset, depth_settings, depth_weights_sha256: options of the restorer; otherwise
+            empty.
+        depth_folder: folder of saved depth; otherwise empty.
+        as_input: whether networks also receive that depth instead of raw depth.
     """
 
     batch_size: int
@@ -228,14 +235,14 @@ class PoseSetup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class PoseManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A run's setup and its circumstances, which only tell a reader where it ran.
+    """Setup and environment of a run; the environment is informative only.
 
     Attributes:
-        version_of_tool: of this package.
-        label, depth_label, fit: what method, depth and fit are called in tables.
-        root: where the data lay.
-        weights, depth_weights: the files of weights, as they were named.
-        packages: versions of the libraries that compute.
+        version_of_tool: version of this package.
+        label, depth_label, fit: names of method, depth and fit in tables.
+        root: folder of the data.
+        weights, depth_weights: paths of the weight files, as given.
+        packages: versions of the numerical libraries.
         hardware: processor, cores and GPUs.
     """
 
@@ -252,13 +259,13 @@ class PoseManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 
 class BopSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What decides a run's table; a run goes on only with the same.
+    """Fields that determine the table of a run; a run resumes only if they are unchanged.
 
     Attributes:
-        data, split: names of the folder of the data set, and of that of its scenes.
-        results, results_sha256: name of the result file, and its hash.
-        targets, targets_sha256: number of objects in images to be found, and hash over them.
-        renderer: that draws the models for VSD.
+        data, split: folder names of the data set and of its scenes.
+        results, results_sha256: name of the result file, and its SHA-256 hash.
+        targets, targets_sha256: number of targets (objects in images), and their SHA-256 hash.
+        renderer: renderer of the models for VSD.
     """
 
     data: str
@@ -271,12 +278,12 @@ class BopSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class BopManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A run's setup and its circumstances, which only tell a reader where it ran.
+    """Setup and environment of a run; the environment is informative only.
 
     Attributes:
-        version_of_tool: of this package.
-        root: where the data lay.
-        packages: versions of the libraries that compute.
+        version_of_tool: version of this package.
+        root: folder of the data.
+        packages: versions of the numerical libraries.
         hardware: processor, cores and GPUs.
     """
 

@@ -1,7 +1,7 @@
-"""Results of runs: Parquet parts while a run grows, runs found again, text for the terminal.
+"""Results of runs: writing and joining Parquet parts, and finding finished runs.
 
-A part appears whole or not at all, and names the frames that it holds, so that a run which was
-killed knows what it has. At the end all are joined into one table in the order of the frames.
+A part is written atomically and its name gives its frames, so that a killed run can resume. At the
+end all parts are joined into one table in the order of the frames.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ PARTS = "parts"
 
 _NAME = re.compile(r"(\d{7})-(\d{7})\.parquet")
 
-# Columns that every row has; those of the protocol's metrics follow.
+# Columns of every row; the columns of the protocol's metrics follow.
 INDEX, SCENE, FRAME = "index", "scene", "frame"
 
-ERROR = "error"  # why the frame or the method failed; empty where neither did
+ERROR = "error"  # why the frame or the method failed; empty otherwise
 
-NOT_FINITE = "not_finite"  # pixels of the answer that are NaN or infinite
+NOT_FINITE = "not_finite"  # pixels of the prediction that are NaN or infinite
 
-# What a frame has that could not be read: no grid, and whole numbers so that the columns keep
-# their type.
+# Columns of a frame that could not be read: no grid, and integers so that the columns keep their
+# type.
 UNREAD = {NOT_FINITE: 0, "grid": "", "subset": "", "n_pixels": 0, "n_answered": 0}
 
 
@@ -50,7 +50,7 @@ def write_part(folder: Path, first: int, last: int, rows: Sequence[dict[str, Any
 
 
 def read_table(path: Path) -> pd.DataFrame:
-    """A Parquet table of ours.
+    """Read a Parquet table of a run.
 
     Raises:
         ToolkitError: it cannot be read.
@@ -66,30 +66,31 @@ def read_table(path: Path) -> pd.DataFrame:
 
 
 def check_columns(table: pd.DataFrame, needed: Iterable[str], path: Path) -> None:
-    """See that a table read from a file has some columns.
+    """Check that a table read from a file has the needed columns.
 
     Raises:
-        ToolkitError: it has not.
+        ToolkitError: columns are missing.
     """
     if absent := [name for name in needed if name not in table]:
         raise ToolkitError("the table lacks columns", path=path, field=", ".join(absent))
 
 
 def good_frames(table: pd.DataFrame) -> set[int]:
-    """Frames of the split that need not be scored again; those that failed are tried again."""
+    """Return the scored frames of the split; failed frames are not among them."""
     return set(table.loc[table[ERROR] == "", INDEX].tolist())
 
 
 def join_parts(folder: Path, name: str = TABLE) -> pd.DataFrame:
     """Join all parts with the table of earlier runs, and write table `name` and `failures.csv`.
 
-    The table is the same however the frames came to be spread over parts.
+    The table does not depend on how the frames are divided into parts.
 
     Returns:
-        The rows of all frames. A frame that could not be read has one, without grid and figures.
+        The rows of all frames. A frame that could not be read has one row without grid and
+        figures.
 
     Raises:
-        ToolkitError: a part cannot be read, or the table not be written.
+        ToolkitError: a part cannot be read, or the table cannot be written.
     """
     paths = sorted(p for p in (folder / PARTS).glob("*.parquet") if _NAME.fullmatch(p.name))
     earlier = [folder / name] if (folder / name).exists() else []
@@ -107,20 +108,20 @@ def join_parts(folder: Path, name: str = TABLE) -> pd.DataFrame:
 
 
 def _newest(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
-    """One table in the order of the frames; a frame's later rows take the place of earlier ones."""
+    """One table in the order of the frames; later rows of a frame replace earlier ones."""
     if not tables:
         return pd.DataFrame({INDEX: [], SCENE: [], FRAME: [], ERROR: []})
     joined = pd.concat(tables, ignore_index=True)
     place = np.repeat(np.arange(len(tables)), [len(table) for table in tables])
-    # A frame that succeeded is not thrown away for a later failure.
+    # A later failure does not replace a success.
     worth = pd.Series(place + len(tables) * (joined[ERROR] == "").to_numpy())
     kept = joined[worth == worth.groupby(joined[INDEX]).transform("max")]
-    # Stable: the rows of one frame keep the order in which the protocol gave them.
+    # Stable: the rows of a frame keep the order of the protocol.
     return kept.sort_values(INDEX, kind="stable", ignore_index=True)
 
 
 def report_failures(table: pd.DataFrame, title: str, folder: Path) -> int:
-    """Number of frames of a run that failed; if there are any, the log says where they stand."""
+    """Return the number of failed frames of a run; if any, log the path of their list."""
     failed = table[table[ERROR] != ""]
     if failed.empty:
         return 0
@@ -137,11 +138,11 @@ M = TypeVar("M", bound=Any)
 
 @dataclass(frozen=True, eq=False)
 class Result(Generic[M]):
-    """One run, read back.
+    """Results of one run.
 
     Attributes:
-        folder: where it lies.
-        manifest: what it was.
+        folder: folder of the run.
+        manifest: its manifest.
         table: its rows.
     """
 
@@ -151,17 +152,17 @@ class Result(Generic[M]):
 
     @property
     def title(self) -> str:
-        """What it is among others; two results of one title are one run, or a mistake."""
+        """Unique title; two results with one title are the same run, or an error."""
         raise NotImplementedError
 
     @property
     def frames(self) -> int:
-        """Frames that the run has."""
+        """Number of frames of the run."""
         return int(self.manifest.setup.frames)
 
     @property
     def missing(self) -> int:
-        """Frames that the run has not come to: it was interrupted, or a worker failed."""
+        """Number of frames without rows: the run was interrupted, or a worker failed."""
         return self.frames - int(self.table[INDEX].nunique())
 
 
@@ -171,16 +172,16 @@ Found = TypeVar("Found", bound=Result[Any])
 def find_runs(
     folders: Iterable[Path], manifest: str, table: str, read: Callable[[Path], Found]
 ) -> list[Found]:
-    """All finished runs of a task below some folders of results.
+    """Return all finished runs of a task below some folders of results.
 
     Args:
-        folders: of results.
-        manifest, table: files of a run of this task.
-        read: makes a result of a run's folder.
+        folders: folders of results.
+        manifest, table: file names of a run of this task.
+        read: reads the result from the folder of a run.
 
     Raises:
-        ToolkitError: a folder is not there or holds none, a run is damaged, or two runs of one
-            title are among them.
+        ToolkitError: a folder does not exist or has no finished run, a run is damaged, or two
+            runs have the same title.
     """
     found: dict[str, Found] = {}
     for folder in folders:

@@ -1,12 +1,11 @@
 """Confidence intervals over scenes, and paired tests between methods.
 
-Frames are paired, and scenes are what is independent: both tests below look at differences
-between two methods by scene, never at frames as if each were a sample of its own.
+Frames are paired, and scenes are independent: both tests use differences between two methods by
+scene, not single frames.
 
-Confidence intervals of means over frames, by resampling scenes.
-
-Frames of one scene show the same objects from nearby places: their errors go together, and an
-interval that takes them for independent is several times too narrow. So whole scenes are drawn.
+Confidence intervals of means over frames are computed by resampling whole scenes. Frames of one
+scene show the same objects from nearby viewpoints, so that their errors are correlated; an interval
+that treats them as independent is several times too narrow.
 """
 
 from __future__ import annotations
@@ -25,16 +24,16 @@ SAMPLES = 4000
 
 _DRAWN_AT_ONCE = 4_000_000  # counts in memory: 32 MB
 
-EXACT_SCENES = 14  # up to so many, all 2**scenes ways to swap the methods are counted
+EXACT_SCENES = 14  # up to this number, all 2**scenes swaps of the methods are enumerated
 
-FLIPS = 20_000  # drawn ways above that
+FLIPS = 20_000  # random swaps for more scenes
 
 _FLIPS_AT_ONCE = 1000  # a multiple of 8
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean and where it lies.
+    """A mean with its interval.
 
     Attributes:
         mean: (...) means over all frames.
@@ -57,12 +56,12 @@ def mean_interval(
     """Mean over frames, with a percentile interval from drawing scenes with replacement.
 
     Args:
-        values: (N,) or (N, M) one or more figures of each frame; all M share the draws, so that
-            their intervals can be set side by side. A NaN makes its figure's answer NaN.
+        values: (N,) or (N, M) one or more figures of each frame; all M share the bootstrap samples,
+            so that their intervals are comparable. A NaN makes the result of its figure NaN.
         scenes: (N,) the scene of each frame: text or numbers.
-        level: share of draws that the interval holds.
-        samples: draws.
-        seed: of the draws: equal input gives equal output.
+        level: fraction of bootstrap samples within the interval.
+        samples: number of bootstrap samples.
+        seed: seed of the bootstrap: equal input gives equal output.
 
     Returns:
         The mean (a scalar array, or (M,)) and its interval. With fewer than about ten scenes a
@@ -141,11 +140,11 @@ class Paired:
         difference: mean over frames of first minus second.
         low, high: 95 % interval of it over scenes; NaN with one scene.
         p_flip: two-sided p of the sign-flip test: how often the mean difference is at least as
-            large when in each scene the methods are swapped by chance. Never below
-            2 / 2**scenes: with five scenes or fewer nothing can be significant at 0.05.
+            large if the methods are swapped at random in each scene. It is at least
+            2 / 2**scenes: with five scenes or fewer no difference is significant at 0.05.
         p_wilcoxon: two-sided p of Wilcoxon's signed-rank test of the scenes' mean differences:
-            less moved by one scene that differs greatly, and blind to how many frames it has.
-        frames, scenes: how many were compared.
+            less affected by one outlying scene, and independent of the number of frames.
+        frames, scenes: numbers of frames and scenes compared.
     """
 
     difference: float
@@ -190,7 +189,7 @@ def paired_test(
     sums, counts = scene_sums(a - b, scenes)
     found = mean_interval(a - b, scenes, samples=samples, seed=seed)
     means = sums / counts
-    # Without any difference the ranks are empty and scipy's answer is NaN.
+    # Without any difference the ranks are empty and scipy returns NaN.
     p_wilcoxon = float(wilcoxon(means).pvalue) if np.any(means) else 1.0
     return Paired(
         float(found.mean),

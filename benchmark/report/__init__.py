@@ -1,1 +1,1 @@
-"""Leaderboards and pages of what `std-bench` measured."""
+"""Leaderboards and report pages of `std-bench` results."""

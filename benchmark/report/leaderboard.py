@@ -20,12 +20,12 @@ from std_toolkit.log import logger
 
 MEASURED, PUBLISHED = "measured", "published"
 
-# Methods are compared, and ranked, by it.
+# Metric for comparing and ranking methods.
 RANKED_BY = "rmse"
 
 SIGNIFICANT = 0.05
 
-# A protocol whose figures a paper's may be read beside without a caution.
+# Protocol whose figures are comparable with those of papers without a caution.
 PAPERS_PROTOCOL = "paper"
 
 
@@ -61,7 +61,7 @@ INTERVALS = tuple(f"{name}_{end}" for name in OVER_ALL for end in ("low", "high"
 
 @dataclass(frozen=True)
 class Board:
-    """All that the formats and the page show.
+    """Data of the tables and the page.
 
     Attributes:
         rows: see `COLUMNS`.
@@ -74,13 +74,13 @@ class Board:
     results: tuple[RunResult, ...]
 
     def main_rows(self, split: str, protocol: str) -> pd.DataFrame:
-        """The rows that methods are ranked by: main grid and subset."""
+        """Return the rows that methods are ranked by: main grid and subset."""
         grid, subset = get_protocol(protocol).main
         return self.part(split, protocol, grid, subset)
 
     def part(self, split: str, protocol: str, grid: str, subset: str) -> pd.DataFrame:
-        """The rows of one split, protocol, grid and subset: measured ones, best first, then
-        published ones, best first."""
+        """Return the rows of one split, protocol, grid and subset: first measured, then published
+        ones, each best first."""
         rows = self.rows
         chosen = (rows["split"] == split) & (rows["protocol"] == protocol)
         chosen &= (rows["grid"] == grid) & (rows["subset"] == subset)
@@ -88,21 +88,21 @@ class Board:
         return rows[chosen].sort_values(by, kind="stable", ignore_index=True)
 
     def frames(self, split: str) -> int:
-        """Frames of the split that were scored, of the run with the most of them."""
+        """Return the largest number of scored frames of the split over runs."""
         runs = [r for r in self.results if r.manifest.setup.split == split]
         return max(r.manifest.setup.frames - r.missing for r in runs)
 
     @property
     def boards(self) -> list[tuple[str, str]]:
-        """Splits and protocols that were measured."""
+        """Return the measured pairs of split and protocol."""
         found = self.rows.loc[self.rows["kind"] == MEASURED, ["split", "protocol"]]
         return list(found.drop_duplicates().itertuples(index=False, name=None))
 
 
-# split, protocol, grid, subset, method: which row it is. kind: MEASURED or PUBLISHED. frames and
-# scenes that entered, frames that failed. OVER_ALL with INTERVALS, OVER_ANSWERED. p_best: corrected
-# probability that the best measured method is not better. Then what it costs. Then, of published
-# rows, where they are printed and what was trained on.
+# split, protocol, grid, subset, method: key of the row. kind: MEASURED or PUBLISHED. Numbers of
+# frames and scenes included, and of failed frames. OVER_ALL with INTERVALS, OVER_ANSWERED. p_best:
+# corrected p of the comparison with the best measured method. Then cost. Then, for published rows,
+# source and training data.
 COLUMNS = (
     "split", "protocol", "grid", "subset", "method", "kind", "frames", "scenes", "failed",
     *OVER_ALL, *INTERVALS, *OVER_ANSWERED, "p_best", "frames_per_s", "parameters", "gmacs",
@@ -111,7 +111,7 @@ COLUMNS = (
 
 
 def frames_of(split: str, frames: int) -> str:
-    """How many frames were scored, and of how many if that is a fragment of a split.
+    """Format the number of scored frames, with the size of the split if they are only a part.
 
     >>> frames_of("std-catknown", 36), frames_of("scenes", 36)
     ('36 of 22,500 frames', '36 frames')
@@ -122,19 +122,19 @@ def frames_of(split: str, frames: int) -> str:
 
 
 def is_fragment(split: str, frames: int) -> bool:
-    """Whether so many frames are less than the split is published with."""
+    """Whether `frames` is less than the published size of the split."""
     size = _split_size(split)
     return size is not None and frames < size
 
 
 def _split_size(split: str) -> int | None:
-    # A name such as `module:SPLIT` comes from a file of results: nothing is imported for it.
+    # A name such as `module:SPLIT` comes from a result file: do not import it.
     known = get_split(split).published if split in splits.names() else ()
     return min((p.frames for p in known if not p.of_more), default=None)
 
 
 def merge_equal(rows: pd.DataFrame, figures: Sequence[str]) -> pd.DataFrame:
-    """Published rows with the same figures of one method as one row that lists all its sources.
+    """Merge published rows of a method with equal figures into one row that lists all sources.
 
     Args:
         rows: published rows, with columns `split`, `protocol`, `subset`, `method`, `table` and
@@ -153,8 +153,8 @@ def merge_equal(rows: pd.DataFrame, figures: Sequence[str]) -> pd.DataFrame:
 
 
 def one_of_each(rows: pd.DataFrame) -> pd.DataFrame:
-    """Rows without the further ones that papers print of a method: repetitions of a figure in
-    other tables, and ablations of its training. What its comparison of methods prints stays."""
+    """Remove repeated figures and training ablations of published methods; rows of the papers'
+    method comparisons are kept."""
     printed = rows[rows["kind"] == PUBLISHED]
     printed = printed.sort_values(["table", "training_data"], kind="stable")
     further = printed.index[printed["method"].duplicated()]
@@ -164,12 +164,12 @@ def one_of_each(rows: pd.DataFrame) -> pd.DataFrame:
 def make_board(
     results: Sequence[RunResult], *, published: bool = True, samples: int = 2000
 ) -> Board:
-    """Join runs to one leaderboard.
+    """Combine runs in one leaderboard.
 
     Args:
-        results: at least one.
-        published: with the figures that papers print for the same splits and subsets.
-        samples: draws of scenes for intervals and comparisons.
+        results: at least one run.
+        published: include published figures for the same splits and subsets.
+        samples: bootstrap samples of scenes for intervals and comparisons.
 
     Raises:
         ToolkitError: no run has a frame with pixels to compare.
@@ -203,7 +203,7 @@ def make_board(
 
 
 def _with_significance(means: pd.DataFrame, one: pd.DataFrame, samples: int) -> pd.DataFrame:
-    """`p_best`: of each method against the best of its grid and subset, all pairs corrected."""
+    """Add `p_best`: each method against the best of its grid and subset, corrected over pairs."""
     means = means.assign(p_best=np.nan)
     for (grid, subset), block in means.groupby(["grid", "subset"], sort=False):
         best = block.loc[block[RANKED_BY].idxmin(), "method"]
@@ -236,7 +236,7 @@ def _costs(results: Sequence[RunResult]) -> pd.DataFrame:
 
 
 def _published(rows: pd.DataFrame) -> pd.DataFrame:
-    """Published rows of the splits and subsets that were measured, on the protocols' main grids."""
+    """Published rows for the measured splits and subsets, on the main grids of the protocols."""
     printed = published_depth()
     speeds = published_speed()
     parts = []

@@ -1,7 +1,4 @@
-"""The report: a part for each task, on one self-contained HTML page.
-
-The page: one HTML file that needs nothing but itself.
-"""
+"""The report: one self-contained HTML page with a part for each task."""
 
 from __future__ import annotations
 
@@ -21,16 +18,16 @@ from std_toolkit.html.table import Table
 
 @dataclass(frozen=True, kw_only=True)
 class ReportPart:
-    """All that one task adds.
+    """Part of one task.
 
     Attributes:
-        title: what was measured, such as "Depth restoration".
+        title: name of the task, such as "Depth restoration".
         summary: a sentence for the head of the page.
-        sections: of the page, in their order.
-        answer: what the task says to whether restoring depth helps, and how sure that is; empty if
-            it has nothing to say.
+        sections: sections of the page, in order.
+        answer: whether restored depth helps in this task, with the uncertainty; empty if the task
+            does not measure it.
         terminal: tables as text.
-        files: further files by name, written beside the page.
+        files: further files by name, written next to the page.
     """
 
     title: str
@@ -43,23 +40,22 @@ class ReportPart:
 
 @dataclass(frozen=True)
 class ReportTask:
-    """A task that reports know.
+    """A task with a report part.
 
     Attributes:
-        manifest: name of a file that the folder of every run of this task holds, and no other.
-        make: `module:function` that makes the part of some folders of results. It is called with
-            those that hold such a file, and with `published`: whether figures of papers stand
-            beside the measured ones.
+        manifest: name of a file in the folder of every run of this task, and of no other task.
+        make: `module:function` that creates the part. It is called with the result folders that
+            have such a file, and with `published`: whether to include figures of papers.
     """
 
     manifest: str
     make: str
 
     def part(self, folders: Sequence[Path], *, published: bool) -> ReportPart:
-        """The part of these folders of results.
+        """Create the part for these folders of results.
 
         Raises:
-            ToolkitError: results that are damaged, or hold nothing.
+            ToolkitError: results are damaged or empty.
         """
         module, _, name = self.make.partition(":")
         make: Callable[..., ReportPart] = getattr(importlib.import_module(module), name)
@@ -75,10 +71,10 @@ TASKS = (
 
 
 def make_parts(folders: Sequence[Path], *, published: bool = True) -> list[ReportPart]:
-    """The parts of all tasks that have results in these folders.
+    """Create the parts of all tasks that have results in these folders.
 
     Raises:
-        ToolkitError: a folder has none, or what it has cannot be used.
+        ToolkitError: a folder has no results, or results that cannot be used.
     """
     holds = {
         task: [folder for folder in folders if next(folder.rglob(task.manifest), None) is not None]
@@ -91,7 +87,7 @@ def make_parts(folders: Sequence[Path], *, published: bool = True) -> list[Repor
 
 
 def render_page(parts: Sequence[ReportPart]) -> str:
-    """The parts as HTML; the same results give the same bytes."""
+    """Render the parts as HTML; the same results give the same bytes."""
     titles = [part.title for part in parts]
     title = ", ".join([titles[0], *(t[:1].lower() + t[1:] for t in titles[1:])])
     answers = [block for p in parts if p.answer for block in (Heading(p.title), *p.answer)]
@@ -111,7 +107,7 @@ def render_page(parts: Sequence[ReportPart]) -> str:
 
 
 def terminal_text(tables: Sequence[Table]) -> str:
-    """Tables for a terminal, without intervals and notes; published rows have a star."""
+    """Format tables for a terminal, without intervals and notes; published rows have a star."""
     texts = [replace(table, notes=()).terminal(notes=False) for table in tables]
     if any(row.kind == "published" for table in tables for row in table.rows):
         texts.append("* as printed by the paper, by its own evaluation (protocol paper)")
@@ -121,7 +117,10 @@ def terminal_text(tables: Sequence[Table]) -> str:
 def table_files(
     names: tuple[str, str, str], tables: Sequence[Table], rows: pd.DataFrame
 ) -> dict[str, str]:
-    """Files of names CSV, Markdown and LaTeX: all rows in SI units and shares, and the tables."""
+    """Return the contents of the CSV, Markdown and LaTeX files by name.
+
+    The CSV file has all rows in SI units and fractions; the others have the tables.
+    """
     csv, markdown, latex = names
     legend = "italics: as printed by the paper"
     return {

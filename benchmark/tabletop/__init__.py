@@ -1,1 +1,1 @@
-"""Table clearing in simulation: objects on a table, a camera, a planner, a hand with physics."""
+"""Table clearing in simulation: objects on a table, a camera, a planner, a gripper with physics."""

@@ -1,4 +1,4 @@
-"""What stands on the table in one round: drawn from its seed, dropped until it lies still."""
+"""Objects on the table in one round: sampled from its seed, dropped until they are at rest."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from sensors.physics import PhysicalObject, SettleOptions, convex_parts, settle
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 
-# As in the scenes of DREDS: a vessel of each kind, which may be of glass, and others of metal.
+# As in the scenes of DREDS: a vessel of each category, possibly of glass, and others of metal.
 VESSELS = ("bottle", "bowl", "mug")
 OTHERS = ("can", "car", "aeroplane")
 OBJECTS = (4, 5)
-# The jaw opens by 80 mm. Vessels are held by the rim, aeroplanes by the fuselage or a wing, however
-# they lie: it is enough that their thinnest extent fits. The others are held across whichever of
-# their two smaller extents lies level.
+# The jaw opens by 80 mm. Vessels are grasped at the rim, aeroplanes at the fuselage or a wing, in
+# any orientation: their smallest extent must fit. The others are grasped across that of their two
+# smaller extents which is horizontal.
 THICKEST_M, WIDEST_M = 0.058, 0.062
 HELD_ACROSS = ("bottle", "can", "car")
-# Side of the square that objects fall on, and of the table.
+# Side of the square onto which objects are dropped, and of the table.
 DROP_HALF_M, TABLE_HALF_M = 0.19, 0.45
 _ROOMY_HALF_M = 0.24
 MASS_KG = (0.08, 0.25)
@@ -47,7 +47,7 @@ class TableObject:
 
     @property
     def label(self) -> str:
-        """For people: what it is made of and what it is."""
+        """Material and category, for messages."""
         return f"{self.material.material_class} {self.body.asset.category}"
 
 
@@ -56,8 +56,8 @@ class Arrangement:
     """A round before the first attempt.
 
     Attributes:
-        seed: of the round.
-        objects: specular and transparent ones.
+        seed: seed of the round.
+        objects: specular and transparent objects.
         poses: T_world_obj, z up, the table at z = 0.
     """
 
@@ -67,19 +67,19 @@ class Arrangement:
 
 
 def round_seed(seed: int, index: int) -> int:
-    """The seed of round `index` of a run: the same for every depth and planner."""
+    """Return the seed of round `index` of a run: the same for every depth and planner."""
     return int(np.random.default_rng([seed, index]).integers(2**31))
 
 
 def arrange(
     seed: int, *, assets: AssetSource | None = None, parts_cache: Path | None = None
 ) -> Arrangement:
-    """Draw the objects of a round and let them fall on the table.
+    """Sample the objects of a round and drop them on the table.
 
     Args:
-        seed: of the round.
-        assets: where shapes come from; the test part of the built-in library by default.
-        parts_cache: folder that keeps convex parts.
+        seed: seed of the round.
+        assets: source of shapes; by default the test part of the built-in library.
+        parts_cache: cache folder of convex parts.
 
     Raises:
         ToolkitError: the objects do not come to rest, or a simulation library is missing.
@@ -100,14 +100,14 @@ def arrange(
 
 
 def largest_diagonal(asset: Asset) -> float:
-    """Bounding-box diagonal, metres, up to which the jaw can hold an object of this shape."""
+    """Return the largest bounding-box diagonal, metres, at which the jaw can grasp this shape."""
     thinnest, middle, _ = np.sort(np.ptp(asset.vertices, axis=0))
     limit = THICKEST_M / thinnest
     return float(min(limit, WIDEST_M / middle) if asset.category in HELD_ACROSS else limit)
 
 
 def _settled(objects: Sequence[TableObject], seed: int) -> tuple[SE3, ...]:
-    """Where the objects lie still; on a little more room where they do not on the usual one."""
+    """Poses of the objects at rest; retried on a larger area if they do not come to rest."""
     bodies = [o.body for o in objects]
     try:
         return settle(bodies, seed, SettleOptions(half_width_m=DROP_HALF_M)).poses
@@ -117,5 +117,5 @@ def _settled(objects: Sequence[TableObject], seed: int) -> tuple[SE3, ...]:
 
 
 def off_table(poses: Sequence[SE3]) -> list[int]:
-    """Places of those poses that lie beyond the table's edge."""
+    """Return the indices of the poses beyond the edge of the table."""
     return [k for k, T in enumerate(poses) if np.abs(T.t[:2]).max() > TABLE_HALF_M]

@@ -1,11 +1,11 @@
-"""A quick stand-in for the simulated depth camera: exact depth, degraded as the simulator does.
+"""A fast approximation of the simulated depth camera: exact depth with fitted errors.
 
-Every pixel gets one of four labels: nothing measured, the surface itself, what lies behind it (at
-an edge or in a shadow: the other side of the edge), or a wrong distance. Their shares are drawn for
-each object by its material class, for the table, for edges and for the strip that only one infrared
-camera sees; labels form patches as large as those of the simulator. The figures were fitted to
-frames that `std-sim` made (`perf/clearing_depth.py` fits and compares them); what the model leaves
-out is listed in docs/grasping.md.
+Every pixel gets one of four labels: not measured, the surface itself, the surface behind it (at an
+edge or in a shadow: the other side of the edge), or a wrong distance. The fractions of the labels
+are sampled for each object by its material class, for the table, for edges and for the strip that
+only one infrared camera sees. Labels form patches as large as those of the simulator. The
+parameters were fitted to frames of `std-sim` (`perf/clearing_depth.py` fits and compares them). The
+limits of the model are listed in docs/grasping.md.
 """
 
 from __future__ import annotations
@@ -31,24 +31,25 @@ LABELS = ("surface", "other", "wrong", "hole")
 MATERIALS = ("raw", "diffuse", "transparent", "specular")
 TABLE, EDGE, SHADOW = "table", "edge", "shadow"
 KINDS = (*MATERIALS, TABLE, EDGE, SHADOW)
-# A step in depth from which on its two sides are an edge, and how far its influence goes.
+# Smallest step in depth that is an edge, and the range of its influence.
 STEP_M, EDGE_PX = 0.015, 3
-# Half the matcher's window: as near to the image's border nothing is measured.
+# Half the matching window: pixels closer to the image border are not measured.
 BORDER_PX = 5
-# Quantiles at which the wrong distances are kept.
+# Quantiles of the stored wrong distances.
 LEVELS = np.linspace(0.02, 0.98, 25)
 
 
 class KindModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How depth is measured on one kind of pixels.
+    """Depth error model of one kind of pixels.
 
     Attributes:
-        instances: how many objects (frames, for table, edges and shadows) it was fitted to.
-        shares: means of the labels' shares over them, in the order of `LABELS`; they add up to 1.
-        concentration: of the Dirichlet distribution of one object's shares; large is alike.
-        patch_px: deviation of the Gaussian that makes patches of the labels.
+        instances: number of objects (frames, for table, edges and shadows) in the fit.
+        shares: mean fractions of the labels, in the order of `LABELS`; their sum is 1.
+        concentration: concentration of the Dirichlet distribution of the fractions of one object;
+            large values mean little variation.
+        patch_px: standard deviation of the Gaussian filter that forms patches of labels.
         bias_m: median error where the surface is measured.
-        noise_px: deviation of the disparity there.
+        noise_px: standard deviation of the disparity there.
         wrong_m: error of the wrong distances at the quantiles `LEVELS`.
     """
 
@@ -65,9 +66,9 @@ class DepthModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """The whole model.
 
     Attributes:
-        source: what it was fitted to, and with what.
-        focal_baseline: focal length in pixels times the baseline in metres at the fit.
-        kinds: by `KINDS`.
+        source: data and program of the fit.
+        focal_baseline: focal length in pixels times the baseline in metres in the fit.
+        kinds: models by `KINDS`.
     """
 
     source: str
@@ -77,7 +78,7 @@ class DepthModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 @cache
 def load_depth_model() -> DepthModel:
-    """The fitted figures that come with the toolkit."""
+    """Load the fitted parameters that ship with the toolkit."""
     data = MODEL_FILE.read_bytes()
     return decode_document(data, DepthModel)
 
@@ -90,19 +91,19 @@ def pixel_kinds(
     *,
     focal_baseline: float,
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """The kind of every pixel, and for edges and shadows the depth of the other side.
+    """Return the kind of every pixel, and for edges and shadows the depth of the other side.
 
-    Glass makes no edges and no shadows: the infrared cameras see the pattern behind it.
+    Glass has no edges and shadows: the infrared cameras see the pattern behind it.
 
     Args:
-        depth: (h, w) exact.
+        depth: (h, w) exact depth.
         mask: (h, w) object of each pixel, `BACKGROUND` on the table.
-        behind: (h, w) what lies behind each pixel's object.
-        material_of: class of each object.
-        focal_baseline: pixels times metres, of the camera that measures.
+        behind: (h, w) depth behind the object of each pixel.
+        material_of: material class of each object.
+        focal_baseline: focal length times baseline of the camera, pixels times metres.
 
     Returns:
-        (h, w) place in `KINDS`, and (h, w) float32 metres, meaningful for edges and shadows alone.
+        (h, w) index in `KINDS`, and (h, w) float32 metres, valid only for edges and shadows.
     """
     kinds = np.full(depth.shape, KINDS.index(TABLE), np.uint8)
     for index, material in material_of.items():
@@ -123,8 +124,8 @@ def pixel_kinds(
 
 
 def unmatched(depth: NDArray[np.float32], focal_baseline: float) -> NDArray[np.bool_]:
-    """(h, w) pixels that lie outside the right infrared image or at a border, where no depth is
-    measured."""
+    """Return the (h, w) mask of pixels outside the right infrared image or at a border, where depth
+    is not measured."""
     h, w = depth.shape
     disparity = focal_baseline / np.maximum(depth, 1e-3)
     u, v = np.arange(w)[None], np.arange(h)[:, None]
@@ -133,8 +134,8 @@ def unmatched(depth: NDArray[np.float32], focal_baseline: float) -> NDArray[np.b
 
 
 def _shadow(depth: NDArray[np.float32], focal_baseline: float) -> NDArray[np.bool_]:
-    """Pixels of the left infrared camera that the right one does not see: the right one sees a
-    point of larger disparity in the same place."""
+    """Pixels of the left infrared camera that are occluded in the right one: a point of larger
+    disparity is at the same pixel."""
     h, w = depth.shape
     disparity = focal_baseline / np.maximum(depth, 1e-3)
     there = np.rint(np.arange(w) - disparity).astype(np.int64)
@@ -158,23 +159,23 @@ def degrade(
     shares: Mapping[int, Floats] | None = None,
     model: DepthModel | None = None,
 ) -> NDArray[np.float32]:
-    """What the camera measures.
+    """Return the measured depth.
 
     Args:
         depth: (h, w) float32 metres, exact.
         mask: (h, w) object of each pixel, `BACKGROUND` on the table.
-        behind: (h, w) float32 metres, what lies behind each pixel's object.
-        material_of: class of each object.
-        camera: of all these maps.
-        rng: consumed.
-        shares: each object's shares, of `draw_shares`; drawn here if not given.
-        model: the fitted one by default.
+        behind: (h, w) float32 metres, depth behind the object of each pixel.
+        material_of: material class of each object.
+        camera: camera of these maps.
+        rng: random generator; its state changes.
+        shares: label fractions of each object, from `draw_shares`; sampled here by default.
+        model: model; by default the fitted one.
 
     Returns:
-        (h, w) float32 metres, 0 where nothing is measured.
+        (h, w) float32 metres, 0 where not measured.
     """
     model = model or load_depth_model()
-    # The baseline stays; the focal length is the camera's own.
+    # The baseline is that of the fit, the focal length that of the camera.
     focal_baseline = camera.fx * model.focal_baseline / FITTED_FX
     kinds, other = pixel_kinds(depth, mask, behind, material_of, focal_baseline=focal_baseline)
     if shares is None:
@@ -199,11 +200,11 @@ def degrade(
 
 
 FITTED_FX = 301.07
-"""Focal length in pixels of the frames that the model was fitted to."""
+"""Focal length in pixels of the frames in the fit."""
 
 
 def draw_shares(kind: str, rng: np.random.Generator, model: DepthModel | None = None) -> Floats:
-    """(4,) shares of the labels for one object (or one view of table, edges and shadows)."""
+    """Sample the label fractions (4,) of one object (or one view of table, edges and shadows)."""
     fitted = (model or load_depth_model()).kinds[kind]
     return rng.dirichlet(np.maximum(np.array(fitted.shares), 1e-4) * fitted.concentration)
 
@@ -223,7 +224,7 @@ def _measured(
     jitter = patches(depth.shape, 1.0, rng)[here]
     if not len(field):
         return np.zeros(0, np.float32)
-    # Ranks and not values: the shares then hold in every region, however small.
+    # Ranks instead of values: the fractions then hold in every region, even if small.
     rank = np.argsort(np.argsort(field, kind="stable"), kind="stable") / len(field)
     label = np.searchsorted(np.cumsum(share)[:-1], rank, side="right")
     own, behind = depth[here].astype(np.float64), other[here].astype(np.float64)
@@ -239,7 +240,7 @@ def _measured(
 
 
 def patches(shape: tuple[int, ...], sigma: float, rng: np.random.Generator) -> Floats:
-    """(h, w) Gaussian noise of deviation 1 that is alike over about `sigma` pixels."""
+    """Return (h, w) Gaussian noise of deviation 1, correlated over about `sigma` pixels."""
     noise = rng.standard_normal(shape)
     if sigma < 0.3:
         return noise

@@ -1,11 +1,9 @@
-"""The hand in MuJoCo, and a grasp carried out: approach, closing, lift, hold.
+"""Execution of a grasp in MuJoCo: approach, closing, lift, hold.
 
-A parallel-jaw hand in MuJoCo, made of the boxes of a `Gripper`.
-
-The hand is carried along the world's three axes by servos of limited force and keeps its
-orientation, as an arm with a stiff wrist does in a straight move: what it runs into is pushed until
-the servos' force is reached, and then stops it. The fingers are coupled, as those of the Panda are,
-and close with a limited force.
+The parallel-jaw gripper consists of the boxes of a `Gripper`. Servos of limited force move it along
+the three world axes with fixed orientation, as an arm with a stiff wrist in a straight move. It
+pushes obstacles until the force limit is reached, which stops it. The fingers are coupled, as in
+the Panda gripper, and close with limited force.
 """
 
 from __future__ import annotations
@@ -50,44 +48,44 @@ _FINGER_STIFFNESS, _FINGER_ARMATURE_KG = 10_000.0, 0.05
 
 _FINGER_DAMPING = GRIP_N / 0.2
 
-# Told to close so far beyond shut, a finger presses with all of its force on what is between.
+# Target beyond the closed position, so that a finger presses with its full force.
 CLOSED = -0.01
 
 _SOLREF = (0.004, 1.0)
 
 Array = NDArray[np.float64]
 
-# Way of the fingertips from the pre-grasp to the grasp, and of the lift.
+# Distance of the fingertips from the pre-grasp to the grasp, and height of the lift.
 APPROACH_M, LIFT_M = 0.10, 0.25
 
 _APPROACH_M_S, _LIFT_M_S = 0.12, 0.25
 
 _CLOSE_S, _HOLD_S = 0.6, 1.0
 
-# A carriage that stays behind so far has met something that it cannot push away.
+# A carriage with this lag is blocked by an obstacle.
 _LAG_M = 0.004
 
-# Overlap of the hand with something in the pre-grasp that is taken for a touch.
+# Smallest overlap of the gripper in the pre-grasp that counts as contact.
 _TOUCH_M = 0.001
 
-# Fingers nearer than this to each other hold nothing.
+# Fingers closer than this hold no object.
 _SHUT_M = 0.0015
 
-# An object counts as held when all of it is so high above the table.
+# An object counts as held if all of it is at least this high above the table.
 HELD_M = 0.10
 
 _CONTROL_STEPS = 5
 
 
 def add_hand(spec: Any, gripper: Gripper, R: Array) -> None:
-    """Add a hand to a world under construction.
+    """Add a gripper to a model specification.
 
-    Its origin is the translation of a grasp of depth 0 (fingertips at x = 0); its joints are the
-    three of the carriage, metres in the world, then the distance of each finger from the middle.
+    Its origin is the translation of a grasp of depth 0 (fingertips at x = 0). Its joints are the
+    three of the carriage, metres in the world, then the distance of each finger from the centre.
 
     Args:
         spec: a `mujoco.MjSpec`.
-        gripper: its sizes.
+        gripper: sizes of the gripper.
         R: (3, 3) orientation: approach, closing direction and height of the fingers as columns.
     """
     import mujoco
@@ -107,7 +105,7 @@ def add_hand(spec: Any, gripper: Gripper, R: Array) -> None:
         name="palm", type=box, pos=(low[-1] + high[-1]) / 2, size=(high[-1] - low[-1]) / 2,
         mass=HAND_KG, **pads,
     )  # fmt: skip
-    # The boxes of a shut gripper: finger at -y, finger at +y for each section, the palm last.
+    # The boxes of a closed gripper: finger at -y, finger at +y for each section, the palm last.
     volumes = np.prod(high - low, axis=1)
     for side, (name, sign) in enumerate(zip(FINGERS, (-1.0, 1.0), strict=True)):
         finger = hand.add_body(name=name, gravcomp=1.0)
@@ -147,12 +145,12 @@ def _servo(spec: Any, joint: str, stiffness: float, force: float) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """Where everything was at one moment.
+    """Poses of gripper and objects at one moment.
 
     Attributes:
         name: `pre-grasp`, `closed` or `lifted`.
-        T_world_hand: the hand's pose, in the convention of `Grasps` with depth 0.
-        opening: between the fingers, metres.
+        T_world_hand: pose of the gripper, in the convention of `Grasps` with depth 0.
+        opening: distance between the fingers, metres.
         poses: T_world_obj.
     """
 
@@ -164,16 +162,16 @@ class Stage:
 
 @dataclass(frozen=True, eq=False)
 class Execution:
-    """What became of a grasp.
+    """Result of a grasp.
 
     Attributes:
-        outcome: `held`, or why nothing was: `start-hits-table`, `start-hits-object`,
+        outcome: `held`, or the reason of failure: `start-hits-table`, `start-hits-object`,
             `blocked-by-table`, `blocked-by-object`, `nothing-between`, `slipped`.
-        held: indices of the objects that were in the hand after holding.
+        held: indices of the objects in the gripper after holding.
         touched: indices of the objects that the closed fingers touched before the lift.
-        pushed_m: farthest that an object was moved by the approach.
-        poses: T_world_obj of all objects when the hand is taken away.
-        stages: as far as it came.
+        pushed_m: largest displacement of an object by the approach, metres.
+        poses: T_world_obj of all objects when the gripper is removed.
+        stages: the stages reached.
     """
 
     outcome: str
@@ -192,17 +190,17 @@ def execute(
     masses_kg: Sequence[float] | None = None,
     gripper: Gripper = PANDA,
 ) -> Execution:
-    """Carry out a grasp. The same input gives the same outcome, bit for bit.
+    """Execute a grasp. The same input gives the same outcome, bit for bit.
 
     Args:
-        objects: on the table, whose plane is z = 0.
+        objects: objects on the table, whose plane is z = 0.
         poses: T_world_obj, at rest.
-        grasp: one, in the world's frame.
-        masses_kg: of the objects; equal by default.
-        gripper: the hand.
+        grasp: one grasp, in the world frame.
+        masses_kg: masses of the objects; equal by default.
+        gripper: the gripper.
 
     Raises:
-        ToolkitError: more or less than one grasp, or MuJoCo is not installed.
+        ToolkitError: not exactly one grasp, or MuJoCo is not installed.
     """
     if len(grasp) != 1:
         raise ToolkitError("takes one grasp at a time", value=len(grasp))
@@ -226,8 +224,7 @@ class _Attempt:
         self.tip = grasp.tips[0]
         width = float(np.clip(grasp.widths[0], 2 * _SHUT_M, gripper.max_width))
         spec = objects_on_floor(self.objects, masses_kg=masses_kg)
-        # Flat pads on flat sides need more than one point of contact: since MuJoCo 4 that is so
-        # without asking.
+        # Flat pads on flat sides need several contact points, which is the default since MuJoCo 4.
         spec.option.enableflags |= int(getattr(mujoco.mjtEnableBit, "mjENBL_MULTICCD", 0))
         add_hand(spec, gripper, self.R)
         self.model = spec.compile()
@@ -246,7 +243,7 @@ class _Attempt:
         mujoco.mj_forward(self.model, self.data)
 
     def _name_bodies(self) -> None:
-        """For each body: -1 the table, -2 the hand, else the index of the object."""
+        """Number each body: -1 the table, -2 the gripper, otherwise the index of the object."""
         self.owner = np.full(self.model.nbody, -2)
         self.owner[0] = -1
         for i in range(len(self.objects)):
@@ -284,9 +281,9 @@ class _Attempt:
         )
 
     def _move(self, target: Array, speed: float, *, stops: bool = False) -> bool:
-        """Go straight to a place; False if something was in the way and `stops` is asked for."""
+        """Move straight to a target; False if blocked and `stops` is set."""
         begin = self.data.ctrl[:3].copy()
-        # The fastest moment of this smooth course is 15/8 of its mean.
+        # The maximum speed of this smooth motion is 15/8 of its mean.
         seconds = 15 / 8 * float(np.linalg.norm(target - begin)) / speed
         steps = max(1, round(seconds / TIMESTEP_S / _CONTROL_STEPS))
         for k in range(1, steps + 1):
@@ -327,7 +324,7 @@ class _Attempt:
         self.stages.append(Stage(name, T, max(self._opening(), 0.0), self._poses()))
 
     def _met(self, *, deeper: float = 0.0) -> set[int]:
-        """What the hand touches: object indices, -1 for the table."""
+        """Return what the gripper touches: object indices, -1 for the table."""
         return self._touched(lambda _: True, deeper)
 
     def _touched_by_fingers(self) -> set[int]:
@@ -345,7 +342,7 @@ class _Attempt:
         return met
 
     def _lowest(self) -> list[float]:
-        """Height of every object's lowest point."""
+        """Return the height of the lowest point of every object."""
         return [
             min(float((T @ (part * o.diagonal_m))[:, 2].min()) for part in o.parts)
             for o, T in zip(self.objects, self._poses(), strict=True)

@@ -1,6 +1,6 @@
-"""A planner that knows where the objects are: the upper bound of what any planner can reach.
+"""A planner with the true object surfaces: the upper bound for planners.
 
-It is given no image at all, but points and outward normals of the objects' true surfaces.
+Its input is points and outward normals of the true surfaces instead of an image.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from std_toolkit.geometry.se3 import SE3
 
 Array = NDArray[np.float64]
 
-# Points per object; apart by about 4 mm on a mug.
+# Points per object; about 4 mm apart on a mug.
 _POINTS = 2500
 _TURNS, _TILTS = 12, (0.0, 0.35)
 _TRIED = 50
-# Room between what is grasped and the open fingers, each side.
+# Clearance between object and open finger on each side.
 _ROOM_M = 0.008
 _TABLE_ROOM_M = 0.004
-# Cosine of the largest angle between the closing direction and a normal where a finger touches.
+# Cosine of the largest angle between the closing direction and the normal at a contact.
 _SQUARE = 0.9
 _DEPTHS_M = (0.035, 0.02, 0.01)
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Points of an object in the world."""
+    """Surface points of an object in the world."""
 
     points: Array
     normals: Array
@@ -41,7 +41,7 @@ class Surface:
 def surfaces_of(
     objects: Sequence[PhysicalObject], poses: Sequence[SE3], seed: int = 0
 ) -> list[Surface]:
-    """Points spread over the objects' surfaces."""
+    """Sample points on the surfaces of the objects."""
     import trimesh
 
     found = []
@@ -56,11 +56,12 @@ def surfaces_of(
 def plan_from_surfaces(
     surfaces: Sequence[Surface], *, gripper: Gripper = PANDA, seed: int = 0
 ) -> Grasps:
-    """Grasps from above or slightly tilted, in the world's frame, best first.
+    """Plan grasps from above or slightly tilted, in the world frame, best first.
 
-    For points of every object a few orientations are tried: the fingers close on what lies between
-    them where it faces them squarely, and no point of any object lies where the open hand would be.
-    Better are grasps that face squarely, reach deep, lie near the object's centre and are upright.
+    A few orientations are tried at points of every object. The surfaces between the fingers must be
+    nearly perpendicular to the closing direction, and no point of any object may be inside the open
+    gripper. Grasps score higher if they are perpendicular to the surface, deep, near the centre of
+    the object, and upright.
     """
     rng = np.random.default_rng(seed)
     everything = np.concatenate([s.points for s in surfaces])
@@ -92,7 +93,7 @@ def _at(
     k: int, mine: Array, normals: Array, others: Array, R: Array, centre: Array,
     gripper: Gripper, tilt: float,
 ) -> Grasps | None:  # fmt: skip
-    """The grasp that closes on what is beside point k, if one does. All in the axes of R."""
+    """The grasp that closes on the surface at point k, or None. All in the axes of R."""
     y, z = mine[k, 1:]
     near = np.abs(mine[:, 2] - z) < gripper.finger_height / 2
     column = near & (np.abs(mine[:, 1] - y) < gripper.max_width / 2)
@@ -100,7 +101,7 @@ def _at(
         return None
     top = mine[column, 0].min()
     for depth in _DEPTHS_M:
-        # Towards the table x grows: the tips reach `depth` beyond the highest point.
+        # x points to the table: the tips reach `depth` beyond the highest point.
         tip = top + depth
         band = column & (mine[:, 0] > tip - 0.015) & (mine[:, 0] < tip)
         if band.sum() < 6:

@@ -1,5 +1,5 @@
-"""One round of clearing: look, restore, plan, grasp, until the table is empty or ten attempts are
-made."""
+"""One round of clearing: capture, restore, plan, grasp, until the table is empty or ten attempts
+are made."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ Array = NDArray[np.float64]
 
 MOST_ATTEMPTS = 10
 NO_GRASP = "no-grasp"
-# So many views in a row without any grasp end a round.
+# Consecutive views without any grasp that end a round.
 _BLIND_VIEWS = 3
-# An arm does not come from below: approaches within so much of straight down.
+# An arm does not approach from below: largest angle between approach and straight down.
 _STEEPEST = np.deg2rad(80.0)
-# A grasp as near as this to one that failed in this round is tried after all others.
+# A grasp this close to one that failed in this round is tried after all others.
 _SAME_M, _SAME_RAD = 0.012, np.deg2rad(25.0)
-# The hand's corners stay above the table.
+# Clearance of the gripper above the table.
 _BELOW_M = 0.002
 _LONGEST_REST_S = 4.0
 
 
 @dataclass(frozen=True, eq=False)
 class GivenDepth:
-    """The depth that a planner is given, at the size of the method that made it."""
+    """Input of a planner: depth with colour and camera of its size."""
 
     color: NDArray[np.uint8]
     depth: NDArray[np.float32]
@@ -44,29 +44,29 @@ class GivenDepth:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """What is on the table before an attempt."""
+    """Objects on the table before an attempt."""
 
     objects: tuple[TableObject, ...]
     poses: tuple[SE3, ...]
 
 
 Restore = Callable[[Observation], GivenDepth]
-# Grasps in the camera's frame; the state is for planners that know the truth.
+# Returns grasps in the camera frame; only planners with ground truth use the state.
 Plan = Callable[[GraspView, State], Grasps]
 
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """One view, and what was tried upon it.
+    """One view and its attempt.
 
     Attributes:
         number: 0, 1, ... within the round.
-        before: the table.
-        observation, given: what was seen, and what the planner was given.
-        planned: the planner's grasps, in the camera's frame.
-        grasp: the one tried, in the world's frame; None where there was none to try.
-        executed: what became of it.
-        removed: numbers of the objects that were taken away, held.
+        before: state of the table.
+        observation, given: camera view, and input of the planner.
+        planned: grasps of the planner, in the camera frame.
+        grasp: the executed grasp, in the world frame; None without a usable grasp.
+        executed: its result.
+        removed: numbers of the objects that were held and removed.
         lost: numbers of the objects that fell or rolled off the table.
     """
 
@@ -82,12 +82,12 @@ class Attempt:
 
     @property
     def found(self) -> int:
-        """How many grasps the planner gave."""
+        """Number of grasps of the planner."""
         return len(self.planned)
 
     @property
     def outcome(self) -> str:
-        """`held`, or why nothing was."""
+        """`held`, or the reason of failure."""
         return NO_GRASP if self.executed is None else self.executed.outcome
 
 
@@ -113,16 +113,16 @@ def clear_table(
     gripper: Gripper = PANDA,
     attempts: int = MOST_ATTEMPTS,
 ) -> Iterator[Attempt]:
-    """The attempts of a round, one after the other. The same input gives the same ones.
+    """Yield the attempts of a round. The same input gives the same attempts.
 
     Args:
         arrangement: the table at the start.
-        camera: looks before every attempt.
-        restore: makes the depth that the planner is given.
+        camera: camera, used before every attempt.
+        restore: returns the input of the planner.
         plan: the planner.
-        color: whether somebody looks at colour.
-        gripper: the hand.
-        attempts: at most so many.
+        color: whether colour is used.
+        gripper: the gripper.
+        attempts: maximum number of attempts.
     """
     state = State(arrangement.objects, arrangement.poses)
     memory, blind = _Memory(), 0
@@ -157,10 +157,10 @@ def clear_table(
 
 
 def choose(grasps: Grasps, memory: _Memory, gripper: Gripper) -> Grasps | None:
-    """The planner's best grasp that an arm above the table can come to; None if there is none.
+    """Return the best grasp that an arm above the table can reach; None if there is none.
 
-    What failed before in this round comes last: a camera without noise would have the same grasp
-    tried again and again.
+    Grasps similar to failed ones of this round come last. Otherwise the same grasp would be
+    repeated if the camera has no noise.
     """
     fine = grasps[reachable(grasps, gripper)]
     for k in range(len(fine)):
@@ -170,24 +170,24 @@ def choose(grasps: Grasps, memory: _Memory, gripper: Gripper) -> Grasps | None:
 
 
 def reachable(grasps: Grasps, gripper: Gripper) -> NDArray[np.bool_]:
-    """(N,) grasps in the world's frame that come from above and keep the hand over the table."""
+    """Return the (N,) mask of grasps in the world frame from above and without table contact."""
     if not len(grasps):
         return np.zeros(0, bool)
     steep = grasps.approaches[:, 2] < -np.cos(_STEEPEST)
     boxes = gripper.boxes(np.minimum(grasps.widths, gripper.max_width), grasps.depths)
-    up = grasps.rotations[:, 2]  # height of each of the hand's axes
+    up = grasps.rotations[:, 2]  # z component of each gripper axis
     lowest = np.minimum(boxes.low * up[:, None], boxes.high * up[:, None]).sum(axis=2).min(axis=1)
     return steep & (lowest + grasps.translations[:, 2] > -_BELOW_M)
 
 
 def _after(state: State, executed: Execution) -> tuple[State, tuple[int, ...]]:
-    """The table when the hand and what it holds are gone and the rest lies still."""
+    """State of the table after gripper and held objects are removed and the rest is at rest."""
     left = [k for k in range(len(state.objects)) if k not in executed.held]
     if not left:
         return State((), ()), ()
     world = World([state.objects[k].body for k in left])
     world.place([executed.poses[k] for k in left])
-    # What still rolls after that is looked at where it is.
+    # Objects that still roll after that keep their current pose.
     come_to_rest(world, _LONGEST_REST_S)
     poses = world.poses()
     gone = set(off_table(poses))
@@ -197,17 +197,18 @@ def _after(state: State, executed: Execution) -> tuple[State, tuple[int, ...]]:
 
 
 def _turn(R: Array, Q: Array) -> float:
-    """Angle between two grasps, of which half a turn about the approach makes no difference."""
+    """Angle between two grasps, modulo half a turn about the approach."""
     half = np.diag([1.0, -1.0, -1.0])
     return min(rotation_angle(R.T @ Q), rotation_angle(half @ R.T @ Q))
 
 
 def target_of(attempt: Attempt, points: Sequence[Array]) -> int | None:
-    """Place of the object whose surface is nearest to where the fingertips were sent; None without
-    a grasp.
+    """Return the index of the object whose surface is nearest to the target of the fingertips; None
+    without a grasp.
 
     Args:
-        points: (N, 3) of each object on the table, world.
+        attempt: the attempt.
+        points: (N, 3) surface points of each object on the table, world frame.
     """
     if attempt.grasp is None:
         return None

@@ -1,7 +1,4 @@
-"""The camera above the table: exact depth, and depth by the quick model or the simulator.
-
-What the camera truly sees of the objects on the table, and what lies behind them.
-"""
+"""The camera above the table: exact views, and depth by the quick model or the simulator."""
 
 from __future__ import annotations
 
@@ -44,9 +41,9 @@ class ExactView:
     Attributes:
         depth: float32 metres, z-depth of the first surface, glass and table included.
         mask: uint8 index of the object, `BACKGROUND` on the table.
-        behind: float32 metres, of the next object or the table behind the object that is seen;
+        behind: float32 metres, depth of the next object or the table behind the visible object;
             equal to `depth` on the table.
-        normals: (h, w, 3) float32 in the camera's frame, towards the camera.
+        normals: (h, w, 3) float32 in the camera frame, towards the camera.
     """
 
     depth: NDArray[np.float32]
@@ -56,11 +53,11 @@ class ExactView:
 
 
 class ExactCamera:
-    """A camera that stands still above the table, whose plane is z = 0.
+    """A fixed camera above the table, whose plane is z = 0.
 
     Args:
-        camera: without distortion.
-        T_world_cam: where it stands; every pixel must see the table's plane.
+        camera: camera without distortion.
+        T_world_cam: its pose; every pixel must see the plane of the table.
     """
 
     def __init__(self, camera: Camera, T_world_cam: SE3) -> None:
@@ -71,7 +68,7 @@ class ExactCamera:
         self.table = (-T_world_cam.t[2] / down).astype(np.float32)
 
     def observe(self, objects: Sequence[PhysicalObject], poses: Sequence[SE3]) -> ExactView:
-        """The view of objects at poses T_world_obj."""
+        """Render objects at poses T_world_obj."""
         T_cam_world = self.T_world_cam.inverse()
         placed = [
             renderer.PlacedMesh(i + 1, self._mesh(o), T_cam_world @ T)
@@ -110,8 +107,8 @@ class Observation:
     """A view of the table.
 
     Attributes:
-        frame: colour, measured and true depth, instances by their place in the list of objects.
-        exact: with what lies behind, for pictures.
+        frame: colour, measured and true depth, instances by index in the list of objects.
+        exact: exact view with the depth behind objects, for pictures.
     """
 
     frame: DepthFrame
@@ -119,7 +116,7 @@ class Observation:
 
 
 class TableCamera(Protocol):
-    """A camera that stands still above a round."""
+    """A fixed camera of a round."""
 
     camera: Camera
     T_world_cam: SE3
@@ -127,18 +124,18 @@ class TableCamera(Protocol):
     def observe(
         self, objects: Sequence[TableObject], poses: Sequence[SE3], attempt: int, *, color: bool
     ) -> Observation:
-        """The table before an attempt; the same for the same objects, poses and attempt.
+        """Capture the table before an attempt; deterministic for objects, poses and attempt.
 
         Args:
-            objects, poses: what is still there.
-            attempt: decides the noise.
-            color: whether somebody will look at the colour; else it is a plain shading.
+            objects, poses: the remaining objects.
+            attempt: seed of the noise.
+            color: whether colour is used; otherwise it is a simple shading.
         """
         ...
 
 
 def camera_pose() -> SE3:
-    """T_world_cam of the camera above the table."""
+    """Return T_world_cam of the camera above the table."""
     from sensors.viewpoints.views import look_at
 
     return look_at(EYE, TARGET)
@@ -147,10 +144,10 @@ def camera_pose() -> SE3:
 def make_camera(
     kind: str, arrangement: Arrangement, *, parts_cache: Path | None = None
 ) -> TableCamera:
-    """The camera of one round.
+    """Create the camera of one round.
 
     Raises:
-        ToolkitError: no such kind.
+        ToolkitError: unknown kind.
     """
     if kind == "quick":
         return QuickCamera(arrangement)
@@ -162,12 +159,12 @@ def make_camera(
 
 
 def materials_of(objects: Sequence[TableObject]) -> dict[int, str]:
-    """Material class by place in the list."""
+    """Return the material class by index in the list."""
     return {k: o.material.material_class for k, o in enumerate(objects)}
 
 
 def shaded(exact: ExactView) -> NDArray[np.uint8]:
-    """(h, w, 3) grey picture lit from the camera, for planners that look at depth alone."""
+    """Return a grey image (h, w, 3) lit from the camera, for planners that use depth only."""
     light = np.clip(-exact.normals[..., 2], 0.1, 1.0)
     return np.repeat(np.rint(200 * light)[..., None], 3, axis=2).astype(np.uint8)
 
@@ -175,7 +172,7 @@ def shaded(exact: ExactView) -> NDArray[np.uint8]:
 class QuickCamera:
     """Exact depth degraded by the fitted model; colour by the path tracer of `sensors`.
 
-    How much of an object is measured is drawn once for a round, its patches at every look.
+    The fraction of an object that is measured is sampled once per round, the patches for each view.
     """
 
     def __init__(self, arrangement: Arrangement) -> None:
@@ -230,7 +227,7 @@ class SimulatedCamera:
 
 
 class Scenery:
-    """Floor and light of a round, and its objects as the simulator takes them."""
+    """Floor and light of a round, and its objects in the format of the simulator."""
 
     def __init__(self, arrangement: Arrangement) -> None:
         from sensors.lighting.environment_sources import environment_source
@@ -251,7 +248,7 @@ class Scenery:
         self._renderer: Any = None
 
     def world(self, objects: Sequence[TableObject], poses: Sequence[SE3], attempt: int) -> World:
-        """What is still on the table, as the simulator takes it."""
+        """Return the remaining objects as a world of the simulator."""
         from sensors.simulation.scene_draw import ObjectDraw, SceneDraw
         from sensors.simulation.world_builder import build_world
 
@@ -279,7 +276,7 @@ class Scenery:
     def color(
         self, objects: Sequence[TableObject], poses: Sequence[SE3], attempt: int
     ) -> NDArray[np.uint8]:
-        """(h, w, 3) path-traced colour, few paths, denoised."""
+        """Render colour (h, w, 3) by path tracing with few paths, denoised."""
         from sensors.render.color_image import denoise, develop
         from sensors.render.sim_renderer import SIM_RENDERERS, quality_of
 

@@ -52,11 +52,11 @@ class BopResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     Attributes:
         results: name of the file.
         data, split: folder of the data set, and of its scenes.
-        targets: instances to be found.
-        estimates: lines of the file.
-        ar: mean of the three average recalls, shares.
-        ar_vsd, ar_mssd, ar_mspd: each of them.
-        seconds_per_image: that the method took; None where the file does not tell.
+        targets: number of target instances.
+        estimates: number of lines of the file.
+        ar: mean of the three average recalls, 0 to 1.
+        ar_vsd, ar_mssd, ar_mspd: the average recalls, 0 to 1.
+        seconds_per_image: run time of the method; None if the file does not give it.
     """
 
     results: str
@@ -75,9 +75,9 @@ class BopFigures(BopResult, frozen=True, kw_only=True):
     """A result file with its intervals.
 
     Attributes:
-        intervals: low and high ends of 95 % by the name of the figure, such as `ar_vsd`; empty
+        intervals: ends of the 95 % interval by the name of the figure, such as `ar_vsd`; empty
             with one image, or for results without a table of errors.
-        intervals_over: what was drawn: "scenes", or "images" where there is one scene.
+        intervals_over: unit of resampling: "scenes", or "images" if there is one scene.
     """
 
     intervals: dict[str, tuple[float, float]] = {}
@@ -85,7 +85,7 @@ class BopFigures(BopResult, frozen=True, kw_only=True):
 
 
 class BopData:
-    """Images with something to find, and what a result file says of them."""
+    """Images with targets, and the estimates of a result file."""
 
     def __init__(self, root: Path, split: str, results: Path) -> None:
         self.dataset: BopDataset = open_bop(root, split)
@@ -136,7 +136,7 @@ class BopRun(FramesRun[BopData, None]):
         return BopData(self.data, self.split, self.results)
 
     def make(self, device: str) -> None:
-        """Nothing: the poses are there."""
+        """Create nothing: the poses are in the result file."""
 
     def manifest(self, data: BopData, methods: None) -> BopManifest:  # noqa: ARG002
         lines = [f"{t.scene_id} {t.im_id} {t.obj_id} {t.inst_count}" for t in data.scorer.targets]
@@ -160,7 +160,7 @@ class BopRun(FramesRun[BopData, None]):
         methods: None,  # noqa: ARG002
         frames: Sequence[tuple[Base, BopImage | str]],
     ) -> list[dict[str, Any]]:
-        """A row for each target; an image that cannot be read has them without figures."""
+        """Return a row for each target; without figures if its image cannot be read."""
         images, rows = list(data.images.values()), []
         for base, image in frames:
             for target in images[base[INDEX]]:
@@ -174,7 +174,7 @@ class BopRun(FramesRun[BopData, None]):
         return rows
 
     def after(self) -> None:
-        """The figures, which are none with an image left out."""
+        """Write the figures; an error if an image could not be scored."""
         table = read_table(self.folder / ERRORS)
         failed = table[table[ERROR] != ""]
         if len(failed):
@@ -204,7 +204,7 @@ class BopRun(FramesRun[BopData, None]):
 
 
 def plan_runs(config: BopConfig) -> list[BopRun]:
-    """The runs, one for each result file."""
+    """Return the runs, one for each result file."""
     assert config.out is not None
     return [
         BopRun(data=config.data, split=config.bop_split, results=path, out=config.out)
@@ -220,7 +220,7 @@ TASK = Task(
 
 
 def read_bop_run(folder: Path) -> BopFigures:
-    """One result file's figures.
+    """Read the figures of a result file.
 
     Raises:
         ToolkitError: a file is missing or damaged.
@@ -232,10 +232,10 @@ def read_bop_run(folder: Path) -> BopFigures:
 
 
 def bop_intervals(table: pd.DataFrame) -> tuple[dict[str, tuple[float, float]], str]:
-    """Intervals of 95 % of the figures, and what was drawn for them.
+    """Return the 95 % intervals of the figures, and the unit of resampling.
 
     Args:
-        table: of errors. Every true pose to be found counts alike, as in the figures.
+        table: table of errors. Every target instance has the same weight, as in the figures.
     """
     scenes, images = table[SCENE], table[INDEX]
     groups, over = (scenes, "scenes") if scenes.nunique() > 1 else (images, "images")
@@ -251,7 +251,7 @@ def bop_intervals(table: pd.DataFrame) -> tuple[dict[str, tuple[float, float]], 
 
 
 def read_bop_figures(folders: Iterable[Path]) -> list[BopFigures]:
-    """All figures below some folders of results.
+    """Read all figures below some folders of results.
 
     Raises:
         ToolkitError: a file is damaged.
@@ -261,7 +261,7 @@ def read_bop_figures(folders: Iterable[Path]) -> list[BopFigures]:
 
 
 def bop_table(results: Sequence[BopResult]) -> str:
-    """Figures in percent, for a terminal."""
+    """Format the figures in percent for a terminal."""
     heads = ("results", "data", "targets", "AR", "VSD", "MSSD", "MSPD", "s/image")
     lines = []
     for r in results:

@@ -1,4 +1,4 @@
-"""Depth restoration as a task: one method over one split by one protocol."""
+"""The depth restoration task: one method on one split by one protocol."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ from std_toolkit.io.exr import write_exr
 
 @dataclass(frozen=True, kw_only=True)
 class Run(FrameRun[Restorer]):
-    """What is scored, by what, how.
+    """A depth method on a split by a protocol.
 
     Attributes:
         protocol: name of the scoring protocol.
-        save_depth: keep the restored depth, in the data set's own format.
-        depth_from: folder of depth saved so, which takes the place of the sensor's.
+        save_depth: save the restored depth in the format of the data set.
+        depth_from: folder of depth saved this way; replaces the sensor depth.
         speed: also time the method.
     """
 
@@ -78,10 +78,10 @@ class Run(FrameRun[Restorer]):
         get_protocol(self.protocol)
 
     def make(self, device: str | None = None) -> Restorer:
-        """The restorer, on the first of the devices unless told.
+        """Create the restorer, on the first of `devices` by default.
 
         Raises:
-            ToolkitError: it cannot be made, or has no weights and is given some.
+            ToolkitError: it cannot be created, or weights are given to a method without weights.
         """
         options = replace(self.options, device=device or self.devices[0])
         restorer = make_restorer(self.method, options)
@@ -114,10 +114,10 @@ class Run(FrameRun[Restorer]):
         methods: Restorer,
         frames: Sequence[tuple[Base, DepthFrame | str]],
     ) -> list[dict[str, Any]]:
-        """For each frame the rows of the protocol.
+        """Return the rows of the protocol for each frame.
 
-        A frame that cannot be read has one row with a text in `error`; one at which the method
-        failed has that text in the rows of an empty answer.
+        A frame that cannot be read has one row with a text in `error`. A frame at which the method
+        failed has that text in the rows of an empty prediction.
         """
         protocol = get_protocol(self.protocol)
         views = {
@@ -142,7 +142,7 @@ class Run(FrameRun[Restorer]):
         return rows
 
     def after(self) -> None:
-        """Speed, and pictures of a few frames, unless they are there."""
+        """Measure speed and save pictures of a few frames, unless they exist."""
         if self.speed:
             from benchmark.evaluation.tasks.depth_speed import write_speed
 
@@ -158,11 +158,11 @@ class Run(FrameRun[Restorer]):
 
 
 def plan_runs(config: DepthConfig) -> list[Run]:
-    """The runs, method by method so that each network is loaded once.
+    """Return the runs, grouped by method so that each network is loaded once.
 
     Raises:
-        ToolkitError: weights or settings for a method that is not asked for, a split without
-            data, or a label that cannot be a folder's name.
+        ToolkitError: weights or settings for a method that is not requested, a split without
+            data, or a label that cannot be the name of a folder.
     """
     options = options_by_method(config, config.methods)
     return [
@@ -189,10 +189,10 @@ def _not_finite(depth: NDArray[np.float32] | None) -> int:
 
 
 def save_depth(folder: Path, split: str, key: splits.FrameKey, restored: Restored) -> None:
-    """Write restored depth as the data set keeps the sensor's: FOLDER/depth/SCENE/NAME + suffix.
+    """Write restored depth in the layout of the sensor depth: FOLDER/depth/SCENE/NAME + suffix.
 
-    It has the size that the method answered at, three equal channels of float32 metres as the
-    public data sets have them, and 0 where there is no answer.
+    The file has the size of the method's output and three equal channels of float32 metres, as in
+    the public data sets. Pixels without a prediction are 0.
 
     Raises:
         ToolkitError: the file cannot be written.

@@ -1,5 +1,5 @@
-"""Pictures of a few frames of a run: where the method did best, as usual and worst, and three that
-all methods show."""
+"""Pictures of a few frames of a run: best, median and worst frame of the method, and three frames
+that are the same for all methods."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from std_toolkit.io.images import write_color
 
 FOLDER = "gallery"
 INDEX_FILE = "gallery.json"
-# By the root of mean squared error, holes counted: what methods are ranked by.
+# Root mean squared error including pixels without a prediction, as in the ranking of methods.
 RANKED_BY = "rmse"
 COMMON = 3
 
@@ -27,14 +27,14 @@ class GalleryPicture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     """One frame.
 
     Attributes:
-        rank: `best`, `median`, `worst`, or `common` for the frames that every method shows.
-        scene, frame: which it is.
+        rank: `best`, `median`, `worst`, or `common` for the frames shown for every method.
+        scene, frame: names of scene and frame.
         rmse: metres, on the main grid and subset of the protocol.
         picture: file name; its panels are those of `PANELS`, and `TRUST_PANEL` if `trust`.
-        near, far: metres at the ends of the colours of depth.
-        largest_error: metres at the end of the colours of error.
-        trust: whether the method's trust in the sensor is shown; never where methods are compared,
-            since most have none.
+        near, far: depth at the ends of the colour map, metres.
+        largest_error: error at the end of the colour map, metres.
+        trust: whether the method's confidence in the sensor is shown; never for `common`, since
+            most methods have none.
     """
 
     rank: str
@@ -55,7 +55,7 @@ class Gallery(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 def make_gallery(run: FrameRun[Restorer], protocol_name: str) -> Gallery:
-    """Restore the frames of the gallery once more and keep their pictures in the run's folder.
+    """Restore the frames of the gallery again and save their pictures in the folder of the run.
 
     Raises:
         ToolkitError: a picture cannot be written.
@@ -87,19 +87,19 @@ def make_gallery(run: FrameRun[Restorer], protocol_name: str) -> Gallery:
             )
         )
     gallery = Gallery(pictures=pictures)
-    write_document(run.folder / FOLDER / INDEX_FILE, gallery)  # last: it says that all are there
+    write_document(run.folder / FOLDER / INDEX_FILE, gallery)  # last: marks the gallery complete
     return gallery
 
 
 def gallery_frames(
     table: pd.DataFrame, main: tuple[str, str], common: list[int]
 ) -> list[tuple[str, int, float]]:
-    """Rank, index and RMSE of the frames to show.
+    """Return rank, index and RMSE of the frames to show.
 
     Args:
         table: rows of a run.
         main: grid and subset that methods are ranked by.
-        common: frames that every method shows, as far as they could be scored.
+        common: frames shown for every method; those that could not be scored are skipped.
     """
     grid, subset = main
     scored = table[(table["grid"] == grid) & (table["subset"] == subset) & (table[ERROR] == "")]

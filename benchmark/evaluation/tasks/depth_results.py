@@ -1,4 +1,4 @@
-"""Results of depth runs: read back, averaged over frames, shown in the terminal."""
+"""Results of depth runs: reading, averaging over frames, and the table for the terminal."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ GROUPS = ("split", "protocol", "method", "grid", "subset")
 
 OVER_ALL = (*NAMES, "coverage")
 
-# Column, heading, factor and format. Errors are told in millimetres, shares in percent.
+# Column, heading, factor and format. Errors are shown in millimetres, fractions in percent.
 _COLUMNS = (
     ("rmse", "RMSE mm", 1e3, "{:.1f}"),
     ("rel", "REL", 1.0, "{:.4f}"),
@@ -53,23 +53,24 @@ OVER_ANSWERED = tuple(f"{name}_answered" for name in NAMES)
 def summarise(
     rows: pd.DataFrame, *, by: Sequence[str] | None = None, samples: int = 0, seed: int = 0
 ) -> pd.DataFrame:
-    """Unweighted means over frames.
+    """Compute unweighted means over frames.
 
-    A frame without pixels to compare in a subset enters no mean of that subset. One that a method
-    left without any usable prediction enters all means but those of `..._answered`.
+    A frame without pixels to compare in a subset is excluded from the means of that subset. A
+    frame without any usable prediction is included in all means except those of `..._answered`.
 
     Args:
-        rows: a row for each frame, grid and subset with the columns of `Row.as_dict`, and whatever
-            tells runs apart: `split`, `protocol`, `method`, `scene`, `frame`.
-        by: columns that make a group; by default those of `GROUPS` that are there.
-        samples: draws of scenes for 95 % intervals; 0 for none. They need the column `scene`.
-        seed: of the draws.
+        rows: a row for each frame, grid and subset with the columns of `Row.as_dict`, and columns
+            that identify the run: `split`, `protocol`, `method`, `scene`, `frame`.
+        by: columns to group by; by default those of `GROUPS` that exist.
+        samples: bootstrap samples of scenes for 95 % intervals, which need the column `scene`; 0
+            for none.
+        seed: seed of the bootstrap.
 
     Returns:
-        A row for each group in the order of first appearance: the columns `by`; `frames` that
-        entered; `frames_empty` without pixels; `frames_unanswered` without a usable prediction
-        among those that entered; `scenes` where rows have them; `pixels`; the means of
-        `OVER_ALL` and `OVER_ANSWERED`; with `samples`, `NAME_low` and `NAME_high` of `OVER_ALL`.
+        A row for each group in the order of first appearance: the columns `by`; `frames` included;
+        `frames_empty` without pixels; `frames_unanswered` without a usable prediction among those
+        included; `scenes` if rows have them; `pixels`; the means of `OVER_ALL` and
+        `OVER_ANSWERED`; with `samples`, `NAME_low` and `NAME_high` of `OVER_ALL`.
 
     Raises:
         ToolkitError: a column is missing.
@@ -102,7 +103,7 @@ def summarise(
     for names, enters in ((OVER_ALL, there), (OVER_ANSWERED, answered)):
         n = np.bincount(group[enters], minlength=n_groups)
         for name in names:
-            # NaN of a frame that enters stays: pandas' own mean would drop that frame in silence.
+            # NaN of an included frame must propagate: the mean of pandas would skip that frame.
             total = np.bincount(group[enters], rows[name].to_numpy()[enters], n_groups)
             with np.errstate(invalid="ignore"):
                 out[name] = total / n
@@ -134,7 +135,7 @@ class RunResult(Result[Manifest]):
     `images.parquet`.
 
     Attributes:
-        speed: None where it was not measured.
+        speed: measured speed; None if not measured.
     """
 
     speed: Speed | None
@@ -146,7 +147,7 @@ class RunResult(Result[Manifest]):
 
 
 def read_run(folder: Path) -> RunResult:
-    """One run's results.
+    """Read the results of one run.
 
     Raises:
         ToolkitError: a file is missing or damaged.
@@ -169,17 +170,20 @@ def read_run(folder: Path) -> RunResult:
 
 
 def read_results(folders: Iterable[Path]) -> list[RunResult]:
-    """All finished runs below some folders of results.
+    """Read all finished runs below some folders of results.
 
     Raises:
-        ToolkitError: a folder is not there or holds none, or two runs of one method, split and
-            protocol are among them.
+        ToolkitError: a folder does not exist or has no finished run, or two runs have the same
+            method, split and protocol.
     """
     return find_runs(folders, MANIFEST, TABLE, read_run)
 
 
 def results_table(results: Sequence[RunResult]) -> str:
-    """Means over frames on the protocols' first grid, for all objects and for the hard ones."""
+    """Format means over frames on the main grid, for all and for specular and transparent objects.
+
+    A protocol with another main subset also shows that subset.
+    """
     blocks = []
     for (split, protocol, grid), means in _means(results):
         shown = "no frame has a pixel to compare" if means.empty else _table(means)
@@ -188,7 +192,7 @@ def results_table(results: Sequence[RunResult]) -> str:
 
 
 def depth_records(results: Sequence[RunResult]) -> list[dict[str, Any]]:
-    """The figures of `results_table`, in metres and shares."""
+    """Return the figures of `results_table`, in metres and fractions."""
     return [
         {"split": split, "protocol": protocol, "grid": grid, **row}
         for (split, protocol, grid), means in _means(results)
@@ -197,7 +201,7 @@ def depth_records(results: Sequence[RunResult]) -> list[dict[str, Any]]:
 
 
 def _means(results: Sequence[RunResult]) -> Iterator[tuple[tuple[str, str, str], pd.DataFrame]]:
-    """Split, protocol and grid, and the means of each method."""
+    """Yield split, protocol and grid with the means of each method."""
     rows = pd.concat([result.table for result in results], ignore_index=True)
     rows = rows[rows["grid"] != ""]
     for (split, protocol), part in rows.groupby(["split", "protocol"], sort=False):

@@ -1,4 +1,4 @@
-"""How fast a method is, and what it costs: warm, on frames of the split it is scored on."""
+"""Speed, size and memory of a method, measured after warm-up on a frame of its split."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ class Speed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Cost of a method.
 
     Attributes:
-        frames_per_s: of batches of `batch_size`, from the median time of a batch, warm; reading
-            and scoring are not in it.
+        frames_per_s: frames per second for batches of `batch_size`, from the median time of a
+            batch after warm-up, without reading and scoring.
         batch_size: frames restored together.
-        width, height: of the views.
-        repeats: timed batches.
-        parameters: of the network; None for a method without one.
-        gmacs: 1e9 multiplications with addition per frame, element-wise work left out; None for
-            a method without a network, or one that cannot be counted.
-        peak_memory_mib: on a GPU what torch held at most; else the most this process ever had
-            resident, with libraries and data.
+        width, height: size of the views, pixels.
+        repeats: number of timed batches.
+        parameters: number of network parameters; None without a network.
+        gmacs: 1e9 multiply-accumulate operations per frame, without element-wise operations; None
+            without a network, or if they cannot be counted.
+        peak_memory_mib: peak memory, MiB: on a GPU that allocated by torch, otherwise the resident
+            memory of the process, with libraries and data.
         hardware: processor or GPU.
     """
 
@@ -61,7 +61,7 @@ class Speed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 def measure_speed(
     restorer: Restorer, views: Sequence[View], *, hardware: str, repeats: int = 15
 ) -> Speed:
-    """Time a method on a batch of views: `repeats` times, less often where it is slow."""
+    """Time a method on a batch of views: `repeats` times, fewer for slow methods."""
     device = _gpu(restorer)
     for _ in range(WARM_UP):
         restorer.restore(views)
@@ -73,7 +73,7 @@ def measure_speed(
     end = time.perf_counter() + LONGEST_S
     while len(seconds) < repeats and (len(seconds) < FEWEST or time.perf_counter() < end):
         begin = time.perf_counter()
-        # The answers are arrays of this machine: a GPU has finished when they are there.
+        # The outputs are NumPy arrays, so a GPU has finished when the call returns.
         restorer.restore(views)
         seconds.append(time.perf_counter() - begin)
     height, width = views[0].depth.shape
@@ -110,7 +110,7 @@ def _peak_memory(device: Any) -> float:
 
 
 def write_speed(run: FrameRun[Restorer], protocol: str) -> None:
-    """Time the method of a run and keep its figures, unless they are there.
+    """Time the method of a run and save the result, unless it exists.
 
     Raises:
         ToolkitError: see `speed_of`.
@@ -120,7 +120,7 @@ def write_speed(run: FrameRun[Restorer], protocol: str) -> None:
 
 
 def speed_of(run: FrameRun[Restorer], protocol: str) -> Speed:
-    """Time the method on a frame of the run, in a process of its own, whose memory is its own.
+    """Time the method on a frame of the run, in a separate process, to measure its memory.
 
     Raises:
         ToolkitError: no frame can be read, or the method fails on it.

@@ -1,4 +1,4 @@
-"""Table clearing as a task: one planner on one depth over seeded rounds."""
+"""The table clearing task: one planner on one depth over seeded rounds."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ GRASP_FOLDER, STRIPS = "grasp", "strips"
 
 RAW, TRUE = "raw", "gt"
 
-# Knows where the objects are: what can be reached at all.
+# Uses the true object poses: the upper bound.
 ORACLE = "oracle"
 
 
@@ -49,11 +49,11 @@ class Methods:
 
     @property
     def looks_at_color(self) -> bool:
-        """Restorers do; planners only where they say so."""
+        """Whether colour is used: by any restorer, or by a planner with `needs_color`."""
         return self.restorer is not None or bool(getattr(self.planner, "needs_color", False))
 
     def given(self, observation: sense.Observation) -> round.GivenDepth:
-        """The depth to plan on, at the camera's size; a restorer's as `at_full_size` makes it."""
+        """Return the depth to plan on at camera size; restored depth uses `at_full_size`."""
         frame = observation.frame
         if self.restorer is None:
             depth = frame.depth_true if self.true else frame.depth_raw
@@ -75,20 +75,20 @@ class Methods:
 
 @dataclass(frozen=True, kw_only=True)
 class GraspRun(TaskRun[None, Methods]):
-    """What clears the table, and how.
+    """A planner on a depth.
 
-    Rounds and their noise follow from the run's seed and their number alone: however they are
-    interrupted, resumed or spread over workers, the table is the same.
+    Rounds and their noise depend only on the seed of the run and the index of the round. The table
+    is therefore the same if rounds are interrupted, resumed or spread over workers.
 
     Attributes:
         depth, depth_options: `raw`, `gt`, or a restorer and its options.
         planner, planner_options: a registered planner, or `oracle`.
-        rounds, seed: how many, and of which seed.
+        rounds, seed: number of rounds, and their seed.
         out: folder of results.
         camera: `quick` or `simulated`.
-        attempts: at most so many a round.
-        devices: torch devices, of which each worker takes one.
-        strips: keep pictures of every attempt.
+        attempts: maximum number of attempts per round.
+        devices: torch devices; each worker uses one.
+        strips: save pictures of every attempt.
     """
 
     manifest_name, table_name, unit = GRASP_MANIFEST, ATTEMPTS, "rounds"
@@ -124,14 +124,14 @@ class GraspRun(TaskRun[None, Methods]):
 
     @property
     def is_restored(self) -> bool:
-        """Whether a restorer makes the depth."""
+        """Whether the depth comes from a restorer."""
         return self.depth not in (RAW, TRUE)
 
     def check_data(self) -> None:
         logger.info("%s: %d rounds", self.title, self.rounds)
 
     def open(self) -> None:
-        """Nothing: tables are made."""
+        """Open nothing: the tables are generated."""
 
     def make(self, device: str) -> Methods:
         return Methods(self, device)
@@ -140,13 +140,13 @@ class GraspRun(TaskRun[None, Methods]):
         return methods.restorer, methods.planner
 
     def begin_worker(self) -> None:
-        """Sums over several threads come out a little different with another number of workers."""
+        """Use one thread: rounding of sums over threads depends on the number of threads."""
         if (torch := sys.modules.get("torch")) is not None:
             torch.set_num_threads(1)
 
     def manifest(self, data: None, methods: Methods) -> GraspManifest:  # noqa: ARG002
         planner, depth = self.planner_options, self.depth_options
-        # Precision and the like are the same for both.
+        # Precision, compile and device are the same for both.
         network = depth if self.is_restored else planner
         setup = GraspSetup(
             seed=self.seed,
@@ -184,7 +184,7 @@ class GraspRun(TaskRun[None, Methods]):
         return scene_name(item)
 
     def work(self, data: None, methods: Methods, item: int) -> int:  # noqa: ARG002
-        """Clear the table of one round and write its rows and pictures."""
+        """Clear the table of one round, and write its rows and pictures."""
         from sensors.simulation.simulated_set import parts_cache
 
         arrangement = arrange(round_seed(self.seed, item), parts_cache=parts_cache())
@@ -209,11 +209,11 @@ class GraspRun(TaskRun[None, Methods]):
 
 
 def plan_runs(config: GraspConfig) -> list[GraspRun]:
-    """The runs, planner by planner.
+    """Return the runs, grouped by planner.
 
     Raises:
-        ToolkitError: weights or settings for what is not asked for, no such planner, or a label
-            that cannot be a folder's name.
+        ToolkitError: weights or settings for a method that is not requested, an unknown planner,
+            or a label that cannot be the name of a folder.
     """
     for name in config.planners:
         if name != ORACLE and ":" not in name and name not in grasp_planners.names():

@@ -1,8 +1,7 @@
-"""A strip of pictures of an attempt: what was seen, what the planner was given, and what the hand
-did.
+"""A strip of pictures of an attempt: camera image, depth of the planner, and stages of the grasp.
 
-Drawn by casting rays, so that no graphics card or display is needed: shaded surfaces, glass in
-blue, metal in grey, the hand in orange.
+Rendered by ray casting, so that no GPU or display is needed: shaded surfaces, glass in blue, metal
+in grey, the gripper in orange.
 """
 
 from __future__ import annotations
@@ -23,14 +22,14 @@ Image = NDArray[np.uint8]
 PANELS = ("seen", "depth given", "pre-grasp", "closed", "lifted")
 WIDTH, HEIGHT = 288, 216
 _BAND = 18
-# From the right of the camera's place, further away, so that the lifted hand is in view.
+# Viewed from the right of the camera and further away, so that the lifted gripper is in view.
 _EYE, _TARGET = (0.42, -0.55, 0.42), (0.0, 0.0, 0.14)
 _COLORS = {"transparent": (120, 170, 235), "specular": (185, 185, 190)}
 _HAND, _TABLE = (235, 140, 60), (232, 226, 214)
 
 
 def attempt_strip(attempt: Attempt, *, gripper: Gripper = PANDA) -> Image:
-    """(h, w, 3) uint8: `PANELS` side by side; stages that were not come to stay empty."""
+    """Return `PANELS` side by side, (h, w, 3) uint8; stages that were not reached are empty."""
     frame = attempt.observation.frame
     known = frame.depth_true
     scale = DepthScale(float(known.min()) - 0.02, float(np.quantile(known, 0.98)))
@@ -92,7 +91,7 @@ def _box(low: NDArray[np.float64], high: NDArray[np.float64]) -> mesh.RenderMesh
 
 
 def _fit(image: Image) -> Image:
-    """The middle of a wide picture, at a panel's size."""
+    """The centre of a wide picture, resized to a panel."""
     h, w = image.shape[:2]
     wanted = round(h * WIDTH / HEIGHT)
     if w > wanted:

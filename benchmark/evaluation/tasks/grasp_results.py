@@ -1,21 +1,17 @@
-"""Results of table clearing: read back, success and completion, the paper's table.
+"""Results of table clearing: reading, success and completion rates with intervals, the tables.
 
-Success and completion of table clearing, per object and per table, and how sure they are.
-
-The paper that this experiment comes from prints a completion rate of 40 % beside 19 objects
-removed of about 25; no definition gives both. So both are defined here and printed side by side:
+The paper of this experiment prints a completion rate of 40 % and 19 removed objects of about 25; no
+definition gives both. Rates are therefore computed per object and per table:
 
 - success, per attempt: attempts that ended with an object held / attempts, over all rounds;
-- success, per table: the mean over rounds of that ratio; a round without any attempt, because the
-  planner found nothing to grasp, counts 0;
-- completion, per object: objects removed / objects that stood there, over all rounds;
+- success, per table: the mean over rounds of that ratio; a round without an attempt, because the
+  planner found no grasp, counts as 0;
+- completion, per object: removed objects / objects at the start, over all rounds;
 - completion, per table: the mean over rounds of that ratio;
-- tables cleared: the share of rounds in which nothing was left.
+- tables cleared: the fraction of rounds in which no object was left.
 
-An object is removed when it is held after lifting, or lies beyond the edge of the table. Intervals
-come from drawing whole rounds with replacement.
-
-The results of table clearing as the paper's table, in the terminal and as text.
+An object is removed if it is held after lifting, or is beyond the edge of the table. Intervals are
+computed by resampling whole rounds with replacement.
 """
 
 from __future__ import annotations
@@ -45,7 +41,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.html.table import text_table
 from std_toolkit.io.documents import read_document
 
-# Camera, seed, planner and depth of a run, as tables have them.
+# Camera, seed, planner and depth of a run, as shown in tables.
 RunName = tuple[str, int, str, str]
 
 HEADINGS = (
@@ -62,10 +58,10 @@ PLAN_HEADINGS = (
 
 @dataclass(frozen=True)
 class Rate:
-    """A share, with its interval of 95 %; NaN where there is nothing to count.
+    """A fraction with its 95 % interval; NaN if `total` is 0.
 
     Attributes:
-        count, total: what was divided; for means over tables, their number in `total`.
+        count, total: numerator and denominator; for means over tables, `total` is their number.
     """
 
     value: float
@@ -77,17 +73,17 @@ class Rate:
 
 @dataclass(frozen=True)
 class Rates:
-    """What a run came to.
+    """Rates of a run.
 
     Attributes:
-        rounds, objects, attempts: how many there were; attempts that were carried out.
-        success_attempts, success_tables: see above.
-        completion_objects, completion_tables, cleared: see above.
+        rounds, objects, attempts: their numbers; only executed attempts count.
+        success_attempts, success_tables: success, see the module.
+        completion_objects, completion_tables, cleared: completion, see the module.
         completion_of: completion per object by material class.
-        grasped, lost: objects held, and objects that left over the table's edge.
-        outcomes: how often attempts ended in each way, views without a grasp among them.
-        precision: means over the tables' first views, columns of `grasp_table`.
-        planned: mean number of grasps of a first view.
+        grasped, lost: number of objects held, and of objects beyond the edge of the table.
+        outcomes: number of attempts by outcome, including views without a grasp.
+        precision: means over the first views of the tables, columns of `grasp_table`.
+        planned: mean number of grasps planned on a first view.
     """
 
     rounds: int
@@ -107,7 +103,7 @@ class Rates:
 
 
 def rates_of(table: pd.DataFrame) -> Rates:
-    """The rates of one run's table."""
+    """Compute the rates from the table of a run."""
     objects = table[table[KIND] == OBJECT]
     views = table[table[KIND] == ATTEMPT]
     tried = views[views["executed"]]
@@ -139,9 +135,9 @@ def rates_of(table: pd.DataFrame) -> Rates:
 
 
 def completion_gain(table: pd.DataFrame, other: pd.DataFrame) -> Rate:
-    """Completion per table of a run less that of another one on the same rounds.
+    """Return completion per table of a run minus that of another run on the same rounds.
 
-    Rounds that only one of them has are left out: the tables stand alike in both.
+    Rounds that only one of them has are skipped, so that both have the same tables.
     """
     both = [_completions(t) for t in (table, other)]
     shared = both[0].index.intersection(both[1].index)
@@ -168,7 +164,7 @@ class GraspResult(Result[GraspManifest]):
     """A planner on a depth; see `benchmark.evaluation.tasks.grasp_table`.
 
     Attributes:
-        rates: what it came to.
+        rates: rates of the run.
     """
 
     rates: Rates
@@ -185,16 +181,16 @@ class GraspResult(Result[GraspManifest]):
 
     @property
     def frames(self) -> int:
-        """Rounds that there are: more may always be added."""
+        """Number of finished rounds: more may always be added."""
         return self.rates.rounds
 
 
 def read_grasp_run(folder: Path, *, rounds: int | None = None) -> GraspResult:
-    """One run's results.
+    """Read the results of one run.
 
     Args:
-        folder: of the run.
-        rounds: only the first so many; None for all that there are.
+        folder: folder of the run.
+        rounds: use only the first `rounds` rounds; None for all.
 
     Raises:
         ToolkitError: a file is missing or damaged, or no round is finished.
@@ -212,17 +208,16 @@ def read_grasp_run(folder: Path, *, rounds: int | None = None) -> GraspResult:
 
 
 def read_grasp_results(folders: Iterable[Path]) -> list[GraspResult]:
-    """All finished runs of clearing below some folders, in a fixed order.
+    """Read all finished runs of table clearing below some folders, in a fixed order.
 
     Raises:
-        ToolkitError: there is none, a run is damaged, or two runs bear one name.
+        ToolkitError: there is none, a run is damaged, or two runs have the same name.
     """
     return find_runs(folders, GRASP_MANIFEST, ATTEMPTS, read_grasp_run)
 
 
 def grasp_table(results: Sequence[GraspResult]) -> str:
-    """One line per run, of what was cleared and of what was planned; intervals of 95 % in
-    brackets."""
+    """Format tables of clearing and planning, a line per run; 95 % intervals in brackets."""
     blocks = []
     for camera, seed in dict.fromkeys(r.name[:2] for r in results):
         mine = [r for r in results if r.name[:2] == (camera, seed)]
@@ -234,13 +229,13 @@ def grasp_table(results: Sequence[GraspResult]) -> str:
 
 
 def grasp_records(results: Sequence[GraspResult]) -> list[dict[str, Any]]:
-    """The figures of `grasp_table`, as shares."""
+    """Return the figures of `grasp_table`, as fractions."""
     names = ("camera", "seed", "planner", "depth")
     return [{**dict(zip(names, r.name, strict=True)), **asdict(r.rates)} for r in results]
 
 
 def cells(result: GraspResult) -> list[str]:
-    """The texts of a run's line, in the order of `HEADINGS`."""
+    """Return the cells of a run in the order of `HEADINGS`."""
     r = result.rates
     removed = r.grasped + r.lost
     lost = f" ({r.lost} off)" if r.lost else ""
@@ -261,7 +256,7 @@ def cells(result: GraspResult) -> list[str]:
 
 
 def plan_cells(result: GraspResult) -> list[str]:
-    """The texts of a run's line, in the order of `PLAN_HEADINGS`."""
+    """Return the cells of a run in the order of `PLAN_HEADINGS`."""
     r = result.rates
     return [
         result.manifest.planner_label,
@@ -273,7 +268,7 @@ def plan_cells(result: GraspResult) -> list[str]:
 
 
 def share(rate: Rate | None) -> str:
-    """A rate in percent, with its interval where there is one.
+    """Format a rate in percent, with its interval if there is one.
 
     >>> share(Rate(0.5, 0.25, 0.75, 3, 6)), share(None)
     ('50.0 [25.0, 75.0]', '-')

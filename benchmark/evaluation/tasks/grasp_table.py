@@ -1,13 +1,11 @@
-"""The table of a run: what became of every object and of every attempt.
+"""The table of a run: the outcome of every object and of every attempt.
 
-Each round has a row of kind `object` for each object at its start, and one of kind `attempt` for
-each view that something was, or could not be, tried upon. Nothing in it depends on how long
-anything took or where it ran.
+Each round has a row of kind `object` for each object at its start, and a row of kind `attempt` for
+each view, with or without an executed grasp. The table does not depend on run time or machine.
 
-All grasps of a table's first view, judged by the true meshes: GraspNet's average precision.
-
-The hand carries out one grasp of a view, and the views after it differ from planner to planner.
-The first view is the same for all, and what was planned there tells more than one attempt.
+All grasps planned on the first view of a table are also scored on the true meshes with GraspNet's
+average precision. The first view is the same for all planners; later views differ, because only
+one grasp per view is executed.
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ _AXES = ("x", "y", "z")
 
 
 def precision_of(attempt: Attempt, T_world_cam: SE3) -> dict[str, float]:
-    """GraspNet's AP, AP0.8 and AP0.4 of what was planned on a view, as shares."""
+    """Return GraspNet's AP, AP0.8 and AP0.4 of the grasps planned on a view, 0 to 1."""
     objects = [
         JudgedObject.of_mesh(o.body.asset.vertices * o.body.diagonal_m, o.body.asset.faces)
         for o in attempt.before.objects
@@ -49,7 +47,7 @@ def precision_of(attempt: Attempt, T_world_cam: SE3) -> dict[str, float]:
     return {name: getattr(found, name) / 100 for name in PRECISION}
 
 
-# Columns of the other kind of rows keep their type.
+# Defaults that keep the type of the columns in rows of the other kind.
 _NOTHING = {
     "number": -1, "asset": "", "category": "", "material": "", "diagonal_m": np.nan,
     "mass_kg": np.nan, "fate": "", "fate_attempt": -1,
@@ -61,19 +59,19 @@ _NOTHING = {
 
 
 def scene_name(index: int) -> str:
-    """What round `index` is called."""
+    """Return the name of round `index`."""
     return f"round-{index:04d}"
 
 
 def rows_of_round(
     index: int, arrangement: Arrangement, attempts: Sequence[Attempt], T_world_cam: SE3
 ) -> list[dict[str, Any]]:
-    """The rows of a round: its objects, then its attempts.
+    """Return the rows of a round: its objects, then its attempts.
 
     Args:
-        index: of the round.
-        arrangement, attempts: what stood there, and what was tried upon it.
-        T_world_cam: where the camera stands.
+        index: index of the round.
+        arrangement, attempts: objects at the start, and attempts.
+        T_world_cam: camera pose.
     """
     base = {INDEX: index, SCENE: scene_name(index), FRAME: "", ERROR: ""}
     fates = {o.number: (LEFT, -1) for o in arrangement.objects}

@@ -1,4 +1,4 @@
-"""Category-level pose as a task: one method over one split with one depth."""
+"""The category-level pose task: one method on one split with one depth."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ Methods = tuple[PoseEstimator, pose_inputs.DepthProvider]
 
 @dataclass(frozen=True, kw_only=True)
 class PoseRun(FrameRun[Methods]):
-    """What is estimated, by what, how.
+    """A pose method on a split with one depth and fit.
 
     Attributes:
-        depth: what poses are fitted to.
-        fit: how they are fitted, `ransac` or `paper`.
-        as_input: networks look at that depth, too, and not at raw depth.
+        depth: depth that poses are fitted to.
+        fit: fitting method, `ransac` or `paper`.
+        as_input: networks also receive that depth instead of raw depth.
     """
 
     manifest_name, table_name = POSE_MANIFEST, pose_table.POSES
@@ -49,7 +49,7 @@ class PoseRun(FrameRun[Methods]):
 
     @property
     def depth_label(self) -> str:
-        """What the depth is called in folders and tables."""
+        """Name of the depth in folders and tables."""
         return f"{self.depth.label}-{AS_INPUT}" if self.as_input else self.depth.label
 
     @property
@@ -66,11 +66,11 @@ class PoseRun(FrameRun[Methods]):
 
     @property
     def settings(self) -> dict[str, str]:
-        """The method's, the fit among them."""
+        """Settings of the method, including the fit."""
         return {**self.options.settings, "fit": self.fit}
 
     def check(self, data: DepthSource) -> None:
-        """Tell at once where a split has no true poses at all, and not once per frame."""
+        """Raise one error for a split without true poses, instead of one per frame."""
         for index in self.chosen(data)[:1]:
             pose_inputs.load_pose_frame(data, index)
 
@@ -143,7 +143,7 @@ class PoseRun(FrameRun[Methods]):
         return rows
 
     def after(self) -> None:
-        """Pictures of a few frames, unless they are there."""
+        """Save pictures of a few frames, unless they exist."""
         from benchmark.evaluation.tasks import pose_pictures as pictures
 
         there = self.folder / pictures.POSE_GALLERY / pictures.PICTURES_FILE
@@ -155,11 +155,11 @@ class PoseRun(FrameRun[Methods]):
 
 
 def plan_runs(config: PoseConfig) -> list[PoseRun]:
-    """The runs, method by method so that each network is loaded once.
+    """Return the runs, grouped by method so that each network is loaded once.
 
     Raises:
-        ToolkitError: weights or settings for what is not asked for, a split without data, a depth
-            that nobody knows, or a label that cannot be a folder's name.
+        ToolkitError: weights or settings for a method that is not requested, a split without data,
+            an unknown depth, or a label that cannot be the name of a folder.
     """
     _protocols(config)
     depths = [pose_inputs.depth_choice(text) for text in config.depths]
@@ -174,7 +174,7 @@ def plan_runs(config: PoseConfig) -> list[PoseRun]:
             **frame_options(config, split, method, options),
             depth=depth,
             fit=fit,
-            # Of raw depth nothing would change but the name.
+            # For raw depth the option would change only the name.
             as_input=config.depth_as_input and depth.name != pose_inputs.RAW,
         )
         for method, split, depth, fit in product(config.methods, config.splits, depths, config.fits)

@@ -1,4 +1,4 @@
-"""Input of pose methods: the depth that poses are fitted to, frames with true poses, views."""
+"""Inputs of pose methods: the depth that poses are fitted to, frames with true poses, views."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ class DepthChoice:
     """One of the depths that poses are fitted to.
 
     Attributes:
-        name: `raw`, `gt`, a restorer's name, or what depth in a folder is called.
-        options: of the restorer.
-        folder: of depth that `std-bench --save-depth` kept; None for the others.
+        name: `raw`, `gt`, the name of a restorer, or the name given to a folder of depth.
+        options: options of the restorer.
+        folder: folder of depth written by `std-bench --save-depth`; otherwise None.
     """
 
     name: str
@@ -41,17 +41,17 @@ class DepthChoice:
 
     @property
     def is_restored(self) -> bool:
-        """Whether a restorer has to make it."""
+        """Whether the depth comes from a restorer."""
         return self.folder is None and self.name not in (RAW, TRUE)
 
     @property
     def label(self) -> str:
-        """As folders and tables have it."""
+        """Name in folders and tables."""
         return plain_label(self.name)
 
 
 def depth_choice(text: str) -> DepthChoice:
-    """The depth that a user means by `raw`, `gt`, a restorer's name, or `NAME=FOLDER`.
+    """Parse `raw`, `gt`, the name of a restorer, or `NAME=FOLDER`.
 
     Raises:
         ToolkitError: a folder without a name, or with the name of another depth.
@@ -67,10 +67,10 @@ def depth_choice(text: str) -> DepthChoice:
 
 
 class DepthProvider:
-    """Gives the depth of frames; made once in every worker.
+    """Returns the depth of frames; created once in every worker.
 
     Raises:
-        ToolkitError: the restorer cannot be made, or there is no such folder.
+        ToolkitError: the restorer cannot be created, or the folder does not exist.
     """
 
     def __init__(self, choice: DepthChoice, split: str) -> None:
@@ -83,7 +83,7 @@ class DepthProvider:
             raise ToolkitError("no such folder of saved depth", path=choice.folder)
 
     def depths(self, frames: Mapping[int, DepthFrame]) -> dict[int, Depth | str]:
-        """Depth of the frames of a batch, each of any size, or why there is none."""
+        """Return the depth of the frames of a batch, each of any size, or error lines."""
         if self.restorer is None:
             return {index: self._known(frame) for index, frame in frames.items()}
         method = self.restorer
@@ -106,7 +106,7 @@ class DepthProvider:
 
 @dataclass(frozen=True, eq=False)
 class PoseFrame:
-    """A frame with what is known of its objects."""
+    """A frame with the known boxes and true poses of its objects."""
 
     frame: DepthFrame
     boxes: dict[int, KnownBox]
@@ -114,10 +114,10 @@ class PoseFrame:
 
 
 def load_pose_frame(source: DepthSource, index: int) -> PoseFrame:
-    """A frame with its true poses.
+    """Load a frame with its true poses.
 
     Raises:
-        ToolkitError: it cannot be read, or has no normalised coordinates.
+        ToolkitError: the frame cannot be read, or has no normalised coordinates.
     """
     frame = source.load(index, nocs=True)
     boxes = known_boxes(source, index)
@@ -132,18 +132,18 @@ def pose_view(
     boxes: Mapping[int, KnownBox],
     sensor: NDArray[np.float32] | None = None,
 ) -> PoseView:
-    """Everything at the method's size, or the ground truth's for a method of any size.
+    """Create the input of a method at its input size, or at ground truth size if it has none.
 
     Args:
-        frame: with NOCS.
-        depth: of any size, metres: what poses are fitted to. What is not finite or not positive is
-            no depth.
-        method: that will see it.
-        boxes: what the data set knows of the objects, by mask id.
-        sensor: of any size, what networks look at; the frame's raw depth by default.
+        frame: frame with NOCS.
+        depth: depth that poses are fitted to, of any size, metres. Values that are not finite or
+            not positive are missing depth.
+        method: the method.
+        boxes: known boxes of the objects, by mask id.
+        sensor: input depth of networks, of any size; by default the raw depth of the frame.
 
     Raises:
-        ToolkitError: the method must be told NOCS and the frame has none.
+        ToolkitError: the method needs NOCS and the frame has none.
     """
     seen = view_of(frame, method.input_size)
     size = seen.camera.size

@@ -1,8 +1,6 @@
-"""Pictures of a few frames of a run: true boxes in green, estimated ones in red.
+"""Pictures of a few frames of a run with boxes and axes: true ones green, estimated ones red.
 
-Every run over the same frames shows the same ones, so that depths can be set side by side.
-
-Boxes and axes of objects, drawn on an image: true ones green, estimated ones red.
+All runs on the same frames show the same pictures, so that depths can be compared side by side.
 """
 
 from __future__ import annotations
@@ -36,7 +34,7 @@ TRUE_COLOR: RGB = (20, 205, 75)
 
 ESTIMATE_COLOR: RGB = (235, 45, 40)
 
-# Lines are drawn with so many bits behind the point.
+# Fractional bits of line coordinates.
 _SHIFT = 4
 
 _NEAREST_M = 0.05
@@ -52,7 +50,7 @@ SHOWN = 6
 
 WIDTH = 560
 
-# Of the window around the objects; it is at least so much of the image.
+# Margin of the window around the objects, and its smallest size, as fractions of the image.
 _MARGIN, _LEAST_SHARE = 0.06, 0.3
 
 _PALER = 0.25
@@ -61,15 +59,15 @@ _PALER = 0.25
 def draw_boxes(
     image: Image, camera: Camera, RT: Floats, sizes: Floats, color: RGB, *, width: int = 2
 ) -> None:
-    """Draw boxes and, from the middle of each, the half axis that points up and the two others.
+    """Draw boxes and, from the centre of each, its three half axes.
 
     Args:
-        image: (h, w, 3) uint8 RGB of the camera's size; it is drawn on.
-        camera: of the image.
-        RT: (N, 4, 4) object to camera, the scale inside.
-        sizes: (N, 3) of the boxes before RT.
-        color: of the lines.
-        width: of the lines, pixels. The up axis is twice as wide.
+        image: (h, w, 3) uint8 RGB of the camera's size; modified in place.
+        camera: camera of the image.
+        RT: (N, 4, 4) object to camera, including the scale.
+        sizes: (N, 3) sizes of the boxes before RT.
+        color: colour of the lines.
+        width: width of the lines, pixels. The up axis is twice as wide.
     """
     for T, size in zip(RT, sizes, strict=True):
         corners = box_corners(T, size).T
@@ -96,7 +94,7 @@ def _draw(
 
 
 def _in_front(a: Floats, b: Floats) -> tuple[Floats, Floats] | None:
-    """The part of a line that lies in front of the camera; None if none does."""
+    """The part of a line in front of the camera; None if the line is behind it."""
     near = _NEAREST_M
     if a[2] < near and b[2] < near:
         return None
@@ -111,10 +109,10 @@ class PosePicture(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """One frame.
 
     Attributes:
-        scene, frame: which it is.
+        scene, frame: names of scene and frame.
         picture: file name.
         objects, found: number of true objects and of predictions.
-        right: predictions within 10 degrees and 5 cm of a true object of their class.
+        right: number of predictions within 10 degrees and 5 cm of a true object of their class.
     """
 
     scene: str
@@ -135,7 +133,7 @@ def make_pose_pictures(folder: Path, source: DepthSource) -> PosePictures:
     """Draw frames of the finished run in a folder.
 
     Raises:
-        ToolkitError: a frame cannot be read, or a picture not be written.
+        ToolkitError: a frame cannot be read, or a picture cannot be written.
     """
     table = read_table(folder / POSES)
     readable = sorted(set(table.loc[table[READ], INDEX].tolist()))
@@ -158,7 +156,7 @@ def make_pose_pictures(folder: Path, source: DepthSource) -> PosePictures:
             )
         )
     found = PosePictures(pictures=pictures)
-    # Last: it says that all are there.
+    # Last: marks the pictures complete.
     write_document(folder / POSE_GALLERY / PICTURES_FILE, found)
     return found
 
@@ -166,9 +164,9 @@ def make_pose_pictures(folder: Path, source: DepthSource) -> PosePictures:
 def picture_of(
     color: NDArray[np.uint8], camera: Camera, frames: PoseFrames, place: int
 ) -> NDArray[np.uint8]:
-    """(h, `WIDTH`, 3) the objects of one of the frames, a little paler, with their boxes.
+    """Return the objects of a frame, slightly paler, with their boxes: (h, `WIDTH`, 3).
 
-    Where both boxes are in one place, the green line has a red core.
+    Where both boxes coincide, the green line has a red core.
     """
     truth, found = frames.truths[place], frames.found[place]
     whole = camera.resized(color.shape[1], color.shape[0])
@@ -185,8 +183,8 @@ def picture_of(
 
 
 def _window(camera: Camera, truth: PoseTruth) -> tuple[int, int, int, int]:
-    """x, y, width, height of the part of the image that holds the true boxes, as wide for its
-    height as the image, so that pictures can stand beside each other."""
+    """x, y, width, height of the part of the image with the true boxes, in the aspect ratio of the
+    image, so that all pictures have the same shape."""
     if not len(truth.class_ids):
         return 0, 0, camera.width, camera.height
     pixels = camera.project(box_corners(truth.RT, truth.sizes).transpose(0, 2, 1).reshape(-1, 3))

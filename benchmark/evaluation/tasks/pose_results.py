@@ -1,4 +1,4 @@
-"""Results of pose runs: read back, scored by protocol and material with intervals, shown."""
+"""Results of pose runs: reading, scores by protocol and material with intervals, tables."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from benchmark.metrics.pose.resampling import resampled_scores, scene_weights
 from std_toolkit.html.table import text_table
 from std_toolkit.io.documents import read_document
 
-# Method, depth and fit of a run, as tables have them.
+# Method, depth and fit of a run, as shown in tables.
 RunName = tuple[str, str, str]
 
 ALL, HARD = "all", "specular+transparent"
@@ -45,7 +45,7 @@ SAMPLES = 1000
 
 LEVEL = 0.95
 
-# What both published evaluations ask for before angle and distance count.
+# Overlap that both published evaluations require before they count angle and distance.
 FOUND_MEANS_OVERLAP = 0.1
 
 _TEXTS = ("method", "depth", "fit", "objects")
@@ -58,17 +58,17 @@ def wanted_protocols(
     score: str | None = None,
     gates: str | None = None,
 ) -> list[PoseProtocol]:
-    """Protocols with some of their choices changed, which their names then tell.
+    """Return protocols with some options replaced; their names list the changes.
 
     Args:
-        names: of `pose_protocols`.
-        iou: `oriented`, `aabb` or `nocs2019`, instead of the protocol's own.
-        score: `ap` or `accuracy`.
-        gates: whether angle and distance count of `all` predictions, or of `found` ones, which
-            overlap a true box.
+        names: names of `pose_protocols`.
+        iou: `oriented`, `aabb` or `nocs2019`; by default that of the protocol.
+        score: `ap` or `accuracy`; by default that of the protocol.
+        gates: whether angle and distance are counted for `all` predictions, or for `found` ones,
+            which overlap a true box; by default that of the protocol.
 
     Raises:
-        ToolkitError: no such protocol.
+        ToolkitError: unknown protocol.
 
     >>> [p.name for p in wanted_protocols(["strict"], iou="aabb", score="ap")]
     ['strict, iou aabb']
@@ -110,12 +110,12 @@ class PoseResult(Result[PoseManifest]):
 
     @property
     def failed(self) -> int:
-        """Frames that could not be read, or at which the method failed."""
+        """Number of frames that could not be read, or at which the method failed."""
         return int(self.table.loc[self.table[ERROR] != "", INDEX].nunique())
 
 
 def read_pose_run(folder: Path) -> PoseResult:
-    """One run's results.
+    """Read the results of one run.
 
     Raises:
         ToolkitError: a file is missing or damaged.
@@ -127,26 +127,26 @@ def read_pose_run(folder: Path) -> PoseResult:
 
 
 def read_pose_results(folders: Iterable[Path]) -> list[PoseResult]:
-    """All runs of poses below some folders of results that have a table.
+    """Read all finished pose runs below some folders of results.
 
     Raises:
-        ToolkitError: a folder holds none, or two runs of one name are among them.
+        ToolkitError: a folder has none, or two runs have the same name.
     """
     return find_runs(folders, POSE_MANIFEST, POSES, read_pose_run)
 
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """A run's figures by one protocol for objects of some materials.
+    """Figures of a run by one protocol for objects of some materials.
 
     Attributes:
         result: the run.
         subset: key of `SUBSETS`.
         scores: figures by class.
-        matches: which they come from.
-        scenes, names: (F,) of the frames of the matches.
-        low, high: (K,) ends of the 95 % intervals of the means over scenes; NaN with one scene,
-            or where nothing was drawn.
+        matches: matches that the scores are computed from.
+        scenes, names: (F,) scenes and names of the frames of the matches.
+        low, high: (K,) ends of the 95 % intervals of the means, resampled over scenes; NaN with
+            one scene or without samples.
     """
 
     result: PoseResult
@@ -160,16 +160,16 @@ class Scored:
 
     @property
     def objects(self) -> int:
-        """True objects of the classes."""
+        """Number of true objects of the classes."""
         return int(self.scores.true_objects.sum())
 
     @property
     def scene_count(self) -> int:
-        """Scenes with frames."""
+        """Number of scenes with frames."""
         return len(np.unique(self.scenes))
 
     def interval(self, column: str) -> tuple[float, float]:
-        """Ends of the interval of a column."""
+        """Return the ends of the interval of a column."""
         place = self.scores.columns.index(column)
         return float(self.low[place]), float(self.high[place])
 
@@ -181,12 +181,12 @@ def score_run(
 
     Args:
         result: the run.
-        protocol: what counts, and how.
-        subset: which objects, a key of `SUBSETS`.
-        samples: draws of scenes for the intervals; 0 for none.
+        protocol: the scoring protocol.
+        subset: objects to score, a key of `SUBSETS`.
+        samples: bootstrap samples of scenes for the intervals; 0 for none.
 
     Raises:
-        ToolkitError: the table holds poses that are none.
+        ToolkitError: the table has invalid poses.
     """
     frames = frames_of(result.table, SUBSETS[subset])
     matches = match_poses(frames.truths, frames.found, protocol)
@@ -207,13 +207,13 @@ def score_runs(
     *,
     samples: int = 0,
 ) -> list[Scored]:
-    """Every run for every subset that has objects, see `score_run`."""
+    """Score every run for every subset that has objects, see `score_run`."""
     scored = [score_run(r, protocol, s, samples=samples) for s in subsets for r in results]
     return [each for each in scored if each.objects]
 
 
 def interval_of(drawn: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Ends (K,) of the intervals of drawn figures (D, K), each over the draws that have it."""
+    """Return the ends (K,) of the intervals of resampled figures (D, K), ignoring NaN."""
     low, high = np.full((2, drawn.shape[1]), np.nan)
     for column, values in enumerate(drawn.T):
         there = values[~np.isnan(values)]
@@ -223,7 +223,7 @@ def interval_of(drawn: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArra
 
 
 def scene_draws(scenes: int, samples: int, *, seed: int = 0) -> NDArray[np.float64]:
-    """(samples, scenes) how often each scene is drawn, with replacement."""
+    """Return how often each scene is drawn with replacement, (samples, scenes)."""
     rng = np.random.default_rng(seed)
     drawn = rng.integers(0, scenes, (samples, scenes)) + scenes * np.arange(samples)[:, None]
     counts = np.bincount(drawn.ravel(), minlength=samples * scenes)
@@ -231,7 +231,7 @@ def scene_draws(scenes: int, samples: int, *, seed: int = 0) -> NDArray[np.float
 
 
 def poses_table(results: Sequence[PoseResult], protocols: Sequence[PoseProtocol]) -> str:
-    """Means over classes in percent, for all objects and for specular and transparent ones."""
+    """Format means over classes in percent, for all and for specular and transparent objects."""
     blocks = []
     for split in dict.fromkeys(result.split for result in results):
         mine = [result for result in results if result.split == split]
@@ -245,7 +245,7 @@ def poses_table(results: Sequence[PoseResult], protocols: Sequence[PoseProtocol]
 def pose_records(
     results: Sequence[PoseResult], protocols: Sequence[PoseProtocol]
 ) -> list[dict[str, Any]]:
-    """The figures of `poses_table`, as shares."""
+    """Return the figures of `poses_table`, as fractions."""
     return [
         {
             "split": split,
@@ -271,7 +271,7 @@ def _table(scored: Sequence[Scored], protocol: PoseProtocol) -> str:
 
 
 def heading(column: str) -> str:
-    """A column as people read it.
+    """Return the heading of a column.
 
     >>> heading("iou25"), heading("10deg5cm")
     ('IoU25', '10°5cm')

@@ -1,7 +1,7 @@
-"""The table of a run: what was there and what was found, so that any protocol can score it later.
+"""The table of a run: true objects and predictions, so that any protocol can score it later.
 
 Every frame has a row of kind `frame`, and one for each true object (`true`) and each prediction
-(`found`). Poses are the upper three rows of their matrix, the scale inside, in metres.
+(`found`). Poses are the upper three rows of their matrix, including the scale, in metres.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from benchmark.metrics.pose.pose_frames import PosePrediction, PoseTruth
 
 POSES = "poses.parquet"
 KIND = "kind"
-READ = "read"  # whether the frame could be read; one that could not is not scored
+READ = "read"  # whether the frame could be read; unreadable frames are not scored
 OF_FRAME, TRUE, FOUND = "frame", "true", "found"
 RT_COLUMNS = tuple(f"rt{row}{column}" for row in range(3) for column in range(4))
 SIZE_COLUMNS = ("size_x", "size_y", "size_z")
@@ -29,7 +29,7 @@ COLUMNS = (
     INDEX, SCENE, FRAME, ERROR, READ, KIND, "class_id", "score", "mask_id", "material", "model",
     "pixels", "handle_visible", "box_known", *RT_COLUMNS, *SIZE_COLUMNS,
 )  # fmt: skip
-# Columns of other kinds of rows keep their type.
+# Defaults that keep the type of the columns in rows of other kinds.
 _NOTHING = {
     "class_id": -1, "score": np.nan, "mask_id": -1, "material": -1, "model": "", "pixels": 0,
     "handle_visible": True, "box_known": True,
@@ -40,12 +40,12 @@ _NOTHING = {
 def rows_of_frame(
     base: dict[str, Any], truths: Iterable[TruePose], found: PosePrediction | None
 ) -> list[dict[str, Any]]:
-    """The rows of a frame.
+    """Return the rows of a frame.
 
     Args:
-        base: index, scene, frame, error, and whether it could be read.
-        truths: what is there; nothing of a frame that could not be read.
-        found: what the method says; None where it failed.
+        base: index, scene, frame, error, and whether the frame could be read.
+        truths: true poses; empty for a frame that could not be read.
+        found: predictions; None if the method failed.
     """
     rows = [base | {KIND: OF_FRAME} | _NOTHING]
     for truth in truths:
@@ -79,8 +79,8 @@ class PoseFrames:
     """Frames of a run, ready to be scored.
 
     Attributes:
-        indices, scenes, names: (F,) which frames.
-        truths, found: of each frame.
+        indices, scenes, names: (F,) index, scene and name of each frame.
+        truths, found: true objects and predictions of each frame.
     """
 
     indices: NDArray[np.int64]
@@ -94,14 +94,14 @@ class PoseFrames:
 
 
 def frames_of(table: pd.DataFrame, materials: frozenset[Material] = frozenset()) -> PoseFrames:
-    """Frames of a table.
+    """Return the readable frames of a table.
 
     Args:
-        table: as a run writes it. Frames that could not be read have no true objects; what a method
-            that failed at a frame would have found counts as missed.
-        materials: only objects of these; empty for all. A prediction belongs to the true object of
-            its class in its frame whose centre is nearest, and is left out with it; predictions of
-            a class that the frame does not have stay.
+        table: table of a run. Frames that could not be read are skipped; at frames where the method
+            failed, all true objects count as missed.
+        materials: use only objects of these materials; empty for all. A prediction belongs to the
+            true object of its class in its frame with the nearest centre, and is removed with it;
+            predictions of a class that the frame does not have are kept.
 
     Returns:
         The frames in the order of the split.
@@ -141,7 +141,7 @@ def _by_frame(
 
 
 def _belongs(true: pd.DataFrame, found: pd.DataFrame, keep: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which predictions belong to a true object that is kept, or to none."""
+    """Mask of the predictions that belong to a kept true object, or to none."""
     centres = ["rt03", "rt13", "rt23"]
     kept = np.ones(len(found), dtype=bool)
     places: dict[tuple[int, int], list[int]] = {}

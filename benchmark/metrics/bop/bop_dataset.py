@@ -1,4 +1,4 @@
-"""What a BOP data set says about its images: true poses, cameras, depth, models and targets."""
+"""BOP data sets: true poses, cameras, depth, models and targets."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ID = Annotated[int, msgspec.Meta(ge=0, le=999_999)]
 
 
 class BopTarget(msgspec.Struct, frozen=True, kw_only=True):
-    """A line of test_targets_bop19.json: how many of an object are to be found in an image."""
+    """An entry of test_targets_bop19.json: number of instances of an object in an image."""
 
     scene_id: _ID
     im_id: _ID

@@ -1,9 +1,7 @@
 """BOP's pose errors: VSD and MSPD.
 
 Source: T. Hodan et al., "BOP Challenge 2020", equations 1 and 2, with the 2019 definition of
-visibility: where the sensor measured nothing, the object counts as visible.
-
-MSPD: how far a wrong pose moves an object in the image.
+visibility: where the sensor has no measurement, the object counts as visible.
 """
 
 from __future__ import annotations
@@ -39,12 +37,12 @@ _POINTS_AT_ONCE = 300_000
 
 @dataclass(frozen=True, eq=False)
 class SeenSurface:
-    """A posed mesh as the camera would see it alone, and what of it is not hidden.
+    """A rendered mesh without occluders, and its visible part.
 
     Attributes:
-        window: of the image that the arrays cover; None if nothing of the mesh is in the image.
-        distance: (h, w) metres from the camera's centre, 0 where the mesh is not.
-        visible: (h, w) where the sensor measured nothing nearer, or nothing at all.
+        window: part of the image that the arrays cover; None if the mesh is outside the image.
+        distance: (h, w) metres from the camera centre, 0 outside the mesh.
+        visible: (h, w) mask of pixels without a nearer measurement of the sensor, or without any.
     """
 
     window: Window | None

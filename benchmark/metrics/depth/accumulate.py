@@ -1,4 +1,4 @@
-"""Means of depth metrics over images, taken up batch by batch."""
+"""Means of depth metrics over images, accumulated batch by batch."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ _OF_ANSWERED = np.array([name.endswith("_answered") for name in _NAMES])
 
 
 class DepthMetrics:
-    """Unweighted means over images, as every published table has them.
+    """Unweighted means over images, as in all published tables.
 
-    An image without any pixel to compare enters no mean; one without any usable prediction enters
-    all but those over answered pixels.
+    An image without any pixel to compare is in no mean. An image without any usable prediction is
+    in all means except those over answered pixels.
 
     Args:
         missing: how pixels count whose prediction is not finite or not positive: `COUNTED` or
             `AS_GIVEN`.
 
     Raises:
-        ToolkitError: `LEFT_OUT`, whose means are always there as `..._answered`.
+        ToolkitError: `LEFT_OUT`, whose means are always available as `..._answered`.
 
     >>> metrics = DepthMetrics()
     >>> metrics.update(np.array([[[1.0, 0.0]]]), np.array([[[1.0, 2.0]]]))
@@ -57,7 +57,7 @@ class DepthMetrics:
         return self._state.copy()
 
     def update(self, pred: Any, true: Any, valid: Any | None = None) -> None:
-        """Take up images.
+        """Add images.
 
         Args:
             pred: (B, H, W) or (H, W) predicted metres; arrays of numpy, or tensors of torch.
@@ -87,7 +87,7 @@ class DepthMetrics:
             self.add(depth_errors(pred[i], true[i], mask, missing=self.missing))
 
     def add(self, errors: Errors) -> None:
-        """Take up one image whose errors are known.
+        """Add one image with known errors.
 
         Args:
             errors: of all its compared pixels.
@@ -100,13 +100,13 @@ class DepthMetrics:
         self._take({name: np.array([value]) for name, value in errors.as_dict().items()})
 
     def merge(self, other: DepthMetrics) -> None:
-        """Take up all that another has.
+        """Add the images of another accumulator.
 
         Args:
             other: not changed.
 
         Raises:
-            ToolkitError: it counts missing pixels another way.
+            ToolkitError: it counts missing pixels differently.
 
         >>> one, two = DepthMetrics(), DepthMetrics()
         >>> two.update(np.ones((2, 2)), np.ones((2, 2)))
@@ -124,7 +124,7 @@ class DepthMetrics:
         self.merge_state(other._state)
 
     def merge_state(self, state: NDArray[np.float64]) -> None:
-        """Take up a `state`, or a sum of some.
+        """Add a `state`, or a sum of several.
 
         Args:
             state: as `state` gives it.
@@ -155,7 +155,7 @@ class DepthMetrics:
         return {name: float(mean) for name, mean in zip(_NAMES, means, strict=True)}
 
     def reset(self) -> None:
-        """Forget everything.
+        """Remove all images.
 
         >>> metrics = DepthMetrics()
         >>> metrics.update(np.ones((2, 2)), np.ones((2, 2)))

@@ -1,9 +1,7 @@
 """Counts and sums of depth errors by cell; what a missing prediction counts as.
 
-A cell is any class of pixels (an object, an object's edge); the errors of every union of cells
-follow from the sums without another look at the pixels.
-
-What a pixel without a usable prediction does to an error.
+A cell is any class of pixels (an object, an object's edge). The errors of every union of cells are
+computed from the sums without access to the pixels.
 """
 
 from __future__ import annotations
@@ -28,9 +26,10 @@ class Missing(StrEnum):
 
     `COUNTED`: as depth 0, which is what every format here writes for "no measurement": the error
     is the whole true depth, the relative error 1, and no threshold is passed.
-    `LEFT_OUT`: not at all; read beside coverage, or a method wins by answering little.
-    `AS_GIVEN`: with the number that stands there, as released evaluations do: a negative
-    prediction then passes every threshold, since its ratio is below all of them.
+    `LEFT_OUT`: not at all; compare it together with coverage, since it favours methods that predict
+    few pixels.
+    `AS_GIVEN`: with the given number, as in released evaluations: a negative prediction then passes
+    every threshold, since its ratio is below all of them.
     """
 
     COUNTED = "counted"

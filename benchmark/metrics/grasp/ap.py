@@ -19,7 +19,7 @@ TOP = 50
 PER_OBJECT = 10
 VOXEL_M = 0.008
 _SPACING_M = 0.004
-# Points of the scene farther from an object's bounding box than this are not looked at.
+# Points of the scene farther from an object's bounding box than this are ignored.
 _AROUND_M = 0.05
 LEAST_BETWEEN = 10
 
@@ -56,7 +56,7 @@ class JudgedObject:
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """What became of the grasps of one image that count, best first.
+    """Results of the counted grasps of one image, best first.
 
     Attributes:
         grasps: (N) those, in the frame of the camera; `object_ids` is the place of the object in

@@ -1,6 +1,6 @@
-"""Whether a gripper hits what is there: points, voxels, planes, meshes; all grasps at once.
+"""Collisions of a gripper with points, voxels, planes and meshes, for all grasps at once.
 
-Boxes against triangles, by separating axes.
+Boxes and triangles are tested with separating axes.
 """
 
 from __future__ import annotations

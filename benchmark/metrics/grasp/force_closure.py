@@ -1,7 +1,4 @@
-"""Force closure: contacts on a mesh, and the friction that they need.
-
-Points that stand for a surface.
-"""
+"""Force closure: contacts on a mesh, the friction that they need, and surface points."""
 
 from __future__ import annotations
 

@@ -1,11 +1,8 @@
 """Grasps of a parallel jaw in GraspNet's convention: batches, suppression, files.
 
-Of grasps that are nearly the same, the best.
-
-GraspNet's files of grasps: arrays of 17 numbers, and where a planner's answers lie.
-
-A dump, what GraspNet's evaluation takes, is `scene_<4 digits>/<camera>/<frame, 4 digits>.npy` with
-one row (`Grasps.from_array`) for each grasp, in the frame of that image's camera, in metres.
+GraspNet's files are arrays with rows of 17 numbers. A dump, the input of GraspNet's evaluation, is
+`scene_<4 digits>/<camera>/<frame, 4 digits>.npy` with one row (`Grasps.from_array`) for each grasp,
+in the camera frame of that image, in metres.
 """
 
 from __future__ import annotations

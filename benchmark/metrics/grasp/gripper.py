@@ -1,4 +1,4 @@
-"""What a parallel-jaw gripper is made of, as boxes in the frame of a grasp."""
+"""Geometry of parallel-jaw grippers, as boxes in the frame of a grasp."""
 
 from __future__ import annotations
 

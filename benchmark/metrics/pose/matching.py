@@ -1,7 +1,4 @@
-"""Pose errors, and which prediction answers for which true object.
-
-Angles and distances between poses, pair by pair.
-"""
+"""Pose errors (angles and distances), and matching of predictions with true objects."""
 
 from __future__ import annotations
 

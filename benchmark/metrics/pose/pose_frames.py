@@ -1,13 +1,11 @@
 """True and predicted poses by frame, and as flat tables to match.
 
-A pose is a 4x4 matrix with a uniform scale inside, which maps the object's normalised coordinates
-into the camera frame in metres; a box is that matrix and its size along x, y, z before it.
+A pose is a 4x4 matrix with a uniform scale, which maps the object's normalised coordinates into the
+camera frame in metres; a box is that matrix and its size along x, y, z before it.
 
-Frames laid out as flat tables, and what can be matched in them.
-
-Predictions are matched with true objects of their class in their frame. Such groups differ in size
-from frame to frame; groups of one size are put together, so that each step of matching is a few
-operations on arrays whatever the number of frames, and nothing is padded.
+Predictions are matched with true objects of their class in their frame. The sizes of such groups
+vary; groups of equal size are combined, so that each step of matching is a few array operations for
+any number of frames, without padding.
 """
 
 from __future__ import annotations
@@ -31,7 +29,7 @@ _ROTATION_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class PoseTruth:
-    """What is in a frame. Anything array-like is taken and kept as arrays.
+    """True objects of a frame. Array-like values are converted to arrays.
 
     Attributes:
         class_ids: (N,) numbers of the classes; 0 is "other" and never scored.
@@ -40,7 +38,7 @@ class PoseTruth:
         handle_visible: (N,) whether the handle of a mug can be seen; all by default.
 
     Raises:
-        ToolkitError: shapes that do not belong together, or a pose or size that is none.
+        ToolkitError: inconsistent shapes, or an invalid pose or size.
     """
 
     class_ids: Ids
@@ -62,7 +60,7 @@ class PoseTruth:
 
 @dataclass(frozen=True, eq=False)
 class PosePrediction:
-    """What a method found in a frame. Anything array-like is taken and kept as arrays.
+    """Predictions of a method in a frame. Array-like values are converted to arrays.
 
     Attributes:
         class_ids: (N,) numbers of the classes.
@@ -71,7 +69,7 @@ class PosePrediction:
         scores: (N,) confidences: predictions are matched and ranked by them, highest first.
 
     Raises:
-        ToolkitError: shapes that do not belong together, or a pose, size or score that is none.
+        ToolkitError: inconsistent shapes, or an invalid pose, size or score.
     """
 
     class_ids: Ids

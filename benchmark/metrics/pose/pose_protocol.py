@@ -1,7 +1,4 @@
-"""Protocols of category-level pose evaluation, and the symmetries of classes.
-
-Classes of objects and what of their pose cannot be seen.
-"""
+"""Protocols of category-level pose evaluation, and the symmetries of classes."""
 
 from __future__ import annotations
 

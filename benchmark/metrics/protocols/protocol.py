@@ -1,14 +1,8 @@
-"""What an evaluation protocol is: on which pixels, at which size, and what a hole costs.
+"""Evaluation protocols: the pixels and the size of the comparison, and the treatment of holes.
 
-What the paper's text says, with every hole counted; the default.
-
-The paper's released evaluation, to the letter.
-
-The grid and the pixels of ClearGrasp's evaluation.
-
-The grid and the pixels of TransCG's evaluation.
-
-Which protocols there are.
+The built-in protocols are the definition in the paper's text with every hole counted (the default),
+the paper's released evaluation, and the grids and pixels of the evaluations of ClearGrasp and of
+TransCG.
 """
 
 from __future__ import annotations
@@ -54,7 +48,7 @@ class Subset:
     """Some of the pixels of a frame's objects.
 
     Attributes:
-        name: as it stands in tables.
+        name: name in tables.
         materials: of the objects that belong to it.
         edges: only the pixels beside a step of depth or the outline of an object.
         category: only objects of this category, where given.
@@ -86,7 +80,7 @@ class Grid:
     through: tuple[Size, ...] = ()
 
     def steps(self, native: Size) -> tuple[Size, ...]:
-        """The sizes that a frame goes through whose ground truth is of size `native`."""
+        """Return the sequence of sizes for a frame with ground truth of size `native`."""
         return (*self.through, self.size or native)
 
 

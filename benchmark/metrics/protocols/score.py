@@ -1,7 +1,4 @@
-"""Scoring one frame.
-
-Pixels beside a step of depth or the outline of an object, where restorers smear.
-"""
+"""Scores of one frame, also at edges: steps of depth and outlines of objects."""
 
 from __future__ import annotations
 
@@ -179,7 +176,7 @@ def score_depth(
     *,
     key: str = "frame",
 ) -> list[Row]:
-    """`score_frame` for who has no whole frame at hand, such as saved results being scored anew.
+    """`score_frame` without a whole frame, for example to score saved results again.
 
     Args:
         restored: (h, w) metres, or None.
@@ -187,7 +184,7 @@ def score_depth(
         mask: (k, l) ids of `instances`, `BACKGROUND` elsewhere.
         instances: the objects.
         protocol: how to compare.
-        key: what errors call the frame.
+        key: name of the frame in errors.
 
     Returns:
         As `score_frame`.

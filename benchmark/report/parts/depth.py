@@ -1,4 +1,4 @@
-"""Depth restoration in a report: leaderboards, breakdowns, speed, pictures, what ran."""
+"""Report part of depth restoration: leaderboards, breakdowns, speed, pictures, runs."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def depth_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
 
 
 def board_sections(board: leaderboard.Board) -> list[page.Section]:
-    """The sections of a leaderboard."""
+    """Return the sections of a leaderboard."""
     colors = depth_plots.method_colors(board)
     found = []
     for i, (split, protocol) in enumerate(board.boards):
@@ -99,7 +99,7 @@ def _speed(board: leaderboard.Board, colors: dict[str, str]) -> list[page.Block]
 
 
 def gallery(results: Sequence[RunResult]) -> list[page.Block]:
-    """The frames that all methods show, method by method; then each method's own extremes."""
+    """Pictures of the common frames for each method, then the best and worst frames of each."""
     blocks: list[page.Block] = []
     found = [(r, _gallery_of(r)) for r in results]
     common: dict[tuple[str, str, str, str], list[tuple[RunResult, str, float]]] = {}
@@ -168,7 +168,7 @@ def _strip(result: RunResult, picture: str, caption: str) -> page.Figure:
 
 
 def _summary(board: leaderboard.Board) -> str:
-    """One sentence on who is best where."""
+    """One sentence on the best methods."""
     found = []
     for split, protocol in board.boards:
         rows = board.main_rows(split, protocol)

@@ -17,24 +17,24 @@ DEPTH_PREFIX = "depth:"
 _DASHES = ("solid", "dash", "dot")
 _MARKERS = ("circle", "square", "diamond", "cross", "triangle-up")
 _BAR_PX, _LEAST_PX = 26, 180
-# More polygons over each other cannot be told apart.
+# More overlapping polygons are not distinguishable.
 _MOST_POLYGONS = 8
 _LONGEST_NAME = 34
 
 
 def method_colors(board: Board) -> dict[str, str]:
-    """The colour of each method, the same in all figures."""
+    """Return the colour of each method, the same in all figures."""
     methods = board.rows.loc[board.rows["kind"] == MEASURED, "method"].drop_duplicates()
     return {m: OBJECT_COLORS[i % len(OBJECT_COLORS)] for i, m in enumerate(methods)}
 
 
 def bars(rows: pd.DataFrame, colors: dict[str, str], column: Column = RMSE) -> str | None:
-    """One bar per method with its 95 % interval, best on top; published ones hollow, below."""
+    """Plot a bar per method with its 95 % interval, best on top; published ones hollow, below."""
     rows = one_of_each(rows.dropna(subset=[column.name])).iloc[::-1]  # drawn from the bottom
     if rows.empty:
         return None
     printed = rows["kind"] == PUBLISHED
-    # By number: bars of one name would be stacked.
+    # By number: Plotly would stack bars of the same name.
     rows = rows.assign(place=range(len(rows)))
     traces = []
     for part, hollow in ((rows[~printed], False), (rows[printed], True)):
@@ -77,7 +77,7 @@ def bars(rows: pd.DataFrame, colors: dict[str, str], column: Column = RMSE) -> s
 
 
 def radar(rows: pd.DataFrame, colors: dict[str, str]) -> str | None:
-    """The best methods as polygons over the six metrics; the rim is the best measured figure."""
+    """Plot the best methods as polygons over six metrics; the rim is the best measured figure."""
     rows = rows[rows["kind"] == MEASURED].dropna(subset=[c.name for c in METRICS])
     if len(rows) < 2:
         return None
@@ -112,7 +112,7 @@ def radar(rows: pd.DataFrame, colors: dict[str, str]) -> str | None:
 
 
 def depth_curves(rows: pd.DataFrame, colors: dict[str, str], column: Column = RMSE) -> str | None:
-    """Error against true depth, a line per method."""
+    """Plot error against true depth, a line per method."""
     rows = rows[rows["subset"].str.startswith(DEPTH_PREFIX) & (rows["kind"] == MEASURED)]
     if rows.empty:
         return None
@@ -144,7 +144,7 @@ def depth_curves(rows: pd.DataFrame, colors: dict[str, str], column: Column = RM
 
 
 def speed_against_error(rows: pd.DataFrame, colors: dict[str, str]) -> str | None:
-    """Frames per second against RMSE: best is the lower right corner."""
+    """Plot frames per second against RMSE; the best corner is the lower right."""
     rows = one_of_each(rows.dropna(subset=["frames_per_s", "rmse"]))
     if rows.empty:
         return None
@@ -177,12 +177,12 @@ def speed_against_error(rows: pd.DataFrame, colors: dict[str, str]) -> str | Non
 
 
 def short(name: str) -> str:
-    """A name that leaves room for the figure beside it."""
+    """Shorten a name to leave room for the figure next to it."""
     return name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 1]}…"
 
 
 def _dashes(methods: Sequence[str], colors: dict[str, str]) -> list[str]:
-    """Dashes that tell apart the methods of one colour."""
+    """Dash patterns that distinguish methods of one colour."""
     like = [colors[m] for m in methods]
     return [_DASHES[like[:i].count(color) % len(_DASHES)] for i, color in enumerate(like)]
 

@@ -1,4 +1,4 @@
-"""The tables of depth restoration: leaderboard, breakdowns, costs, what ran."""
+"""Tables of depth restoration: leaderboard, breakdowns, costs, runs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from benchmark.report import leaderboard
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table
 
 RMSE = leaderboard.METRICS[0]
-# Of the subsets that were measured, those that have a table of their own.
+# Subsets with a separate table.
 MAIN_SUBSETS = ("all", "specular+transparent")
 OBJECTS = {"all": "all objects", "specular+transparent": "specular and transparent objects"}
 DEPTH_PREFIX = "depth:"
@@ -28,19 +28,19 @@ _METHOD = Column(heading="method", numeric=False)
 
 
 def board_title(board: leaderboard.Board, split: str, protocol: str) -> str:
-    """What a table is about, and of how many frames."""
+    """Return the title of a table, with the number of frames."""
     return f"{split}, protocol {protocol}: {leaderboard.frames_of(split, board.frames(split))}"
 
 
 def board_tables(
     board: leaderboard.Board, split: str, protocol: str, *, all_published: bool = False
 ) -> list[Table]:
-    """The tables of one split and protocol, one for each of the main subsets.
+    """Return the tables of one split and protocol, one for each main subset.
 
     Args:
         board: all rows.
-        split, protocol: which.
-        all_published: with ablations and other trainings that papers print, too.
+        split, protocol: split and protocol of the tables.
+        all_published: include published ablations and other trainings.
     """
     grid, first = get_protocol(protocol).main
     tables = []
@@ -64,14 +64,14 @@ def board_tables(
 
 
 def cost_table(board: leaderboard.Board, rows: pd.DataFrame, split: str, protocol: str) -> Table:
-    """What methods cost, beside their accuracy."""
+    """Return the table of the cost and accuracy of methods."""
     title = board_title(board, split, protocol)
     notes = ["Time of the method alone, without reading and scoring."]
     return _method_table(rows, (RMSE, *leaderboard.COSTS), title=title, notes=notes, hardware=True)
 
 
 def breakdown_tables(board: leaderboard.Board, split: str, protocol: str) -> list[Table]:
-    """RMSE by material, at edges, at native size, and by scene."""
+    """Return tables of RMSE by material, at edges, at native size, and by scene."""
     grid, first = get_protocol(protocol).main
     rows = board.rows[(board.rows["split"] == split) & (board.rows["protocol"] == protocol)]
     rows = rows[
@@ -98,7 +98,7 @@ def breakdown_tables(board: leaderboard.Board, split: str, protocol: str) -> lis
 
 
 def run_table(results: Sequence[RunResult]) -> Table:
-    """What ran, with what, on what; and what failed."""
+    """Return the table of runs: weights, hardware and failures."""
     rows = []
     for result in results:
         m, s = result.manifest, result.manifest.setup
@@ -118,14 +118,14 @@ def run_table(results: Sequence[RunResult]) -> Table:
 
 
 def run_columns(*names: str) -> list[Column]:
-    """Columns of a table of runs, after those that name them."""
+    """Return the columns of a table of runs; `names` are the first ones."""
     numeric = ("frames", "failed")
     heads = (*names, *numeric, "settings", "weights", "ran on", "version")
     return [Column(heading=h, numeric=h in numeric, digits=0) for h in heads]
 
 
 def counted(frames: int, missing: int, failed: int) -> list[Cell]:
-    """How many frames a run has and how many of them failed."""
+    """Return the cells with the numbers of frames and of failed frames of a run."""
     of = f"{frames - missing} of {frames}" if missing else str(frames)
     return [
         Cell(text=of, mark="bad" if missing else ""),
@@ -134,20 +134,20 @@ def counted(frames: int, missing: int, failed: int) -> list[Cell]:
 
 
 def machine(weights: str, hardware: dict[str, str], version: str) -> list[Cell]:
-    """What a run computed with."""
+    """Return the cells with weights, hardware and version of a run."""
     processor = hardware.get("gpus") or hardware.get("processor", "")
     return [Cell(text=weights), Cell(text=processor), Cell(text=version)]
 
 
 def can_differ(scenes: int, methods: int) -> bool:
-    """Whether the test of differences could tell two of the methods apart at all: over n scenes it
-    gives no p below 2 / 2**n, and all pairs are corrected for."""
+    """Whether the test of differences can be significant: over n scenes p is at least 2 / 2**n,
+    before the correction for all pairs."""
     pairs = methods * (methods - 1) / 2
     return bool(pairs * 2.0 ** (1 - scenes) < leaderboard.SIGNIFICANT)
 
 
 def interval_note(scenes: int) -> str:
-    """What the brackets behind figures are."""
+    """Return the note that explains the brackets after figures."""
     if scenes < 2:
         return "With one scene there are no intervals."
     few = ", too narrow with so few scenes" if scenes < FEW_SCENES else ""
@@ -180,7 +180,7 @@ def _method_table(
     made = []
     for row in rows.to_dict("records"):
         published = row["kind"] == leaderboard.PUBLISHED
-        # Costs are not what the test is about.
+        # The test does not apply to costs.
         tested = counts and not published and can_differ(row["scenes"], methods)
         alike = tested and row["p_best"] >= leaderboard.SIGNIFICANT
         note = f"published; {source_of(row)}" if published else "≈" if alike else ""
@@ -206,8 +206,8 @@ def _method_table(
 
 
 def source_of(row: dict[str, object]) -> str:
-    """Where a published row is printed, and what was trained on: papers print a method several
-    times, by another training or once more."""
+    """Return source and training data of a published row: papers print a method several times,
+    with other training data or repeated."""
     training = row["training_data"]
     table = str(row["table"])
     return f"{table}; trained on {training}" if isinstance(training, str) and training else table
@@ -224,7 +224,7 @@ def _best_figures(rows: pd.DataFrame, columns: Sequence[Column]) -> dict[str, fl
 
 
 def _matrix(wide: pd.DataFrame, title: str, corner: str) -> Table:
-    """RMSE, shaded from the best to the worst method: methods are columns beside scenes."""
+    """RMSE of methods (columns) by scene, shaded from the best to the worst method."""
     values = wide.to_numpy(float)
     axis = 1 if corner == "scene" else 0
     with np.errstate(all="ignore"):

@@ -1,4 +1,4 @@
-"""Table clearing in a report: the paper's table, causes of failure, pictures, the answer."""
+"""Report part of table clearing: rates, causes of failure, pictures, effect of depth."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from std_toolkit.html.table import Cell, Column, Row, Table
 
 CSV, MARKDOWN, LATEX = "grasping.csv", "grasping.md", "grasping.tex"
 
-# Pictures of a run that the page shows: one of every way in which attempts ended.
+# Pictures per run on the page: one for each outcome of attempts.
 _MOST_STRIPS = 6
 
 _RUN = ("camera", "seed", "planner", "depth")
@@ -74,7 +74,7 @@ def grasp_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
 
 
 def printed_rows() -> list[list[str]]:
-    """The paper's figures under the same headings; what it does not print is a dash."""
+    """Return the figures of the paper under the same headings; missing figures are a dash."""
     rows = published_rows()
     rows = rows[(rows["task"] == "grasping") & (rows["table"].str.contains("table clearing"))]
     found = []
@@ -87,7 +87,7 @@ def printed_rows() -> list[list[str]]:
 
 
 def board_of(results: Sequence[grasp_results.GraspResult]) -> pd.DataFrame:
-    """One row per run, rates as shares."""
+    """Return one row per run, rates as fractions."""
     rows = []
     for result in results:
         rates = result.rates
@@ -132,7 +132,7 @@ def _cause_table(results: Sequence[grasp_results.GraspResult]) -> Table:
 
 
 def _with_place(result: grasp_results.GraspResult, figures: Sequence[str]) -> Row:
-    """A row of figures behind the planner and the depth, with camera and seed."""
+    """A row of planner, depth, camera and seed, followed by figures."""
     place = f"{result.name[0]} camera, seed {result.name[1]}"
     names = [
         Cell(text=result.manifest.planner_label),
@@ -142,7 +142,7 @@ def _with_place(result: grasp_results.GraspResult, figures: Sequence[str]) -> Ro
 
 
 def _columns(headings: Sequence[str]) -> list[Column]:
-    """Columns of a planner, a depth and figures."""
+    """Columns for planner, depth and figures."""
     found = []
     for i, title in enumerate(headings):
         heading, percent, of = title.partition(" %")
@@ -157,7 +157,7 @@ def _figure(text: str) -> Cell:
 
 
 def _run_table(results: Sequence[grasp_results.GraspResult]) -> Table:
-    """What ran, with what, on what."""
+    """The table of runs."""
     rows = []
     for result in results:
         m, s = result.manifest, result.manifest.setup
@@ -196,12 +196,12 @@ def _pictures(results: Sequence[grasp_results.GraspResult]) -> list[page.Block]:
 
 
 def strip_name(index: int, attempt: int) -> str:
-    """File name of an attempt's strip."""
+    """Return the file name of the pictures of an attempt."""
     return f"{scene_name(index)}-attempt-{attempt:02d}.png"
 
 
 def _answer(results: Sequence[grasp_results.GraspResult]) -> list[page.Block]:
-    """How much more of a table is cleared with each depth than with raw depth."""
+    """Gain in completion per table of each depth over raw depth."""
     found = []
     for result in results:
         camera, seed, planner, depth = result.name
@@ -224,7 +224,7 @@ def _answer(results: Sequence[grasp_results.GraspResult]) -> list[page.Block]:
 
 
 def points(gain: grasp_results.Rate) -> str:
-    """A difference of shares in percentage points.
+    """Format a difference of fractions in percentage points.
 
     >>> from benchmark.evaluation.tasks.grasp_results import Rate
     >>> points(Rate(0.25, 0.1, 0.4, 2, 8))
@@ -237,7 +237,7 @@ def points(gain: grasp_results.Rate) -> str:
 
 
 def verdict(gain: grasp_results.Rate) -> str:
-    """What an interval allows to say."""
+    """Return the conclusion that an interval supports."""
     if math.isnan(gain.low):
         return "one table is too few to say"
     if gain.low > 0:

@@ -1,4 +1,4 @@
-"""Poses in a report: of categories, and of known objects; whether restoring depth helps them."""
+"""Report parts of category-level and instance-level poses, with the effect of restored depth."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from benchmark.report.parts import depth_tables, pose_board, pose_sections
 from std_toolkit.html.page import Block, Bullets, Paragraph, Section
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table, number
 
-# Columns that the table of differences shows.
+# Columns of the table of differences.
 SHOWN = ("iou50", "iou75", "5deg2cm", "5deg5cm", "10deg5cm")
 
 CSV, MARKDOWN, LATEX = "poses.csv", "poses.md", "poses.tex"
@@ -23,14 +23,15 @@ CSV, MARKDOWN, LATEX = "poses.csv", "poses.md", "poses.tex"
 
 @dataclass(frozen=True)
 class Finding:
-    """What the comparison of one restored depth with raw depth says.
+    """Result of the comparison of one restored depth with raw depth.
 
     Attributes:
-        split, subset, method, depth, fit: what was compared.
-        after: percent of poses that are right on the restored depth.
-        gain, low, high: over raw depth, in points of percent, with the 95 % interval over scenes.
-        p: of the swap test, corrected for all restored depths and methods of the split.
-        scenes: that were compared.
+        split, subset, method, depth, fit: key of the comparison.
+        after: percentage of correct poses on the restored depth.
+        gain, low, high: gain over raw depth in percentage points, with the 95 % interval over
+            scenes.
+        p: p of the swap test, corrected for all restored depths and methods of the split.
+        scenes: number of scenes compared.
     """
 
     split: str
@@ -54,7 +55,7 @@ class Finding:
 
 
 def findings(board: pose_board.PoseBoard, subset: str) -> list[Finding]:
-    """What is found of every restored depth, split by split."""
+    """Return the findings on every restored depth, by split."""
     found = []
     for split in board.splits:
         restored = [c for c in board.compared.get((split, subset), ()) if not _is_true(c)]
@@ -71,7 +72,7 @@ def findings(board: pose_board.PoseBoard, subset: str) -> list[Finding]:
 
 
 def answer(board: pose_board.PoseBoard) -> list[Block]:
-    """A sentence for each restored depth, and the tables of all differences."""
+    """Return a sentence for each restored depth, and the tables of all differences."""
     sentences = [
         _sentence(f)
         for subset in (pose_results.HARD, pose_results.ALL)
@@ -162,7 +163,7 @@ def _is_true(compared: pose_board.Compared) -> bool:
 
 
 def pose_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart:
-    """Poses of categories; see `ReportTask`.
+    """Category-level poses; see `ReportTask`.
 
     Raises:
         ToolkitError: a run is damaged, or no frame has a true object.
@@ -181,7 +182,7 @@ def pose_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart:
 
 
 def bop_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart:  # noqa: ARG001
-    """Poses of known objects; see `ReportTask`. Papers print none of the data sets here.
+    """Instance-level poses; see `ReportTask`. There are no published figures for these data sets.
 
     Raises:
         ToolkitError: a file is damaged.
@@ -221,7 +222,7 @@ def _sections(board: pose_board.PoseBoard) -> list[Section]:
 
 
 def _summary(board: pose_board.PoseBoard) -> str:
-    """One sentence on what is right most often, true depth aside."""
+    """One sentence on the best method and depth, without true depth."""
     found = []
     for split in board.splits:
         rows = board.part(split, pose_board.PROTOCOLS[0], pose_results.ALL)

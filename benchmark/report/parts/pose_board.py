@@ -1,10 +1,9 @@
 """The leaderboard of poses: a row for each method, depth and fit, measured or published.
 
-Whether one depth gives better poses than another, on the same frames by the same method.
-
-Scenes are what is independent. Average precision is no mean of frames, so that scenes cannot have
-differences of their own; but if the depth made no difference, the answers to each scene could be
-swapped between the two, and the figures of all swapped tables be as likely as the observed ones.
+It also tests whether one depth gives better poses than another, on the same frames with the same
+method. Scenes are independent. Average precision is not a mean over frames, so that there are no
+differences per scene. But if the depth had no effect, the predictions of each scene could be
+swapped between the two depths, and the figures of all swapped tables would be equally likely.
 """
 
 from __future__ import annotations
@@ -28,31 +27,31 @@ from std_toolkit.html.table import Column
 
 Floats = NDArray[np.float64]
 
-EXACT_SCENES = 11  # up to so many, all 2**scenes ways to swap are counted
+EXACT_SCENES = 11  # up to this number, all 2**scenes swaps are enumerated
 
-FLIPS = 2000  # drawn ways above that
+FLIPS = 2000  # random swaps for more scenes
 
 # The protocols of the tables; comparisons are by the first.
 PROTOCOLS = ("strict", "paper")
 
 TABLES = (pose_results.ALL, pose_results.HARD)
 
-# What "right" means in comparisons, breakdowns and the answer.
+# Criterion of a correct pose in comparisons, breakdowns and the answer.
 MAIN = "5deg5cm"
 
 
 @dataclass(frozen=True, eq=False)
 class PoseDifference:
-    """Two runs on the same frames, by one protocol.
+    """Difference of two runs on the same frames, by one protocol.
 
     Attributes:
         columns: names of the K figures.
-        difference: (K,) first minus second, shares.
+        difference: (K,) first minus second, as fractions.
         low, high: (K,) 95 % interval over scenes; NaN with one scene.
-        p: (K,) two-sided p of the swap test: how often a difference is as large when each scene's
-            answers are swapped between the two by chance. Never below 2 / 2**scenes: with five
-            scenes or fewer nothing can be significant at 0.05.
-        scenes, frames: how many were compared.
+        p: (K,) two-sided p of the swap test: the fraction of random swaps of scenes between the
+            two runs with a difference at least as large. It is at least 2 / 2**scenes: with five
+            scenes or fewer no difference is significant at 0.05.
+        scenes, frames: numbers of scenes and frames compared.
     """
 
     columns: tuple[str, ...]
@@ -64,7 +63,7 @@ class PoseDifference:
     frames: int
 
     def of(self, column: str) -> tuple[float, float, float, float]:
-        """Difference, its interval, and p of a column."""
+        """Return difference, ends of its interval, and p of a column."""
         i = self.columns.index(column)
         values = (self.difference[i], self.low[i], self.high[i], self.p[i])
         return values[0].item(), values[1].item(), values[2].item(), values[3].item()
@@ -80,12 +79,12 @@ def compare_runs(
     """Compare two runs.
 
     Args:
-        first, second: by the same protocol, of the same objects.
-        samples: draws for the interval.
-        seed: of all that is drawn.
+        first, second: runs scored by the same protocol on the same objects.
+        samples: bootstrap samples for the interval.
+        seed: seed of interval and test.
 
     Raises:
-        ToolkitError: they are not of the same frames and objects.
+        ToolkitError: the runs do not have the same frames and objects.
     """
     same = (
         np.array_equal(first.names, second.names)
@@ -103,7 +102,7 @@ def compare_runs(
     frames = len(first.scenes)
 
     def differences(of_first: Floats, of_second: Floats) -> Floats:
-        """(D, K) for weights (D, scenes) of the first run's answers and of the second's."""
+        """(D, K) differences for scene weights (D, scenes) of the first and the second run."""
         a, b = (scene_weights(first.scenes, w) for w in (of_first, of_second))
         return resampled_scores(both, np.hstack([a, b])) - resampled_scores(both, np.hstack([b, a]))
 
@@ -126,7 +125,7 @@ def compare_runs(
 
 
 def _swaps(scenes: int, seed: int) -> Floats:
-    """(W, scenes) which scenes are swapped: all ways, or some that are drawn."""
+    """(W, scenes) swapped scenes: all combinations, or a random sample of them."""
     if scenes <= EXACT_SCENES:
         ways: Floats = (np.arange(2**scenes)[:, None] >> np.arange(scenes) & 1).astype(np.float64)
         return ways
@@ -157,8 +156,8 @@ class Compared:
 
     Attributes:
         scored: the run.
-        difference: the run minus that on raw depth; None where they cannot be compared.
-        why_not: in that case why.
+        difference: the run minus that on raw depth; None if they cannot be compared.
+        why_not: the reason if they cannot be compared.
     """
 
     scored: pose_results.Scored
@@ -168,13 +167,13 @@ class Compared:
 
 @dataclass(frozen=True, eq=False)
 class PoseBoard:
-    """All that the formats and the page show.
+    """Data of the tables and the page.
 
     Attributes:
-        rows: see `COLUMNS`; shares.
-        details: by split, the runs by the first protocol, for all objects and for those of each
-            single material, without intervals.
-        compared: by split and subset of `TABLES`, the runs on other than raw depth.
+        rows: see `COLUMNS`; as fractions.
+        details: by split, the runs by the first protocol, for all objects and for each single
+            material, without intervals.
+        compared: by split and subset of `TABLES`, the runs on depth other than raw.
         results: the runs.
     """
 
@@ -185,16 +184,16 @@ class PoseBoard:
 
     @property
     def splits(self) -> list[str]:
-        """That were measured."""
+        """Return the measured splits."""
         return list(dict.fromkeys(result.split for result in self.results))
 
     def frames(self, split: str) -> int:
-        """Frames of the split that were scored, of the run with the most of them."""
+        """Return the largest number of scored frames of the split over runs."""
         mine = [r for r in self.results if r.split == split]
         return max(r.manifest.setup.frames - r.missing for r in mine)
 
     def part(self, split: str, protocol: str, subset: str) -> pd.DataFrame:
-        """The rows of one table."""
+        """Return the rows of one table."""
         rows = self.rows
         chosen = (rows["split"] == split) & (rows["protocol"] == protocol)
         return rows[chosen & (rows["subset"] == subset)].reset_index(drop=True)
@@ -209,9 +208,9 @@ def make_pose_board(
     """Score runs and compare them.
 
     Args:
-        results: at least one.
-        published: with the figures that papers print for the same splits and subsets.
-        samples: draws of scenes for intervals.
+        results: at least one run.
+        published: include published figures for the same splits and subsets.
+        samples: bootstrap samples of scenes for intervals.
 
     Raises:
         ToolkitError: no run has a frame with a true object.
@@ -242,7 +241,7 @@ def make_pose_board(
 
 
 def _place(result: pose_results.PoseResult) -> tuple[int, str]:
-    """Raw depth before restored depth, true depth last."""
+    """Sort key: raw depth before restored depth, true depth last."""
     depth = result.manifest.setup.depth
     return (0 if depth == RAW else 2 if depth == TRUE else 1, result.name[1])
 
@@ -278,7 +277,7 @@ def _row(scored: pose_results.Scored, protocol: str) -> dict[str, object]:
 
 
 def _against_raw(scored: Sequence[pose_results.Scored], samples: int) -> list[Compared]:
-    """Runs on other depths, each with the run of the same method and fit on raw depth."""
+    """Compare runs on other depths with the run of the same method and fit on raw depth."""
     raw = {(s.result.name[0], s.result.name[2]): s for s in scored if s.result.name[1] == RAW}
     found = []
     for each in scored:
@@ -297,7 +296,7 @@ def _against_raw(scored: Sequence[pose_results.Scored], samples: int) -> list[Co
 
 
 def _published(board: pd.DataFrame) -> pd.DataFrame:
-    """Published rows of the splits and subsets that were measured, beside every protocol."""
+    """Published rows for the measured splits and subsets, for every protocol."""
     printed = published_poses()
     parts = []
     for split, protocol, subset in (

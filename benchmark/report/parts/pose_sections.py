@@ -1,4 +1,4 @@
-"""The tables and pictures of poses: leaderboard, breakdowns, boxes, what ran."""
+"""Tables and pictures of poses: leaderboard, breakdowns, boxes, runs."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _CAUTION = (
 
 
 def pose_title(board: PoseBoard, split: str, protocol: str) -> str:
-    """What a table is about, and of how many frames."""
+    """Return the title of a table, with the number of frames."""
     return f"{split}, protocol {protocol}: {frames_of(split, board.frames(split))}"
 
 
 def pose_tables(board: PoseBoard, split: str, protocol: str) -> list[Table]:
-    """The tables of one split and protocol, one for each set of objects; percent."""
+    """Return the tables of one split and protocol in percent, one for each set of objects."""
     tables = []
     for subset in TABLES:
         rows = board.part(split, protocol, subset)
@@ -71,7 +71,7 @@ def _row(row: dict[str, object], best: pd.Series) -> Row:
 
 
 def bar_blocks(board: PoseBoard, split: str, protocol: str) -> list[page.Block]:
-    """Bars of every method and fit by depth; none for the protocol of the paper."""
+    """Return bar plots of every method and fit by depth; none for the paper protocol."""
     blocks: list[page.Block] = []
     for subset in TABLES if protocol != PAPERS_PROTOCOL else ():
         rows = board.part(split, protocol, subset)
@@ -87,7 +87,7 @@ def bar_blocks(board: PoseBoard, split: str, protocol: str) -> list[page.Block]:
 
 
 def breakdown_tables(board: PoseBoard, split: str) -> list[Table]:
-    """The main figure by material and by class."""
+    """Return tables of the main figure by material and by class."""
     materials: dict[pose_results.RunName, dict[str, float]] = {}
     classes: dict[pose_results.RunName, dict[str, float]] = {}
     for each in board.details[split]:
@@ -112,7 +112,7 @@ def breakdown_tables(board: PoseBoard, split: str) -> list[Table]:
 
 
 def _matrix(figures: dict[pose_results.RunName, dict[str, float]], title: str) -> Table:
-    """Shares, shaded from none (white) to all (green)."""
+    """Fractions, shaded from 0 (white) to 1 (green)."""
     names = list(dict.fromkeys(column for mine in figures.values() for column in mine))
     columns = [Column(heading=n, factor=100, lower_is_better=False) for n in names]
     rows = []
@@ -128,7 +128,7 @@ def _matrix(figures: dict[pose_results.RunName, dict[str, float]], title: str) -
 
 
 def pose_gallery(board: PoseBoard) -> list[page.Block]:
-    """The same frames for all depths of a method, side by side."""
+    """Return pictures of the same frames for all depths of a method, side by side."""
     groups: dict[
         tuple[str, str, str], list[tuple[pose_results.PoseResult, pose_pictures.PosePictures]]
     ] = {}
@@ -170,7 +170,7 @@ def pose_gallery(board: PoseBoard) -> list[page.Block]:
 
 
 def run_table(results: Sequence[pose_results.PoseResult]) -> Table:
-    """What ran, with what, on what; and what failed."""
+    """Return the table of runs: weights, hardware and failures."""
     rows = []
     for result in results:
         m, s = result.manifest, result.manifest.setup
@@ -189,7 +189,7 @@ def run_table(results: Sequence[pose_results.PoseResult]) -> Table:
 
 
 def depth_colors(depths: list[str]) -> dict[str, str]:
-    """The colour of each depth: raw grey, true green, restored ones of their own."""
+    """Return the colour of each depth: raw grey, true green, restored ones all different."""
     restored = [d for d in dict.fromkeys(depths) if d not in (pose_inputs.RAW, pose_inputs.TRUE)]
     colors = [c for c in OBJECT_COLORS if c != _TRUE_COLOR]
     found = {depth: colors[i % len(colors)] for i, depth in enumerate(restored)}
@@ -197,11 +197,11 @@ def depth_colors(depths: list[str]) -> dict[str, str]:
 
 
 def columns_by_depth(rows: pd.DataFrame, method: str, fit: str) -> str | None:
-    """Bars of all figures of a method, one colour for each depth, with intervals.
+    """Plot bars of all figures of a method, one colour for each depth, with intervals.
 
     Args:
-        rows: of one split, protocol and subset.
-        method, fit: whose.
+        rows: rows of one split, protocol and subset.
+        method, fit: method and fit to plot.
     """
     chosen = rows[(rows["kind"] == MEASURED) & (rows["method"] == method) & (rows["fit"] == fit)]
     if len(chosen) < 2:
