@@ -22,10 +22,13 @@ _SHARP = """(view) => {
 }"""
 
 
-def opened(page: Page, url: str) -> Page:
-    """The page with its pictures shown."""
+def opened(page: Page, url: str, *, measured: bool = True) -> Page:
+    """The page with its pictures shown and, if it has residuals, its object in them."""
     page.set_default_timeout(PATIENCE_MS)
     page.goto(url)
+    # Measured after the mesh is read; before, a press would take the image by its background.
+    if measured:
+        page.wait_for_selector("#residuals tbody tr")
     return sharp(page)
 
 

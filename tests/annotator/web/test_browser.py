@@ -194,9 +194,9 @@ def test_tab_switches_to_the_cloud_and_back(served: Served, page: Page) -> None:
 
 
 def test_side_views_follow_edits_and_a_double_click_takes_their_frame(
-    served: Served, page: Page
+    serve: Serve, page: Page
 ) -> None:
-    opened(page, served.url)
+    opened(page, serve().url)  # the active view, whose camera the numbers refer to, changes
     before, side = position(page), picture_number(page, SIDE)
     page.keyboard.press("ArrowRight")
     wait_for_picture(page, side, SIDE)

@@ -72,7 +72,7 @@ def test_a_mesh_in_millimetres_is_asked_about_and_a_missing_one_is_told(
     served: Served, page: Page, tmp_path: Path
 ) -> None:
     trimesh.creation.cylinder(20, 90).export(tmp_path / "can.stl")
-    opened(page, served.url)
+    opened(page, served.url, measured=False)
     page.keyboard.press("Control+m")
     page.locator("[data-field='path'] input").fill(str(tmp_path / "nothing.stl"))
     answer(page, "add")
@@ -91,7 +91,7 @@ def test_a_mesh_in_millimetres_is_asked_about_and_a_missing_one_is_told(
 
 
 def test_name_note_and_symmetry_are_asked_for(served: Served, page: Page) -> None:
-    opened(page, served.url)
+    opened(page, served.url, measured=False)
     page.locator("#objects [data-object]").first.click()
     page.keyboard.press("F2")
     page.locator("[data-field='name'] input").fill("carton")
@@ -161,7 +161,7 @@ def test_a_scene_without_depth_and_camera_poses(serve: Serve, page: Page, tmp_pa
     for path in (root / "depth").iterdir():
         path.unlink()
     served = serve(root)
-    opened(page, served.url)
+    opened(page, served.url, measured=False)
     page.locator("[data-add='box']").click()
     page.wait_for_selector("#pose")
     before = position(page)
