@@ -140,6 +140,7 @@ def test_a_damaged_frame_is_listed_and_tried_again(tmp_path: Path) -> None:
     assert table.loc[table["error"] != "", "frame"].tolist() == ["0002"]
     failures = pd.read_csv(run.folder / FAILURES, dtype=str)
     assert "0002_gt_depth.exr" in failures["error"][0]
+    assert list(failures) == ["index", "scene", "frame", "error"]
     damaged.write_bytes(content)
     mended = run_task(run, SERIAL)
     assert (mended["error"] == "").all()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmark.metrics.significance import mean_interval, scene_sums
+from benchmark.metrics.significance import mean_interval, paired_test, scene_sums
 from std_toolkit.errors import ToolkitError
 
 
@@ -93,3 +93,9 @@ def test_what_is_refused() -> None:
 def test_an_interval_needs_a_level_below_one_and_a_sample(wrong: dict[str, float]) -> None:
     with pytest.raises(ToolkitError, match="needs a level"):
         mean_interval([1.0, 2.0], [0, 1], **wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("shape", [(), (2, 2)])
+def test_paired_figures_are_one_for_each_frame(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ToolkitError, match="paired figures"):
+        paired_test(np.ones(shape), np.ones(shape), np.zeros(shape))

@@ -126,6 +126,10 @@ def test_one_scale_source_leaves_the_agreement_open() -> None:
     one = ScaleReport(unit="metre", chosen="cad", estimates=scale(0.0).estimates[1:])
     gate = gates(summary=msgspec.structs.replace(SUMMARY, scale=one))["scale"]
     assert gate.status == "open" and gate.value is None
+    assert gate.detail == "only one source (cad)"
+    three = msgspec.structs.replace(one, estimates=[*scale(0.0).estimates, *one.estimates])
+    gate = gates(summary=msgspec.structs.replace(SUMMARY, scale=three))["scale"]
+    assert gate.detail == "used: cad; available: depth, cad, cad"
 
 
 def test_depth_gate_leaves_out_what_the_scale_explains() -> None:
@@ -198,3 +202,16 @@ def test_an_outline_must_lie_well_below_chance(
 ) -> None:
     item = SimpleNamespace(edge_px=edge_px, edge_chance_px=chance_px)
     assert is_uninformative(item) is uninformative
+
+
+@pytest.mark.parametrize(("count", "shown"), [(1, 1), (6, 6), (8, 6)])
+def test_frames_that_could_not_be_checked_are_named(count: int, shown: int) -> None:
+    """Even if not one frame could be looked at."""
+    frames = [msgspec.structs.replace(f, problem="damaged") for f in FRAMES[:count]]
+    for looked_at in (0, 20):
+        summary = msgspec.structs.replace(SUMMARY, looked_at=looked_at)
+        found = {g.key: g for g in evaluate_gates(summary, [GOOD], frames, None, OPTIONS)}
+        assert (found["frames"].status, found["frames"].value) == ("fail", count)
+        names = ", ".join(f.name for f in frames[:shown])
+        more = f" and {count - shown} more" if count > shown else ""
+        assert found["frames"].detail == names + more

@@ -280,3 +280,21 @@ def test_an_implausible_median_depth_is_refused(tmp_path: Path, metres: float) -
     with pytest.raises(ToolkitError, match="median depth is implausible"):
         check_depth_unit(tmp_path, np.full((80, 80), metres, np.float32), 0.001)
     check_depth_unit(tmp_path, np.full((80, 80), 0.7, np.float32), 0.001)
+
+
+@pytest.mark.parametrize(
+    "distortion",
+    [
+        (-0.3, 0.05),
+        (0.1, -0.3, 0.0, 0.0, 0.05, 0.2, 0.4, -0.3),
+        (0.2, -0.1, 0.0, 0.0, 0.0, 0.5, -0.9),
+    ],
+)
+def test_the_radius_of_distortion_ends_where_it_stops_growing(distortion: tuple) -> None:
+    k1, k2, _, _, k3, k4, k5, k6 = (*distortion, *[0.0] * (8 - len(distortion)))
+    r = np.linspace(0, 4, 400_001)
+    s = r * r
+    top, bottom = 1 + k1 * s + k2 * s**2 + k3 * s**3, 1 + k4 * s + k5 * s**2 + k6 * s**3
+    shrinks = (np.diff(r * top / bottom) <= 0) | (bottom[1:] <= 0)
+    assert shrinks.any()
+    assert np.sqrt(largest_radius2(distortion)) == pytest.approx(r[np.argmax(shrinks)], abs=1e-4)

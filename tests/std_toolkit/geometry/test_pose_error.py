@@ -144,3 +144,12 @@ def test_any_turn_about_the_axis_of_symmetry_is_found(steps: int) -> None:
     for angle in np.linspace(0, 2 * np.pi, 50):
         turned = T @ BOTTLE.turn(0, float(angle))
         assert mssd(turned, T, ring(), BOTTLE, steps=steps) < 1e-6
+
+
+def test_the_axis_of_a_symmetry_may_point_anywhere() -> None:
+    axis = np.array([1.0, 2.0, -2.0]) / 3
+    symmetry = Symmetry(continuous=((tuple(axis), (0.0, 0.0, 0.0)),))
+    T = SE3.exp([0.1, 0.2, 0.7, 0.3, 0.2, 0.1])
+    across = np.array([2.0, 1.0, 2.0]) / 3
+    turned = T @ SE3(so3_exp(across * 0.2) @ so3_exp(axis * 1.1), np.zeros(3))
+    assert rotation_error(turned, T, symmetry) == pytest.approx(0.2)

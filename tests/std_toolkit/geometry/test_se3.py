@@ -191,3 +191,9 @@ def test_a_quaternion_of_about_unit_length_gives_a_rotation() -> None:
     T = SE3.from_quat(1.005 * q, [0, 0, 0])
     assert np.abs(T.R @ T.R.T - np.eye(3)).max() < 1e-14
     assert_same(T, SE3.from_quat(q, [0, 0, 0]), 1e-14)
+
+
+@pytest.mark.parametrize("t", [[0.0, 0.0], [0.0, 0.0, 0.0, 0.0]])
+def test_a_translation_has_three_numbers(t: list[float]) -> None:
+    with pytest.raises(ToolkitError):
+        SE3.from_quat([1.0, 0.0, 0.0, 0.0], t)

@@ -89,3 +89,9 @@ def test_points_are_triangulated_where_they_are() -> None:
     for view in seen:
         pixels = CAMERA.project(view.T_cam_world @ model)
         np.testing.assert_allclose(pixels, view.uv, atol=1e-4)
+
+
+def test_few_views_are_taken_by_pairs_and_many_in_groups() -> None:
+    assert [len(known_points._subsets(views(n))) for n in (2, 4, 6)] == [1, 6, 15]
+    groups = known_points._subsets(views(7))
+    assert [len(group) for group in groups] == [4, 3]

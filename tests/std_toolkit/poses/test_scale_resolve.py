@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.jobs import JobOptions
 from std_toolkit.plugins import Registry
 from std_toolkit.poses import PoseOptions, scale_sources
-from std_toolkit.poses.pose_step import _judged
-from std_toolkit.poses.scale_sources import ScaleContext, resolve_scale
+from std_toolkit.poses.pose_step import _judged, _width
+from std_toolkit.poses.scale_sources import ScaleContext, _disagreement, resolve_scale
 from std_toolkit.scene.model import ScaleEstimate, ScaleReport
 
 
@@ -132,3 +133,22 @@ def test_a_source_the_user_named_is_judged_alone() -> None:
     assert (named.unit, named.chosen) == ("metre", "board")
     assert not named.estimates
     assert named.disagreement == 0
+
+
+def test_the_disagreement_is_the_largest_relative_difference() -> None:
+    estimates = {
+        s: ScaleEstimate(source=s, factor=f, spread=0.01, standard_error=0.001, count=9)
+        for s, f in (("board", 0.2), ("cad", 0.25), ("depth", 0.3))
+    }
+    share, pair = _disagreement(estimates)
+    assert share == pytest.approx(1 / 3)
+    assert pair == ("board", "depth")
+
+
+@pytest.mark.parametrize(
+    ("threads", "engine", "workers"), [(None, "local", 3), (1, "serial", 1), (2, "local", 2)]
+)
+def test_threads_set_the_workers(threads: int | None, engine: str, workers: int) -> None:
+    given = JobOptions(engine="local", workers=3)
+    found = _width(given, PoseOptions(threads=threads))
+    assert (found.engine, found.workers) == (engine, workers)

@@ -54,3 +54,10 @@ def test_only_watertight_meshes_wound_outwards_are_closed(case: str) -> None:
     elif case == "open":
         faces = faces[1:]
     assert RenderMesh.from_arrays(np.asarray(box.vertices), faces).closed is (case == "box")
+
+
+def test_normals_of_a_ball_point_outwards_at_every_vertex() -> None:
+    mesh = prepare_mesh(trimesh.creation.icosphere(subdivisions=3, radius=0.05))
+    outwards = mesh.vertices[mesh.faces] / 0.05
+    cosine = (mesh.corner_normals * outwards).sum(axis=2)
+    assert np.rad2deg(np.arccos(np.clip(cosine, -1, 1))).max() < 1.0

@@ -16,8 +16,10 @@ from std_toolkit.cli.main import main
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.images import write_depth_png16
 from std_toolkit.jobs import JobOptions
 from std_toolkit.options import RenderOptions
+from std_toolkit.rendering.choose import get_renderer
 from std_toolkit.rendering.frame import hidden_by_depth, is_finished
 from std_toolkit.rendering.ground_truth import (
     FrameTruth,
@@ -26,7 +28,8 @@ from std_toolkit.rendering.ground_truth import (
     read_ground_truth,
     rendered_frames,
 )
-from std_toolkit.rendering.placements import truth_is_current
+from std_toolkit.rendering.maps import object_silhouette
+from std_toolkit.rendering.placements import frame_placements, truth_is_current
 from std_toolkit.rendering.render_step import render_ground_truth
 from std_toolkit.scene.model import Frames, Labels
 from std_toolkit.scene.scene import Scene
@@ -127,6 +130,42 @@ def test_the_annotated_frame_alone_is_enough(make_scene: MakeScene) -> None:
     report = render_ground_truth(scene, replace(MODELS, policy="auto"), jobs=SERIAL)
     assert list(report.results) == ["0"]
     assert read_ground_truth(scene, 0).info.policy == "sensor"
+
+
+def test_a_pose_annotated_in_another_view_is_used_there(make_scene: MakeScene) -> None:
+    """Without camera poses a label has the poses of the frames in which it was annotated."""
+    scene = make_scene()
+    (scene.root / "poses.json").unlink()
+    scene = Scene.open(scene.root)
+    first, *others = scene.labels.labels
+    moved = SE3.exp([0.01, 0, 0, 0, 0, 0.1]) @ SE3.from_matrix(first.T_cam_obj)
+    seen_twice = msgspec.structs.replace(first, T_world_obj=None, views={"2": moved.flat()})
+    others = [msgspec.structs.replace(x, T_world_obj=None) for x in others]
+    scene.save_labels(Labels(labels=[seen_twice, *others]))
+    assert list(frame_placements(scene, 2)) == [first.object]
+    assert np.allclose(frame_placements(scene, 2)[first.object].matrix(), moved.matrix())
+    assert frame_placements(scene, 1) == {}
+
+
+def test_pixels_with_sensor_depth_are_counted(make_scene: MakeScene) -> None:
+    scene = make_scene(frames=1)
+    frame = scene.frames[0]
+    depth = scene.read_depth(frame)
+    assert depth is not None
+    depth[::2] = 0
+    scale = scene.info.depth_scale
+    assert scale is not None
+    write_depth_png16(scene.root / str(frame.depth), depth, scale=scale)
+    scene = Scene.open(scene.root)
+    render_ground_truth(scene, MODELS, jobs=SERIAL)
+    truth = read_ground_truth(scene, 0)
+    mesh = {row.id: scene.mesh(row.model) for row in scene.objects.objects}
+    for row in truth.info.objects:
+        T = SE3.from_matrix(row.T_cam_obj)
+        whole = object_silhouette(
+            get_renderer(truth.info.renderer), scene.camera(frame), mesh[row.object], T
+        ).image_mask(scene.camera(frame))
+        assert 0 < row.px_valid == np.count_nonzero(whole & (depth > 0)) < row.px_all
 
 
 def test_a_bad_frame_is_listed_and_ends_nothing(make_scene: MakeScene) -> None:

@@ -16,6 +16,7 @@ from benchmark.metrics.grasp.force_closure import (
     needed_friction,
 )
 from benchmark.metrics.grasp.grasp import Grasps
+from std_toolkit.errors import ToolkitError
 
 
 def closing_on(center: tuple[float, float, float], turn_deg: float = 0.0, width: float = 0.08):
@@ -128,3 +129,9 @@ def test_normals_have_unit_length_on_faces_of_any_size() -> None:
     assert found.found.tolist() == [True, True, True]
     expected = np.stack([-np.eye(3), np.eye(3)], axis=1)
     assert np.abs(found.normals - expected).max() < 1e-9
+
+
+@pytest.mark.parametrize("faces", [np.zeros((0, 3), int), np.zeros(3, int)])
+def test_a_mesh_without_faces_is_refused(faces: np.ndarray) -> None:
+    with pytest.raises(ToolkitError, match="holds no faces"):
+        GraspedMesh(np.eye(3), faces)

@@ -14,6 +14,7 @@ from pose_cases import found, frame_of, oracle, oracle_frames, pose
 from benchmark.metrics.pose import (
     BoxIoU,
     PoseClasses,
+    PoseGate,
     PosePrediction,
     PoseScoring,
     PoseTruth,
@@ -25,6 +26,7 @@ from benchmark.metrics.pose import (
     score_poses,
 )
 from benchmark.metrics.pose.pose_frames import flatten, group
+from benchmark.metrics.pose.resampling import side_by_side
 from std_toolkit.errors import ToolkitError
 
 STRICT = get_pose_protocol("strict")
@@ -286,3 +288,22 @@ def test_frames_without_their_partner_are_refused(true: int, predicted: int) -> 
     truths, predictions = [frame_of((1, np.eye(4)))], [found((1, np.eye(4), 1.0))]
     with pytest.raises(ToolkitError, match="as many true frames as predicted"):
         score_poses(truths * true, predictions * predicted)
+
+
+def test_an_overlap_of_just_the_threshold_admits_no_pose() -> None:
+    one = frame_of((CAMERA, np.eye(4)))
+    quarter = found((CAMERA, pose(t=(0.25, 0, 0)), 1.0))
+    wide = PoseGate(10.0, 100.0)
+    for threshold, figure in ((0.75 / 1.25, 0), (np.nextafter(0.75 / 1.25, 0), 1)):
+        needed = replace(STRICT, pose_needs_iou=float(threshold), iou=BoxIoU.AABB, gates=(wide,))
+        matches = match_poses([one], [quarter], needed)
+        assert matches.hits[0, -1] == figure
+
+
+def test_methods_by_different_protocols_are_not_put_side_by_side() -> None:
+    one, other = frame_of((CAMERA, np.eye(4))), found((CAMERA, np.eye(4), 1.0))
+    matches = match_poses([one], [other])
+    fewer = match_poses([one], [other], replace(STRICT, iou_thresholds=(0.75,)))
+    for pair in ((matches, fewer), (fewer, matches)):
+        with pytest.raises(ToolkitError, match="on the same frames"):
+            side_by_side(*pair)

@@ -184,13 +184,26 @@ def test_points_of_the_reconstruction(scene: Scene, tmp_path: Path) -> None:
     xyz, rgb = found
     assert xyz.shape == rgb.shape == (50, 3)
     assert (rgb == 200).all()
-    assert sparse_points(write_table_scene(tmp_path / "s", frames=1)) is None
+    other = write_table_scene(tmp_path / "s", frames=1)
+    assert sparse_points(other) is None
+    # Points without colours are grey; those that are not finite are left out.
+    (other.root / "poses").mkdir(exist_ok=True)
+    points = "".join(f"{x} 0.2 0.3\n" for x in ("0.1", "nan", "0.4"))
+    head = "ply\nformat ascii 1.0\nelement vertex 3\n"
+    names = "".join(f"property float {axis}\n" for axis in "xyz")
+    (other.root / "poses/points.ply").write_text(f"{head}{names}end_header\n{points}")
+    found = sparse_points(other)
+    assert found is not None
+    assert found[0][:, 0] == pytest.approx([0.1, 0.4])
+    assert (found[1] == [[120] * 3] * 2).all()
 
 
 def test_voxels_average_over_frames_and_remember_who_saw_them() -> None:
     grid, twice = VoxelGrid(0.1, limit=10), MultiViewCells(0.1)
     first = np.array([[0.01, 0.01, 0.01], [0.03, 0.01, 0.01], [0.55, 0.5, 0.5]])
-    twice.add(grid.add(first, np.array([[10, 0, 0], [20, 0, 0], [7, 7, 7]], np.uint8)))
+    means = grid.add(first, np.array([[10, 0, 0], [20, 0, 0], [7, 7, 7]], np.uint8))
+    assert means == pytest.approx(np.array([[0.02, 0.01, 0.01], [0.55, 0.5, 0.5]]))
+    twice.add(means)
     assert not twice.holds(grid.points).any()
     second = np.array([[0.08, 0.04, 0.01]])
     twice.add(grid.add(second, np.array([[90, 0, 30]], np.uint8)))
