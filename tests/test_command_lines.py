@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import resource
+import shlex
 import subprocess
 import sys
 
@@ -73,6 +74,7 @@ def test_help_takes_little_processor_time(module: str, words: list[str], seconds
 @pytest.mark.parametrize("words", ["--help", "priors --help", "list splits"])
 def test_a_reader_that_stops_early_is_no_error(words: str) -> None:
     """As `std-bench --help | head`."""
-    line = f"std-bench {words} | true; exit ${{PIPESTATUS[0]}}"
+    program = shlex.join([sys.executable, "-m", "benchmark.cli.bench"])
+    line = f"{program} {words} | true; exit ${{PIPESTATUS[0]}}"
     done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (0, "")

@@ -1,13 +1,8 @@
-"""What networks share: views to tensors, device, precision, relative depth.
+"""Shared code of networks: tensors from views, image sizes, device, precision, relative depth.
 
-Sizes of images that networks work at.
-
-Depth told to a network, and told by it, relative to what the sensor measured in the same image.
-
-A scene that is twice as large and twice as far looks the same: relative depth is the same for both.
-What a network is told is relative to the image's mean. What it tells is relative to the sensor's
-depth, coarse and with its holes filled from around them: where the sensor is right the answer is 0,
-so that nothing need be learned to repeat it.
+Relative depth does not depend on the scale of the scene. The input is relative to the mean depth of
+the image. The output is relative to the sensor's depth at low resolution, with holes filled from
+their surroundings: an output of 0 repeats the sensor.
 """
 
 from __future__ import annotations

@@ -1,9 +1,4 @@
-"""Protocols of depth restorers, pose estimators and grasp planners.
-
-What a method that finds category-level poses is to the benchmark.
-
-What a grasp planner is to the benchmark.
-"""
+"""Protocols of depth restorers, pose estimators and grasp planners."""
 
 from __future__ import annotations
 

@@ -1,14 +1,6 @@
-"""Registry and factory of all methods: options, presets, settings.
+"""Registry and factory of methods: names, options, presets, settings and shipped weights.
 
-Making a method of any kind from its name: what can go wrong is one line that says where.
-
-A method's own settings: from text, as a user gives them, to the fields of its configuration.
-
-Where the weights that come with the toolkit are, and which preset they stand for.
-
-Which pose methods there are, and how one is made.
-
-Which grasp planners there are, and how one is made.
+Errors are one line that names the method and the field.
 """
 
 from __future__ import annotations

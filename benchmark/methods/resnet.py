@@ -1,6 +1,6 @@
-"""The residual blocks of ResNet-18, ResNet-34 and ResNet-50 (He et al., CVPR 2016).
+"""Residual blocks of ResNet-18, ResNet-34 and ResNet-50 (He et al., CVPR 2016).
 
-Keys and shapes are those of the ImageNet weights that torchvision publishes.
+Keys and shapes match the ImageNet weights that torchvision publishes.
 """
 
 from __future__ import annotations

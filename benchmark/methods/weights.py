@@ -1,4 +1,4 @@
-"""Trained weights: those that come with the toolkit, and those that a user has."""
+"""Trained weights: shipped ones, and files given by the user."""
 
 from __future__ import annotations
 

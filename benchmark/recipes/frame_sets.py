@@ -1,4 +1,4 @@
-"""Sets of frames that a recipe trains and tests on: simulated here, or given by the user."""
+"""Sets of frames for training and testing: simulated, or given by the user."""
 
 from __future__ import annotations
 

@@ -1,9 +1,7 @@
-"""What an experiment is: sets of frames, variants that are trained on them, tests.
+"""Recipes of experiments: sets of frames, variants trained on them, and tests.
 
-A recipe is a TOML file; those of the toolkit lie in `experiments/`. How large everything is says
-the scale, see `scale.py`.
-
-How large a recipe is run: scenes, views, image size, steps, size of the networks.
+A recipe is a TOML file; those of the toolkit are in `experiments/`. A `Scale`, read from
+`scales.toml`, sets the size of a run: scenes, views, image size, steps and size of the networks.
 """
 
 from __future__ import annotations

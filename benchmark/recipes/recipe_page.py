@@ -1,4 +1,4 @@
-"""The table of a recipe as CSV, Markdown and a page. Each of them tells the scale."""
+"""The table of a recipe as CSV, Markdown and a page; each states the scale."""
 
 from __future__ import annotations
 

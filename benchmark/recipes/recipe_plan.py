@@ -1,4 +1,4 @@
-"""From a recipe, a scale and the user's data to everything that is to be done."""
+"""Plans the steps of a recipe from its scale and the user's data."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A recipe from its plan to its page. Every step is done once: what is finished is left alone."""
+"""Runs a recipe from its plan to its page. Finished steps are not repeated."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""What a recipe is going to do, as text.
-
-What a recipe is going to cost, before it is run.
-"""
+"""Prints the steps and the expected cost of a recipe before it runs."""
 
 from __future__ import annotations
 

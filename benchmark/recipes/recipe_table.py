@@ -1,4 +1,4 @@
-"""The table of a recipe: measured rows, and the published ones beside them."""
+"""The table of a recipe: measured rows and published ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the frames of each test are: the user's data, simulated ones, or nowhere yet."""
+"""Frames of each test: the user's data, or simulated ones."""
 
 from __future__ import annotations
 

@@ -1,11 +1,9 @@
 """Augmentation of colour, depth and geometry.
 
-Colour as published for SwinDRNet, with the operations of kornia in place of those of imgaug, which
-is no longer kept up: a share of the images gets each of four groups of changes. What kornia has no
-equal of is taken by the nearest of it: noise by plasma fractals for noise by simplex, one blurred
-line for `motion k3`.
-
-Frames turned, mirrored and enlarged, as published for NLSPN on indoor scenes.
+Colour as published for SwinDRNet: a share of the images gets each of four groups of changes. The
+operations are those of kornia, because imgaug is no longer maintained. Where kornia has no
+equivalent, the nearest one is used: plasma-fractal noise for simplex noise, one blurred line for
+`motion k3`. Geometry as published for NLSPN on indoor scenes: rotation, mirroring, enlargement.
 """
 
 from __future__ import annotations

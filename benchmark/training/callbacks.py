@@ -1,4 +1,4 @@
-"""What happens around the steps: validation, pictures, checkpoints, logs."""
+"""Callbacks of a training: validation, pictures, checkpoints, logs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Registry of what can be trained."""
+"""Registry of the networks that can be trained."""
 
 from __future__ import annotations
 

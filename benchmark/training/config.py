@@ -1,7 +1,4 @@
-"""Configuration of a training; optimizer and learning rate schedule.
-
-How the weights follow the gradients: optimizer and learning rate by step.
-"""
+"""Configuration of a training, with the optimizer and the learning rate schedule."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Trained weights made ready to be given away: half precision, a digest, a model card.
+"""Export of trained weights: half precision, a digest and a model card.
 
-How std-bench is asked for a method that was trained.
+Also gives the `std-bench` command that uses the weights.
 """
 
 from __future__ import annotations

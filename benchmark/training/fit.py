@@ -1,4 +1,4 @@
-"""A training from its configuration to the best weights."""
+"""A training, from its configuration to the best weights."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Training and validation frames by scene, and the order of training frames.
 
-Which frames train and which judge: never two of one scene apart.
+The frames of a scene are either all for training or all for validation.
 """
 
 from __future__ import annotations

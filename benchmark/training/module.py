@@ -1,4 +1,7 @@
-"""A training step: frames to a loss, all that is drawn in it being a function of its number."""
+"""The training step: frames to a loss.
+
+All random numbers of a step are a function of its number.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Packing the frames of a split for training: resized once, read ever after without decoding."""
+"""Packs the frames of a split for training: resized once, then read without decoding."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From what a user types to a training."""
+"""Resolves the options of `std-train` to a training."""
 
 from __future__ import annotations
 

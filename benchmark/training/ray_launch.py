@@ -1,4 +1,4 @@
-"""A training over the processes of a Ray cluster (extra `cluster`), by Ray Train."""
+"""Training on the processes of a Ray cluster with Ray Train (extra `cluster`)."""
 
 from __future__ import annotations
 

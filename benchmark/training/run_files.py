@@ -1,6 +1,6 @@
-"""Files in a training's folder: their names, and the CSV log.
+"""Files in the folder of a training: their names, and the CSV log of losses and speed.
 
-What a training tells of itself: rows of a CSV file that survive interruptions, and speed.
+The log survives interruptions.
 """
 
 from __future__ import annotations

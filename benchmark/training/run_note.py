@@ -1,4 +1,4 @@
-"""What a training saw and ran on, in a file beside it: packs may be gone when somebody asks."""
+"""A record of the data and the machine of a training, kept beside the weights."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Packed frames on disk: shards of records that are mapped into memory, not read.
+"""Packed frames on disk: shards of records that are memory-mapped.
 
-<pack>/pack.json          what was packed, how
-<pack>/shard-00000.npy    array of records, a frame each, of one size
-<pack>/shard-00000.json   the frames' names; written last: it says that the shard is whole
+<pack>/pack.json          what was packed, and how
+<pack>/shard-00000.npy    array of records, one per frame, all of one size
+<pack>/shard-00000.json   names of the frames; written last, when the shard is complete
 """
 
 from __future__ import annotations

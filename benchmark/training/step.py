@@ -1,7 +1,4 @@
-"""What a network sees of a batch, and how a method makes a loss of it.
-
-What a loss is given and what it answers.
-"""
+"""Inputs and results of training steps: batches, losses and their protocols."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The trainer of Lightning as a training of ours needs it.
+"""The Lightning trainer with this toolkit's settings.
 
-Checkpoints on disk are whole or not there, and read without running code.
+Checkpoints are written atomically and loaded without executing code.
 """
 
 from __future__ import annotations

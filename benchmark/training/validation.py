@@ -1,4 +1,4 @@
-"""How good a network is on frames that it was not trained on, and pictures of some."""
+"""Validation on held-out frames: errors and pictures."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Weights that come with the toolkit, each with its SHA-256 and its model card."""
+"""Shipped weights, each with its SHA-256 and its model card."""

@@ -1,11 +1,7 @@
 """DFNet (Fang et al., RA-L 2022): configuration, network, restorer.
 
-The paper leaves kernel sizes open. Those here are a choice by which the network has the published
-number of parameters, 1.251 million.
-
-Sizes of DFNet, and which depths it believes.
-
-DFNet as a restorer.
+The paper does not state the kernel sizes. The sizes used here give the published number of
+parameters, 1.251 million.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Frames as views of a method's input size, and answers back at full size.
+"""Frames resized to a method's input, and its output resized to the frame.
 
-A frame as a method may see it: at the method's size, without the ground truth.
+Resized frames contain no ground truth.
 """
 
 from __future__ import annotations

@@ -1,14 +1,7 @@
 """NLSPN (Park et al., ECCV 2020): configuration, network, restorer.
 
-Keys and shapes are those of the published weights.
-
-Sizes of NLSPN.
-
-Non-local spatial propagation: every pixel becomes a mean of pixels that are learned.
-
-ImageNet weights of ResNet-34 as the beginning of NLSPN's encoder, for training.
-
-NLSPN as a restorer.
+Non-local spatial propagation: every pixel becomes a weighted mean of pixels at learned offsets.
+Keys and shapes match the published weights. Training can start from ImageNet weights of ResNet-34.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""PointNet++ (Qi et al., NeurIPS 2017) in plain torch: networks on sets of points.
+"""PointNet++ (Qi et al., NeurIPS 2017) in plain torch: networks on point sets.
 
-Everywhere points are (b, n, 3), features (b, c, n) as convolutions want them, and indices (b, ...)
-count the points of one set.
+Points are (b, n, 3), features (b, c, n) as for convolutions; indices (b, ...) refer to the points
+of one set.
 """

@@ -1,4 +1,4 @@
-"""How far two sets of points are from each other."""
+"""Chamfer distance of two point sets."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Farthest-point sampling and neighbourhoods of points.
-
-Choosing points that are spread over a set.
-"""
+"""Farthest-point sampling and neighbourhoods of points."""
 
 from __future__ import annotations
 

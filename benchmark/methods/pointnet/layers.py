@@ -1,9 +1,4 @@
-"""PointNet++ layers: shared MLP, set abstraction, feature propagation.
-
-A small network that every point goes through alike.
-
-Feature propagation: features of few points back to the many that they were chosen from.
-"""
+"""PointNet++ layers: shared MLP, set abstraction, feature propagation."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Methods that find the pose and size of objects of known categories."""
+"""Methods that estimate the pose and size of objects of known categories."""

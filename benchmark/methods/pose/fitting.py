@@ -1,4 +1,4 @@
-"""Pose and size of an object from its normalised coordinates (NOCS) and its points in space."""
+"""Pose and size of an object from its NOCS coordinates and its points."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Poses from what nobody can know better: true masks and true coordinates.
+"""Poses from true masks and true NOCS coordinates.
 
-What is left of errors is that of the depth they are fitted to: this is the most that a restorer can
-do for pose, and with true depth it must be right everywhere.
+The remaining error is that of the depth. The result is an upper bound of what a restorer can
+achieve for poses; with true depth it is exact.
 """
 
 from __future__ import annotations

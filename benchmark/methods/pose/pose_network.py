@@ -1,7 +1,4 @@
-"""Base of pose networks: views to tensors, coordinates at pixels to poses.
-
-From objects with coordinates at every pixel to their poses in space.
-"""
+"""Base of pose networks: tensors from views, poses from NOCS coordinates at pixels."""
 
 from __future__ import annotations
 

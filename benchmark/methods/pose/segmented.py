@@ -1,6 +1,6 @@
 """Segmented objects of an image, and their crops for networks.
 
-An object cut out of an image: a patch of colour, and points with their places in the patch.
+A crop is a colour patch, and points with their positions in the patch.
 """
 
 from __future__ import annotations

@@ -1,15 +1,10 @@
-"""SGPA (Chen and Dou, ICCV 2021): configuration, network, pose estimator.
+"""SGPA: configuration, network, pose estimator.
+
+Geometry features come from PointNet++ with two radii at each level. Low-rank structure points adapt
+the prior.
 
 Source: Chen, Dou, "SGPA: Structure-Guided Prior Adaptation for Category-Level 6D Object Pose
 Estimation", ICCV 2021.
-
-Sizes of SGPA.
-
-Geometry features of every point, by PointNet++ with two radii at each of several levels.
-
-Points that stand for the structure of an object, and the adaptation of a prior by them.
-
-SGPA as a pose estimator.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""SPD as a pose estimator; the base of estimators that deform a prior.
-
-SPD as a pose estimator.
-"""
+"""SPD as a pose estimator, and the base of estimators that deform a prior."""
 
 from __future__ import annotations
 

@@ -1,16 +1,11 @@
-"""SPD (Tian et al., ECCV 2020): configuration, colour features, network.
+"""SPD: configuration, colour features, network.
+
+Colour features are those of DenseFusion in SPD's form: a ResNet with pyramid pooling (Zhao et al.,
+CVPR 2017) of four levels with a quarter of the channels each, and three upsampling steps to the
+resolution of the patch. Training can start from ImageNet weights of ResNet-18.
 
 Source: Tian, Ang, Lee, "Shape Prior Deformation for Categorical 6D Object Pose and Size
 Estimation", ECCV 2020.
-
-Sizes of SPD.
-
-Colour features of an object's pixels: a ResNet with pyramid pooling (Zhao et al., CVPR 2017).
-
-The form that SPD gives DenseFusion's: four pooled levels of a quarter of the channels each, and
-three doublings of resolution back to that of the patch.
-
-ImageNet weights of ResNet-18 as the beginning of networks over patches, for training.
 """
 
 from __future__ import annotations

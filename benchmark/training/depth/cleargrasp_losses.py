@@ -1,6 +1,6 @@
-"""The losses of ClearGrasp's three networks (Sajjan et al., ICRA 2020).
+"""Targets and losses of ClearGrasp's three networks (Sajjan et al., ICRA 2020).
 
-What ClearGrasp's networks should say of a frame, from its true depth, masks and materials.
+Targets are computed from the true depth, the masks and the materials of a frame.
 """
 
 from __future__ import annotations

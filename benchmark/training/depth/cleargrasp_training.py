@@ -1,4 +1,4 @@
-"""How ClearGrasp's networks are trained and judged."""
+"""Training and validation of ClearGrasp's networks."""
 
 from __future__ import annotations
 

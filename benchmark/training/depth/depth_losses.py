@@ -1,10 +1,6 @@
-"""Losses of SwinDRNet, DFNet and NLSPN; normals of depth maps.
+"""Losses of SwinDRNet, DFNet (Fang et al., RA-L 2022) and NLSPN (Park et al., ECCV 2020).
 
-Slopes and normals of depth maps, and where they are known.
-
-The loss of DFNet (Fang et al., RA-L 2022).
-
-The loss of NLSPN (Park et al., ECCV 2020).
+Slopes and normals of depth maps, with masks of the pixels where they are defined.
 """
 
 from __future__ import annotations

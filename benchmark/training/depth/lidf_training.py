@@ -1,7 +1,4 @@
-"""Training of LIDF: losses, batches and phases.
-
-The losses of LIDF's two stages (Zhu et al., CVPR 2021).
-"""
+"""Training of LIDF (Zhu et al., CVPR 2021): losses of both stages, batches, phases."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Scenes of labelled grasps: made, packed, and trained on."""
+"""Scenes with labelled grasps: generation, packing and training."""

@@ -1,4 +1,4 @@
-"""How GraspNet is trained and validated."""
+"""Training and validation of GraspNet."""
 
 from __future__ import annotations
 

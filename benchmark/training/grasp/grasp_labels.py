@@ -1,8 +1,7 @@
-"""Grasp labels of objects on a grid, and of scenes.
+"""Grasp labels on a grid, of objects and of scenes.
 
-How far a grasp may miss its point and still hold.
-
-The grasps of a scene that are known: those of its objects that hit nothing else there.
+The labels of a scene are those of its objects whose gripper collides with nothing else. A label has
+a tolerance: the distance by which the grasp may miss its point and still hold.
 """
 
 from __future__ import annotations

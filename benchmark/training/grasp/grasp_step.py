@@ -1,7 +1,4 @@
-"""GraspNet's training step and loss.
-
-The loss of GraspNet (Fang et al., CVPR 2020).
-"""
+"""Training step and loss of GraspNet (Fang et al., CVPR 2020)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Which of millions of grasps have a point inside the gripper, compiled.
+"""Compiled test of which of millions of grasps have a point inside the gripper.
 
-The same question as `benchmark.metrics.grasp.collision.Cloud.hit_by` answers, for so many grasps of
-one small object that a loop that ends at the first point inside is fastest.
+Same result as `benchmark.metrics.grasp.collision.Cloud.hit_by`. For so many grasps of one small
+object, a loop that ends at the first point inside is fastest.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
-"""Packed scenes of grasps on disk: arrays that are mapped into memory, not read.
+"""Packed scenes of grasps on disk: memory-mapped arrays.
 
-<pack>/grasps.json                  what was packed, how
+<pack>/grasps.json                  what was packed, and how
 <pack>/objects/NAME.npz             labels of an object
-<pack>/scene-00000/points.npy       (n, 3) of all frames, one after the other
+<pack>/scene-00000/points.npy       (n, 3) of all frames, concatenated
                    /object.npy      (n,) number of the point's object, -1 table
                    /row.npy         (n,) row of its grasps, -1 unknown
                    /friction.npy ..widths.npy, tolerances.npy   the rows
                    /meshes.npz      the objects
-<pack>/scene-00000.json             poses; written last: it says that the scene is whole
+<pack>/scene-00000.json             poses; written last, when the scene is complete
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Making and packing scenes of labelled grasps."""
+"""Generates and packs scenes of labelled grasps."""
 
 from __future__ import annotations
 

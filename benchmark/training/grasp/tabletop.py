@@ -1,4 +1,4 @@
-"""Objects on a table at known poses, and what a depth camera sees of them."""
+"""Objects on a table at known poses, as a depth camera sees them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Loss of SPD and SGPA, and the object crops that it is computed on.
-
-Objects of packed frames, cut out for networks that look at one object at a time.
-"""
+"""Object crops of packed frames, and the loss of SPD and SGPA on them."""
 
 from __future__ import annotations
 

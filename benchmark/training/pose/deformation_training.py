@@ -1,4 +1,4 @@
-"""Training of SPD and SGPA: objects of frames, their loss, and how good the networks are."""
+"""Training and validation of SPD and SGPA on object crops."""
 
 from __future__ import annotations
 

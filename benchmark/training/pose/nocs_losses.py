@@ -1,8 +1,6 @@
-"""Losses of NOCS and of SwinDRNet's pose network; symmetric objects.
+"""Losses of NOCS and of SwinDRNet's pose network (Dai et al., ECCV 2022, and its code).
 
-Objects that look the same after a turn: which of the equally right coordinates to learn.
-
-The loss of SwinDRNet's pose network (Dai et al., ECCV 2022), as its program has it.
+For a symmetric object, the loss uses the equivalent coordinates with the smallest error.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Training and validation of networks that predict NOCS coordinates.
-
-How pose networks are trained: what a batch says of objects, and the steps.
-"""
+"""Training and validation of networks that predict NOCS coordinates."""
 
 from __future__ import annotations
 

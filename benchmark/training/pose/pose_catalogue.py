@@ -1,4 +1,4 @@
-"""How the pose networks are trained: network, loss and optimization of each."""
+"""Training of the pose networks: network, loss and optimization of each."""
 
 from __future__ import annotations
 

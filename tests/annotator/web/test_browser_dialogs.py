@@ -142,7 +142,7 @@ def test_a_scene_for_looking_only(serve: Serve, page: Page, tmp_path: Path) -> N
     write_scene(tmp_path / "scene")
     (tmp_path / "scene/color/000001.png").unlink()
     served = serve(tmp_path / "scene", "--read-only")
-    opened(page, served.url)
+    opened(page, served.url, measured=False)  # the notice goes away
     notice(page, "read-only")
     before = position(page)
     assert page.locator("[data-position='0'] input").is_disabled()

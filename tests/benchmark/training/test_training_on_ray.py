@@ -49,6 +49,7 @@ def test_two_processes_of_a_cluster(pack, tmp_path, monkeypatch, capfd):
     assert not ray.is_initialized()
 
 
+@pytest.mark.long  # in short: test_clusters_that_are_not_there_or_too_small
 def test_an_error_of_a_process_comes_back_as_one_line(pack, tmp_path, capfd):
     run = tmp_path / "run"
     trained(wishes("dfnet", pack, steps=1), run)

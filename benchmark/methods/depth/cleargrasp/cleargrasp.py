@@ -1,7 +1,4 @@
-"""ClearGrasp as a restorer: three networks, then the global optimisation.
-
-The depth of views from what ClearGrasp's networks say of them.
-"""
+"""ClearGrasp as a restorer: three networks, then the global optimization."""
 
 from __future__ import annotations
 

@@ -1,14 +1,7 @@
-"""ClearGrasp (Sajjan et al., ICRA 2020): three DeepLabv3+ networks on DRN.
+"""ClearGrasp (Sajjan et al., ICRA 2020): configuration and networks.
 
-The backbone: a dilated residual network, DRN-D (Yu et al., CVPR 2017).
-
-Keys and shapes are those of the weights that ClearGrasp's authors publish.
-
-One of ClearGrasp's three networks: DeepLabv3+ (Chen et al., ECCV 2018) of stride 8.
-
-Keys and shapes are those of the weights that ClearGrasp's authors publish.
-
-Sizes of ClearGrasp's networks and of the image whose depth is optimised.
+Each of the three networks is DeepLabv3+ (Chen et al., ECCV 2018) of stride 8 on a dilated residual
+network, DRN-D (Yu et al., CVPR 2017). Keys and shapes match the published weights.
 """
 
 from __future__ import annotations

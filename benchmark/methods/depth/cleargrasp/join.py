@@ -1,10 +1,10 @@
-"""Weights of ClearGrasp's three networks, which its authors publish as three files, in one file.
+"""Joins the three published weight files of ClearGrasp into one.
 
     python -m benchmark.methods.depth.cleargrasp.join \\
         masks.pth normals.pth boundaries.pth all.safetensors
 
-A run of the benchmark notes the one file by its hash. A file may also hold all three networks, as
-`std-train` writes them: what it is given for is taken from it.
+The benchmark records the hash of the one file. An input may also contain all three networks, as
+`std-train` writes them; only the network it is given for is read.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Restorers that learn nothing: they fill what the sensor left out from what it measured."""
+"""Restorers without learning, which fill holes from measured pixels."""

@@ -1,6 +1,6 @@
-"""Colorization: depth spreads from the measured pixels to pixels of like brightness.
+"""Colorization: depth spreads from measured pixels to pixels of similar brightness.
 
-Exact solution of sparse linear systems whose unknowns are pixels coupled to their neighbours.
+Solves sparse linear systems that couple neighbouring pixels, exactly.
 """
 
 from __future__ import annotations

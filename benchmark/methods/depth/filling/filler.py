@@ -1,10 +1,6 @@
-"""Base class of the filling methods; the raw and the nearest depth.
+"""Base class of the filling methods with their common settings; raw and nearest depth.
 
-The settings that all filling methods share, and how a setting's range is checked.
-
-The sensor's depth as it is: the row that every method must beat.
-
-The nearest measurement.
+Raw depth is the sensor's own and the baseline of every table.
 """
 
 from __future__ import annotations

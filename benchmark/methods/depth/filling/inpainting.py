@@ -1,6 +1,6 @@
 """Inpainting by OpenCV, and joint bilateral filling.
 
-Joint bilateral filling: means of measured depth, weighted by nearness and by colour.
+Joint bilateral filling averages measured depth, weighted by distance and colour.
 """
 
 from __future__ import annotations

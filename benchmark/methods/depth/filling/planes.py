@@ -1,13 +1,11 @@
-"""Plane-aware filling: planes by region growing continue into holes.
+"""Plane-aware filling: planes from region growing are continued into holes.
 
-Planes of a depth image, found by growing regions of square cells.
-
-A plane is affine in the inverse depth: 1/z = a x + b y + c for the ray (x, y, 1). So a fit is
-linear least squares over sums that add up when regions merge, and no random numbers are needed.
-All tolerances are relative to the depth, so that the unit of depth does not matter.
+A plane is affine in the inverse depth: 1/z = a x + b y + c for the ray (x, y, 1). A fit is linear
+least squares over sums that add up when regions merge, without random numbers. All tolerances are
+relative to the depth, so the unit of depth does not matter.
 
 After Feng, Taguchi, Kamat: Fast plane extraction in organized point clouds using agglomerative
-hierarchical clustering. ICRA 2014 (cells as the nodes, sums as their state), grown from the
+hierarchical clustering. ICRA 2014 (square cells as nodes, sums as their state), but grown from the
 flattest cell instead of merged pairwise.
 """
 

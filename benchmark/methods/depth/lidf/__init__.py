@@ -1,4 +1,4 @@
-"""LIDF: where the ray of a pixel ends among the voxels that it passes.
+"""LIDF: depth as the end of a pixel's ray among the voxels that it crosses.
 
 Zhu et al.: RGB-D local implicit function for depth completion of transparent objects. CVPR 2021.
 """

@@ -1,12 +1,7 @@
-"""Features of LIDF: of colour, of points by voxel, of positions.
+"""Features of LIDF: colour, points by voxel, and positions.
 
-Values that belong to groups: the largest of each group, softmax over each group.
-
-Positions and directions as waves of several lengths (Mildenhall et al., ECCV 2020).
-
-Which measurements stand for an image: some of every part of it.
-
-What colour says about every pixel and its surroundings.
+Positions and directions are encoded as in Mildenhall et al., ECCV 2020. Also group-wise maximum and
+softmax, and the sampling of measured pixels over the image.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """LIDF (Zhu et al., CVPR 2021): network and restorer.
 
-Written from its description, not from the authors' program: weights of that do not fit.
-
-LIDF as a restorer.
+Written from the paper; the authors' weights do not fit.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""LIDF's prediction heads, and the second stage that refines along the ray.
-
-From the features of a ray in a voxel to one number.
-"""
+"""LIDF's prediction heads, and the second stage, which refines along the ray."""
 
 from __future__ import annotations
 

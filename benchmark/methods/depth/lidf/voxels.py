@@ -1,8 +1,6 @@
-"""LIDF's configuration, its voxels, and the rays that pass through them.
+"""LIDF's configuration, its voxels, and the rays that cross them.
 
-The pixels that are predicted, what is known of their rays, and what is found on them.
-
-Sizes of LIDF, where it looks, and which pixels it restores.
+Also selects the pixels to restore and collects the inputs of their rays.
 """
 
 from __future__ import annotations

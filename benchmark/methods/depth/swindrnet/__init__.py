@@ -1,1 +1,1 @@
-"""SwinDRNet: two Swin transformers, fused, restore depth and say how far to trust the sensor."""
+"""SwinDRNet: two fused Swin transformers predict depth and the confidence in the sensor."""

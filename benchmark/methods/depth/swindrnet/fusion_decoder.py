@@ -1,15 +1,11 @@
 """Fusion of colour and depth features, and the UPerNet decoder (Xiao et al., ECCV 2018).
 
-The decoder of SwinDRNet: UPerNet (Xiao et al., ECCV 2018), a pyramid of means and of levels.
-
-Keys and shapes are those of the published weights.
-
-From pixels to the tokens of a Swin transformer by convolutions, and back to every pixel.
+Keys and shapes match the published weights.
 
 The published network has one linear map of 4x4 pixels before its transformers and answers at a
-quarter of the resolution. Convolutions before a transformer make it learn faster (Xiao et al.,
-NeurIPS 2021), and what they see of edges at every resolution is what the way back needs (U-Net,
-Ronneberger et al., MICCAI 2015).
+quarter of the resolution. The compact one has convolutions before the transformers, with which it
+learns faster (Xiao et al., NeurIPS 2021), and uses their features to restore the full resolution
+(U-Net, Ronneberger et al., MICCAI 2015).
 """
 
 from __future__ import annotations

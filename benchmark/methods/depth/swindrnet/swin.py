@@ -1,8 +1,6 @@
-"""The Swin transformer (Liu et al., ICCV 2021), as a backbone of four levels.
+"""Swin transformer (Liu et al., ICCV 2021) as a backbone of four levels.
 
-Keys and shapes are those of the published ImageNet weights, so that they can be loaded.
-
-Square windows of tokens, and attention within them.
+Keys and shapes match the published ImageNet weights.
 """
 
 from __future__ import annotations

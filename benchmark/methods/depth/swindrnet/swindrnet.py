@@ -1,14 +1,9 @@
 """SwinDRNet as a restorer: fast inference, and ImageNet weights for training.
 
-SwinDRNet rearranged to restore faster on a processor; what it computes stays the same.
-
-Three things are used. Batch normalisation of a trained network is part of the convolution before
-it. A convolution is linear, and so is an enlargement: where the decoder convolves enlarged
-features, the products over channels, which are nearly all the work, can be formed before the
-enlargement, with a fourth of the pixels or less. And oneDNN's convolutions are several times as
-fast as torch's matrix products on some processors, so that linear layers become convolutions.
-
-ImageNet weights of Swin as the beginning of SwinDRNet's two streams, for training.
+Inference uses an equivalent network that is faster on a CPU. Batch normalisation is merged into the
+convolution before it. Where the decoder convolves upsampled features, the products over channels
+are formed before the upsampling, with a quarter of the pixels or less, because both are linear.
+Linear layers become convolutions, which oneDNN runs several times as fast on some processors.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """SwinDRNet (Dai et al., ECCV 2022): configuration, streams, network.
 
-Sizes of SwinDRNet, and which of its forms to build.
-
-What SwinDRNet's networks share: Swin transformers side by side, and their levels' fusion.
+The streams, Swin transformers with fusion at each level, are shared with the pose network.
 """
 
 from __future__ import annotations

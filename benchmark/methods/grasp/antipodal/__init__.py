@@ -1,1 +1,1 @@
-"""Grasps from geometry alone: two contacts that face each other on the points that are seen."""
+"""Grasps from geometry: two opposing contacts on the visible points."""

@@ -1,7 +1,4 @@
-"""The antipodal planner and its settings.
-
-Settings of the antipodal planner.
-"""
+"""The antipodal planner and its settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pairs of places on a surface that two fingers can hold it at."""
+"""Pairs of surface points between which a gripper can close."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Gripper poses at contact pairs, and what they must not collide with.
+"""Gripper poses at contact pairs, without collisions.
 
-What a hand must not run into: what is seen, and what must be beneath it.
+Obstacles are the visible points and the space below them.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Points and normals of what stands on the table, from a depth map.
+"""Points and normals of objects on the table, from a depth map.
 
-Where the table is, for a planner that was not told.
+Estimates the table plane if it is not given.
 """
 
 from __future__ import annotations

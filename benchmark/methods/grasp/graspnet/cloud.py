@@ -1,9 +1,4 @@
-"""GraspNet's configuration, input cloud and approach views; without torch.
-
-Sizes of the network, and how its grasps are chosen.
-
-Approach views, and the gripper's turns about them.
-"""
+"""GraspNet's configuration, input cloud, approach views and rotations; without torch."""
 
 from __future__ import annotations
 

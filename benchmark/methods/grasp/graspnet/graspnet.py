@@ -1,7 +1,4 @@
-"""GraspNet as a planner: the network's output decoded to grasps.
-
-From what the network says to grasps.
-"""
+"""GraspNet as a planner: grasps from the output of the network."""
 
 from __future__ import annotations
 

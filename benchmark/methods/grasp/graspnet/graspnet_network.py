@@ -1,10 +1,6 @@
 """GraspNet (Fang et al., CVPR 2020): the network, its heads and cylinder grouping.
 
-Written from the published description, not from the authors' program: its weights do not fit.
-
-What the network says of seeds and of what lies in their cylinders.
-
-The points in cylinders before and behind seeds, in the frames of grippers.
+Written from the paper; the authors' weights do not fit.
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
-"""Boxes of objects without anchors (FCOS, Tian et al., ICCV 2019), in the place of Mask R-CNN's
-two stages: every pixel of the pyramid says of which class the object there is, how far its edges
-are, and how near its middle is.
+"""Anchor-free detection of boxes (FCOS, Tian et al., ICCV 2019), in place of Mask R-CNN.
 
-Regions of images: cut out of features, and put back into images.
-
-Boxes are (x0, y0, x1, y1) in pixels whose centres are whole numbers, as everywhere; the edges of
-an image of width w are -0.5 and w - 0.5.
+Every pixel of the pyramid predicts the class, the distances to the edges of the box, and its
+centredness. Boxes are (x0, y0, x1, y1) in pixels with centres at integers; the edges of an image of
+width w are -0.5 and w - 0.5. Also crops regions out of features and pastes masks into images.
 """
 
 from __future__ import annotations

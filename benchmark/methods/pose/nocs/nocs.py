@@ -1,8 +1,6 @@
 """NOCS (Wang et al., CVPR 2019): network and pose estimator.
 
-Mask and coordinate heads are as published; the detector before them is not (see `detector`).
-
-NOCS as a pose estimator.
+Mask and coordinate heads are as published; the detector is not (see `detector`).
 """
 
 from __future__ import annotations

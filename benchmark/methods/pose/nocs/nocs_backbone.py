@@ -1,8 +1,6 @@
-"""NOCS: configuration, and the ResNet backbone with a feature pyramid.
+"""Configuration of NOCS, and the ResNet backbone with a feature pyramid.
 
-Keys and shapes of the ResNet are those of the ImageNet weights that torchvision publishes.
-
-Sizes of the NOCS network.
+Keys and shapes of the ResNet match the ImageNet weights that torchvision publishes.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Shape priors: what the mean shape of a category is, as points."""
+"""Shape priors: the mean shape of a category as points."""

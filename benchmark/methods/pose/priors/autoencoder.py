@@ -1,8 +1,8 @@
-"""The mean shape as SPD has it: the decoder's answer to the mean embedding of a category.
+"""The mean shape as in SPD: the decoded mean embedding of a category.
 
-One auto-encoder learns the shapes of all categories (Tian et al., ECCV 2020): an encoder as in
-PointNet and a decoder of fully connected layers, by the chamfer distance. Widths of the layers, the
-batch and the number of epochs are ours where the paper does not tell them.
+One auto-encoder learns the shapes of all categories with the chamfer distance (Tian et al., ECCV
+2020): a PointNet encoder and a decoder of fully connected layers. Layer widths, batch size and
+number of epochs are chosen here where the paper does not state them.
 """
 
 from __future__ import annotations

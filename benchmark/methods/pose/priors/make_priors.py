@@ -1,13 +1,9 @@
 """Shape priors from meshes: sampled surfaces, and their barycentre.
 
-Points on the surfaces of the shapes of a category.
-
-The mean shape of sets of points without a network: their barycentre in optimal transport.
-
-Every point of the mean is paired with one point of each shape, such that the squared distances are
-least in sum, and moves to the mean of its partners; again, until pairs no longer change. The mean
-that decides is that of squared distances, so that thin parts which sit elsewhere in every shape
-become blurred, as they do at the mean of embeddings.
+The barycentre in optimal transport needs no network. Each point of the mean is paired with one
+point of each shape so that the sum of squared distances is smallest, and moves to the mean of its
+partners, until the pairs no longer change. Thin parts at different places in different shapes
+become blurred, as in the mean of embeddings.
 """
 
 from __future__ import annotations

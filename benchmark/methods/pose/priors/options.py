@@ -1,4 +1,4 @@
-"""Options of making shape priors; they import nothing heavy."""
+"""Options of making shape priors; imports nothing heavy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Priors on disk: a file of safetensors, (p, 3) float32 points by category."""
+"""Prior files: safetensors with (p, 3) float32 points for each category."""
 
 from __future__ import annotations
 

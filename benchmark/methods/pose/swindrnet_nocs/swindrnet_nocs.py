@@ -1,9 +1,8 @@
 """SwinDRNet's pose network as an estimator, and its weights.
 
-Weights of SwinDRNet's pose network: this project's, and those that the authors' program saves.
-
-The authors' network has two decoders more, for depth and its confidence, which nothing uses, and
-its NOCS decoder answers 1 - z in the place of z, as the pictures of the data set hold it.
+Reads this project's weights and the authors'. The authors' network has two more decoders, for depth
+and its confidence, which are not used; its NOCS decoder predicts 1 - z instead of z, as in the
+images of the data set.
 """
 
 from __future__ import annotations

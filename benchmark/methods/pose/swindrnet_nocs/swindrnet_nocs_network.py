@@ -1,8 +1,6 @@
 """SwinDRNet's pose network (Dai et al., ECCV 2022): configuration and network.
 
-Sizes of SwinDRNet's pose network, and which of its forms to build.
-
-How features of colour and of points meet in the published pose network.
+Fuses colour and point features as in the published network.
 """
 
 from __future__ import annotations
