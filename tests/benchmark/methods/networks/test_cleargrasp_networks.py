@@ -164,6 +164,7 @@ def test_every_parameter_learns(bottleneck):
         assert parameter.grad is not None and parameter.grad.any(), key
 
 
+@pytest.mark.long  # in short: test_training_learns of test_training_fit.py
 @pytest.mark.slow
 def test_four_frames_are_learned():
     """Each of the three losses falls to a fifth."""

@@ -291,6 +291,7 @@ def learned(network, stage, steps, rate) -> list[float]:
     return losses
 
 
+@pytest.mark.long  # in short: test_training_learns of test_training_fit.py
 @pytest.mark.slow
 def test_four_frames_are_learned():
     """The loss of the first stage falls to a tenth, that of the second, disturbed, to a third."""

@@ -22,8 +22,9 @@ PLANS = {
     "dfnet-relative": (70, 5e-3, 0.3),
 }
 
-# What these do otherwise, tests of the networks ask one step at a time.
-LONG = {"swindrnet-released", "swindrnet-details", "nlspn-relative", "dfnet-relative"}
+# In short: `test_training_learns` of test_training_fit.py trains every network, and tests of the
+# networks check their variants one step at a time.
+LONG = {*PLANS} - {"swindrnet-paper"}
 
 
 @pytest.mark.slow
