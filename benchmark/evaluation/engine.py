@@ -29,17 +29,6 @@ from std_toolkit.scene.document import digest_file
 # The replacement of a dead worker waits until the system has released the lock.
 _PATIENCE_S = 30.0
 
-# Frames that are passed to a method together, by their index in the split.
-Batch = tuple[int, ...]
-
-# Pieces per worker: enough that no worker waits long for the slowest at the end.
-_PIECES_PER_WORKER = 16
-
-_LONGEST_PIECE = 64
-
-# A killed worker loses what it has not written; a method slower than this writes every batch.
-_FLUSH_S = 2.0
-
 
 def check_device(name: str) -> None:
     """Check that a device exists, whether or not the method uses it.

@@ -19,9 +19,6 @@ Result = TypeVar("Result")
 Engine = Literal["local", "serial", "ray"]
 
 
-ENGINES: tuple[Engine, ...] = ("local", "serial", "ray")
-
-
 # Attempts for an item whose worker dies (killed, out of memory, abort in a library).
 ATTEMPTS = 3
 

@@ -44,9 +44,6 @@ from std_toolkit.scene.scene import Scene
 if TYPE_CHECKING:
     from std_toolkit.geometry import SE3, Camera
 
-DEFAULT_DELTA_M = 0.015
-"""BOP's tolerance for real sensors."""
-
 
 @dataclass(frozen=True)
 class FrameJob:
