@@ -274,5 +274,5 @@ def make_planner(name: str, options: MethodOptions | None = None) -> GraspPlanne
         name,
         options or MethodOptions(),
         called="plan",
-        guide="docs/grasping.md",
+        guide="docs/grasp_methods.md",
     )

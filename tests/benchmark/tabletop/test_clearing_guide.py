@@ -1,4 +1,4 @@
-"""The planner of docs/grasping.md runs as it stands there."""
+"""The planner of docs/grasp_methods.md runs as it stands there."""
 
 import re
 from pathlib import Path
@@ -11,12 +11,12 @@ from benchmark.methods.registry import MethodOptions
 from benchmark.tabletop.grasp import execute
 from tests.benchmark.tabletop.clearing_cases import CAMERA, TrueCamera, box, standing, table_object
 
-GUIDE = Path(__file__).parents[3] / "docs" / "grasping.md"
+GUIDE = Path(__file__).parents[3] / "docs" / "grasp_methods.md"
 
 
 def test_the_planner_of_the_guide_grasps_a_tower():
     pytest.importorskip("mujoco")
-    section = GUIDE.read_text().split("## A planner of your own")[1]
+    section = GUIDE.read_text().split("## Your own planner")[1]
     code = re.search(r"```python\n(.*?)```", section, re.DOTALL)
     assert code is not None
     names: dict = {}
