@@ -69,7 +69,7 @@ class Restorer(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PoseAnswer:
-    """What is in a view, for methods that are told a part of the answer.
+    """Ground truth of a view, for methods that use a part of it.
 
     Attributes:
         mask: (h, w) uint8 `Instance.mask_id` of each pixel, `BACKGROUND` (255) elsewhere.

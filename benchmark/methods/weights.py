@@ -146,7 +146,7 @@ def save_weights(network: nn.Module, path: Path) -> None:
         ToolkitError: the file cannot be written.
     """
     state = {name: t.detach().cpu().contiguous() for name, t in network.state_dict().items()}
-    # As bytes: what the library writes itself, nobody else may read.
+    # As bytes: files that the library writes itself are readable only by their owner.
     write_bytes_atomic(path, save(state))
 
 

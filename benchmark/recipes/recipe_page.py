@@ -93,7 +93,7 @@ def html(
         Section("pictures", "Pictures", gallery(_shown(plan, results))),
         Section("runs", "What ran", [run_table(results)]),
     ]
-    # Each section tells the scale: they are what is shown around in pictures.
+    # Each section states the scale, because sections are shown as pictures.
     mark = f"scale {plan.scale_name}"
     state = "fail" if plan.scale_name == "tiny" else ""
     return Page(

@@ -147,7 +147,7 @@ def plan_recipe(config: RecipeConfig) -> RecipePlan:
     name, recipe = load_recipe(config.recipe)
     scale = get_scale(config.scale)
     if recipe.table:
-        published_table(recipe.table)  # a wrong name is told before anything is made
+        published_table(recipe.table)  # fail on a wrong name before any work
     if strange := [v for v in config.only if v not in recipe.variants]:
         raise ToolkitError(
             "the recipe has no such variant",
@@ -170,7 +170,7 @@ def plan_recipe(config: RecipeConfig) -> RecipePlan:
     if unused := [one for one in given if one not in sets and one not in _likes(recipe, sets)]:
         raise ToolkitError("the recipe has no use for this set", value=unused[0])
     for method in recipe.baselines:
-        make_restorer(method)  # a wrong name is told before anything is made
+        make_restorer(method)  # fail on a wrong name before any work
     baselines = [
         Entry(name=method, title=method, label=method.replace(":", "."), method=method)
         for method in recipe.baselines

@@ -14,7 +14,7 @@ from benchmark.report.parts.depth_tables import MAIN_SUBSETS
 
 MEASURED, PUBLISHED, ABSENT = "measured", "published", "not measured"
 _INTERVAL = ("rmse_low", "rmse_high")
-# kind: MEASURED, PUBLISHED or ABSENT, of which `note` tells why. data: where the frames of the test
+# kind: MEASURED, PUBLISHED or ABSENT, with the reason in `note`. data: where the frames of the test
 # come from. Errors in metres, shares 0 to 1; interval: 95 %, over scenes.
 COLUMNS = (
     "recipe", "scale", "test", "dataset", "data", "variant", "kind", "protocol", "subset",

@@ -174,7 +174,7 @@ def begin(folder: Path, config: TrainConfig) -> None:
     """Keep the configuration of a new training, or see that the one begun there is the same.
 
     Raises:
-        ToolkitError: another was begun there; all that differs is told.
+        ToolkitError: another training was begun there; lists all differences.
     """
     path = folder / CONFIG
     begun = flat(begin_folder(path, config, hint="choose another --out"))

@@ -186,7 +186,7 @@ def _how(
 
 
 def _hours(run: Path, batch: int) -> tuple[float, float]:
-    """Hours that the steps took, and samples per second; NaN if the log tells nothing."""
+    """Hours that the steps took, and samples per second; NaN without a log."""
     path = run / "steps.csv"
     if not path.is_file():
         return math.nan, math.nan

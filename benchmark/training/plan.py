@@ -27,7 +27,7 @@ def plan_training(options: TrainOptions) -> tuple[TrainConfig, packed_frames.Dat
     trainable = get_trainable(options.method)
     settings = trainable.settings_of(options.preset, options.settings)
     network = trainable.config(options.preset, settings)
-    trainable.loss_with(options.loss)  # a wrong name is told before anything is read
+    trainable.loss_with(options.loss)  # fail on a wrong name before reading
     data = _data(options, trainable, network)
     changes = {
         name: value

@@ -122,7 +122,7 @@ class Loaders(pl.LightningDataModule):
 
 
 class _Chosen(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
-    """Some of the frames, numbered anew for the order, by their own numbers in the batch."""
+    """A subset of the frames, renumbered for the order, with their own numbers in the batch."""
 
     def __init__(self, frames: packed_frames.PackedFrames, chosen: Sequence[int]) -> None:
         self.frames, self.chosen = frames, list(chosen)
@@ -156,7 +156,7 @@ class AtomicCheckpoints(CheckpointIO):
         try:
             with atomic_path(Path(path)) as temporary:
                 torch.save(checkpoint, temporary)
-        except RuntimeError as error:  # how torch tells of a full disk
+        except RuntimeError as error:  # torch's error for a full disk
             raise ToolkitError(
                 f"cannot write the checkpoint: {error}",
                 path=Path(path),

@@ -136,7 +136,7 @@ class NLSPNetwork(nn.Module):
         return Prediction(restored[..., :h, :w].clamp(min=0), initial[..., :h, :w])
 
     def _heads(self, color: Tensor, depth: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Initial depth, guidance and confidence of what the network is told."""
+        """Initial depth, guidance and confidence from the network's inputs."""
         of_color = self.conv1_rgb(color)
         full = torch.cat([of_color, precisely(self.conv1_dep, depth)], dim=1)
         level2 = self.conv2(full)
@@ -174,7 +174,7 @@ _AROUND = tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dy, dx) !
 
 
 class Propagation(nn.Module):
-    """Spread depth from neighbours that are told by guidance, weighted by their confidence.
+    """Propagate depth from the neighbours that guidance gives, weighted by their confidence.
 
     The published program samples confidence at other places than depth: it leaves out where the
     neighbours lie around the pixel. Here both are sampled at pixel + neighbour + offset.

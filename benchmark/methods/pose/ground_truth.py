@@ -48,7 +48,7 @@ class GroundTruthNOCS:
         """See `PoseEstimator`.
 
         Raises:
-            ToolkitError: a view that tells no truth.
+            ToolkitError: a view without ground truth.
         """
         return [self._estimate(view) for view in views]
 

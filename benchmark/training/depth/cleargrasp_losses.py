@@ -91,7 +91,7 @@ def _inside(maps: Tensor, axis: int) -> Tensor:
 
 
 def _either(pairs: Tensor, axis: int) -> Tensor:
-    """Both pixels of pairs, told by their first ones; no pair begins with a last pixel."""
+    """Both pixels of the pairs given by their first pixel; no pair begins with a last pixel."""
     return pairs | pairs.roll(1, axis)
 
 

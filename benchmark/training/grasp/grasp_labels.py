@@ -135,7 +135,7 @@ def kept_labels(folder: Path, thing: TableObject, setup: GraspPackSetup) -> Obje
             points, friction, widths, tolerance = (kept[name] for name in names)
             return ObjectLabels(points, friction, widths, tolerance, setup.depths)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        pass  # not there, or damaged: made anew
+        pass  # missing or damaged: computed again
     made = object_labels(
         thing.vertices,
         thing.faces,

@@ -77,7 +77,7 @@ class GraspNetLoss:
 
         best = target.scores.amax(dim=2)  # (b, s, d)
         # Scores come in six steps. Of turns that are equally good the one amid others is meant,
-        # which can be told from what lies between the fingers; the first of them cannot.
+        # which follows from the points between the fingers; the first of them does not.
         beside = target.scores.roll(1, dims=2) + target.scores.roll(-1, dims=2)
         turn = (target.scores + _NUDGE * beside).argmax(dim=2)
         counts = (best > self.least) & target.known[..., None]

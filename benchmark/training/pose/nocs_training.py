@@ -131,7 +131,7 @@ def sums_of(predicted: PredictedPixels, target: nocs_losses.PoseTarget) -> NDArr
         nocs, target.nocs, group, nocs_losses.is_round(target.classes) & right
     )
     error = (nocs - true).square().sum(dim=1).sqrt().clamp(max=MISSED)
-    # Objects of a class whose coordinates nobody knows are neither right nor wrong.
+    # Objects of a class without known coordinates are not scored.
     nothing = (target.classes == 0) | (target.classes == BACKGROUND_CLASS)
     sums = (target.known.sum(), right.sum(), error[right].double().sum(), (found & nothing).sum())
     return np.array([float(value) for value in sums])

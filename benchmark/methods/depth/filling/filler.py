@@ -25,7 +25,7 @@ Number = TypeVar("Number", bound=np.generic)
 
 @dataclass(frozen=True, kw_only=True)
 class FillSettings:
-    """What every filling method can be told.
+    """Settings common to all filling methods.
 
     Attributes:
         mask: `holes` fills pixels without a measurement; `objects` first drops the measurements

@@ -153,7 +153,7 @@ class Head(nn.Module):
         """(p,) numbers from the first layer's sums."""
         inner = leaky_relu(self.second(leaky_relu(first, _SLOPE)), _SLOPE)
         inner = leaky_relu(self.third(inner), _SLOPE)
-        # Centimetres are told by this number: it has all digits, whatever the others have.
+        # This number decides centimetres: it keeps full precision whatever the others have.
         with torch.autocast(inner.device.type, enabled=False):
             return self.last(inner.float()).squeeze(1)
 

@@ -222,7 +222,7 @@ class DetailEncoder(nn.Module):
         self.at_quarter = ConvUnit(quarter, quarter, 3)
 
     def forward(self, image: Tensor) -> list[Tensor]:
-        # Depth that is told in half precision is told to a few millimetres only.
+        # Depth in half precision is only accurate to a few millimetres.
         whole = precisely(self.to_whole, image)
         half = self.to_half(whole)
         quarter = self.to_quarter(half)

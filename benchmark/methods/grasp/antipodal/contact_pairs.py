@@ -12,7 +12,7 @@ Floats = NDArray[np.float64]
 
 # Nearer together than this, two points are one.
 _LEAST_WIDTH_M = 0.0015
-# Cells by which pairs are told apart when the best are chosen.
+# Cells that distinguish pairs when the best are chosen.
 _CELL_M, _CELL_COS = 0.012, 0.25
 # Two points of a circle: cosine of the least angle between their normals, how much the radii that
 # they give may differ, and the sine from which on an axis is taken to lie.

@@ -26,7 +26,7 @@ _OTHER = "other"
 
 Floats = NDArray[np.float32]
 
-# A source tells no list of its shapes: it is drawn from until so many draws bring nothing new.
+# A source has no list of its shapes: draw until this many draws bring no new one.
 _FRUITLESS = 50
 
 
