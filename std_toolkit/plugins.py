@@ -155,9 +155,9 @@ class Registry(Generic[T]):
         try:
             return load()
         except (Exception, SystemExit) as error:  # importing foreign code can raise anything
-            told = " ".join(str(error).split()) or type(error).__name__
+            reason = " ".join(str(error).split()) or type(error).__name__
             raise ToolkitError(
-                f"cannot import plug-in for {self.group}: {told}", value=target
+                f"cannot import plug-in for {self.group}: {reason}", value=target
             ) from error
 
 

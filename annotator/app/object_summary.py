@@ -110,7 +110,7 @@ def _graded(value: float, limits: tuple[float, float]) -> Grade:
 
 def _summary(c: Controller, obj: ObjectState) -> ObjectSummary:
     state = work_state(obj)
-    badge, grade, told = _residual(c.residuals.get(obj.name, ()))
+    badge, grade, sentence = _residual(c.residuals.get(obj.name, ()))
     parts = [f"{obj.name}: {obj.material} {obj.model}, {state}."]
     if state == "placed":
         parts.append(
@@ -123,7 +123,7 @@ def _summary(c: Controller, obj: ObjectState) -> ObjectSummary:
     alarm = _alarm(c, obj.name)
     if alarm:
         parts.append(f"It runs {alarm}: red in the views.")
-    parts.append(told)
+    parts.append(sentence)
     explanation = "\n".join(p for p in parts if p)
     return ObjectSummary(
         obj.id,
@@ -157,15 +157,15 @@ def _residual(rows: Sequence[FrameResidual]) -> tuple[str, Grade, str]:
     depths = [abs(r.depth_mm) for r in rows if r.depth_mm is not None]
     if edges:
         value = median(edges)
-        told = f"Contour {value:.1f} px from the image edges, median of {len(edges)} frames."
-        return f"{value:.1f} px", _graded(value, EDGE_PX), told
+        sentence = f"Contour {value:.1f} px from the image edges, median of {len(edges)} frames."
+        return f"{value:.1f} px", _graded(value, EDGE_PX), sentence
     if depths:
         value = median(depths)
-        told = (
+        sentence = (
             f"Surface {value:.0f} mm from the sensor depth, median of {len(depths)} frames; edges "
             "are not informative here, so check the contour by eye."
         )
-        return f"{value:.0f} mm", _graded(value, DEPTH_MM), told
+        return f"{value:.0f} mm", _graded(value, DEPTH_MM), sentence
     return "?", "unknown", "Neither edges nor depth are above chance level: check by eye."
 
 

@@ -194,7 +194,7 @@ class Work:
         self.task: Task | None = None
         self._runner = runner
         self._emit = emit
-        self._told: dict[str, str] = {}
+        self._reported: dict[str, str] = {}
         self._aside: dict[str, Task] = {}
 
     def start(
@@ -257,11 +257,11 @@ class Work:
             if error is not None:
                 text = str(error) if isinstance(error, ToolkitError) else repr(error)
                 # Report once: the same error occurs after every edit.
-                if self._told.get(key) != text:
-                    self._told[key] = text
+                if self._reported.get(key) != text:
+                    self._reported[key] = text
                     self._tell(f"{key}: {text}", "warning")
             else:
-                self._told.pop(key, None)
+                self._reported.pop(key, None)
                 self._finish(finish, result)
 
         self._runner.submit_aside(key, task, lambda: work(task), done, delay=delay)

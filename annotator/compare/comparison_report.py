@@ -203,8 +203,8 @@ def _sheet(row: ObjectAgreement, panels: list[NDArray[np.uint8]]) -> NDArray[np.
         draw.line([(x, 19), (x + 26, 19)], fill=color, width=4)
         draw.text((x + 33, 8), text, fill=_INK, font=large)
         x += 33 + draw.textlength(text, font=large) + 24
-    told = f"{1000 * row.worst_m:.1f} mm apart; {row.mostly}"
-    draw.text((12, 34), _cut(draw, told, body.shape[1] - 24, small), fill=_INK, font=small)
+    summary = f"{1000 * row.worst_m:.1f} mm apart; {row.mostly}"
+    draw.text((12, 34), _cut(draw, summary, body.shape[1] - 24, small), fill=_INK, font=small)
     return np.vstack([np.asarray(caption), body])
 
 

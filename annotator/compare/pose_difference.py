@@ -126,8 +126,8 @@ def what_differs(difference: PoseDifference, names: tuple[str, str] = ("A", "B")
         ),
     ]
     parts.sort(key=lambda part: -part[0])
-    told = [text for size, text in parts if size >= _WORTH_TELLING * parts[0][0] and size > 0]
-    return ", ".join(told[:2])
+    largest = [text for size, text in parts if size >= _WORTH_TELLING * parts[0][0] and size > 0]
+    return ", ".join(largest[:2])
 
 
 def _shift_px(

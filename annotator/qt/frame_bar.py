@@ -75,7 +75,7 @@ class FrameStrip(QWidget):
         index = self.index_at(event.position().x())
         if event.buttons() & Qt.MouseButton.LeftButton:
             self.chosen.emit(index)
-        self.setToolTip(self._told(index))
+        self.setToolTip(self._tooltip(index))
 
     def wheelEvent(self, event: QWheelEvent) -> None:
         step = -1 if event.angleDelta().y() > 0 else 1
@@ -85,7 +85,7 @@ class FrameStrip(QWidget):
         """Whether a frame has a camera pose."""
         return any(first <= index <= last for first, last in self.marks.runs)
 
-    def _told(self, index: int) -> str:
+    def _tooltip(self, index: int) -> str:
         if not self.count:
             return ""
         parts = [f"Frame {index + 1} of {self.count}"]

@@ -102,8 +102,8 @@ class AnnotationState(document.Document, frozen=True, kw_only=True):
         document.check_unique([m.id for m in self.models], "models", "id")
         document.check_unique([o.name for o in self.objects], "objects", "name")
         document.check_unique([str(o.id) for o in self.objects], "objects", "id")
-        for thing in self.objects:
-            self.model(thing.model)
+        for obj in self.objects:
+            self.model(obj.model)
 
     def object(self, name: str) -> ObjectState:
         """Return an entry by name; raises ToolkitError with the known names if there is none."""
@@ -116,10 +116,10 @@ class AnnotationState(document.Document, frozen=True, kw_only=True):
     def model_of(self, name: str) -> Model:
         return self.model(self.object(name).model)
 
-    def with_object(self, thing: ObjectState) -> AnnotationState:
-        """Return a copy in which `thing` replaces the object of its id or is added."""
-        kept = [o for o in self.objects if o.id != thing.id]
-        return msgspec.structs.replace(self, objects=sorted([*kept, thing], key=lambda o: o.id))
+    def with_object(self, obj: ObjectState) -> AnnotationState:
+        """Return a copy in which `obj` replaces the object of its id or is added."""
+        kept = [o for o in self.objects if o.id != obj.id]
+        return msgspec.structs.replace(self, objects=sorted([*kept, obj], key=lambda o: o.id))
 
     def with_model(self, model: Model) -> AnnotationState:
         """Return a copy in which `model` replaces the model of its id or is added."""

@@ -209,13 +209,13 @@ class ViewChannel:
 
     def _receive(self, browser: _Browser, text: str) -> bool:
         try:
-            told = read_message(text)
+            received = read_message(text)
         except msgspec.DecodeError as error:
             logger.warning("ignored an invalid message of a browser: %s", error)
             return False
-        if isinstance(told, Pointer | Drop | Shown) and told.view >= len(self._latest):
+        if isinstance(received, Pointer | Drop | Shown) and received.view >= len(self._latest):
             return False
-        self._call(lambda: self._heed(browser, told))
+        self._call(lambda: self._heed(browser, received))
         return True
 
     def _call(self, action: Any) -> None:
@@ -225,52 +225,52 @@ class ViewChannel:
             logger.exception("an event of a browser")
             self._receiver.failed(error)
 
-    def _heed(self, browser: _Browser, told: PageMessage) -> None:
-        if isinstance(told, Shown):
-            browser.shown(told.view, told.number)
-            self._refill(browser, told.view)
-        elif isinstance(told, Visibility):
-            browser.visible = told.visible
+    def _heed(self, browser: _Browser, received: PageMessage) -> None:
+        if isinstance(received, Shown):
+            browser.shown(received.view, received.number)
+            self._refill(browser, received.view)
+        elif isinstance(received, Visibility):
+            browser.visible = received.visible
             self._refill_all(browser)
-        elif isinstance(told, Sizes):
-            self._resized(browser, told)
-        elif isinstance(told, Pointer):
-            self._pointed(browser, told)
+        elif isinstance(received, Sizes):
+            self._resized(browser, received)
+        elif isinstance(received, Pointer):
+            self._pointed(browser, received)
         else:
             self._lead(browser)
-            if isinstance(told, Key):
-                self._receiver.key(told)
+            if isinstance(received, Key):
+                self._receiver.key(received)
             elif self._holder is None:
-                self._receiver.drop(told)
+                self._receiver.drop(received)
 
-    def _resized(self, browser: _Browser, told: Sizes) -> None:
-        sizes = [*told.sizes, *[(0, 0)] * len(self._latest)][: len(self._latest)]
+    def _resized(self, browser: _Browser, received: Sizes) -> None:
+        sizes = [*received.sizes, *[(0, 0)] * len(self._latest)][: len(self._latest)]
         first = not any(any(size) for size in browser.sizes)
-        browser.sizes, browser.ratio = sizes, told.ratio
+        browser.sizes, browser.ratio = sizes, received.ratio
         if self._leader is None or first:
             self._leader = browser
         if self._leader is browser:
-            self._receiver.resize(sizes, told.ratio)
+            self._receiver.resize(sizes, received.ratio)
         self._refill_all(browser)
 
-    def _pointed(self, browser: _Browser, told: Pointer) -> None:
-        if told.kind == "move":
-            browser.say({"moved": told.number})
+    def _pointed(self, browser: _Browser, received: Pointer) -> None:
+        if received.kind == "move":
+            browser.say({"moved": received.number})
         holder = self._holder
-        if holder is not None and (holder[0] is not browser or told.kind in ("down", "wheel")):
+        if holder is not None and (holder[0] is not browser or received.kind in ("down", "wheel")):
             return
-        if told.kind in ("up", "cancel"):
-            if holder is None or holder[1] != told.view:
+        if received.kind in ("up", "cancel"):
+            if holder is None or holder[1] != received.view:
                 return
             self._holder = None
-        elif told.kind in ("down", "wheel", "double"):
+        elif received.kind in ("down", "wheel", "double"):
             self._lead(browser)
-        if told.kind == "down":
-            self._holder = (browser, told.view)
-        if told.kind == "cancel":
-            self._receiver.give_up(told.view)
+        if received.kind == "down":
+            self._holder = (browser, received.view)
+        if received.kind == "cancel":
+            self._receiver.give_up(received.view)
         else:
-            self._receiver.pointer(told)
+            self._receiver.pointer(received)
 
     def _lead(self, browser: _Browser) -> None:
         if self._leader is not browser and any(any(size) for size in browser.sizes):

@@ -221,8 +221,12 @@ def _objects(c: controller.Controller) -> list[dict[str, Any]]:
 def _model(model: Any) -> dict[str, Any]:
     size = " × ".join(f"{1000 * x:.0f}" for x in model.size_m)
     turns = questions.symmetry_summary(model.symmetry)
-    told = f"{size} mm · {model.category}"
-    return {"id": model.id, "told": told, "explanation": f"{size} mm, {model.category}, {turns}"}
+    described = f"{size} mm · {model.category}"
+    return {
+        "id": model.id,
+        "described": described,
+        "explanation": f"{size} mm, {model.category}, {turns}",
+    }
 
 
 def _pose(fields: pose_text.PoseFields) -> dict[str, Any] | None:

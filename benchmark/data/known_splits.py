@@ -78,9 +78,9 @@ class Place:
             return True
         if not self.part:
             return False
-        told = [p for p in parts if p in (*_NAMES[1], *_NAMES[2])]
+        known = [p for p in parts if p in (*_NAMES[1], *_NAMES[2])]
         own = {_plain(f.rsplit("/", 1)[-1]) for f in self.folders}
-        return bool(told) and told[-1] not in own
+        return bool(known) and known[-1] not in own
 
 
 def find_all(root: Path, folders: Sequence[str]) -> list[Path]:

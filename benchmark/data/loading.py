@@ -155,7 +155,7 @@ def _scan(
     folder: Path, pattern: re.Pattern[str], telling: Set[str], depth: int
 ) -> Iterator[tuple[Path, tuple[str, ...]]]:
     stems: set[str] = set()
-    told = False
+    found_here = False
     below: list[Path] = []
     try:
         with os.scandir(folder) as entries:
@@ -166,12 +166,12 @@ def _scan(
                 if match:
                     # The same few hundred names occur in every scene.
                     stems.add(intern(match.group(1)))
-                    told = told or match.group(2) in telling
+                    found_here = found_here or match.group(2) in telling
                 elif depth > 0 and entry.is_dir():
                     below.append(folder / entry.name)
     except OSError as error:
         raise ToolkitError(f"cannot read the folder: {error.strerror}", path=folder) from error
-    if told:
+    if found_here:
         yield folder, tuple(sorted(stems, key=natural_key))
     for path in below:
         yield from _scan(path, pattern, telling, depth - 1)

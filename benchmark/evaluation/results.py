@@ -100,8 +100,8 @@ def join_parts(folder: Path, name: str = TABLE) -> pd.DataFrame:
             table.to_parquet(temporary, index=False)
         failed = table[table[ERROR] != ""]
         with atomic_path(folder / FAILURES) as temporary:
-            told = failed[[INDEX, SCENE, FRAME, ERROR]].drop_duplicates()
-            told.to_csv(temporary, index=False)
+            failures = failed[[INDEX, SCENE, FRAME, ERROR]].drop_duplicates()
+            failures.to_csv(temporary, index=False)
         for path in paths:
             path.unlink()
     return table

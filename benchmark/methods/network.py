@@ -147,9 +147,9 @@ def color_and_depth(views: Sequence[protocol.View], device: torch.device) -> tup
     """
     sizes = {view.depth.shape for view in views}
     if len(sizes) > 1:
-        told = ", ".join(sorted(f"{w}x{h}" for h, w in sizes))
+        listed = ", ".join(sorted(f"{w}x{h}" for h, w in sizes))
         raise ToolkitError(
-            f"views of several sizes in one batch: {told}", hint="restore them one by one"
+            f"views of several sizes in one batch: {listed}", hint="restore them one by one"
         )
     # As bytes to the device: a quarter of the transfer.
     color = torch.from_numpy(np.stack([view.color for view in views])).to(device)
@@ -299,14 +299,14 @@ def coarse_depth(depth: Tensor) -> Tensor:
     return interpolate(filled, size=size, mode="bilinear", align_corners=False)
 
 
-def told_depth(depth: Tensor) -> Tensor:
-    """(b, 1, h, w) what a network is told of metres: relative to their mean, of which they are
-    2.5 times at most."""
+def network_depth(depth: Tensor) -> Tensor:
+    """(b, 1, h, w) network input from depth in metres: relative to its mean, at most 2.5 times the
+    mean."""
     mean = mean_depth(depth)
     return relative_to(mean, torch.minimum(depth, _FARTHEST * mean))
 
 
-def told_color(color: Tensor) -> Tensor:
+def relative_color(color: Tensor) -> Tensor:
     """(b, 3, h, w) colour in [0, 1] less the image's mean colour, in quarters.
 
     Most of an image is the table: what stands on it, glass too, is then what differs from 0.

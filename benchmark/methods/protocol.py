@@ -56,7 +56,7 @@ class Restorer(Protocol):
     Attributes:
         input_size: (width, height) that it works at, or None for any: it is then given the size
             of the ground truth (of the protocol, where that has one).
-        needs_mask: whether it must be told which pixels to doubt.
+        needs_mask: whether the view must contain the mask of pixels to doubt.
     """
 
     input_size: tuple[int, int] | None
@@ -148,7 +148,7 @@ class PoseEstimator(Protocol):
     Attributes:
         input_size: (width, height) that it works at, or None for any: it is then given the size
             of the ground truth.
-        needs_truth: whether it must be told what is there (`PoseView.truth`).
+        needs_truth: whether the view must contain ground truth (`PoseView.truth`).
     """
 
     input_size: tuple[int, int] | None

@@ -33,16 +33,16 @@ def write_pages(plan: recipe_plan.RecipePlan, outcome: recipe_run.Outcome) -> st
         ToolkitError: a file cannot be written.
     """
     rows = recipe_table.recipe_rows(plan, outcome)
-    told = recipe_table.findings(plan, outcome)
+    sentences = recipe_table.findings(plan, outcome)
     plan.folder.mkdir(parents=True, exist_ok=True)
     texts = {
         CSV: rows.to_csv(index=False, lineterminator="\n"),
-        MARKDOWN: markdown(plan, outcome, rows, told),
-        PAGE: html(plan, outcome, rows, told),
+        MARKDOWN: markdown(plan, outcome, rows, sentences),
+        PAGE: html(plan, outcome, rows, sentences),
     }
     for name, text in texts.items():
         write_bytes_atomic(plan.folder / name, text.encode())
-    return f"{terminal(plan, rows, told)}\n{plan.folder / PAGE}"
+    return f"{terminal(plan, rows, sentences)}\n{plan.folder / PAGE}"
 
 
 def scale_line(plan: recipe_plan.RecipePlan) -> str:
@@ -54,11 +54,11 @@ def markdown(
     plan: recipe_plan.RecipePlan,
     outcome: recipe_run.Outcome,
     rows: pd.DataFrame,
-    told: Sequence[str],
+    sentences: Sequence[str],
 ) -> str:
     """The tables as GitHub's Markdown; published rows in italics."""
     lines = [f"# {plan.recipe.title}", "", f"**{scale_line(plan)}**", "", plan.recipe.about, ""]
-    lines += [f"- {sentence}" for sentence in told] + [""] * bool(told)
+    lines += [f"- {sentence}" for sentence in sentences] + [""] * bool(sentences)
     for target in plan.targets:
         mine = rows[rows["test"] == target.name]
         lines += [f"## {target.title} (scale {plan.scale_name})", "", f"{_data(mine)}.", ""]
@@ -77,7 +77,7 @@ def html(
     plan: recipe_plan.RecipePlan,
     outcome: recipe_run.Outcome,
     rows: pd.DataFrame,
-    told: Sequence[str],
+    sentences: Sequence[str],
 ) -> str:
     """One file that needs nothing but itself; the same results give the same bytes."""
     results = [result for found in outcome.results.values() for result in found]
@@ -101,14 +101,14 @@ def html(
         title=plan.recipe.title,
         tab_title=f"{plan.recipe.title}, {mark}",
         verdicts=[Verdict(plan.scale.about, f"Scale: {plan.scale_name}", state)],
-        intro=[Paragraph(text) for text in (plan.recipe.about, *told, _NOTE)],
+        intro=[Paragraph(text) for text in (plan.recipe.about, *sentences, _NOTE)],
         sections=[replace(section, mark=mark) for section in sections],
         footer=f"std-toolkit {__version__}, `std-train recipe {plan.name} --scale "
         f"{plan.scale_name}`. The same figures: `{CSV}`.",
     ).html()
 
 
-def terminal(plan: recipe_plan.RecipePlan, rows: pd.DataFrame, told: Sequence[str]) -> str:
+def terminal(plan: recipe_plan.RecipePlan, rows: pd.DataFrame, sentences: Sequence[str]) -> str:
     """The rows of specular and transparent objects, or of all where there are no others."""
     lines = [scale_line(plan)]
     for target in plan.targets:
@@ -126,7 +126,7 @@ def terminal(plan: recipe_plan.RecipePlan, rows: pd.DataFrame, told: Sequence[st
                 and (text := c.text(row[c.name], published=printed))
             )
             lines.append(f"  {row['variant']} ({_figures(row)}, {row['subset']}): {numbers}")
-    return "\n".join([*lines, *told])
+    return "\n".join([*lines, *sentences])
 
 
 def _absent(rows: pd.DataFrame) -> list[tuple[str, str]]:

@@ -193,13 +193,13 @@ def plan_recipe(config: RecipeConfig) -> RecipePlan:
         sets={key: frames for key, frames in sets.items() if key in used},
         packs=list(packs.values()),
         entries=[*baselines, *trained.values()],
-        targets=[_told(target, recipe, sets) for target in targets],
+        targets=[_with_reason(target, recipe, sets) for target in targets],
         out=out,
         devices=config.devices,
     )
 
 
-def _told(target: Target, recipe: Recipe, sets: Mapping[str, FrameSet]) -> Target:
+def _with_reason(target: Target, recipe: Recipe, sets: Mapping[str, FrameSet]) -> Target:
     """The test, with a title that no one takes for the published data set's."""
     if not target.set or recipe.tests[target.name].title or not sets[target.set].is_simulated:
         return target
@@ -223,7 +223,7 @@ def _entry(
     from benchmark.training.catalogue import get_trainable
     from benchmark.training.options import TrainOptions
 
-    told = Entry(
+    planned = Entry(
         name=name,
         title=variant.title,
         label=_label(variant, frames, validation, config),
@@ -237,7 +237,7 @@ def _entry(
         settings = trainable.settings_of(scale.preset, {**how.settings, **variant.settings})
         size = tuple(trainable.config(scale.preset, settings).input_size)
     except ToolkitError as error:
-        return replace(told, problem=f"cannot be trained here: {error}")
+        return replace(planned, problem=f"cannot be trained here: {error}")
     packs = [
         Pack(
             folder=out / "packs" / _pack_name(one, size, variant.raw),
@@ -262,11 +262,11 @@ def _entry(
         seed=config.seed,
     )
     return replace(
-        told,
+        planned,
         settings=settings,
         packs=tuple(packs),
         training=training,
-        folder=out / "training" / told.label,
+        folder=out / "training" / planned.label,
     )
 
 

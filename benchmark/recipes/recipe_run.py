@@ -25,7 +25,7 @@ class Trained:
     Attributes:
         frames, scenes: that it was trained on.
         steps, batch_size: how long.
-        best_step: of the weights that were chosen; None where it is not told.
+        best_step: step of the best weights; None if unknown.
     """
 
     frames: int
@@ -65,7 +65,7 @@ def run_recipe(
         plan: all steps.
         machine: where networks are trained.
         jobs: where all else runs.
-        after: is told what there is so far, after every variant; at least once.
+        after: called with the results so far after every variant, at least once.
 
     Raises:
         ToolkitError: no test is available, or a set or a pack cannot be made, or is another than it
@@ -175,8 +175,8 @@ def train(entry: Entry, machine: Machine) -> Trained:
             "%s: %d steps of %d frames", entry.label, config.steps, config.optimization.batch_size
         )
         fit(folder, config, data, machine, beginning)
-    told = folder / SCORES
-    best = read_document(told, dict) if told.is_file() else {}
+    scores_file = folder / SCORES
+    best = read_document(scores_file, dict) if scores_file.is_file() else {}
     return Trained(
         frames=len(data.of_training),
         scenes=len({data.training.scene(i) for i in data.of_training}),

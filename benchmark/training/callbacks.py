@@ -51,7 +51,7 @@ class Watch(pl.Callback):
         self.validations = Rows(self.folder / "validation.csv", step)
         self.board = None
         if trainer.is_global_zero:
-            threading.excepthook = _told_by_the_next_write
+            threading.excepthook = _ignore_until_next_write
             self.board = SummaryWriter(str(self.folder / "tensorboard"), purge_step=step + 1)
         if step:
             logger.info("going on from step %d", step)
@@ -81,7 +81,7 @@ class Watch(pl.Callback):
             config = pl_module.config
             row = {"step": step, "learning_rate": config.rate(step - 1)}
             row |= {name: float(part) for name, part in pl_module.parts.items()}
-            row |= self.speed.told()
+            row |= self.speed.figures()
             phase = {"phase": config.step_info(step - 1).phase} if config.phases else {}
             self.steps.add({**row, **phase})
             self._show("train", row)
@@ -142,8 +142,8 @@ class Watch(pl.Callback):
             name,
             score,
             ", the best so far" if better else f" (best {self.best:.4f} at step {self.best_step})",
-            self.speed.told()["samples_per_s"],
-            100 * self.speed.told()["waiting_for_data"],
+            self.speed.figures()["samples_per_s"],
+            100 * self.speed.figures()["waiting_for_data"],
         )
 
     def _show(self, group: str, row: dict[str, Any]) -> None:
@@ -174,7 +174,7 @@ class Watch(pl.Callback):
             ) from error
 
 
-def _told_by_the_next_write(failure: Any) -> None:
+def _ignore_until_next_write(failure: Any) -> None:
     """What fails in TensorBoard's thread is raised at the next write, and needs no traceback."""
     if type(failure.thread).__name__ != "_AsyncWriterThread":
         threading.__excepthook__(failure)

@@ -181,9 +181,11 @@ def begin(folder: Path, config: TrainConfig) -> None:
     now = flat(config)
     differing = [name for name in {**begun, **now} if begun.get(name) != now.get(name)]
     if differing:
-        told = "; ".join(f"{n}: {begun.get(n)!r} then, {now.get(n)!r} now" for n in differing)
+        differences = "; ".join(
+            f"{n}: {begun.get(n)!r} then, {now.get(n)!r} now" for n in differing
+        )
         raise ToolkitError(
-            f"the training there was begun with another configuration: {told}",
+            f"the training there was begun with another configuration: {differences}",
             path=path,
             hint="give the same options to go on, or another --out",
         )

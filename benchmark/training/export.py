@@ -86,9 +86,9 @@ def export_weights(run: Path, out: Path, *, scores: str = "") -> Path:
         *_table("How", _how(config, best, run, note)),
     ]
     named = {k: v for k, v in best["scores"].items() if k.startswith(_OF_DEPTH)}
-    told = "specular and transparent pixels, at the size of training"
+    described = "specular and transparent pixels, at the size of training"
     lines += _table(
-        f"Scores of validation, {told}" if named else "Scores of validation",
+        f"Scores of validation, {described}" if named else "Scores of validation",
         [
             (name.removeprefix(_OF_DEPTH), f"{value:.4f}")
             for name, value in (named or best["scores"]).items()
@@ -129,10 +129,12 @@ def _data(parts: Sequence[PartNote]) -> list[tuple[str, str]]:
             )
         )
         if part.simulation:
-            told = ", ".join(
+            described = ", ".join(
                 f"{k} {part.simulation[k]}" for k in _SHOWN_OPTIONS if k in part.simulation
             )
-            rows.append(("simulated by std-sim", f"{told}; scenes are named after their seeds"))
+            rows.append(
+                ("simulated by std-sim", f"{described}; scenes are named after their seeds")
+            )
     return rows
 
 

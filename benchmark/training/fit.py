@@ -89,13 +89,13 @@ def fit(
         )
         if trainer.is_global_zero:
             save_weights(module.network, folder / run_files.LAST)
-            told = watch.speed.told()
+            figures = watch.speed.figures()
             if watch.speed.samples:
                 logger.info(
                     "%d samples at %.1f/s, %.1f %% of the time waiting for data",
                     watch.speed.samples,
-                    told["samples_per_s"],
-                    100 * told["waiting_for_data"],
+                    figures["samples_per_s"],
+                    100 * figures["waiting_for_data"],
                 )
     return folder / run_files.BEST
 

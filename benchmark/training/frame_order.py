@@ -159,12 +159,12 @@ def check_no_leak(
         known = {of(training, i): i for i in of_training}
         both = [i for i in of_validation if of(validation, i) in known]
         if both:
-            told = ", ".join(
+            listed = ", ".join(
                 f"{validation.key(i)} = {training.key(known[of(validation, i)])}"
                 for i in both[:_TOLD]
             )
             raise ToolkitError(
-                f"{len(both)} frames of validation are of {what} that are trained on: {told}",
+                f"{len(both)} frames of validation are of {what} that are trained on: {listed}",
                 hint="validate on other scenes, or leave --validation away to hold some out",
             )
 

@@ -105,9 +105,9 @@ class RestorerTraining(pl.LightningModule):
     def _stop(self, problem: str, value: object) -> None:
         names = [self.key(i) for i in self._frames[:_TOLD]]
         more = len(self._frames) - len(names)
-        told = ", ".join(names) + (f" and {more} more" if more else "")
+        listed = ", ".join(names) + (f" and {more} more" if more else "")
         raise ToolkitError(
-            f"{problem} at step {self.global_step}, frames {told}",
+            f"{problem} at step {self.global_step}, frames {listed}",
             value=value,
             hint="the last checkpoint is kept; look at these frames, or make --learning-rate "
             "smaller",

@@ -154,7 +154,9 @@ class PackedFrames(Dataset[dict[str, Tensor]]):
             failed += len(index.failed)
             self._counts[pack, shard] = len(index.names)
             rows = zip(index.scenes, index.names, index.digests, strict=True)
-            self.frames += [PackedFrame(pack, shard, row, *told) for row, told in enumerate(rows)]
+            self.frames += [
+                PackedFrame(pack, shard, row, *fields) for row, fields in enumerate(rows)
+            ]
         if failed:
             logger.warning("%s: %d frames could not be packed and are left out", folder, failed)
 

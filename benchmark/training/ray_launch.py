@@ -64,21 +64,21 @@ def fit_on_ray(
         try:
             trainer.fit()
         except Exception as error:
-            raise _told(error) from error
+            raise _as_toolkit_error(error) from error
         finally:
             shutil.rmtree(own, ignore_errors=True)
     return folder / BEST
 
 
-def _train(told: dict[str, Any]) -> None:
+def _train(arguments: dict[str, Any]) -> None:
     """What every process does."""
     import ray.train
 
     rank = ray.train.get_context().get_world_rank()
     log_to_stderr(logging.INFO if rank == 0 else logging.WARNING)
     logger.propagate = False  # Ray has a handler of its own
-    config, data, beginning = plan_training(told["options"])
-    fit(told["folder"], config, data, told["machine"], beginning)
+    config, data, beginning = plan_training(arguments["options"])
+    fit(arguments["folder"], config, data, arguments["machine"], beginning)
 
 
 def _with_whole_paths(options: TrainOptions) -> TrainOptions:
@@ -116,7 +116,7 @@ def _uses_gpu(machine: Machine, there: dict[str, float], count: int) -> bool:
     return gpu
 
 
-def _told(error: Exception) -> ToolkitError:
+def _as_toolkit_error(error: Exception) -> ToolkitError:
     """What went wrong in a process; Ray wraps it in errors of its own."""
     found = list(_chain(error))
     for one in found:

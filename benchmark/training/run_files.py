@@ -77,7 +77,7 @@ class Speed:
         self.samples += samples
         self._mark = now
 
-    def told(self) -> dict[str, float]:
+    def figures(self) -> dict[str, float]:
         """Figures since the beginning."""
         seconds = max(self.seconds, 1e-9)
         return {

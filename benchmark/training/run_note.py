@@ -146,9 +146,9 @@ def _simulation(root: Path) -> dict[str, str | int | float | bool | None]:
     for folder in (root, *root.parents[:1]):
         if (folder / _SET).is_file():
             try:
-                told = read_document(folder / _SET, dict)
+                document = read_document(folder / _SET, dict)
             except ToolkitError:  # the note is a courtesy; the frames themselves were read
                 return {}
-            options = told.get("options")
+            options = document.get("options")
             return options if isinstance(options, dict) else {}
     return {}

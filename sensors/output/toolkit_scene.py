@@ -252,9 +252,9 @@ def read_simulation(scene: Path) -> SceneRecord:
     return documents.read_document(record_path(scene), SceneRecord)
 
 
-def _object_table(things: list[MetricObject]) -> ObjectTable:
+def _object_table(entries: list[MetricObject]) -> ObjectTable:
     return ObjectTable(
-        models=[t.model for t in things],
+        models=[t.model for t in entries],
         objects=[
             Object(
                 id=t.item.instance_id,
@@ -262,7 +262,7 @@ def _object_table(things: list[MetricObject]) -> ObjectTable:
                 model=t.model.id,
                 material=t.item.material_class,
             )
-            for t in things
+            for t in entries
         ],
     )
 

@@ -173,14 +173,12 @@ def objects_on_floor(
                 quat=[np.sqrt(0.5), -y * np.sqrt(0.5), x * np.sqrt(0.5), 0],
                 **contact,
             )
-    for i, (thing, mass) in enumerate(zip(objects, masses, strict=True)):
+    for i, (obj, mass) in enumerate(zip(objects, masses, strict=True)):
         body = spec.worldbody.add_body(name=f"object{i}")
         body.add_freejoint()
-        volumes = np.array([_volume(p) for p in thing.parts])
-        for k, part in enumerate(thing.parts):
-            mesh = spec.add_mesh(
-                name=f"{i}-{k}", uservert=(part * thing.diagonal_m).ravel().tolist()
-            )
+        volumes = np.array([_volume(p) for p in obj.parts])
+        for k, part in enumerate(obj.parts):
+            mesh = spec.add_mesh(name=f"{i}-{k}", uservert=(part * obj.diagonal_m).ravel().tolist())
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
             body.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_MESH,

@@ -118,8 +118,8 @@ def _start(
     """Poses above the floor, at heights where the bounding spheres do not touch."""
     poses: list[SE3] = []
     placed: list[tuple[Array, float]] = []
-    for thing in objects:
-        radius = thing.diagonal_m / 2
+    for obj in objects:
+        radius = obj.diagonal_m / 2
         room = max(options.half_width_m - radius, 0.0)
         x, y = rng.uniform(-room, room, 2)
         a, b = rng.uniform(-options.tilt, options.tilt, 2)

@@ -83,8 +83,8 @@ def build_world(
     drops = 0
     if poses is None:
         falling = [
-            PhysicalObject(asset, thing.diagonal_m, convex_parts(asset, parts_cache))
-            for asset, thing in zip(assets, draw.objects, strict=True)
+            PhysicalObject(asset, obj.diagonal_m, convex_parts(asset, parts_cache))
+            for asset, obj in zip(assets, draw.objects, strict=True)
         ]
         settled = settle(falling, int(generator(draw.seed, "drop").integers(2**31)))
         poses, drops = settled.poses, settled.attempts
@@ -96,17 +96,17 @@ def build_world(
         frames=options.views,
         objects=[
             SimulatedObject(
-                instance_id=thing.instance,
+                instance_id=obj.instance,
                 asset_id=asset.id,
-                category=thing.category,
+                category=obj.category,
                 class_id=asset.class_id,
-                material_class=thing.material.material_class,
-                scale_m=thing.diagonal_m,
+                material_class=obj.material.material_class,
+                scale_m=obj.diagonal_m,
                 T_world_obj=pose,
                 mesh=asset.mesh,
                 symmetry=asset.symmetry,
             )
-            for thing, asset, pose in rows
+            for obj, asset, pose in rows
         ],
         parameters={
             "options": msgspec.to_builtins(options),
@@ -135,16 +135,16 @@ def camera_poses(seed: int, options: SimulationOptions) -> list[SE3]:
     )
 
 
-def _object(thing: ObjectDraw, asset: Asset, pose: SE3) -> SceneObject:
-    mesh, texture = own_surface(asset, thing.diagonal_m)
-    patterned = thing.material.texture is not None
+def _object(obj: ObjectDraw, asset: Asset, pose: SE3) -> SceneObject:
+    mesh, texture = own_surface(asset, obj.diagonal_m)
+    patterned = obj.material.texture is not None
     if texture is not None and asset.texture is None and patterned:
         # A palette cannot hold the material's pattern: its mean colour is used.
         mean = to_linear(np.asarray(texture)).reshape(-1, 3).mean(axis=0)
         mesh, texture = SurfaceMesh(mesh.vertices, mesh.faces), None
         color = (float(mean[0]), float(mean[1]), float(mean[2]))
-        return SceneObject(thing.instance, mesh, pose, thing.material, color=color)
-    return SceneObject(thing.instance, mesh, pose, thing.material, texture=texture)
+        return SceneObject(obj.instance, mesh, pose, obj.material, color=color)
+    return SceneObject(obj.instance, mesh, pose, obj.material, texture=texture)
 
 
 def _floor(drawn: FloorDraw) -> SceneObject:

@@ -60,8 +60,8 @@ def is_uninformative(item: ObjectCheck) -> bool:
 
 def shift_px(item: ObjectCheck, options: CheckOptions) -> Number:
     """The shift of the label against the image, if enough frames have a clear one."""
-    told = has_edges(item, options) and (item.shift_share or 0) >= ENOUGH_SHIFTS
-    return item.shift_px if told else None
+    reliable = has_edges(item, options) and (item.shift_share or 0) >= ENOUGH_SHIFTS
+    return item.shift_px if reliable else None
 
 
 def is_confirmed(item: ObjectCheck, options: CheckOptions) -> bool:
@@ -301,8 +301,8 @@ def _gate(
 
 
 def _drift(item: ObjectCheck, options: CheckOptions) -> Number:
-    told = item.drift_frames >= FEWEST_DRIFT_FRAMES and has_edges(item, options)
-    return item.drift_px if told and item.material != "transparent" else None
+    reliable = item.drift_frames >= FEWEST_DRIFT_FRAMES and has_edges(item, options)
+    return item.drift_px if reliable and item.material != "transparent" else None
 
 
 def _worst(values: dict[str, Number]) -> Number:

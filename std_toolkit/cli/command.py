@@ -133,8 +133,8 @@ class Program:
             return 0 if first else WRONG_USAGE
         if chosen is None:
             if not self.default or (first and first[0] != "-" and first.replace("-", "").isalpha()):
-                told = f"no command of {self.name}; expected one of {', '.join(named)}"
-                raise _UsageError(f"{first}: {told}")
+                reason = f"no command of {self.name}; expected one of {', '.join(named)}"
+                raise _UsageError(f"{first}: {reason}")
             chosen, rest = named[self.default], words
         else:
             place = words.index(chosen.name)

@@ -152,8 +152,8 @@ class StdExporter:
     def _meta(self, target: Target, truth: FrameTruth, mask_ids: dict[int, int]) -> str:
         lines = []
         for row in truth.objects:
-            thing = target.scene.objects.object(row.object)
-            model = target.scene.objects.model(thing.model)
+            obj = target.scene.objects.object(row.object)
+            model = target.scene.objects.model(obj.model)
             centre, diagonal = nocs_frame(target.scene.mesh(model.id))
             pose = row.pose
             R = pose.R if target.options.quaternion == "plain" else pose.R.T
@@ -162,7 +162,7 @@ class StdExporter:
             numbers = " ".join(f"{x:.9f}" for x in (*q, *t))
             lines.append(
                 f"{mask_ids[row.object]} {model.class_id} {model.category} {model.id} "
-                f"{diagonal:.9f} {MATERIAL_IDS[thing.material]} {numbers} \n"
+                f"{diagonal:.9f} {MATERIAL_IDS[obj.material]} {numbers} \n"
             )
         return "".join(lines)
 

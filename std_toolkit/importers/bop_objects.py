@@ -108,14 +108,14 @@ def find_instances(
     order_of: dict[int, int] = {}
     for i, track in enumerate(tracks):
         order_of[track.obj_id] = order_of.get(track.obj_id, 0) + 1
-        thing = Object(
+        obj = Object(
             id=i + 1,
             name=f"{model_ids[track.obj_id]}_{order_of[track.obj_id]}",
             model=model_ids[track.obj_id],
             material=material,
         )
-        objects.append(thing)
-        labels.append(_label(track, thing.id))
+        objects.append(obj)
+        labels.append(_label(track, obj.id))
     if not T_world_cam:
         notes.append("no camera poses (cam_R_w2c): labels are imported as views of single frames")
     return Instances(tuple(objects), Labels(labels=labels), tuple(notes))

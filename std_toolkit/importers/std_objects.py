@@ -109,15 +109,15 @@ def read_objects(
     for mask_id, line in sorted(meta_lines.items()):
         model = _model(cad, line)
         models.setdefault(model.model.id, model)
-        thing = Object(
+        obj = Object(
             id=mask_id,
             name=safe_name(f"{line.instance_folder}_{mask_id}"),
             model=model.model.id,
             material=line.material,
         )
-        objects.append(thing)
+        objects.append(obj)
         frames = [(i, s) for i, s in enumerate(stems) if s in metas]
-        label = _fit_label(thing, frames, folder, maps_of, camera, layout)
+        label = _fit_label(obj, frames, folder, maps_of, camera, layout)
         if label is not None:
             labels.append(label)
     return FoundObjects(
@@ -198,7 +198,7 @@ def _model(cad: Path, line: MetaLine) -> SourceModel:
 
 
 def _fit_label(
-    thing: Object,
+    obj: Object,
     frames: list[tuple[int, str]],
     folder: Path,
     maps_of: MapsOf,
@@ -210,14 +210,14 @@ def _fit_label(
     poses: dict[int, SE3] = {}
     for pick in picks:
         index, stem = frames[pick]
-        pose = fit_pose(dict(maps_of(folder, stem)), thing.id, camera)
+        pose = fit_pose(dict(maps_of(folder, stem)), obj.id, camera)
         if pose is not None:
             poses[index] = pose
     if not poses:
         return None
     first = min(poses)
     return Label(
-        object=thing.id,
+        object=obj.id,
         frame=first,
         T_cam_obj=poses[first].flat(),
         method=f"import:{layout}",

@@ -153,7 +153,7 @@ class _Run:
     ) -> None:
         self._problem, self._method = problem, method
         self._progress, self._cancelled = progress, cancelled
-        self._told = 0.0
+        self._reported = 0.0
         self._layers = LayerStore()
         self._fits: dict[int, icp.DepthFit] = {}
         self._notes: dict[int, list[str]] = {}
@@ -192,8 +192,8 @@ class _Run:
     def _report(self, fraction: float) -> None:
         if self._cancelled():
             raise RefineCancelled
-        self._told = max(self._told, fraction)
-        self._progress(self._told)
+        self._reported = max(self._reported, fraction)
+        self._progress(self._reported)
 
     def _fit_depth(self, i: int, *, finish: bool, progress: Progress) -> bool:
         """Align an object with depth; False if only its edges can be used."""

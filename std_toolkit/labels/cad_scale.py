@@ -55,12 +55,12 @@ class CadScale:
         self, context: ScaleContext, label: Label, poses: dict[int, SE3]
     ) -> ScaleEstimate:
         scene = context.scene
-        thing = scene.objects.object(label.object)
-        vertices = _spread(hull_vertices(scene.mesh(thing.model)), _POINTS)
+        obj = scene.objects.object(label.object)
+        vertices = _spread(hull_vertices(scene.mesh(obj.model)), _POINTS)
         angle = _largest_angle(poses)
         if angle < MIN_ANGLE_DEG:
             raise ToolkitError(
-                f"object {thing.name!r}: its annotated frames are {angle:.0f} degrees apart, "
+                f"object {obj.name!r}: its annotated frames are {angle:.0f} degrees apart, "
                 "too close to determine the scale",
                 path=scene.root / "labels.json",
                 hint=f"annotate it in frames at least {GOOD_ANGLE_DEG:.0f} degrees apart",
@@ -69,7 +69,7 @@ class CadScale:
             logger.warning(
                 "object %r is annotated in frames only %.0f degrees apart; the scale from its "
                 "size is more accurate from %.0f degrees",
-                thing.name,
+                obj.name,
                 angle,
                 GOOD_ANGLE_DEG,
             )
@@ -88,17 +88,17 @@ class CadScale:
                     uv=uv,
                 )
             )
-        size = scene.objects.model(thing.model).diameter_m
-        note = f"{thing.name}: {len(views)} annotated frames, up to {angle:.0f} degrees apart"
+        size = scene.objects.model(obj.model).diameter_m
+        note = f"{obj.name}: {len(views)} annotated frames, up to {angle:.0f} degrees apart"
         annotated = scale_from_known_points(
             views, source=self.name, note=note, threshold_m=0.2 * size
         )
-        return _sharpen(context, thing, views, sorted(poses), annotated, 0.2 * size)
+        return _sharpen(context, obj, views, sorted(poses), annotated, 0.2 * size)
 
 
 def _sharpen(
     context: ScaleContext,
-    thing: Object,
+    obj: Object,
     views: list[KnownView],
     frames: list[int],
     annotated: ScaleEstimate,
@@ -121,26 +121,26 @@ def _sharpen(
         metric = SE3(T_world_cam.R, fit.scale * T_world_cam.t)
         color = scene.read_color(scene.frame(frame_id))
         images.append(RefineView.of(view.camera, metric, color, frame=frame_id))
-    mesh = scene.mesh(thing.model)
+    mesh = scene.mesh(obj.model)
     body = RefineObject(
-        name=thing.name,
+        name=obj.name,
         vertices=np.asarray(mesh.vertices, dtype=np.float64),
         faces=np.asarray(mesh.faces, dtype=np.int64),
         T_world_obj=fit.T_world_body,
-        material=thing.material,
-        symmetry=scene.objects.model(thing.model).symmetry.symmetry(),
+        material=obj.material,
+        symmetry=scene.objects.model(obj.model).symmetry.symmetry(),
     )
     options = RefineOptions(refine_scale=True, use_depth=False, search_px=24, iterations=8)
     try:
         refined = refine_poses(images, [body], options)
     except ToolkitError as error:
-        logger.warning("object %r: edges were not used for the scale: %s", thing.name, error)
+        logger.warning("object %r: edges were not used for the scale: %s", obj.name, error)
         return annotated
     if abs(refined.scale - 1) > MAX_EDGE_CORRECTION:
         logger.warning(
             "object %r: scale from edges and from annotations differ by %.1f %%; the annotations "
             "are used; check the annotations and the mesh",
-            thing.name,
+            obj.name,
             100 * (refined.scale - 1),
         )
         return annotated

@@ -89,8 +89,8 @@ def _enter_object(
     assert model_id is not None
     if known is None or command.material is not None or command.mesh is not None:
         material = command.material or (known.material if known is not None else "diffuse")
-        thing = label.add_object(scene, command.object, model=model_id, material=material)
-        yield f"object {thing.name}: id {thing.id}, model {thing.model}, {thing.material}"
+        obj = label.add_object(scene, command.object, model=model_id, material=material)
+        yield f"object {obj.name}: id {obj.id}, model {obj.model}, {obj.material}"
 
 
 def _pose_of(

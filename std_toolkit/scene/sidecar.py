@@ -165,6 +165,6 @@ def find_sidecar(source: Path, layout: str) -> tuple[Sidecar, Path] | None:
             sidecar = read_document(path, Sidecar)
             folder = check_relative(sidecar.folder, path=path, field="folder")
             # A folder below an export need not belong to it.
-            told = start in (top, top / folder)
-            return (sidecar, top) if told and sidecar.layout == layout else None
+            matches = start in (top, top / folder)
+            return (sidecar, top) if matches and sidecar.layout == layout else None
     return None

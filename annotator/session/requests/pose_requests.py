@@ -76,11 +76,11 @@ class Refine(Request, frozen=True, kw_only=True, tag="refine"):
             for i, error in found.failures.items()
         ]
         for refined in found.objects.values():
-            told_in, T_cam_obj = self._told(snapshot, refined, alone)
+            frame_of_pose, T_cam_obj = self._placed_in(snapshot, refined, alone)
             changes.append(
                 PoseChange(
                     object=refined.name,
-                    frame=told_in,
+                    frame=frame_of_pose,
                     T_cam_obj=T_cam_obj.flat(),
                     method="refine",
                     refinement=refined.method,
@@ -120,7 +120,9 @@ class Refine(Request, frozen=True, kw_only=True, tag="refine"):
                 hint="refine in a frame that has one",
             )
 
-    def _told(self, snapshot: Snapshot, refined: RefinedPose, alone: int | None) -> tuple[int, SE3]:
+    def _placed_in(
+        self, snapshot: Snapshot, refined: RefinedPose, alone: int | None
+    ) -> tuple[int, SE3]:
         """Return the frame of a refined pose, and T_cam_obj in it."""
         if alone is not None:
             return alone, refined.pose

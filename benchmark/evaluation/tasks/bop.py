@@ -168,9 +168,9 @@ class BopRun(FramesRun[BopData, None]):
                 if not isinstance(image, str):
                     errors = data.scorer.errors(target, image)
                     found, estimates, error = found_of(errors), len(errors.mssd), ""
-                told = {ERROR: error, "obj_id": target.obj_id, "n_estimates": estimates}
+                estimate = {ERROR: error, "obj_id": target.obj_id, "n_estimates": estimates}
                 figures = dict(zip(FOUND, found.tolist(), strict=True))
-                rows.append(base | told | {"n_valid": target.inst_count} | figures)
+                rows.append(base | estimate | {"n_valid": target.inst_count} | figures)
         return rows
 
     def after(self) -> None:

@@ -133,8 +133,8 @@ class Run(FrameRun[Restorer]):
                 continue
             answer = answers[base[INDEX]]
             error, depth = (answer, None) if isinstance(answer, str) else ("", answer.depth)
-            told = {ERROR: error, NOT_FINITE: _not_finite(depth)}
-            rows += [base | told | row.as_dict() for row in score_frame(depth, frame, protocol)]
+            status = {ERROR: error, NOT_FINITE: _not_finite(depth)}
+            rows += [base | status | row.as_dict() for row in score_frame(depth, frame, protocol)]
             if self.save_depth and not isinstance(answer, str):
                 save_depth(
                     self.folder, data.name, splits.FrameKey(base[SCENE], base[FRAME]), answer

@@ -76,18 +76,18 @@ def wanted_protocols(
     found = []
     for name in names:
         protocol = get_pose_protocol(name)
-        told = [name]
+        parts = [name]
         if iou is not None and BoxIoU(iou) is not protocol.iou:
             protocol = replace(protocol, iou=BoxIoU(iou))
-            told.append(f"iou {iou}")
+            parts.append(f"iou {iou}")
         if score is not None and PoseScoring(score) is not protocol.score:
             protocol = replace(protocol, score=PoseScoring(score))
-            told.append(f"score {score}")
+            parts.append(f"score {score}")
         if gates is not None and (gates == "found") != (protocol.pose_needs_iou is not None):
             least = FOUND_MEANS_OVERLAP if gates == "found" else None
             protocol = replace(protocol, pose_needs_iou=least)
-            told.append(f"gates {gates}")
-        found.append(replace(protocol, name=", ".join(told)))
+            parts.append(f"gates {gates}")
+        found.append(replace(protocol, name=", ".join(parts)))
     return found
 
 

@@ -18,11 +18,11 @@ from benchmark.methods.network import (
     Prediction,
     coarse_depth,
     in_metres,
+    network_depth,
     network_of,
     padded_to,
     precisely,
-    told_color,
-    told_depth,
+    relative_color,
 )
 from benchmark.methods.registry import MethodOptions
 
@@ -41,7 +41,7 @@ class DFNetConfig:
         near, far: metres; what the sensor measured outside counts as not measured.
         outlier: what lies farther than so many standard deviations from the mean of the image's
             depths counts as not measured.
-        relative: whether the network is told depth, and tells it, relative to what the sensor
+        relative: whether input and output depth are relative to what the sensor
             measured (`benchmark.methods.network`). The published network works in metres.
         input_size: (width, height) of the images.
     """
@@ -78,11 +78,11 @@ class DFNetwork(nn.Module):
             nn.Sequential(_unit(c, 4 * c, 1), nn.PixelShuffle(2)) for _ in range(_LEVELS)
         )
         self.decoders = nn.ModuleList(Block(2 * c, config) for _ in range(_LEVELS))
-        told = nn.Conv2d(c, 1, 1)
+        head = nn.Conv2d(c, 1, 1)
         if config.relative:  # the answer begins at the sensor's depth
-            nn.init.normal_(told.weight, std=0.01)
-            told.bias = nn.Parameter(torch.zeros(1))
-        self.last = nn.Sequential(_unit(c, c, 1), told)
+            nn.init.normal_(head.weight, std=0.01)
+            head.bias = nn.Parameter(torch.zeros(1))
+        self.last = nn.Sequential(_unit(c, c, 1), head)
 
     def forward(self, color: Tensor, depth: Tensor) -> Prediction:
         """Restore depth.
@@ -96,7 +96,7 @@ class DFNetwork(nn.Module):
         depth = believable(depth, self.config)
         measured = depth
         if self.config.relative:
-            color, depth = told_color(color), told_depth(depth)
+            color, depth = relative_color(color), network_depth(depth)
         depths = [depth]
         for _ in range(_LEVELS):
             depths.append(interpolate(depths[-1], scale_factor=0.5, mode="nearest"))

@@ -19,11 +19,11 @@ from benchmark.methods.network import (
     Prediction,
     coarse_depth,
     in_metres,
+    network_depth,
     network_of,
     padded_to,
     precisely,
-    told_color,
-    told_depth,
+    relative_color,
 )
 from benchmark.methods.registry import MethodOptions
 from benchmark.methods.resnet import residual_layer
@@ -53,7 +53,7 @@ class NLSPNConfig:
         steps: of the propagation.
         preserve_input: keep the sensor's depth where there is some, at every step. It is for depth
             that is sparse and right; the depth of transparent objects is there and wrong.
-        relative: whether the network is told depth, and tells it, relative to what the sensor
+        relative: whether input and output depth are relative to what the sensor
             measured (`benchmark.methods.network`). The published network works in metres.
         input_size: (width, height) of the images. What the network was given on DREDS is not
             published; these are the images of that data set's own network.
@@ -78,8 +78,8 @@ PRESETS = {
 class NLSPNetwork(nn.Module):
     """`network(color, depth)` to `Prediction`: depth, and initial depth before propagation.
 
-    Colour is RGB in [0, 1] and is normalised here, as for ImageNet unless the network is told
-    relative depth; depth is in metres.
+    Colour is RGB in [0, 1] and is normalised here, as for ImageNet unless depth is
+    relative; depth is in metres.
     """
 
     color_mean: Tensor
@@ -107,9 +107,9 @@ class NLSPNetwork(nn.Module):
         self.id_dec0 = _conv(2 * c, 1, normalised=False)
         if config.relative:
             # Relative depth is negative as often as not: no activation then. It begins near 0.
-            told = nn.Conv2d(2 * c, 1, 3, padding=1)
-            nn.init.normal_(told.weight, std=0.001)
-            self.id_dec0 = nn.Sequential(told)
+            given = nn.Conv2d(2 * c, 1, 3, padding=1)
+            nn.init.normal_(given.weight, std=0.001)
+            self.id_dec0 = nn.Sequential(given)
         self.gd_dec1 = _conv(2 * c, c)
         self.gd_dec0 = nn.Sequential(nn.Conv2d(2 * c, NEIGHBOURS, 3, padding=1))
         self.cf_dec1 = _conv(2 * c, c // 2)
@@ -126,10 +126,10 @@ class NLSPNetwork(nn.Module):
         h, w = depth.shape[-2:]
         color, depth = padded_to(color, _COARSEST), padded_to(depth, _COARSEST)
         if self.config.relative:
-            seen, told = told_color(color), told_depth(depth)
+            seen, given = relative_color(color), network_depth(depth)
         else:
-            seen, told = (color - self.color_mean) / self.color_spread, depth
-        initial, guidance, confidence = self._heads(seen, told)
+            seen, given = (color - self.color_mean) / self.color_spread, depth
+        initial, guidance, confidence = self._heads(seen, given)
         if self.config.relative:
             initial = in_metres(coarse_depth(depth), initial)
         restored = self.prop_layer(initial, guidance, confidence, depth)

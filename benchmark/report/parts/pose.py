@@ -48,9 +48,9 @@ class Finding:
 
     @property
     def verdict(self) -> str:
-        """`helps`, `hurts` or `cannot be told`."""
+        """`helps`, `hurts` or `not significant`."""
         if math.isnan(self.p) or self.p >= SIGNIFICANT:
-            return "cannot be told"
+            return "not significant"
         return "helps" if self.gain > 0 else "hurts"
 
 
@@ -114,7 +114,7 @@ def _sentence(finding: Finding) -> Paragraph:
     lead, tone = {
         "helps": ("It helps.", "good"),
         "hurts": ("It hurts.", "bad"),
-        "cannot be told": (f"Not significant over {scenes}.", ""),
+        "not significant": (f"Not significant over {scenes}.", ""),
     }[finding.verdict]
     before = finding.after - finding.gain
     text = (

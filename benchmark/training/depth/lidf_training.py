@@ -66,19 +66,19 @@ class LIDFLoss:
         return step.Loss(total, parts)
 
 
-def end_loss(told: Terminations, true: Tensor) -> Tensor:
+def end_loss(predicted: Terminations, true: Tensor) -> Tensor:
     """Mean of -log of the chance of the voxel that holds (b, 1, h, w) the true depth."""
-    distance = true.flatten()[told.rays.pixel] / told.rays.direction[:, 2]
-    ends = true_pairs(told.pairs, distance)
-    found = told.log_probability[ends[ends >= 0]]
+    distance = true.flatten()[predicted.rays.pixel] / predicted.rays.direction[:, 2]
+    ends = true_pairs(predicted.pairs, distance)
+    found = predicted.log_probability[ends[ends >= 0]]
     return -found.sum() / max(len(found), 1)
 
 
 def predicted(prediction: LIDFPrediction) -> Tensor:
     """(b, 1, h, w) bool pixels whose depth the learning stage predicted."""
-    told = prediction.terminations
-    if told is not None:
-        pixels = told.rays.pixel[told.chosen >= 0]
+    terminations = prediction.terminations
+    if terminations is not None:
+        pixels = terminations.rays.pixel[terminations.chosen >= 0]
     else:
         assert prediction.refinements is not None
         pixels = prediction.refinements.rays.pixel
@@ -118,15 +118,15 @@ def lidf_inputs(network: LIDFNetwork, inputs: step.ModelInput) -> tuple[Tensor, 
 def lidf_step(
     network: nn.Module, loss: Any, inputs: step.ModelInput, step_info: step.StepInfo
 ) -> step.Loss:
-    """The first stage learns in the phase `coarse`, at its beginning told the true voxels; in the
-    others the second one does."""
+    """Train the first stage in the phase `coarse`, at its beginning with the true voxels, and the
+    second stage in the other phases."""
     own, loss = cast(LIDFNetwork, network), cast(LIDFLoss, loss)
     stage: Literal[1, 2] = 1 if step_info.phase == COARSE else 2
     own.train_stage(stage)
     target = step.target_of(inputs.batch)
-    told = stage == 1 and step_info.step < loss.told * step_info.steps
+    true_voxels = stage == 1 and step_info.step < loss.told * step_info.steps
     found: LIDFPrediction = own(
-        *lidf_inputs(own, inputs), learns=stage, follow=target.depth if told else None
+        *lidf_inputs(own, inputs), learns=stage, follow=target.depth if true_voxels else None
     )
     with torch.autocast(inputs.color.device.type, enabled=False):
         total, parts = loss(found, target, step_info.phase)

@@ -122,13 +122,13 @@ class ObjectLabels:
         )
 
 
-def kept_labels(folder: Path, thing: TableObject, setup: GraspPackSetup) -> ObjectLabels:
+def kept_labels(folder: Path, obj: TableObject, setup: GraspPackSetup) -> ObjectLabels:
     """The labels of an object, made once and kept in a folder."""
     digest = hashlib.sha256(f"{_EDITION} {setup.gripper} {setup.spacing} ".encode())
     digest.update(f"{setup.views} {setup.angles} {setup.depths}".encode())
-    digest.update(np.asarray(thing.vertices, "<f8").tobytes())
-    digest.update(np.asarray(thing.faces, "<i8").tobytes())
-    path = folder / f"{thing.name}-{digest.hexdigest()[:16]}.npz"
+    digest.update(np.asarray(obj.vertices, "<f8").tobytes())
+    digest.update(np.asarray(obj.faces, "<i8").tobytes())
+    path = folder / f"{obj.name}-{digest.hexdigest()[:16]}.npz"
     names = ("points", "friction", "widths", "tolerances")
     try:
         with np.load(path, allow_pickle=False) as kept:
@@ -137,8 +137,8 @@ def kept_labels(folder: Path, thing: TableObject, setup: GraspPackSetup) -> Obje
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         pass  # missing or damaged: computed again
     made = object_labels(
-        thing.vertices,
-        thing.faces,
+        obj.vertices,
+        obj.faces,
         get_gripper(setup.gripper),
         spacing=setup.spacing,
         views=setup.views,
@@ -244,13 +244,13 @@ def scene_labels(
         o.T_world_obj @ force_closure.even_points(o.vertices, o.faces, _SPACING) for o in objects
     ]
     numbers, points, friction, widths, tolerances = [], [], [], [], []
-    for number, (thing, own, rows) in enumerate(zip(objects, labels, visible, strict=True)):
+    for number, (obj, own, rows) in enumerate(zip(objects, labels, visible, strict=True)):
         if not len(rows):
             continue
         around = [s for other, s in enumerate(surfaces) if other != number]
         others = np.concatenate(around) if around else np.zeros((0, 3))
         codes = own.friction[rows].copy()
-        codes[_hits(thing, own, rows, gripper, others)] = 0
+        codes[_hits(obj, own, rows, gripper, others)] = 0
         numbers.append(np.full(len(rows), number, np.uint8))
         points.append(np.asarray(rows, np.int32))
         friction.append(codes)
@@ -266,7 +266,7 @@ def scene_labels(
 
 
 def _hits(
-    thing: TableObject,
+    obj: TableObject,
     labels: ObjectLabels,
     rows: NDArray[np.integer],
     gripper: Gripper,
@@ -280,7 +280,7 @@ def _hits(
     good = np.flatnonzero(codes)
     for begin in range(0, len(good), _AT_ONCE):
         part = good[begin : begin + _AT_ONCE]
-        grasps = labels.grasps(rows, part).transformed(thing.T_world_obj)
+        grasps = labels.grasps(rows, part).transformed(obj.T_world_obj)
         wrong = collision.hits_plane(grasps, gripper, SE3.identity())
         free = np.flatnonzero(~wrong)
         boxes = gripper.boxes(grasps.widths[free], grasps.depths[free])

@@ -141,7 +141,7 @@ def answers_and_truth(
     cloud = batch["cloud"].gather(1, order[..., None].expand(-1, -1, 3))
     seeds = network.seeds(cloud)
     chosen = order.gather(1, seeds.chosen)
-    row, thing = batch["row"].gather(1, chosen), batch["object"].gather(1, chosen)
+    row, obj = batch["row"].gather(1, chosen), batch["object"].gather(1, chosen)
     known = known_of(batch, row, config.views)
     there = row >= 0
     at = row.clamp(min=0)
@@ -168,7 +168,7 @@ def answers_and_truth(
         scores = widths = tolerances = cloud.new_zeros(shape)
     operations = network.operations(cloud, seeds.points, turned)
     # A seed on an object whose grasps are not known was measured where the object is not.
-    objectness = torch.where(thing < 0, 0, torch.where(there, 1, -1))
+    objectness = torch.where(obj < 0, 0, torch.where(there, 1, -1))
     target = GraspTarget(objectness, there, known.views, scores, widths, tolerances)
     return seeds.approaches, operations, target
 

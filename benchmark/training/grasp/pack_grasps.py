@@ -259,11 +259,11 @@ def _labelled_points(
     from scipy.spatial import cKDTree
 
     found = np.full(len(cloud), -1, np.int64)
-    for o, (thing, own) in enumerate(zip(objects, labels, strict=True)):
+    for o, (obj, own) in enumerate(zip(objects, labels, strict=True)):
         mine = np.flatnonzero(owner == o)
         if not len(mine):
             continue
-        local = (thing.T_world_obj.inverse() @ T_world_cam) @ cloud[mine].astype(np.float64)
+        local = (obj.T_world_obj.inverse() @ T_world_cam) @ cloud[mine].astype(np.float64)
         apart, nearest = cKDTree(own.points).query(local)
         found[mine] = np.where(apart <= _REACH * spacing, nearest, -1)
     return found
@@ -271,9 +271,9 @@ def _labelled_points(
 
 def _write_meshes(path: Path, objects: Sequence[tabletop.TableObject]) -> None:
     arrays: dict[str, Any] = {}
-    for number, thing in enumerate(objects):
-        arrays[f"vertices{number}"] = np.asarray(thing.vertices, np.float32)
-        arrays[f"faces{number}"] = np.asarray(thing.faces, np.int32)
+    for number, obj in enumerate(objects):
+        arrays[f"vertices{number}"] = np.asarray(obj.vertices, np.float32)
+        arrays[f"faces{number}"] = np.asarray(obj.faces, np.int32)
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         np.savez(file, **arrays)
 

@@ -76,9 +76,9 @@ def draw_table(
     drop = int(np.random.default_rng([seed, _DROP]).integers(2**31))
     settled = settle(falling, drop, SettleOptions(half_width_m=options.half_width_m))
     found = []
-    for thing, surface, pose in zip(falling, surfaces, settled.poses, strict=True):
-        mesh = thing.asset.scaled(thing.diagonal_m)
-        name = f"{thing.asset.id}-{round(1000 * thing.diagonal_m):03d}mm"
+    for obj, surface, pose in zip(falling, surfaces, settled.poses, strict=True):
+        mesh = obj.asset.scaled(obj.diagonal_m)
+        name = f"{obj.asset.id}-{round(1000 * obj.diagonal_m):03d}mm"
         faces = np.asarray(mesh.faces, np.int64)
         found.append(TableObject(name, np.asarray(mesh.vertices), faces, pose, surface))
     return found
@@ -129,8 +129,8 @@ def look_at_table(
     opaque = [o for o in objects if o.surface != "transparent"]
     behind = _rendered(opaque, camera, T_world_cam)[0] if len(opaque) < len(objects) else exact
     material = np.zeros(index.shape, np.uint8)
-    for number, thing in enumerate(objects):
-        material[index == number] = 1 + SURFACES.index(thing.surface)
+    for number, obj in enumerate(objects):
+        material[index == number] = 1 + SURFACES.index(obj.surface)
     rng = np.random.default_rng([*seed, _NOISE])
     return Look(sensor_depth(exact, behind, material, fx=camera.fx, bias=1.0, rng=rng), index)
 

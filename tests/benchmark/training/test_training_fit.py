@@ -279,7 +279,7 @@ def test_waiting_for_data_is_told(monkeypatch):
     speed.restart()  # 6 s of validation
     speed.begin_step()  # 0.5 s for data
     speed.end_step(8)  # 1.5 s of work
-    assert speed.told() == {"samples_per_s": 16 / 6, "waiting_for_data": 3.5 / 6}
+    assert speed.figures() == {"samples_per_s": 16 / 6, "waiting_for_data": 3.5 / 6}
 
 
 @pytest.mark.parametrize(

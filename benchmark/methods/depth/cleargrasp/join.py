@@ -56,14 +56,14 @@ def main() -> None:
         parser.add_argument(name, type=Path, help=f"weights of the network for {name}")
     parser.add_argument("path", type=Path, help="file to write, .safetensors")
     parser.add_argument("--preset", choices=list(cleargrasp_network.PRESETS), default="published")
-    told = parser.parse_args()
+    arguments = parser.parse_args()
     try:
         join_weights(
-            told.masks,
-            told.normals,
-            told.boundaries,
-            told.path,
-            cleargrasp_network.PRESETS[told.preset],
+            arguments.masks,
+            arguments.normals,
+            arguments.boundaries,
+            arguments.path,
+            cleargrasp_network.PRESETS[arguments.preset],
         )
     except ToolkitError as error:
         parser.exit(1, f"{error}\n")

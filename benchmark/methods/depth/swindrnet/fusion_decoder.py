@@ -235,7 +235,7 @@ class DetailDecoder(nn.Module):
     Args:
         channels: of the decoder's map.
         streams: how many images' details there are.
-        outputs: channels of the map that is told.
+        outputs: channels of the output.
     """
 
     def __init__(self, channels: int, streams: int, outputs: int) -> None:

@@ -146,7 +146,7 @@ class SwinDRNetConfig:
         fusion_heads: attention heads of the `paper` fusion.
         fusion_window: side of the windows that the `paper` fusion attends within. None is the
             paper's formula: every token attends to the whole image.
-        relative: whether the network is told depth, and tells it, relative to what the sensor
+        relative: whether input and output depth are relative to what the sensor
             measured (`benchmark.methods.network`), and trusts no pixel that the sensor did not
             measure. The published network works in metres, and has to learn the latter.
         details: whether convolutions lead from the pixels to tokens of 8x8 pixels, and from the
@@ -260,7 +260,7 @@ class SwinDRNetwork(SwinStreams):
         config = self.config
         measured = (depth > 0).to(depth.dtype)
         if config.relative:
-            color, depth = network.told_color(color), network.told_depth(depth)
+            color, depth = network.relative_color(color), network.network_depth(depth)
         if config.details:
             depth = torch.cat([depth, measured], dim=1)
         if config.fusion == "none":

@@ -34,7 +34,7 @@ class NOCSConfig(FitSettings):
         pyramid: channels of the feature pyramid.
         tower: convolutions of the detector before its answers.
         region_channels, region_convs: of the mask and coordinate heads.
-        bins: parts that each coordinate is told in.
+        bins: number of bins per coordinate.
         decode: what a bin stands for: its `centre`, or its lower `edge`, as in the published
             program, which puts all coordinates 1/64 too low.
         least_score: objects below are not answered. 0.7 in the published program, whose scores

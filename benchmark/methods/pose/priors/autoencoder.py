@@ -30,7 +30,7 @@ class AutoencoderOptions:
 
     Attributes:
         points: of the shape that comes out.
-        embedding: numbers that a shape is told by.
+        embedding: length of the embedding of a shape.
         encoder: widths of the network over each point.
         decoder: widths of the hidden layers.
         batch, epochs, learning_rate: of Adam; the rate falls to a tenth in the last third.
@@ -76,14 +76,14 @@ class Autoencoder(nn.Module):
 def mean_shapes(
     shapes: Mapping[str, NDArray[np.floating]],
     options: AutoencoderOptions | None = None,
-    told: Callable[[int, float], None] = lambda epoch, loss: None,  # noqa: ARG005
+    report: Callable[[int, float], None] = lambda epoch, loss: None,  # noqa: ARG005
 ) -> dict[str, Floats]:
     """(m, 3) mean shape of each category.
 
     Args:
         shapes: category to (n, p, 3), p the same for all.
         options: of the network.
-        told: is called with every epoch and its mean loss.
+        report: called with every epoch and its mean loss.
 
     Raises:
         ToolkitError: no shapes, or the training went astray.
@@ -95,7 +95,7 @@ def mean_shapes(
     torch.manual_seed(options.seed)
     network = Autoencoder(options).to(device)
     points = torch.from_numpy(np.concatenate(list(shapes.values())).astype(np.float32)).to(device)
-    train(network, points, told)
+    train(network, points, report)
     found = {}
     with torch.no_grad():
         for name, of_category in shapes.items():
@@ -105,7 +105,7 @@ def mean_shapes(
     return found
 
 
-def train(network: Autoencoder, points: Tensor, told: Callable[[int, float], None]) -> None:
+def train(network: Autoencoder, points: Tensor, report: Callable[[int, float], None]) -> None:
     """Learn to repeat shapes (n, p, 3)."""
     options = network.options
     optimizer = torch.optim.Adam(network.parameters(), options.learning_rate)
@@ -124,4 +124,4 @@ def train(network: Autoencoder, points: Tensor, told: Callable[[int, float], Non
             loss.backward()
             optimizer.step()
             losses.append(loss.detach())
-        told(epoch, float(torch.stack(losses).mean()))
+        report(epoch, float(torch.stack(losses).mean()))

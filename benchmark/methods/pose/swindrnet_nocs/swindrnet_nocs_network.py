@@ -16,7 +16,7 @@ from torch.nn.functional import scaled_dot_product_attention
 from benchmark.methods.depth.swindrnet import swin
 from benchmark.methods.depth.swindrnet.fusion_decoder import DetailDecoder, PaperFusion, enlarged
 from benchmark.methods.depth.swindrnet.swindrnet_network import SwinStreams
-from benchmark.methods.network import COMPACT_SIZE, told_color, told_depth
+from benchmark.methods.network import COMPACT_SIZE, network_depth, relative_color
 from benchmark.methods.pose.fitting import FitSettings
 
 # Numbers of the segmentation: 0 other, 1 to 7 the classes of DREDS, 8 background.
@@ -154,7 +154,7 @@ class SwinNOCSNetwork(SwinStreams):
         if not self.config.details:
             return [color, points]
         depth = points[:, 2:]
-        return [told_color(color), torch.cat([told_depth(depth), depth > 0], dim=1)]
+        return [relative_color(color), torch.cat([network_depth(depth), depth > 0], dim=1)]
 
     def _fusion(self, level: int, channels: int) -> nn.Module:
         config = self.config

@@ -10,9 +10,9 @@ from benchmark.methods.network import (
     coarse_depth,
     in_metres,
     mean_depth,
+    network_depth,
+    relative_color,
     relative_to,
-    told_color,
-    told_depth,
 )
 
 
@@ -54,7 +54,7 @@ def test_one_wrong_match_does_not_fill_a_hole():
     depth[..., 8:24, 8:24] = 0
     depth[..., 16, 16] = 9.0
     torch.testing.assert_close(coarse_depth(depth), torch.full_like(depth, 0.7))
-    told = told_depth(depth)
+    told = network_depth(depth)
     assert told[..., 16, 16] == told.max() and told.max() < 7.5 + 1e-4
     assert told[..., 12, 12] == -5
 
@@ -62,10 +62,10 @@ def test_one_wrong_match_does_not_fill_a_hole():
 def test_colour_is_told_by_what_differs_from_the_mean():
     color = torch.full((1, 3, 8, 8), 0.4)
     color[:, 1, 2, 3] += 0.5
-    told = told_color(color)
+    told = relative_color(color)
     torch.testing.assert_close(told.mean(dim=(2, 3)), torch.zeros(1, 3), atol=1e-6, rtol=0)
     torch.testing.assert_close(told[0, 1, 2, 3], torch.tensor(0.5 * 63 / 64 / 0.25))
-    torch.testing.assert_close(told_color(color + 0.1), told)
+    torch.testing.assert_close(relative_color(color + 0.1), told)
 
 
 @pytest.mark.parametrize("name", ["swindrnet-relative", "nlspn-relative", "dfnet-relative"])
