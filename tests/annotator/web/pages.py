@@ -23,9 +23,16 @@ _SHARP = """(view) => {
 
 
 def opened(page: Page, url: str, *, measured: bool = True) -> Page:
-    """The page with its pictures shown and, if it has residuals, its object in them."""
+    """The page at the first frame, its pictures shown and, if it has residuals, its object in them.
+
+    Tests share a session, and the one before may have left it at another frame.
+    """
     page.set_default_timeout(PATIENCE_MS)
     page.goto(url)
+    page.wait_for_selector("#frame")
+    if not page.locator("#frame:has-text('1 of ')").count():
+        page.keyboard.press("Control+Home")
+        page.wait_for_selector("#frame:has-text('1 of ')")
     # Measured after the mesh is read; before, a press would take the image by its background.
     if measured:
         page.wait_for_selector("#residuals tbody tr")
