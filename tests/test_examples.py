@@ -42,6 +42,7 @@ def test_each_example_is_known() -> None:
     assert [path.stem for path in EXAMPLES] == list(PRINTED)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PRINTED)
 def test_an_example_runs_without_data(name: str, tmp_path: Path) -> None:
     done = subprocess.run(

@@ -198,6 +198,7 @@ def arrows_up(modules: Graph, package: str, order: tuple[tuple[str, ...], ...]) 
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("package", PACKAGES)
 def test_no_circles(package: str) -> None:
     modules = import_graph(REPOSITORY, package)
@@ -205,6 +206,7 @@ def test_no_circles(package: str) -> None:
     assert all_circles(modules) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("package", PACKAGES)
 def test_no_arrow_leads_up(package: str) -> None:
     modules = import_graph(REPOSITORY, package)

@@ -107,6 +107,7 @@ def test_what_runs_on_import_is_not_executed(structure: ModuleType, tmp_path: Pa
     assert files == ["sensors/a.py"]
 
 
+@pytest.mark.slow
 def test_no_circles_and_no_arrows_up(structure: ModuleType) -> None:
     """Between modules, between the folders of a package, against the order of folders."""
     graph = structure.import_graph(REPOSITORY)

@@ -121,6 +121,7 @@ def _told() -> list[str]:
     return texts
 
 
+@pytest.mark.slow
 def test_the_messages_that_it_explains_are_those_of_the_program() -> None:
     rows = REFERENCE_TEXT.split("## Error messages")[1].split("##")[0].splitlines()
     quoted = [m for row in rows if (m := "".join(re.findall(r"^\| `([^`]+)`", row)))]

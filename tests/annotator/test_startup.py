@@ -30,12 +30,14 @@ def test_what_nothing_here_uses_is_not_loaded() -> None:
     assert int(after[2]) < int(before[2]) - 100
 
 
+@pytest.mark.slow
 def test_it_is_loaded_when_it_is_used() -> None:
     code = QUICKLY + "chart = pyvista.ChartMPL()\nimport matplotlib.pyplot as plt\n"
     code += "print(chart.figure in map(plt.figure, plt.get_fignums()), plt.__name__)"
     assert run(code) == ["True", "matplotlib.pyplot"]
 
 
+@pytest.mark.slow
 def test_it_can_be_imported_afterwards() -> None:
     code = QUICKLY + "import mypy, pooch\nfrom matplotlib import pyplot\n"
     code += "print(mypy.__name__, pooch.retrieve.__name__, pyplot.figure.__name__)"
@@ -47,6 +49,7 @@ def test_garbage_is_collected_again_but_not_among_what_was_imported() -> None:
     assert frozen == ["True", "True"]
 
 
+@pytest.mark.slow
 def test_the_second_time_nothing_is_kept_from_the_collector() -> None:
     code = QUICKLY + "gc.unfreeze()\nwith quick_imports():\n    import pyvista.plotting\n"
     assert run(code + "print(gc.get_freeze_count())") == ["0"]

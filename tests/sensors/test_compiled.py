@@ -25,6 +25,7 @@ assert doubled(21) == 42
 """
 
 
+@pytest.mark.slow
 def test_code_that_a_full_disk_does_not_take_still_runs(tmp_path: Path) -> None:
     pytest.importorskip("numba")
     program = tmp_path / "program.py"

@@ -90,6 +90,7 @@ def test_an_old_name_warns_where_it_is_imported(tmp_path: Path) -> None:
     assert "old.py:1: DeprecationWarning: std_toolkit.poses.step is now" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_plug_in_for_the_first_version_is_scored(tmp_path: Path) -> None:
     (tmp_path / "my_methods.py").write_text(PLUG_IN, encoding="utf-8")
     write_std_scene(tmp_path / "ROOT/STD-CatKnown/test_0", frames=1)

@@ -36,6 +36,7 @@ def measured(desk: Desk) -> bool:
     return "box_1" in desk.controller.residuals
 
 
+@pytest.mark.slow
 def test_what_is_known_of_a_scene_comes_by_itself(desk: Desk, upkeep: BackgroundUpdates) -> None:
     desk.wait(lambda: measured(desk) and desk.controller.table is not None)
     assert [row.frame for row in desk.controller.residuals["box_1"]] == [0, 1, 2]
@@ -54,6 +55,7 @@ def test_residuals_of_an_object_that_moved_are_gone_at_once(
     desk.wait(lambda: measured(desk))
 
 
+@pytest.mark.slow
 def test_another_object_does_not_take_them_away(desk: Desk, upkeep: BackgroundUpdates) -> None:
     desk.wait(lambda: measured(desk))
     desk.controller.apply(AddObject(object="box_2", model="box"))
@@ -73,6 +75,7 @@ def test_a_drag_that_is_given_up_lets_the_work_go_on(desk: Desk, upkeep: Backgro
     desk.wait(lambda: measured(desk))
 
 
+@pytest.mark.slow
 def test_objects_in_one_place_are_told_and_told_again_when_they_part(
     desk: Desk, upkeep: BackgroundUpdates
 ) -> None:
@@ -112,6 +115,7 @@ def test_in_another_world_the_table_is_looked_for_again(
     assert controller.table.plane.offset == pytest.approx(moved.offset, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_what_runs_into_each_other_in_one_frame_is_not_told_of_others(tmp_path: Path) -> None:
     """Without camera poses each frame has poses of its own."""
     desk = Desk(write_scene(tmp_path / "loose", labelled=False).root)
@@ -163,6 +167,7 @@ def test_all_objects_that_an_edit_changed_are_measured_again(
     assert c.unmeasured == {"unplaced"}
 
 
+@pytest.mark.slow
 def test_what_a_drag_held_up_is_measured_afterwards(desk: Desk, upkeep: BackgroundUpdates) -> None:
     c = desk.controller
     pose = c.pose("box_1", 0)

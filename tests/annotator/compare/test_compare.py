@@ -154,6 +154,7 @@ def test_a_turn_about_an_axis_counts_if_only_one_declares_the_symmetry(
     assert any("can: the two declare different symmetries" in note for note in comparison.notes)
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.floats(-1, 1), min_size=6, max_size=6),
     st.sampled_from(sorted(MESHES)),

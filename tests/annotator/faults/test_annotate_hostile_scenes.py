@@ -377,6 +377,7 @@ def test_links_out_of_the_scene_are_not_followed(
 # --- ended from outside ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_script_keeps_its_edits(
     root: Path, tmp_path: Path, annotate: Annotate, number: signal.Signals

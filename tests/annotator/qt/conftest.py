@@ -14,6 +14,13 @@ from pytestqt.qtbot import QtBot
 from window_scene import write_window_scene
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Opening a window takes a second, so tests with one are slow."""
+    for item in items:
+        if "open_bench" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.slow)
+
+
 @pytest.fixture(autouse=True)
 def own_configuration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The list of recent scenes of whoever runs the tests stays as it is."""

@@ -187,6 +187,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_kill_9_in_the_middle_of_hundreds_of_edits_loses_at_most_the_last(
     root: Path, seed: int

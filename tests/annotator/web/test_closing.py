@@ -22,6 +22,7 @@ from std_toolkit.labels import propagate
 from std_toolkit.scene import Scene
 
 
+@pytest.mark.slow
 def test_the_scene_is_nobody_else_s_before_its_labels_are_propagated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -47,6 +47,7 @@ def test_names_that_mean_nothing() -> None:
         selection_of(categories=["plate"], distractors=True)
 
 
+@pytest.mark.slow
 def test_the_examples_of_the_documentation() -> None:
     tried = doctest.testmod(selection)
     assert tried.attempted > 0

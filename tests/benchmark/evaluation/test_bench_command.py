@@ -26,6 +26,7 @@ def bench(root: Path, out: Path, *more: str) -> int:
     )
 
 
+@pytest.mark.slow
 def test_a_leaderboard_in_the_terminal(
     root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -52,6 +53,7 @@ def test_a_leaderboard_in_the_terminal(
     assert all(r.manifest.setup.frames == 4 and r.speed is None for r in results)
 
 
+@pytest.mark.slow
 def test_the_speed_is_measured(root: Path, tmp_path: Path) -> None:
     assert bench(root, tmp_path, "--method", "nearest") == 0
     (result,) = read_results([tmp_path])
@@ -67,6 +69,7 @@ def test_frames_that_fail_end_with_another_status(root: Path, tmp_path: Path) ->
     assert read_results([tmp_path])[0].table["error"].ne("").all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [

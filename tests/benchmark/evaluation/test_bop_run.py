@@ -62,6 +62,7 @@ def bytes_of(run: BopRun) -> tuple[bytes, bytes]:
     return (run.folder / ERRORS).read_bytes(), (run.folder / BOP_FILE).read_bytes()
 
 
+@pytest.mark.slow
 def test_figures_are_those_of_the_metric(root: Path, results: Path, tmp_path: Path) -> None:
     run = run_of(root, results, tmp_path)
     assert not run_all([run], SERIAL).failed

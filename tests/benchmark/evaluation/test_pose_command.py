@@ -55,6 +55,7 @@ def test_tables_in_the_terminal(
     assert re.search(r"gt-nocs +raw +ransac +specular\+transparent +4 ", text)
 
 
+@pytest.mark.slow
 def test_pages_and_tables(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert report([str(results)]) == 0
     page = (results / PAGE).read_text()
@@ -77,6 +78,7 @@ def test_pages_and_tables(results: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert (results / PAGE).read_text() == before, "the same results give the same bytes"
 
 
+@pytest.mark.slow
 def test_depth_and_poses_on_one_page(root: Path, tmp_path: Path) -> None:
     words = ["--data", str(root), "--split", SPLIT, "--out", str(tmp_path), "--engine", "serial"]
     words += ["--limit", "2", "--no-gallery"]
@@ -171,6 +173,7 @@ def test_what_pose_methods_there_are(capsys: pytest.CaptureFixture[str]) -> None
     assert re.search(r"^gt-nocs +True masks", text, re.M)
 
 
+@pytest.mark.slow
 def test_result_files_of_bop(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     root = write_bop(tmp_path / "set")
     dataset = open_bop(root)

@@ -53,6 +53,7 @@ def test_another_unit(pair: tuple[np.ndarray, np.ndarray], power: int) -> None:
     assert two.mae == pytest.approx(one.mae * float(factor), rel=1e-12)
 
 
+@pytest.mark.slow
 @given(depths(holes=False))
 def test_thresholds_do_not_tell_prediction_from_truth(pair: tuple[np.ndarray, np.ndarray]) -> None:
     one, two = depth_errors(*pair), depth_errors(pair[1], pair[0])
@@ -90,6 +91,7 @@ def test_without_holes_the_way_to_count_them_is_all_one(
     )
 
 
+@pytest.mark.slow
 @given(depths(), st.data())
 def test_cells_add_up(pair: tuple[np.ndarray, np.ndarray], data: st.DataObject) -> None:
     pred, true = pair

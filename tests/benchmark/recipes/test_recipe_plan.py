@@ -169,6 +169,7 @@ def test_what_cannot_be_trained_is_a_problem_of_its_own(tmp_path):
     assert len(plan.packs) == 1
 
 
+@pytest.mark.slow
 def test_the_command_of_a_training_means_that_training(tmp_path):
     for name, scale in (("module-ablation", "tiny"), ("data-scale", "small")):
         for entry in planned(tmp_path, name, seed=2, scale=scale).entries:

@@ -66,6 +66,7 @@ def test_the_figures_are_the_means_of_the_rows(results: Path) -> None:
         np.testing.assert_allclose(both[column.name], both[f"{column.name}_expected"])
 
 
+@pytest.mark.slow
 def test_published_rows_stand_where_they_belong(results: Path) -> None:
     board = make_board(read_results([results]), samples=50)
     printed = board.rows[board.rows["kind"] == PUBLISHED]
@@ -144,6 +145,7 @@ def test_latex_has_no_bare_specials() -> None:
     assert escape_latex("a_b & 5 % {x}") == r"a\_b \& 5 \% \{x\}"
 
 
+@pytest.mark.slow
 def test_latex_is_balanced(results: Path) -> None:
     text = file(make_board(read_results([results]), samples=50), LATEX)
     body = [line for line in text.splitlines() if " & " in line]
@@ -153,6 +155,7 @@ def test_latex_is_balanced(results: Path) -> None:
     assert not re.search(r"(?<!\\)[%_#]", "\n".join(text.splitlines()[1:]))
 
 
+@pytest.mark.slow
 def test_the_name_of_a_split_is_no_markup(results: Path, tmp_path: Path) -> None:
     evil = "x'><script>alert(1)</script>"
     shutil.copytree(results, tmp_path / "evil")
@@ -164,6 +167,7 @@ def test_the_name_of_a_split_is_no_markup(results: Path, tmp_path: Path) -> None
     assert all(re.fullmatch(r"[\w-]+", name) for name in re.findall(r'\bid="(.*?)"', page))
 
 
+@pytest.mark.slow
 def test_the_command_writes_all_forms_twice_alike(
     results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -179,6 +183,7 @@ def test_the_command_writes_all_forms_twice_alike(
     assert [row["method"] for row in board] == csv["method"].tolist()
 
 
+@pytest.mark.slow
 def test_the_page_needs_nothing_but_itself(results: Path, tmp_path: Path) -> None:
     assert main([str(results), "--out", str(tmp_path)]) == 0
     page = (tmp_path / PAGE).read_text()

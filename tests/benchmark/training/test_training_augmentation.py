@@ -12,6 +12,7 @@ def colors(count: int, side: int = 32, seed: int = 0) -> torch.Tensor:
     return torch.nn.functional.interpolate(coarse, size=(side, side), mode="bilinear")
 
 
+@pytest.mark.slow
 def test_images_stay_images_and_each_gets_its_own_change():
     from benchmark.training.augmentation import ColorAugmentation
 

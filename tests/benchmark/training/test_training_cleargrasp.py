@@ -313,6 +313,7 @@ def test_validation_of_what_is_true_is_perfect(pack, tmp_path):
     assert all(np.isnan(value) for value in unknown.values())
 
 
+@pytest.mark.slow
 def test_a_run_leaves_pictures_and_scores(pack, tmp_path):
     trained(wishes("cleargrasp", pack, steps=2, validate_every=2), tmp_path)
     best = json.loads((tmp_path / "best.json").read_text())

@@ -118,6 +118,7 @@ def test_gradients_of_chamfer_are_right():
     assert torch.autograd.gradcheck(lambda x, y: chamfer(x, y), (a, b))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("symmetry", ["canonical", "nearest"])
 def test_gradients_of_the_loss_are_right(symmetry):
     truth, _ = _truth()

@@ -185,6 +185,7 @@ def test_wrong_phases_are_told(method, changes, told, pack):
     assert told in str(error.value)
 
 
+@pytest.mark.slow
 def test_a_stage_changes_its_own_weights_only(pack, tmp_path):
     """The weights after the first phase; then after all of them, in one run."""
     first = trained(

@@ -92,6 +92,7 @@ def test_held_out_are_whole_scenes(share, pack):
     check_no_leak(frames, training, frames, validation)
 
 
+@pytest.mark.slow
 def test_a_share_of_the_scenes_trains_and_the_same_ones_judge(tmp_path):
     pack = packed(tmp_path / "p", write_scenes(tmp_path / "data", scenes=12, frames=2))
     whole = plan_training(wishes("dfnet", pack))[1]

@@ -131,6 +131,7 @@ def test_a_finished_training_stays_as_it_is(pack, tmp_path):
     assert (tmp_path / "run" / "steps.csv").read_text() == log
 
 
+@pytest.mark.slow
 def test_another_configuration_is_refused_with_all_that_differs(pack, tmp_path):
     trained(wishes("dfnet", pack, steps=1), tmp_path / "run")
     other = wishes("dfnet", pack, steps=1, seed=1, learning_rate=0.5, loss={"smoothness": "0.2"})

@@ -43,6 +43,7 @@ def test_every_shape_is_a_closed_solid_in_the_canonical_frame(category: str) -> 
         assert asset.class_id == CATEGORY_CLASS_IDS[category]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("category", CATEGORIES)
 def test_seeds_differ(category: str) -> None:
     assert len({made(category, seed).content_hash for seed in SEEDS}) == len(SEEDS)

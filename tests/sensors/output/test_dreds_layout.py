@@ -374,6 +374,7 @@ def test_a_killed_writer_leaves_no_half_scene(out, scene, frames, tmp_path) -> N
         assert written.read_bytes() == (whole / name).read_bytes(), name
 
 
+@pytest.mark.slow
 def test_two_writers_of_one_scene_do_not_mix(scene, frames, tmp_path) -> None:
     out = tmp_path / "set"
     with (
@@ -390,6 +391,7 @@ def test_two_writers_of_one_scene_do_not_mix(scene, frames, tmp_path) -> None:
         write(out, scene, frames)
 
 
+@pytest.mark.slow
 def test_a_name_stands_for_one_mesh(scene, frames, tmp_path) -> None:
     out = tmp_path / "set"
     write(out, scene, frames)

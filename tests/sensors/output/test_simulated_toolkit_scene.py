@@ -129,6 +129,7 @@ def test_ground_truth_is_that_of_the_simulation_and_of_a_new_rendering(
             np.testing.assert_allclose(ours.bbox_visible, theirs.bbox_visible, atol=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", ["std", "bop"])
 def test_it_can_be_exported(written, tmp_path, layout) -> None:
     sidecar = export_scene(Scene.open(written), layout, tmp_path / layout, jobs=SERIAL)

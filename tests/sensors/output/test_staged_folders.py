@@ -31,6 +31,7 @@ def write_scenes(out: Path, worker: int) -> int:
     return first
 
 
+@pytest.mark.slow
 def test_workers_do_not_get_in_each_other_s_way(tmp_path: Path) -> None:
     context = get_context("fork")
     with ProcessPoolExecutor(4, mp_context=context) as pool:

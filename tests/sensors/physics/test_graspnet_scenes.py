@@ -72,6 +72,7 @@ def test_poses_are_read_into_the_table_frame(tmp_path: Path) -> None:
         assert rotation_angle(p.T_world_model.R.T @ expected.R) < 3e-4
 
 
+@pytest.mark.slow
 def test_arrangements_come_to_rest_near_where_they_were(tmp_path: Path) -> None:
     write_data_set(tmp_path)
     objects, poses = GraspNetScenes(tmp_path).arrangement(42, image=IMAGE)

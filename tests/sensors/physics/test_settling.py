@@ -87,6 +87,7 @@ def test_an_object_in_the_air_drifts(objects: list[PhysicalObject]) -> None:
     assert drift(objects[:1], high, 0.3) == pytest.approx(9.81 * 0.3**2 / 2, rel=0.02)
 
 
+@pytest.mark.slow
 def test_too_many_objects_for_the_floor_are_told(objects: list[PhysicalObject]) -> None:
     options = SettleOptions(half_width_m=0.05, attempts=2, longest_s=1.0)
     with pytest.raises(ToolkitError, match="did not settle in 2 attempts"):

@@ -143,6 +143,7 @@ def test_going_on_with_what_is_not_there_or_another_camera(
     assert len(Scene.open(out).frames) == 2
 
 
+@pytest.mark.slow
 def test_options_that_a_file_cannot_follow(refused, tmp_path: Path, recorded_file: Path) -> None:  # type: ignore[no-untyped-def]
     arguments = [str(tmp_path / "s"), "--from", str(recorded_file)]
     for option in (["--exposure", "5"], ["--laser", "off"], ["--preset", "hand"]):
@@ -179,6 +180,7 @@ def largest_file(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, old)
 
 
+@pytest.mark.slow
 def test_a_disk_that_is_full_at_the_first_frame(refused, tmp_path, recorded_file) -> None:  # type: ignore[no-untyped-def]
     # What is compiled at the first recording is kept in files of its own: before the disk is full.
     assert main([str(tmp_path / "before"), "--from", str(recorded_file), "--frames", "1"]) == 0

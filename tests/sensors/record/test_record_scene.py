@@ -60,6 +60,7 @@ def check_frame(scene: Scene, index: int, shown: Pictures, *, lossless: bool = F
     assert 0.9 < (depth > 0).mean() < 1
 
 
+@pytest.mark.slow
 def test_a_file_becomes_a_scene(recorded_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "scene"
     options = ["--infrared", "--raw-depth", "--color-format", "png"]
@@ -94,6 +95,7 @@ def test_a_file_becomes_a_scene(recorded_file: Path, tmp_path: Path) -> None:
     assert not (out / ".std" / "recording.jsonl").exists()
 
 
+@pytest.mark.slow
 def test_a_ros1_bag(tmp_path: Path) -> None:
     """A .bag that librealsense 2.56 recorded of the same software device."""
     out = tmp_path / "scene"
@@ -121,6 +123,7 @@ def test_the_same_file_gives_the_same_scene(recorded_file: Path, tmp_path: Path)
     assert files[0] == files[1] and len(files[0]) > 2 * FRAMES
 
 
+@pytest.mark.slow
 def test_a_slow_writer_loses_nothing_of_a_file(recorded_file: Path, tmp_path: Path) -> None:
     """librealsense waits for its reader; a queue of one frame and one thread make it wait."""
     out = tmp_path / "scene"
@@ -188,6 +191,7 @@ def test_live(camera: SoftwareCamera, tmp_path: Path, capsys: pytest.CaptureFixt
     assert "views 1" in printed.err
 
 
+@pytest.mark.slow
 def test_images_that_never_came_are_counted(camera: SoftwareCamera, tmp_path: Path) -> None:
     def step(number: int) -> None:
         if number == 20:
@@ -234,6 +238,7 @@ def test_frames_beyond_the_queue_are_dropped_and_counted(
     assert f"{session.dropped} because writing was behind" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_streams_that_nobody_opened_cost_no_frame(
     camera: SoftwareCamera, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -254,6 +259,7 @@ def test_streams_that_nobody_opened_cost_no_frame(
     assert session.frames + session.dropped <= total
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_recording_cleanly(camera: SoftwareCamera, tmp_path: Path) -> None:
     camera.feed(400, rate=40)
     out = tmp_path / "scene"

@@ -199,6 +199,7 @@ def test_dots_are_sharp_on_chalk_and_missing_on_metal(square, chalk, variant, wh
     assert contrast["chalk"] > 5 * contrast["chrome"]
 
 
+@pytest.mark.slow
 def test_views_compile_no_new_kernels(loaded, compiled) -> None:
     import drjit as dr
 

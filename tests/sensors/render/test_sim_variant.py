@@ -67,6 +67,7 @@ def test_a_wanted_variant_is_tested_too(monkeypatch) -> None:
         choosing.choose_variant("llvm_ad_rgb")
 
 
+@pytest.mark.slow
 def test_the_real_test_runs_here() -> None:
     assert choosing.try_variant("scalar_rgb") is None
     assert "mitsuba" not in vars(sys.modules[choosing.__name__])

@@ -101,6 +101,7 @@ def test_the_left_border_has_no_partner_in_the_right_image() -> None:
     assert (depth[:, int(disparity) + 2 :] > 0).mean() > 0.95
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes(recording: Path, tmp_path: Path) -> None:
     make_recording(tmp_path / "again", SMALL, jobs=SERIAL)
     files = sorted(p.relative_to(recording) for p in recording.rglob("*") if p.is_file())

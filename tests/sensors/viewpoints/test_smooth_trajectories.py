@@ -26,6 +26,7 @@ def polar(poses, options):
     return azimuth, np.degrees(np.arcsin(out[:, 2] / distance)), distance
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**40), options=st.sampled_from([ARC, SPIRAL]))
 def test_ranges_are_kept(seed, options) -> None:

@@ -187,6 +187,7 @@ def test_outputs_are_the_same_bytes_for_any_number_of_workers(make_scene: MakeSc
     assert [(folder / name).read_bytes() for name in FILES] == once
 
 
+@pytest.mark.slow
 def test_leftovers_of_a_killed_run_are_swept(make_scene: MakeScene) -> None:
     scene = make_scene(Toy(frames=2))
     left = scene.root / "check" / ".report.0123456789ab.tmp.html"
@@ -196,6 +197,7 @@ def test_leftovers_of_a_killed_run_are_swept(make_scene: MakeScene) -> None:
     assert not left.exists()
 
 
+@pytest.mark.slow
 def test_scene_without_depth(make_scene: MakeScene) -> None:
     scene = make_scene(Toy(depth_error_m=None, frames=3))
     report = check(scene)
@@ -204,6 +206,7 @@ def test_scene_without_depth(make_scene: MakeScene) -> None:
     assert "Sensor depth: no depth residuals" in page(scene)
 
 
+@pytest.mark.slow
 def test_scene_without_labels_fails_and_says_so(make_scene: MakeScene) -> None:
     scene = make_scene(Toy(frames=3))
     scene.save_labels(Labels())
@@ -213,6 +216,7 @@ def test_scene_without_labels_fails_and_says_so(make_scene: MakeScene) -> None:
     assert {o.verdict for o in report.objects} == {"open"}
 
 
+@pytest.mark.slow
 def test_scene_without_objects_is_judged_by_its_poses(make_scene: MakeScene) -> None:
     scene = make_scene(Toy(frames=3))
     scene.save_labels(Labels())
@@ -222,6 +226,7 @@ def test_scene_without_objects_is_judged_by_its_poses(make_scene: MakeScene) -> 
     assert report.objects == []
 
 
+@pytest.mark.slow
 def test_scene_without_poses(make_scene: MakeScene) -> None:
     scene = make_scene(Toy(frames=3))
     (scene.root / "poses.json").unlink()
@@ -230,6 +235,7 @@ def test_scene_without_poses(make_scene: MakeScene) -> None:
     assert any("Camera poses" in m for m in report.missing)
 
 
+@pytest.mark.slow
 def test_scene_with_no_frame_registered(make_scene: MakeScene) -> None:
     scene = make_scene(Toy(frames=3))
     scene.save_poses(
@@ -259,6 +265,7 @@ def test_damaged_frame_is_listed_and_the_rest_is_checked(make_scene: MakeScene) 
     assert report.objects[0].verdict == "good"
 
 
+@pytest.mark.slow
 def test_unreadable_mesh_fails_its_gate(make_scene: MakeScene) -> None:
     scene = make_scene(Toy(frames=2))
     (scene.root / "models/ball/ball.ply").write_bytes(b"not a mesh")

@@ -124,6 +124,7 @@ def bbox(mask: np.ndarray, offset: tuple[int, int] = (0, 0)) -> list[int]:
     return [int(n) for n in (x, y, columns[-1] - columns[0], rows[-1] - rows[0])]
 
 
+@pytest.mark.slow
 def test_masks_counts_and_boxes_follow_from_the_exported_files_alone(exported):
     gt, info = exported.document("scene_gt"), exported.document("scene_gt_info")
     w, h = SIZE

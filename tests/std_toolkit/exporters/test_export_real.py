@@ -51,6 +51,7 @@ def scene(test_data, tmp_path_factory) -> Scene:
     return Scene.open(root)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "rounding"), [("std", 1e-6), ("bop", 1e-6), ("nocs", 1e-6)])
 def test_textured_models_survive(scene, name, rounding, tmp_path):
     out = tmp_path / name

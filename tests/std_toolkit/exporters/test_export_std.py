@@ -148,6 +148,7 @@ def test_meta_lines_have_thirteen_fields(scene, root):
             np.testing.assert_allclose(t, truth @ centre, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_plain_quaternions_on_request(scene, tmp_path):
     out = tmp_path / "std"
     sidecar = export_scene(

@@ -290,6 +290,7 @@ def test_any_value_anywhere_is_read_or_refused_in_one_line(
         path.write_bytes(original)
 
 
+@pytest.mark.slow
 @settings(
     max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )

@@ -83,6 +83,7 @@ def test_a_tilt_of_a_bottle_counts_however_it_is_turned() -> None:
         assert rotation_error(estimate, SE3.identity(), BOTTLE) == pytest.approx(0.05)
 
 
+@pytest.mark.slow
 def test_mssd_agrees_with_dense_sampling() -> None:
     estimate = SE3.exp([0.002, 0.001, -0.003, 0.05, -0.03, 1.234])
     dense = min(

@@ -20,6 +20,7 @@ CLEARGRASP = {
 }
 
 
+@pytest.mark.slow
 def test_tabletop_colour_with_json_intrinsics(test_data, tmp_path):
     folder = test_data / "tabletop_board_rgb"
     request = ImportRequest(
@@ -60,6 +61,7 @@ def test_d415_pair_with_the_cameras_own_dump(test_data, tmp_path):
     assert scene.camera(scene.frames[0]).fx == pytest.approx(454.445556640625)
 
 
+@pytest.mark.slow
 def test_kinect_frames_with_plain_text_intrinsics(test_data, tmp_path):
     folder = str(test_data / "kinect_kitchen")
     request = ImportRequest(
@@ -74,6 +76,7 @@ def test_kinect_frames_with_plain_text_intrinsics(test_data, tmp_path):
     assert scene.frames[0].name == "frame-000000"
 
 
+@pytest.mark.slow
 def test_cleargrasp_captures(test_data, tmp_path):
     """The figures of the data's own description come out of the imported scene."""
     folder = test_data / "cleargrasp_real/real-val"

@@ -142,6 +142,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_kill_9_at_random_moments_never_tears_a_file(tmp_path: Path) -> None:
     moments = random.Random(0)
     swept = 0

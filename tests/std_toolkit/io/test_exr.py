@@ -179,6 +179,7 @@ def test_tiled_files_are_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_exr(tmp_path / "tiled.exr")["Z"], DEPTH)
 
 
+@pytest.mark.slow
 @settings(
     max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )

@@ -327,6 +327,7 @@ def test_a_flipped_bit_of_a_png_is_noticed_or_harmless(tmp_path: Path, at: int, 
         np.testing.assert_array_equal(image, COLOUR)
 
 
+@pytest.mark.slow
 @settings(
     max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )

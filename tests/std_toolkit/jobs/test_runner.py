@@ -102,6 +102,7 @@ def test_a_killed_worker_loses_nothing(tmp_path: Path) -> None:
     assert not report.failed
 
 
+@pytest.mark.slow
 def test_an_item_that_always_kills_its_worker_is_reported_and_the_others_are_done() -> None:
     report = run_jobs(job_items.three_aborts, range(12), name="aborts", options=LOCAL)
     assert list(report.results.values()) == [i for i in range(12) if i != 3]
@@ -109,6 +110,7 @@ def test_an_item_that_always_kills_its_worker_is_reported_and_the_others_are_don
     assert "died 3 times" in report.failed["3"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fn", [job_items.end_quietly, job_items.killed_while_sending])
 def test_an_item_whose_process_ends_unexpectedly_fails_alone(fn: Callable[[int], object]) -> None:
     """Status 0 is no success, and half of a result does not block those of the others."""

@@ -128,6 +128,7 @@ def test_the_scale_of_the_camera_positions_is_found():
     assert error_mm(result.objects[0].T_world_obj, box()) < 1.5
 
 
+@pytest.mark.slow
 def test_objects_hide_each_other():
     ahead = SE3(TRUTH.R, TRUTH.t + np.array([0.03, -0.08, 0.0]))
     truth = [box("back"), box("front", ahead)]

@@ -150,6 +150,7 @@ def test_one_frame_without_depth_says_that_the_distance_is_weak(stage: Stage) ->
     assert "the distance to the camera is weak" in warning and "mm" in warning
 
 
+@pytest.mark.slow
 def test_a_frame_without_a_camera_pose_works_in_its_camera(tmp_path: Path) -> None:
     stage = make_stage(tmp_path / "scene", registered=3)
     poses = stage.in_camera(stage.rough(), ANGLES[3])
@@ -159,6 +160,7 @@ def test_a_frame_without_a_camera_pose_works_in_its_camera(tmp_path: Path) -> No
     assert stage.error_mm(found.objects[1], truth[1]) < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", [None, "unknown"])
 def test_a_scene_without_metric_poses_needs_one_frame(tmp_path: Path, unit: str | None) -> None:
     stage = make_stage(tmp_path / "scene", registered=4 if unit else 0, unit=unit)
@@ -214,6 +216,7 @@ def test_what_cannot_be_asked(stage: Stage) -> None:
         refine_objects(stage.scene, stage.truth, frames=[77])
 
 
+@pytest.mark.slow
 def test_a_sensor_that_contradicts_the_mesh_is_told(stage: Stage) -> None:
     """A slab in the place of a bottle: wherever it ends, nobody is told that it fits."""
     slab = trimesh.creation.box((0.15, 0.15, 0.02))

@@ -88,6 +88,7 @@ def test_an_unlabelled_twin_beside_it_does_not_take_its_place():
     assert error_mm(fit.T_world_obj, BOX) < 0.7
 
 
+@pytest.mark.slow
 def test_several_views_around_see_through_a_biased_sensor():
     """A sensor that reads 1.5 % long: 8 mm in one view, told apart by the edges of three."""
     views = [photograph([BOX], a, bias=1.015) for a in (-0.8, 0.0, 0.8)]
@@ -128,6 +129,7 @@ def test_the_same_call_gives_the_same_pose():
     assert np.array_equal(a.T_world_obj.matrix(), b.T_world_obj.matrix())
 
 
+@pytest.mark.slow
 def test_the_print_tells_the_front_of_a_box_from_its_back():
     mesh = trimesh.creation.box((0.08, 0.05, 0.1)).subdivide().subdivide().subdivide()
     print_of = np.where(
@@ -154,6 +156,7 @@ def test_the_print_tells_the_front_of_a_box_from_its_back():
     assert error_mm(plain @ SE3(so3_exp([0.0, 0.0, np.pi]), np.zeros(3)), box) < 1.0
 
 
+@pytest.mark.slow
 def test_a_wrong_start_is_no_success():
     """A box where a bottle is: the pose may be anything, but nobody is told that it fits."""
     wrong = mesh_object(trimesh.creation.box((0.15, 0.02, 0.15)), BOTTLE.T_world_obj, "slab")

@@ -93,6 +93,7 @@ def test_plug_ins_are_renderers(monkeypatch: pytest.MonkeyPatch) -> None:
         get_renderer("std_toolkit.rendering.mesh:_unit".replace("_unit", "OrderedDict"))
 
 
+@pytest.mark.slow
 def test_gl_that_pyrender_can_use_is_found(tmp_path: Path) -> None:
     """A renderer that draws wrongly must not pass for a machine without GL: tests would skip."""
     script = tmp_path / "plain.py"

@@ -58,6 +58,7 @@ def scene_of_a_plane(root: Path, slope: np.ndarray) -> Scene:
     return scene
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", [0, 1], ids=["u", "v"])
 def test_fused_geometry_lies_where_it_should_to_a_hundredth_of_a_pixel(
     tmp_path: Path, axis: int

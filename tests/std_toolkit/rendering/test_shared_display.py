@@ -32,6 +32,7 @@ def depth_of_a_box(renderer: PyrenderRenderer) -> np.ndarray:
     return renderer.draw(CAMERA, mesh, T_cam_obj, window=image_window(CAMERA)).depth
 
 
+@pytest.mark.slow
 def test_a_renderer_that_goes_leaves_the_others_theirs() -> None:
     stays, goes = PyrenderRenderer(), PyrenderRenderer()
     before = depth_of_a_box(stays)
@@ -60,6 +61,7 @@ print(before[23, 31])
 """
 
 
+@pytest.mark.slow
 def test_a_window_of_vtk_that_closes_ends_no_renderer(monkeypatch: pytest.MonkeyPatch) -> None:
     if find_spec("vtkmodules") is None:
         pytest.skip("the extras gui and web are not installed: no VTK")

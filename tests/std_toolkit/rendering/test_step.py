@@ -235,6 +235,7 @@ def test_what_nobody_labelled_hides(make_scene: MakeScene, material: str) -> Non
     assert read_ground_truth(scene, 6).info.policy == "fused"
 
 
+@pytest.mark.slow
 def test_invented_sensor_surfaces_hide_no_glass(make_scene: MakeScene) -> None:
     """Readings 40 mm in front of a glass ball: the policy sensor is fooled, fused is not."""
     from std_toolkit.io.images import write_depth_png16
@@ -304,6 +305,7 @@ def test_ground_truth_of_other_inputs_is_not_current(make_scene: MakeScene, chan
     assert not truth_is_current(Scene.open(scene.root), truth)
 
 
+@pytest.mark.slow
 def test_a_map_that_is_missing_is_named(make_scene: MakeScene) -> None:
     scene = make_scene(frames=1)
     render_ground_truth(scene)

@@ -145,6 +145,7 @@ def test_the_same_view_gives_the_same_grasps() -> None:
     assert not np.array_equal(other.to_array(), first)
 
 
+@pytest.mark.slow
 def test_a_table_that_nobody_told_of_is_found() -> None:
     mesh = upright(SHAPES["can"](), 0, 0)
     view = view_of([mesh], masked=False, told=False)
@@ -167,6 +168,7 @@ def test_an_empty_table_has_nothing_to_grasp() -> None:
         Antipodal().plan(GraspView(blind.color, np.zeros_like(blind.depth), CAMERA))
 
 
+@pytest.mark.slow
 def test_what_is_too_wide_and_solid_is_left() -> None:
     mesh = upright(trimesh.creation.box((0.12, 0.13, 0.1)), 0, 0)
     assert not good(Antipodal().plan(view_of([mesh])), [mesh]).any()

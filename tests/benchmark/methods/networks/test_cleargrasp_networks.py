@@ -59,6 +59,7 @@ def restorer(folder, weights=None, **settings) -> ClearGrasp:
     return made
 
 
+@pytest.mark.slow
 def test_sizes():
     with torch.device("meta"):
         network, compact = ClearGraspNetwork(), ClearGraspNetwork(PRESETS["compact"])

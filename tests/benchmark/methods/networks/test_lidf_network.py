@@ -28,6 +28,7 @@ def restorer(folder, weights=None, **settings) -> LIDF:
     return made
 
 
+@pytest.mark.slow
 def test_sizes():
     with torch.device("meta"):
         network, compact = LIDFNetwork(), LIDFNetwork(PRESETS["compact"])

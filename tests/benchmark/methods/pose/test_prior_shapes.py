@@ -83,6 +83,7 @@ def test_the_barycentre_of_boxes_is_the_box_between_them():
         barycentre(np.zeros((0, 5, 3)))
 
 
+@pytest.mark.slow
 def test_the_auto_encoders_mean_is_near_the_shapes_and_lies_between_categories():
     torch.set_num_threads(1)
     flat = _boxes([(0.9, 0.1, 0.4)] * 6, points=64).astype(np.float32)
@@ -161,6 +162,7 @@ def test_priors_that_were_shipped_are_known_by_their_digest(tmp_path, monkeypatc
         load_priors("builtin")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["barycentre", "autoencoder"])
 def test_the_command_makes_priors_of_a_folder_of_meshes(how, tmp_path, capsys):
     root, out = _meshes(tmp_path / "m"), tmp_path / "out" / "p.safetensors"

@@ -125,6 +125,7 @@ def as_the_authors_save_it(network: SwinNOCSNetwork) -> dict[str, torch.Tensor]:
     return state
 
 
+@pytest.mark.slow
 def test_weights_of_the_authors_are_known_and_their_z_is_turned(tmp_path):
     network = a_network()
     torch.save({"state_dict": as_the_authors_save_it(network)}, tmp_path / "authors.pth")
@@ -162,6 +163,7 @@ def test_weights_of_other_networks_are_refused_by_name(tmp_path):
         load_weights(SwinDRNetwork(SwinDRNetConfig(**small)), tmp_path / "authors.safetensors")
 
 
+@pytest.mark.slow
 def test_it_begins_with_streams_and_fusion_of_swindrnet(tmp_path):
     small = {
         "channels": 8,

@@ -109,6 +109,7 @@ def test_voxels_are_the_cells_that_hold_points() -> None:
     assert voxel_means(np.zeros((0, 3)), 0.01).shape == (0, 3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [0.005, 0.01, 0.037])
 def test_a_thinner_cloud_is_that_of_open3d(size: float) -> None:
     """Its grid begins half a cell before the smallest point along each axis."""

@@ -87,6 +87,7 @@ def test_a_box_is_itself(box: Box) -> None:
         assert iou(box, box, definition) == pytest.approx(1, abs=1e-9)
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(boxes, boxes)
 def test_bounds_and_symmetry(a: Box, b: Box) -> None:

@@ -182,6 +182,7 @@ def test_class_zero_is_never_scored() -> None:
     assert scores.mean["iou75"] == 1
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(st.permutations(range(12)), st.sampled_from(["strict", "paper", "nocs2019"]))
 def test_frames_in_any_order_and_any_number(order: list[int], name: str) -> None:

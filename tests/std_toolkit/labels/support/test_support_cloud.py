@@ -46,6 +46,7 @@ def off_surface(points: np.ndarray) -> np.ndarray:
     return np.minimum(table, box)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stride", [1, 3])
 def test_a_frames_cloud_lies_behind_its_pixels(scene: Scene, stride: int) -> None:
     points, colors = frame_cloud(scene, scene.frames[2], stride=stride)

@@ -52,6 +52,7 @@ def test_a_dropped_object_touches_and_only_moves_along_the_normal(
     assert twice.t == pytest.approx(once.t, abs=1e-12)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(st.sampled_from(sorted(MESHES)), TWISTS, TWISTS)
 def test_resting_twice_is_resting_once(name: str, pose: list[float], slope: list[float]) -> None:

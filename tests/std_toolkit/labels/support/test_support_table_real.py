@@ -51,6 +51,7 @@ def test_a_simulated_sensor(recording: Scene, labelled: bool) -> None:
     assert abs(table.plane.signed_distance([0.0, 0.0, 0.0])) < table.uncertainty_m < 0.002
 
 
+@pytest.mark.slow
 def test_objects_snapped_to_the_table_of_the_recording_are_where_they_belong(
     recording: Scene,
 ) -> None:
@@ -142,6 +143,7 @@ def test_single_realsense_frames(ycb_frames: Scene, test_data: Path) -> None:
     assert abs(np.median(lows)) < 0.008
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_a_kinect_in_a_kitchen(test_data: Path, tmp_path: Path) -> None:
     """A dining table among counters, chairs and floor; readings in a patch of it are the truth."""

@@ -110,6 +110,7 @@ def median_mm(answer: NDArray, view: View, true: NDArray) -> float:
     return 1000 * float(np.median(np.abs(answer - true)[on]))
 
 
+@pytest.mark.slow
 def test_transparent_objects_are_covered_by_every_method(test_data: Path) -> None:
     # A median of nearly 5 % of the depth, not 5 mm: holes in a transparent object have no rim that
     # belongs to it, and what no-learning methods make of that is why there are others.
