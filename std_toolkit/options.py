@@ -1,7 +1,8 @@
 """Options of each curation step, with defaults and ranges.
 
-The command lines are generated from these dataclasses (see `std_toolkit.cli.command`). The module
-imports no heavy library. Lengths are in metres and angles in radians unless the name has a unit.
+The command lines are generated from these dataclasses (see `std_toolkit.cli.command_options`). The
+module imports no heavy library. Lengths are in metres and angles in radians unless the name has a
+unit.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Options of each benchmark task, and the parsing of their values.
 
-The command line is generated from these dataclasses; see `std_toolkit.cli.command`. The module
-imports no heavy packages.
+The command line is generated from these dataclasses; see `std_toolkit.cli.command_options`. The
+module imports no heavy packages.
 """
 
 from __future__ import annotations

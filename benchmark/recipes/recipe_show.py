@@ -10,7 +10,7 @@ from benchmark.recipes import recipe, recipe_page, recipe_plan
 from benchmark.training.options import TrainCommand
 from benchmark.training.run_files import LAST
 from benchmark.training.shards import PACK
-from std_toolkit.cli.command import words_of
+from std_toolkit.cli.command_options import words_of
 
 if TYPE_CHECKING:
     from sensors.simulation.options import SimulationOptions

@@ -1,6 +1,6 @@
 """Options of training and packing; they import nothing heavy.
 
-The command line is made from these dataclasses; see `std_toolkit.cli.command`.
+The command line is made from these dataclasses; see `std_toolkit.cli.command_options`.
 """
 
 from __future__ import annotations

@@ -6,7 +6,8 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from std_toolkit.cli.command import Command, Program, print_json, words_of
+from std_toolkit.cli.command import Command, Program, print_json
+from std_toolkit.cli.command_options import words_of
 
 if TYPE_CHECKING:
     from sensors.simulation.options import PreviewCommand, RunCommand, StatsCommand

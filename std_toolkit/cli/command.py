@@ -1,67 +1,29 @@
-"""Command lines generated from option dataclasses: parsing, help, exit status, one-line errors.
+"""Programs of several commands: a table, the overview, exit status, one-line errors.
 
-A program is a table of commands. A command names a dataclass of options and a function that takes
-an instance of it, both as `module:name`, so that `PROGRAM --help` imports neither. `tyro` builds
-the command line from the dataclass:
-
-- the help of an option is the docstring below its field;
-- its range is a `msgspec.Meta` in its annotation, its choices are an enum or a `Literal`;
-- a field without a default is a positional argument;
-- a mapping takes `NAME=VALUE ...`;
-- the help of a flag that is on by default is a noun: "pictures" becomes "without pictures" for
-  `--no-NAME`;
-- a nested dataclass or `msgspec.Struct` is flattened.
-
-The metadata of a field (for a Struct the `extra` of a `msgspec.Meta`) changes this:
-
-- `{"option": "set"}` names the option `--set`, `{"option": ""}` makes it positional, and
-  `{"option": None}` keeps it off the command line;
-- `{"off": "flat-normals"}` makes a flag of this name that turns the field off;
-- `{"repeat": True}` lets a tuple or mapping collect one value each time the option is given;
-- `{"factor": 1000}` reads metres as millimetres;
-- `{"size": True}` reads two whole numbers as `1280x720`.
+A command names a dataclass of options and a function that takes an instance of it, both as
+`module:name`, so that `PROGRAM --help` imports neither. `command_options` reads the options.
 
 Exit status of every program: 0 done, 1 failed or a gate failed, 2 wrong usage, 130 interrupted.
 """
 
 from __future__ import annotations
 
-import contextlib
-import copy
-import dataclasses
-import enum
-import functools
 import importlib
-import inspect
-import io
 import logging
 import os
-import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from textwrap import fill
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Any
 
-from std_toolkit.errors import ToolkitError, check_options
+from std_toolkit.cli.command_options import UsageError, parse_options, print_completion
+from std_toolkit.errors import ToolkitError
 from std_toolkit.log import log_to_stderr
 
 WRONG_USAGE = 2
 INTERRUPTED = 130
 SHELLS = ("bash", "zsh", "fish")
 COMPLETION = "--print-completion"
-_MAPPINGS = (dict, Mapping)
-_REPEATED = re.compile(r"\{?\[(\{[^{}]*\}|[A-Z]+) \[\1 \.\.\.\]\]\}?")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Verbosity:
-    """Options of every command."""
-
-    quiet: bool = False
-    """print warnings and errors only"""
-    debug: bool = False
-    """show the traceback of an error"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +68,7 @@ class Program:
         words = list(sys.argv[1:] if arguments is None else arguments)
         try:
             return self._main(words if self.rewrite is None else self.rewrite(words))
-        except _UsageError as error:
+        except UsageError as error:
             print(f"error: {error}", file=sys.stderr)
             return WRONG_USAGE
         except BrokenPipeError:
@@ -134,7 +96,7 @@ class Program:
         if chosen is None:
             if not self.default or (first and first[0] != "-" and first.replace("-", "").isalpha()):
                 reason = f"no command of {self.name}; expected one of {', '.join(named)}"
-                raise _UsageError(f"{first}: {reason}")
+                raise UsageError(f"{first}: {reason}")
             chosen, rest = named[self.default], words
         else:
             place = words.index(chosen.name)
@@ -172,90 +134,10 @@ class Program:
 
     def _print_completion(self, words: list[str]) -> int:
         if len(words) != 1 or words[0] not in SHELLS:
-            raise _UsageError(f"{COMPLETION}: expected one of {', '.join(SHELLS)}")
-        import tyro
-
-        kinds: dict[str, Callable[..., Any]] = {
-            c.name: _with_verbosity(_load(c.options)) for c in self.commands
-        }
-        arguments = ["--tyro-print-completion", words[0]]
-        if len(kinds) == 1:
-            tyro.cli(*kinds.values(), prog=self.name, args=arguments, config=_markers())
-        else:
-            tyro.extras.subcommand_cli_from_dict(
-                kinds, prog=self.name, args=arguments, config=_markers()
-            )
+            raise UsageError(f"{COMPLETION}: expected one of {', '.join(SHELLS)}")
+        kinds = {c.name: _load(c.options) for c in self.commands}
+        print_completion(kinds, words[0], self.name)
         return 0
-
-
-class _UsageError(Exception):
-    """A command line that cannot be parsed; the message is one line."""
-
-
-def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[Any, Verbosity]:
-    """Parse the words of a command line.
-
-    Args:
-        kind: a dataclass; nested ones are flattened, fields without a default are positional.
-        words: words of the command line, without program and command.
-        program: title of the program in help and errors.
-
-    Returns:
-        An instance of `kind`, and the verbosity.
-
-    Raises:
-        SystemExit: after `--help`.
-    """
-    import tyro
-    from tyro._errors import on_parse_error
-
-    def parse() -> Any:
-        with on_parse_error(functools.partial(_refuse, program)):
-            return tyro.cli(
-                _with_verbosity(kind), prog=program, args=list(words), config=_markers()
-            )
-
-    if "--help" in words or "-h" in words:
-        page = io.StringIO()
-        try:
-            with contextlib.redirect_stdout(page):
-                parse()
-        finally:
-            print(_tidy(page.getvalue()))
-    call = parse()
-    try:
-        options = _build(kind, vars(call))
-        check_options(options)
-    except ToolkitError as error:
-        titles = {option.field: option.title for option in _options(kind)}
-        error.field = titles.get(error.field or "", error.field)
-        raise _UsageError(str(error)) from error
-    return options, Verbosity(quiet=call.quiet, debug=call.debug)
-
-
-def words_of(options: Any) -> list[str]:
-    """The words that `parse_options` parses to equal options; defaults are left out."""
-    positional: list[str] = []
-    named: list[str] = []
-    kind = type(options)
-    for given, plain in zip(_options(kind, options), _options(kind), strict=True):
-        value = given.default
-        if value == plain.default:
-            continue
-        if isinstance(value, bool):
-            on = value or "off" in plain.metadata
-            named.append(f"--{plain.name}" if on else f"--no-{plain.name}")
-            continue
-        value = value * plain.metadata["factor"] if "factor" in plain.metadata else value
-        if isinstance(value, Mapping):
-            value = tuple(f"{key}={item}" for key, item in value.items())
-        values = value if isinstance(value, tuple) else (value,)
-        texts = [str(v.value if isinstance(v, enum.Enum) else v) for v in values]
-        if plain.name:
-            named += [f"--{plain.name}", *texts]
-        else:
-            positional += texts
-    return [*positional, *named]
 
 
 def print_json(value: Any) -> None:
@@ -306,241 +188,6 @@ def exit_status(
     except KeyboardInterrupt:
         print(f"interrupted; {on_interrupt}", file=sys.stderr)
         return INTERRUPTED
-
-
-def _tidy(page: str) -> str:
-    """A help page without ruled lines, paragraphs filled, `STR ...` for `[STR [STR ...]]`."""
-    page = _REPEATED.sub(lambda found: f"{found[1]} ...".ljust(len(found[0])), page)
-    filled = (fill(x, 80) if x[:1].strip() and len(x) > 80 else x for x in page.splitlines())
-    lines = (line.rstrip() for line in "\n".join(filled).splitlines())
-    return "\n".join(line for line in lines if line.strip("-─ ") or not line)
-
-
-def _markers() -> tuple[Any, ...]:
-    from tyro import conf
-
-    return (
-        conf.FlagCreatePairsOff,
-        conf.EnumChoicesFromValues,
-        conf.DisallowNone,
-        conf.PositionalMetavarFromFieldName,
-        conf.HelptextFromCommentsOff,
-    )
-
-
-@dataclass(frozen=True)
-class _Option:
-    """An option or positional argument of a command.
-
-    Attributes:
-        field: of the dataclass.
-        name: on the command line; "" for a positional argument.
-        type: with annotations.
-        default: `dataclasses.MISSING` for none.
-        help: its text.
-        metadata: of the field.
-    """
-
-    field: str
-    name: str
-    type: Any
-    default: Any
-    help: str
-    metadata: Mapping[str, Any]
-
-    @property
-    def title(self) -> str:
-        return f"--{self.name}" if self.name else self.field.upper()
-
-
-def _options(kind: type[Any], given: Any = dataclasses.MISSING) -> Iterator[_Option]:
-    """Options of a dataclass, with those of nested ones; `given` holds other defaults."""
-    from docstring_parser import parse_from_object
-
-    texts = {
-        text.arg_name: " ".join((text.description or "").split())
-        for c in reversed(kind.__mro__[:-1])
-        for text in parse_from_object(c).params
-    }
-    for field, hint, default in _fields(kind, given):
-        if _is_record(hint):
-            yield from _options(hint, default)
-            continue
-        plain = "" if default is dataclasses.MISSING else field.name.replace("_", "-")
-        name = field.metadata.get("off", field.metadata.get("option", plain))
-        yield _Option(field.name, name, hint, default, texts.get(field.name, ""), field.metadata)
-
-
-def _fields(kind: type[Any], given: Any) -> Iterator[tuple[dataclasses.Field[Any], Any, Any]]:
-    """Fields on the command line, their types and defaults.
-
-    Those of base classes follow, nested dataclasses are last.
-    """
-    hints = get_type_hints(kind, include_extras=True)
-    owners: dict[str, int] = {}
-    for place, owner in enumerate(kind.__mro__):
-        owners |= {name: place for name in inspect.get_annotations(owner) if name not in owners}
-    for field in sorted(
-        dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else _struct_fields(kind, hints),
-        key=lambda field: (_is_record(hints[field.name]), owners[field.name]),
-    ):
-        if not field.init or field.metadata.get("option", "") is None:
-            continue
-        default = field.default
-        if given is not dataclasses.MISSING:
-            default = getattr(given, field.name)
-        elif callable(field.default_factory):
-            default = field.default_factory()
-        yield field, hints[field.name], default
-
-
-def _build(kind: type[Any], values: Mapping[str, Any], given: Any = dataclasses.MISSING) -> Any:
-    """The dataclass of the values of its options."""
-    found = {}
-    for field, hint, default in _fields(kind, given):
-        value: Any = values.get(field.name)
-        if _is_record(hint):
-            value = _build(hint, values, default)
-        elif get_origin(hint) in _MAPPINGS:
-            value = _pairs(field.name, value, get_args(hint)[1])
-        elif "off" in field.metadata:
-            value = not value
-        elif "factor" in field.metadata:
-            value = value / field.metadata["factor"]
-        elif "size" in field.metadata and isinstance(value, str):
-            value = _size(field.name, value)
-        elif value == () and default is None:
-            value = None
-        found[field.name] = value
-    if given is dataclasses.MISSING:
-        return kind(**found)
-    if dataclasses.is_dataclass(kind):
-        return dataclasses.replace(given, **found)
-    from msgspec import structs
-
-    return structs.replace(given, **found)
-
-
-def _is_record(hint: Any) -> bool:
-    """Whether a type is a dataclass or a `msgspec.Struct` of options."""
-    return dataclasses.is_dataclass(hint) or hasattr(hint, "__struct_fields__")
-
-
-def _struct_fields(kind: type[Any], hints: Mapping[str, Any]) -> Iterator[dataclasses.Field[Any]]:
-    """Fields of a Struct as dataclass fields; their metadata are the `extra` of a `Meta`."""
-    from msgspec import NODEFAULT, structs
-
-    for info in structs.fields(kind):
-        extras = (
-            getattr(meta, "extra", None) for meta in getattr(hints[info.name], "__metadata__", ())
-        )
-        default = dataclasses.MISSING if info.default is NODEFAULT else info.default
-        field: Any = dataclasses.field(default=default, metadata=next(filter(None, extras), {}))
-        field.name = info.name
-        yield field
-
-
-def _pairs(name: str, words: Sequence[str], kind: type[Any]) -> dict[str, Any]:
-    """A mapping from `NAME=VALUE`."""
-    found = {}
-    for word in words:
-        key, equals, value = word.partition("=")
-        if not (key and equals):
-            raise ToolkitError("expected NAME=VALUE", field=name, value=word)
-        if key in found:
-            raise ToolkitError("given twice", field=name, value=key)
-        try:
-            found[key] = kind(value)
-        except ValueError:
-            problem = f"expected NAME={kind.__name__.upper()}"
-            raise ToolkitError(problem, field=name, value=word) from None
-    return found
-
-
-def _size(name: str, word: str) -> tuple[int, int]:
-    width, _, height = word.lower().partition("x")
-    if not (width.isdigit() and height.isdigit() and int(width) and int(height)):
-        raise ToolkitError("expected a size such as 1280x720", field=name, value=word)
-    return int(width), int(height)
-
-
-def _with_verbosity(kind: type[Any]) -> type[Any]:
-    """A flat dataclass of all options, for the parser."""
-    from tyro import conf
-
-    fields: list[tuple[str, Any, Any]] = []
-    options = sorted(_options(kind), key=lambda o: o.default is not dataclasses.MISSING)
-    for option in (*options, *_options(Verbosity)):
-        hint, default, metavar = option.type, option.default, None
-        if get_origin(hint) in _MAPPINGS:
-            hint, metavar = tuple[str, ...], "NAME=VALUE ..."
-            default = tuple(f"{name}={value}" for name, value in default.items())
-            if option.metadata.get("repeat"):
-                hint = conf.UseAppendAction[tuple[str, ...]]
-        elif "off" in option.metadata:
-            default = not default
-        elif "size" in option.metadata:
-            hint, metavar = (str | None if default is None else str), "WxH"
-            default = default and f"{default[0]}x{default[1]}"
-        elif "factor" in option.metadata:
-            default = default * option.metadata["factor"]
-        elif option.metadata.get("repeat"):
-            default = () if default is None else default
-            hint = conf.UseAppendAction[next(t for t in (*get_args(hint), hint) if _is_tuple(t))]  # type: ignore[misc]
-        needed = default is dataclasses.MISSING
-        says_nothing = default in (None, "", ()) or isinstance(default, bool)
-        suffix: Any = "" if says_nothing else "(required)" if needed else "(default: {})".format
-        about = conf.arg(
-            name=option.name or None,
-            metavar=metavar,
-            help=f"without {option.help}" if default is True else option.help,
-            help_behavior_hint=suffix,
-        )
-        annotated: Any = Annotated[hint, about]
-        if not option.name:
-            annotated = conf.Positional[annotated]  # type: ignore[misc]
-        place: Any = dataclasses.field()
-        if not needed:
-            place = dataclasses.field(default_factory=functools.partial(copy.copy, default))
-        fields.append((option.field, annotated, place))
-    call = dataclasses.make_dataclass(kind.__name__, fields, frozen=True, kw_only=True)
-    call.__doc__ = kind.__doc__
-    return call
-
-
-def _is_tuple(hint: Any) -> bool:
-    return get_origin(hint) is tuple
-
-
-def _refuse(program: str, event: Any) -> None:
-    """Raise an error of the parser as one line."""
-    kind = type(event).__name__
-    argument = getattr(event, "argument", None)
-    name = _flag(argument) if argument is not None else ""
-    if kind == "InvalidChoice":
-        problem = f"{event.value}: expected one of {', '.join(str(c) for c in event.choices)}"
-    elif kind == "UnrecognizedArgs":
-        problem = f"{' '.join(event.tokens)}: not an option of {program}"
-    elif kind == "MissingArgs":
-        missing = [_flag(m.arg) for m in event.missing_arguments]
-        problem = f"{', '.join(missing)}: needed"
-        if event.unrecognized_tokens:
-            problem += f"; {' '.join(event.unrecognized_tokens)}: not an option"
-    elif kind == "BadValue":
-        problem = f"expected {event.argument.lowered.metavar}"
-    else:
-        problem = " ".join(str(getattr(event, "message", kind)).split())
-        got = re.search(r"Got errors: - <class '.*?'>: (.*)", problem)
-        problem = got[1] if got else problem
-    where = f"{name}: " if name else ""
-    raise _UsageError(f"{where}{problem}; see `{program} --help`")
-
-
-def _flag(argument: Any) -> str:
-    lowered = argument.lowered
-    if argument.is_positional():
-        return str(argument.field.intern_name).upper()
-    return str(lowered.name_or_flags[-1])
 
 
 def _load(reference: str) -> Any:

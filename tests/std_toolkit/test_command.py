@@ -13,7 +13,8 @@ from typing import Annotated
 import msgspec
 import pytest
 
-from std_toolkit.cli.command import Command, Program, parse_options, words_of
+from std_toolkit.cli.command import Command, Program
+from std_toolkit.cli.command_options import parse_options, words_of
 from std_toolkit.errors import ToolkitError
 
 

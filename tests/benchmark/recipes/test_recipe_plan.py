@@ -16,7 +16,7 @@ from benchmark.recipes.recipe_plan import RecipePlan, plan_recipe
 from benchmark.recipes.recipe_show import plan_text, recipe_list, simulation_s, train_command
 from benchmark.training.options import TrainCommand
 from sensors.simulation.options import SimulationOptions
-from std_toolkit.cli.command import parse_options
+from std_toolkit.cli.command_options import parse_options
 from std_toolkit.errors import ToolkitError
 
 

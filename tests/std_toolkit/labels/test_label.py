@@ -8,7 +8,7 @@ import trimesh
 from PIL import Image
 from tiny_camera import CAMERA
 
-from std_toolkit.cli.command import parse_options
+from std_toolkit.cli.command_options import parse_options
 from std_toolkit.cli.labelling import LabelArguments, label
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import load_mesh
