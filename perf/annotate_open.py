@@ -169,8 +169,8 @@ def virtual_display() -> Iterator[tuple[dict[str, str], Callable[[], NDArray[np.
         ) as server,
     ):
         os.close(tell_number)
-        with os.fdopen(number) as told:
-            name = f":{told.readline().strip()}"
+        with os.fdopen(number) as answer:
+            name = f":{answer.readline().strip()}"
         # The server's picture is a file in X's own format: header, colour map, rows of pixels.
         file = np.memmap(Path(folder) / "Xvfb_screen0", dtype=np.uint8, mode="r")
         header = np.frombuffer(file[:100].tobytes(), ">u4")

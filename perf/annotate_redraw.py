@@ -267,8 +267,8 @@ def main() -> int:
             stderr=subprocess.DEVNULL,
         )
         os.close(tell)
-        with os.fdopen(number) as told:
-            os.environ["DISPLAY"] = f":{told.readline().strip()}"
+        with os.fdopen(number) as answer:
+            os.environ["DISPLAY"] = f":{answer.readline().strip()}"
         os.environ["QT_QPA_PLATFORM"] = "xcb"
         try:
             # In a process of its own: Qt aborts if its display goes first.

@@ -106,8 +106,8 @@ def main() -> None:
             frames = PackedFrames([pack])
             chosen = list(range(BATCH))
             fast = least_ms(partial(frames.__getitem__, chosen), BATCH)
-            told = "reached" if fast <= GOAL_MS else "NOT reached"
-            row(f"packed, {depth}", fast, f"{slow / fast:.0f} times as fast; goal {told}")
+            outcome = "reached" if fast <= GOAL_MS else "NOT reached"
+            row(f"packed, {depth}", fast, f"{slow / fast:.0f} times as fast; goal {outcome}")
         in_processes(PackedFrames([top / "float32"]), 1)
         in_processes(PackedFrames([top / "float32"]), 2)
 

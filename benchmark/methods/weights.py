@@ -21,7 +21,7 @@ from std_toolkit.io.atomic import write_bytes_atomic
 _WRAPPERS = ("state_dict", "model_state_dict", "model", "net", "network")
 # Before every key: what was wrapped for several GPUs, and compiled.
 _PREFIXES = ("module.", "_orig_mod.")
-_TOLD = 3  # keys named in an error
+_NAMED = 3  # keys named in an error
 
 SWINDRNET = "SwinDRNet"
 
@@ -221,7 +221,7 @@ def _without_prefix(state: dict[str, Tensor]) -> dict[str, Tensor]:
 
 
 def _first(names: Sequence[str]) -> str:
-    return ", ".join(names[:_TOLD]) + (", ..." if len(names) > _TOLD else "")
+    return ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")
 
 
 def _shape(tensor: Tensor) -> str:

@@ -53,7 +53,7 @@ def recipe_rows(plan: recipe_plan.RecipePlan, outcome: recipe_run.Outcome) -> pd
         for key in dict.fromkeys(mine[["method", "training_data"]].itertuples(index=False)):
             if tuple(key) not in shown:
                 here += _published(mine, tuple(key), key[0], note="not a variant that was run")
-        described = {
+        common = {
             "recipe": plan.name,
             "scale": plan.scale_name,
             "test": target.name,
@@ -61,7 +61,7 @@ def recipe_rows(plan: recipe_plan.RecipePlan, outcome: recipe_run.Outcome) -> pd
             "data": origin(plan, target),
         }
         here.sort(key=lambda row: _PLACES.get(str(row.get("subset")), -1))
-        rows += [{**described, **row} for row in here]
+        rows += [{**common, **row} for row in here]
     return pd.DataFrame(rows).reindex(columns=list(COLUMNS))
 
 
@@ -87,7 +87,7 @@ def findings(plan: recipe_plan.RecipePlan, outcome: recipe_run.Outcome) -> list[
     """A sentence on every test in which variants can be compared: who is best in RMSE by the first
     protocol, by how much, whether chance could do it, and what the paper prints."""
     printed = printed_rows(plan.recipe)
-    described = []
+    sentences = []
     for target in plan.targets:
         tables = {}
         for entry in plan.entries:
@@ -112,8 +112,8 @@ def findings(plan: recipe_plan.RecipePlan, outcome: recipe_run.Outcome) -> list[
             + ", ".join(others)
         )
         order = _printed_order(plan, printed, target, subset)
-        described.append(f"{sentence}. {order}" if order else f"{sentence}.")
-    return described
+        sentences.append(f"{sentence}. {order}" if order else f"{sentence}.")
+    return sentences
 
 
 def _hardest(tables: list[pd.DataFrame]) -> str | None:
@@ -146,10 +146,10 @@ def _printed_order(
 def _measured(
     outcome: recipe_run.Outcome, entry: recipe_plan.Entry, target: targets.Target
 ) -> list[dict[str, object]]:
-    described: dict[str, object] = {"variant": entry.title}
+    common: dict[str, object] = {"variant": entry.title}
     if entry.name in outcome.trained:
         trained = outcome.trained[entry.name]
-        described |= {
+        common |= {
             "training_frames": trained.frames,
             "training_scenes": trained.scenes,
             "steps": trained.steps,
@@ -164,13 +164,13 @@ def _measured(
         means = summarise(table[table["subset"].isin(MAIN_SUBSETS)], samples=_DRAWS)
         for row in means[means["frames"] > 0].to_dict("records"):
             names = ("protocol", "subset", *OVER_ALL, *_INTERVAL, "frames", "scenes")
-            rows.append({**described, "kind": MEASURED, **{name: row[name] for name in names}})
+            rows.append({**common, "kind": MEASURED, **{name: row[name] for name in names}})
     if rows:
         return rows
     where = f"{entry.title} on {target.name}"
     why = entry.problem or outcome.problems.get(entry.title) or outcome.problems.get(where)
     ran = "no frame could be scored" if results else "not run yet"
-    return [{**described, "kind": ABSENT, "note": why or ran}]
+    return [{**common, "kind": ABSENT, "note": why or ran}]
 
 
 def _published(

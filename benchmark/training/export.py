@@ -86,9 +86,9 @@ def export_weights(run: Path, out: Path, *, scores: str = "") -> Path:
         *_table("How", _how(config, best, run, note)),
     ]
     named = {k: v for k, v in best["scores"].items() if k.startswith(_OF_DEPTH)}
-    described = "specular and transparent pixels, at the size of training"
+    pixels = "specular and transparent pixels, at the size of training"
     lines += _table(
-        f"Scores of validation, {described}" if named else "Scores of validation",
+        f"Scores of validation, {pixels}" if named else "Scores of validation",
         [
             (name.removeprefix(_OF_DEPTH), f"{value:.4f}")
             for name, value in (named or best["scores"]).items()

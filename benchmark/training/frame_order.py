@@ -16,7 +16,7 @@ from torch.utils.data import Sampler
 from benchmark.training.packed_frames import PackedFrames
 from std_toolkit.errors import ToolkitError
 
-_TOLD = 3
+_NAMED = 3
 
 
 class BatchOrder:
@@ -161,7 +161,7 @@ def check_no_leak(
         if both:
             listed = ", ".join(
                 f"{validation.key(i)} = {training.key(known[of(validation, i)])}"
-                for i in both[:_TOLD]
+                for i in both[:_NAMED]
             )
             raise ToolkitError(
                 f"{len(both)} frames of validation are of {what} that are trained on: {listed}",

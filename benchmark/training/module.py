@@ -16,7 +16,7 @@ from benchmark.training.config import TrainConfig, seed_of
 from benchmark.training.step import Batch, ModelInput, StepFunction, model_input
 from std_toolkit.errors import ToolkitError
 
-_TOLD = 8  # frames named in an error
+_NAMED = 8  # frames named in an error
 
 
 class RestorerTraining(pl.LightningModule):
@@ -103,7 +103,7 @@ class RestorerTraining(pl.LightningModule):
         return ModelInput(color, depth, batch)
 
     def _stop(self, problem: str, value: object) -> None:
-        names = [self.key(i) for i in self._frames[:_TOLD]]
+        names = [self.key(i) for i in self._frames[:_NAMED]]
         more = len(self._frames) - len(names)
         listed = ", ".join(names) + (f" and {more} more" if more else "")
         raise ToolkitError(

@@ -82,8 +82,8 @@ def _phases(
         return optimization.phases(steps) or {"": steps}
     for name, steps in options.phases.items():
         if name not in known:
-            described = f"it has {', '.join(known)}" if known else "its training has only one"
-            raise ToolkitError("the method has no such phase", field=name, hint=described)
+            hint = f"it has {', '.join(known)}" if known else "its training has only one"
+            raise ToolkitError("the method has no such phase", field=name, hint=hint)
         if steps < 0:
             raise ToolkitError("must not be negative", field=name, value=steps)
     if options.steps is not None or options.epochs is not None:
@@ -116,11 +116,11 @@ def _data(options: TrainOptions, trainable: Trainable, network: Any) -> packed_f
 
 def _digest(options: TrainOptions) -> str:
     files = {"weights": options.weights, "imagenet": options.imagenet}
-    described = []
+    digests = []
     for name, path in files.items():
         if path is None:
             continue
         if not path.is_file():
             raise ToolkitError("no such file of weights", path=path)
-        described.append(f"{name} {digest_file(path)}")
-    return ", ".join(described)
+        digests.append(f"{name} {digest_file(path)}")
+    return ", ".join(digests)

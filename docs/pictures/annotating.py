@@ -265,8 +265,8 @@ def _display() -> subprocess.Popen[bytes] | None:
     command += ["-nolisten", "tcp"]
     server = subprocess.Popen(command, pass_fds=[tell_number], stderr=subprocess.DEVNULL)
     os.close(tell_number)
-    with os.fdopen(number) as told:
-        os.environ["DISPLAY"] = f":{told.readline().strip()}"
+    with os.fdopen(number) as answer:
+        os.environ["DISPLAY"] = f":{answer.readline().strip()}"
     return server
 
 

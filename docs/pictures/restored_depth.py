@@ -26,9 +26,11 @@ def main(gallery: Path) -> None:
     headings = [*PANELS, TRUST_PANEL]
     picture = np.full((HEADING, width, 3), 255, np.uint8)
     for index, heading in enumerate(headings):
-        told = f"{heading} to {100 * LARGEST_ERROR_M:.0f} cm" if heading == "error" else heading
+        title = f"{heading} to {100 * LARGEST_ERROR_M:.0f} cm" if heading == "error" else heading
         place = (index * width // len(headings) + 4, HEADING - 9)
-        cv2.putText(picture, told, place, cv2.FONT_HERSHEY_SIMPLEX, 0.55, (0, 0, 0), 1, cv2.LINE_AA)
+        cv2.putText(
+            picture, title, place, cv2.FONT_HERSHEY_SIMPLEX, 0.55, (0, 0, 0), 1, cv2.LINE_AA
+        )
     gap = np.full((GAP, width, 3), 255, np.uint8)
     parts = [picture, *(part for row in rows for part in (row, gap))]
     write_color(OUT, np.vstack(parts[:-1]), quality=88)

@@ -38,9 +38,9 @@ class BopImporter:
         sidecar = None if found is None else found[0]
         cameras, camera_of = _cameras(scene, sidecar)
         depth_scale = _common_depth_scale(scene)
-        described = {} if sidecar is None else {f.id: f for f in sidecar.frames}
+        exported = {} if sidecar is None else {f.id: f for f in sidecar.frames}
         frames = tuple(
-            _frame(scene, im_id, camera_of[im_id], described.get(im_id))
+            _frame(scene, im_id, camera_of[im_id], exported.get(im_id))
             for im_id in sorted(scene.cameras)
         )
         top = request.models.parent if request.models is not None else folder.parent.parent

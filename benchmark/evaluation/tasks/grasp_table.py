@@ -81,7 +81,7 @@ def rows_of_round(
     rows: list[dict[str, Any]] = []
     for o in arrangement.objects:
         fate, when = fates[o.number]
-        described = {
+        properties = {
             "number": o.number,
             "asset": o.body.asset.id,
             "category": o.body.asset.category,
@@ -91,7 +91,7 @@ def rows_of_round(
             "fate": fate,
             "fate_attempt": when,
         }
-        rows.append(base | {KIND: OBJECT} | _NOTHING | described)
+        rows.append(base | {KIND: OBJECT} | _NOTHING | properties)
     views = [base | {KIND: ATTEMPT} | _NOTHING | _attempt(a) for a in attempts]
     for view in views[:1]:
         view |= precision_of(attempts[0], T_world_cam)
@@ -99,7 +99,7 @@ def rows_of_round(
 
 
 def _attempt(attempt: Attempt) -> dict[str, Any]:
-    described: dict[str, Any] = {
+    row: dict[str, Any] = {
         "attempt": attempt.number,
         "present": len(attempt.before.objects),
         "found": attempt.found,
@@ -110,9 +110,9 @@ def _attempt(attempt: Attempt) -> dict[str, Any]:
     }
     grasp, executed = attempt.grasp, attempt.executed
     if grasp is None or executed is None:
-        return described
+        return row
     target = _target(attempt)
-    described |= {
+    row |= {
         "target": target.number,
         "category": target.body.asset.category,
         "material": target.material.material_class,
@@ -126,9 +126,9 @@ def _attempt(attempt: Attempt) -> dict[str, Any]:
         ("approach", grasp.approaches[0]),
         ("closing", grasp.closings[0]),
     ):
-        described |= {f"{what}_{a}": float(x) for a, x in zip(_AXES, vector, strict=True)}
+        row |= {f"{what}_{a}": float(x) for a, x in zip(_AXES, vector, strict=True)}
     closed = [s.opening for s in executed.stages if s.name == "closed"]
-    return described | ({"opening": closed[0]} if closed else {})
+    return row | ({"opening": closed[0]} if closed else {})
 
 
 def _target(attempt: Attempt) -> Any:

@@ -50,7 +50,7 @@ def rows_of_frame(
     rows = [base | {KIND: OF_FRAME} | _NOTHING]
     for truth in truths:
         instance = truth.instance
-        described = {
+        properties = {
             "class_id": instance.class_id,
             "mask_id": instance.mask_id,
             "material": int(instance.material),
@@ -59,12 +59,12 @@ def rows_of_frame(
             "handle_visible": truth.handle_visible,
             "box_known": truth.box_known,
         }
-        rows.append(base | {KIND: TRUE} | _NOTHING | described | _numbers(truth.RT, truth.size))
+        rows.append(base | {KIND: TRUE} | _NOTHING | properties | _numbers(truth.RT, truth.size))
     if found is not None:
         parts = zip(found.class_ids, found.scores, found.RT, found.sizes, strict=True)
         for class_id, score, RT, size in parts:
-            described = {"class_id": int(class_id), "score": float(score)}
-            rows.append(base | {KIND: FOUND} | _NOTHING | described | _numbers(RT, size))
+            properties = {"class_id": int(class_id), "score": float(score)}
+            rows.append(base | {KIND: FOUND} | _NOTHING | properties | _numbers(RT, size))
     return rows
 
 
@@ -118,8 +118,8 @@ def frames_of(table: pd.DataFrame, materials: frozenset[Material] = frozenset())
         order,
         frames[SCENE].to_numpy(),
         frames[FRAME].to_numpy(),
-        [PoseTruth(*described) for described in _by_frame(true, order, "handle_visible")],
-        [PosePrediction(*described) for described in _by_frame(found, order, "score")],
+        [PoseTruth(*parts) for parts in _by_frame(true, order, "handle_visible")],
+        [PosePrediction(*parts) for parts in _by_frame(found, order, "score")],
     )
 
 

@@ -107,9 +107,9 @@ class NLSPNetwork(nn.Module):
         self.id_dec0 = _conv(2 * c, 1, normalised=False)
         if config.relative:
             # Relative depth is negative as often as not: no activation then. It begins near 0.
-            given = nn.Conv2d(2 * c, 1, 3, padding=1)
-            nn.init.normal_(given.weight, std=0.001)
-            self.id_dec0 = nn.Sequential(given)
+            head = nn.Conv2d(2 * c, 1, 3, padding=1)
+            nn.init.normal_(head.weight, std=0.001)
+            self.id_dec0 = nn.Sequential(head)
         self.gd_dec1 = _conv(2 * c, c)
         self.gd_dec0 = nn.Sequential(nn.Conv2d(2 * c, NEIGHBOURS, 3, padding=1))
         self.cf_dec1 = _conv(2 * c, c // 2)
@@ -126,10 +126,10 @@ class NLSPNetwork(nn.Module):
         h, w = depth.shape[-2:]
         color, depth = padded_to(color, _COARSEST), padded_to(depth, _COARSEST)
         if self.config.relative:
-            seen, given = relative_color(color), network_depth(depth)
+            seen, measured = relative_color(color), network_depth(depth)
         else:
-            seen, given = (color - self.color_mean) / self.color_spread, depth
-        initial, guidance, confidence = self._heads(seen, given)
+            seen, measured = (color - self.color_mean) / self.color_spread, depth
+        initial, guidance, confidence = self._heads(seen, measured)
         if self.config.relative:
             initial = in_metres(coarse_depth(depth), initial)
         restored = self.prop_layer(initial, guidance, confidence, depth)

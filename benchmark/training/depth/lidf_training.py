@@ -66,11 +66,11 @@ class LIDFLoss:
         return step.Loss(total, parts)
 
 
-def end_loss(predicted: Terminations, true: Tensor) -> Tensor:
+def end_loss(terminations: Terminations, true: Tensor) -> Tensor:
     """Mean of -log of the chance of the voxel that holds (b, 1, h, w) the true depth."""
-    distance = true.flatten()[predicted.rays.pixel] / predicted.rays.direction[:, 2]
-    ends = true_pairs(predicted.pairs, distance)
-    found = predicted.log_probability[ends[ends >= 0]]
+    distance = true.flatten()[terminations.rays.pixel] / terminations.rays.direction[:, 2]
+    ends = true_pairs(terminations.pairs, distance)
+    found = terminations.log_probability[ends[ends >= 0]]
     return -found.sum() / max(len(found), 1)
 
 

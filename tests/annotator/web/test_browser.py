@@ -211,7 +211,6 @@ def test_side_views_follow_edits_and_a_double_click_takes_their_frame(
 
 def test_the_frame_slider_shows_frames_while_it_is_dragged(served: Served, page: Page) -> None:
     opened(page, served.url)
-    page.keyboard.press("Control+Home")
     page.wait_for_selector("#frame:has-text('1 of 3')")
     thumb = page.locator(".bottom .v-slider-thumb").bounding_box()
     track = page.locator(".bottom .v-slider-track").bounding_box()

@@ -128,7 +128,6 @@ def test_a_pose_is_copied_and_pasted_as_a_matrix(served: Served, page: Page) -> 
 
 def test_numbers_can_be_those_of_the_world(served: Served, page: Page) -> None:
     opened(page, served.url)
-    page.keyboard.press("Control+Home")
     page.keyboard.press("Control+ArrowRight")
     page.wait_for_selector("#frame:has-text('2 of 3')")
     page.wait_for_selector("#pose option:has-text('camera of frame 1')", state="attached")
@@ -162,7 +161,6 @@ def test_the_slider_marks_camera_poses_side_views_and_placed_objects(
     served: Served, page: Page
 ) -> None:
     opened(page, served.url)
-    page.keyboard.press("Control+Home")
     page.wait_for_selector("#frame:has-text('1 of 3')")
     left = "all => all.map(m => m.style.left)"
     assert page.eval_on_selector_all(".marks .side-mark", left) == ["50%", "100%"]
