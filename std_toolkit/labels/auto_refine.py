@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels import refine_inputs
+from std_toolkit.labels.print import PrintComparison
 from std_toolkit.labels.refine.caster import LayerStore
 from std_toolkit.labels.refine.depth import icp
 from std_toolkit.labels.refine.edges.approach import search_turns
@@ -59,6 +60,7 @@ class RefinedPose:
         views: number of views used.
         frames: their ids.
         warnings: sentences on what to inspect.
+        print: the print at the pose against near-symmetric alternatives; None if not compared.
     """
 
     object: int
@@ -73,6 +75,7 @@ class RefinedPose:
     views: int
     frames: tuple[int, ...]
     warnings: tuple[str, ...]
+    print: PrintComparison | None = None
 
 
 @dataclass(frozen=True, eq=False)
