@@ -14,15 +14,13 @@ from numpy.typing import NDArray
 
 from std_toolkit.checks import (
     aggregate,
-    contours,
     coverage,
     figures,
     overlay,
-    report_warnings,
     residuals,
     result,
 )
-from std_toolkit.checks.gates import evaluate_gates, evaluate_object, scale_share
+from std_toolkit.checks.judge import judge_scene
 from std_toolkit.checks.report import PageParts, render_page
 from std_toolkit.checks.view3d import Cloud, fused_cloud, scene_figure, sparse_cloud
 from std_toolkit.errors import ToolkitError
@@ -133,19 +131,11 @@ def _check(
 
     sparse, fused = sparse_cloud(scene), fused_cloud(scene, readable)
     up = _up(scene, sparse or fused)
-    bias = aggregate.common_depth_bias(scene, observed)
-    objects = aggregate.check_objects(scene, observed, up=up, depth_bias=bias)
-    rows = aggregate.check_frames(scene, observed, problems)
-    materials = aggregate.check_materials(scene, observed)
-    summary = _summary(scene, objects, rows, observed, bias)
-    objects = [evaluate_object(o, scale_share(summary), options) for o in objects]
-    gates = evaluate_gates(summary, objects, rows, scene.poses, options)
-    gates += _mesh_gate(scene)
-    missing = _missing(scene, summary, observed)
-    if sparse is None and summary.registered:
-        missing.append("The points of the reconstruction (poses/points.ply).")
+    report = judge_scene(scene, observed, problems, options, up=up)
+    if sparse is None and report.summary.registered:
+        report.missing.append("The points of the reconstruction (poses/points.ply).")
 
-    orders = _drawing_orders(readable, objects, options)
+    orders = _drawing_orders(readable, report.objects, options)
     drawn = run_jobs(
         partial(overlay.draw_frame, **work),
         orders,
@@ -156,100 +146,10 @@ def _check(
     drawn.raise_if_failed()
     pictures: list[overlay.FramePictures] = list(drawn.results.values())
     view3d = scene_figure(scene, up, sparse, fused)
-    failed = [g for g in gates if g.status == "fail"]
-    report = result.CheckReport(
-        scene=scene.info.name,
-        passed=not failed,
-        verdict=_verdict(failed, summary),
-        summary=summary,
-        gates=gates,
-        warnings=report_warnings.find_warnings(summary, gates, objects, rows, materials, options),
-        missing=missing,
-        objects=objects,
-        frames=rows,
-        materials=materials,
-        limits={k: float(v) for k, v in asdict(options).items()},
+    parts = PageParts(
+        view3d, figures.sky_figure(_sky(scene, report.objects, up), report.objects), pictures
     )
-    parts = PageParts(view3d, figures.sky_figure(_sky(scene, objects, up), objects), pictures)
     return report, render_page(report, parts, options)
-
-
-def _summary(
-    scene: Scene,
-    objects: list[result.ObjectCheck],
-    rows: list[result.FrameCheck],
-    observed: list[residuals.FrameObservation],
-    bias: float | None,
-) -> result.SceneSummary:
-    registered = [r for r in rows if r.status == "registered"]
-    errors = [r.reprojection_px for r in registered if r.reprojection_px is not None]
-    current = sum(o.truth == "current" for o in observed)
-    cast = any(o.tallies for o in observed)
-    return result.SceneSummary(
-        frames=len(rows),
-        registered=len(registered),
-        looked_at=len(observed),
-        reprojection_px=aggregate.rounded(float(np.mean(errors))) if errors else None,
-        objects=len(objects),
-        labelled=sum(o.label in ("propagated", "refined") for o in objects),
-        depth_frames=sum(f.depth is not None for f in scene.frames),
-        truth_frames=current,
-        truth_source="rendered maps" if current else "labels cast here" if cast else "none",
-        depth_bias=aggregate.rounded(bias, 5),
-        scale=scene.poses.scale if scene.poses else None,
-        poses_source=scene.poses.source if scene.poses else "",
-    )
-
-
-def _missing(
-    scene: Scene, summary: result.SceneSummary, observed: list[residuals.FrameObservation]
-) -> list[str]:
-    found = []
-    if scene.poses is None:
-        found.append("Camera poses: labels cannot be checked without them; run `std-curate poses`.")
-    elif summary.registered == 0:
-        found.append("Registered frames: no frame has a camera pose, so no label can be checked.")
-    if summary.objects == 0:
-        found.append("Objects: objects.json lists none.")
-    elif summary.labelled == 0:
-        found.append("Labels in the world: run `std-curate label`, then `std-curate propagate`.")
-    if summary.depth_frames == 0:
-        found.append("Sensor depth: no depth residuals and no comparison with ground truth.")
-    if observed and summary.labelled and not any(o.truth != "none" for o in observed):
-        found.append(
-            "Rendered ground truth (`std-curate render`): visibility considers occlusion by "
-            "labelled objects only, and depth is compared with the labels."
-        )
-    if summary.labelled and summary.reprojection_px is None:
-        found.append("Reprojection errors: the camera poses have none.")
-    if observed and summary.looked_at < summary.registered:
-        found.append(
-            f"{summary.registered - summary.looked_at} registered frames: "
-            f"{summary.looked_at} evenly spaced ones were measured (--max-frames 0 measures all)."
-        )
-    return found
-
-
-def _mesh_gate(scene: Scene) -> list[result.CheckGate]:
-    problems = {
-        o.name: p
-        for o in scene.objects.objects
-        if scene.T_world_obj(o.id) is not None and (p := contours.mesh_problem(scene, o.model))
-    }
-    if not problems:
-        return []
-    return [
-        result.CheckGate(
-            key="meshes",
-            title="labelled objects whose mesh cannot be read",
-            value=float(len(problems)),
-            limit=0.0,
-            rule="at most",
-            status="fail",
-            detail=", ".join(problems),
-            advice="; ".join(problems.values()),
-        )
-    ]
 
 
 def _drawing_orders(
@@ -310,15 +210,6 @@ def _sky(
 def _up(scene: Scene, cloud: Cloud | None) -> NDArray[np.float64]:
     poses = [T for f in scene.registered_frames() if (T := scene.T_world_cam(f.id)) is not None]
     return coverage.scene_up(poses, None if cloud is None else cloud.xyz.astype(np.float64))
-
-
-def _verdict(failed: list[result.CheckGate], summary: result.SceneSummary) -> str:
-    if failed:
-        count = f"{len(failed)} gate{'s' if len(failed) > 1 else ''}"
-        return f"FAIL: {count}: {', '.join(g.key for g in failed)}"
-    if summary.labelled:
-        return "PASS: labels usable"
-    return "PASS: camera poses usable; there are no labels to check"
 
 
 def _fingerprint(scene: Scene) -> str:

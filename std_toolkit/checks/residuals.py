@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -187,22 +188,45 @@ def observe_frame(
         ToolkitError: a file of the frame is missing or damaged.
     """
     scene, caster = open_for_work(root, fingerprint)
-    frame = scene.frame(frame_id)
+    return measure_frame(scene, caster, scene.frame(frame_id), options)
+
+
+def measure_frame(
+    scene: Scene,
+    caster: LabelCaster,
+    frame: Frame,
+    options: CheckOptions,
+    *,
+    only: Collection[int] | None = None,
+) -> FrameObservation:
+    """Measure the labels of one frame.
+
+    Args:
+        scene: the scene, possibly with changes that are not on disk.
+        caster: its labelled objects.
+        frame: a registered frame.
+        options: search ranges.
+        only: ids of the objects to measure; None measures all.
+
+    Raises:
+        ToolkitError: a file of the frame is missing or damaged.
+    """
     view = render_view(scene, caster, frame)
     image = scene.read_color(frame)
     smoothed, noise = smooth_image(image), noise_level(image)
     sensor = scene.read_depth(frame)
-    result = FrameObservation(frame_id, truth=view.truth_state, has_depth=sensor is not None)
+    result = FrameObservation(frame.id, truth=view.truth_state, has_depth=sensor is not None)
     if sensor is not None:
         result.depth_valid = float((sensor > 0).mean())
-    for object_id in caster.object_ids:
+    measured = [i for i in caster.object_ids if only is None or i in only]
+    for object_id in measured:
         seen = _observe_object(scene, view, object_id, smoothed, noise, sensor, options)
         if seen is not None:
             result.objects[object_id] = seen
     if sensor is not None:
         truth_mask = view.truth.mask if view.truth else view.object_id
         truth_depth = view.truth.depth if view.truth else view.depth
-        for object_id in caster.object_ids:
+        for object_id in measured:
             inside = (truth_mask == object_id) & (truth_depth > 0)
             if inside.any():
                 tally = ErrorTally()
