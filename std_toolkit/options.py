@@ -179,8 +179,9 @@ class LabelCommand:
     """axis:z (continuous about z), fold:z:4 (four-fold about z), a JSON file, or none; the axis
     passes through the centre of the bounding box, or with '@origin' through the mesh origin; may
     be repeated"""
-    frames: tuple[int, ...] = field(default=(), metadata={"option": "frame", **_REPEATED})
-    """frame id; may be repeated"""
+    frames: tuple[str, ...] = field(default=(), metadata={"option": "frame", **_REPEATED})
+    """file name, name or id of a frame; a number that means two frames is refused; may be
+    repeated"""
     poses: tuple[Path, ...] = field(default=(), metadata={"option": "pose", **_REPEATED})
     """file with the object's pose in this frame; may be repeated"""
     correspondences: tuple[Path, ...] = field(default=(), metadata=_REPEATED)
@@ -193,7 +194,8 @@ class LabelCommand:
     pose_convention: Literal["opencv", "opengl"] = "opencv"
     """camera axes of the file: opencv (z forward) or opengl (-z forward)"""
     pose_frame: str | None = None
-    """image to read from a file of several images (default: that of --frame)"""
+    """image to read from the file (default: that of --frame; a file that holds another image's pose
+    is refused)"""
     pose_item: str | None = None
     """object to read from a file of several objects"""
     threshold_px: float = 4.0

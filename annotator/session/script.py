@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import msgspec
 
@@ -18,13 +18,16 @@ from annotator.session.edits import (
 )
 from annotator.session.merge import Side
 from annotator.session.requests import AnyRequest, ImportMesh, Request
+from annotator.session.script_frames import frame_or_name, frames_of, with_frame_ids
 from annotator.session.session import Session
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
-from std_toolkit.io.documents import read_document
+from std_toolkit.io.documents import decode_document, read_document
 from std_toolkit.log import logger
 from std_toolkit.scene.document import Count, Document
+from std_toolkit.scene.frame_names import frame_title
 from std_toolkit.scene.model import SymmetryModel
+from std_toolkit.scene.scene import Scene
 
 
 class Save(Document, frozen=True, kw_only=True, tag_field="edit", tag="save"):
@@ -55,15 +58,23 @@ Command = Save | Propagate | Undo | Redo
 Step = AnyEdit | AnyRequest | Command
 
 
-def read_script(path: Path | str) -> list[Step]:
+def read_script(path: Path | str, scene: Scene | None = None) -> list[Step]:
     """Read and validate the steps of a script file.
+
+    Args:
+        path: the file.
+        scene: scene whose frames may be named by their files; None if all are given by id.
 
     Raises:
         ToolkitError: the file is unreadable or a step is invalid; the field is named, such as
             `[3].frame`.
     """
     try:
-        steps: list[Step] = read_document(path, list[Step])
+        if scene is None:
+            steps: list[Step] = read_document(path, list[Step])
+        else:
+            content = with_frame_ids(read_document(path, Any), scene, Path(path))
+            steps = decode_document(msgspec.json.encode(content), list[Step], path=path)
     except ToolkitError as error:
         hint = error.hint
         if error.field is not None and error.field.endswith(".edit"):
@@ -84,8 +95,13 @@ def run_script(session: Session, steps: list[Step], path: Path | str) -> Iterato
         ToolkitError: a step fails; its index is named. Later steps are not executed, and unsaved
             edits of earlier steps are not saved.
     """
+    described: set[int] = set()
     for index, step in enumerate(steps):
         try:
+            for frame in frames_of(step):
+                if frame not in described:
+                    described.add(frame)
+                    yield f"[{index}] {frame_title(session.scene.frame(frame))}"
             for line in _carry_out(session, step, Path(path)):
                 yield f"[{index}] {line}"
         except ToolkitError as error:
@@ -109,7 +125,7 @@ def run(
     Raises:
         ToolkitError: a step fails, or there are unsaved edits of an earlier session.
     """
-    steps = read_script(script)
+    steps = read_script(script, Scene.open(scene))
     with Session.open(scene, annotator=annotator, recover=recover, by_hand=False) as session:
         if session.recovery is not None:
             raise ToolkitError(
@@ -153,7 +169,8 @@ def export_edits(session: Session, path: Path | str) -> None:
 
 def script_schema() -> bytes:
     """Return the JSON Schema of a script."""
-    return msgspec.json.format(msgspec.json.encode(msgspec.json.schema(list[Step])), indent=2)
+    schema = frame_or_name(msgspec.json.schema(list[Step]))
+    return msgspec.json.format(msgspec.json.encode(schema), indent=2)
 
 
 def known_steps() -> list[str]:

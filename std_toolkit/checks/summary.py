@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from std_toolkit.html.table import Cell, Column, Row, Table
 from std_toolkit.scene.scene import Scene
 
 
@@ -144,6 +146,76 @@ def summarise(scene: Scene) -> SceneSummary:
         next_command=None,
     )
     return replace(found, next_command=_next_command(found))
+
+
+@dataclass(frozen=True)
+class FrameSummary:
+    """One frame of a scene.
+
+    Attributes:
+        id, name: as in frames.json.
+        color, depth: paths of its images, relative to the scene folder; depth may be None.
+        registered: whether it has a camera pose.
+        labelled: names of the objects with a pose in this frame.
+        annotated: names of the objects whose pose was set in this frame.
+    """
+
+    id: int
+    name: str
+    color: str
+    depth: str | None
+    registered: bool
+    labelled: list[str]
+    annotated: list[str]
+
+
+def list_frames(scene: Scene) -> list[FrameSummary]:
+    """One row per frame, in recording order; reads no pixels."""
+    names = {o.id: o.name for o in scene.objects.objects}
+    rows = []
+    for frame in scene.frames:
+        annotated = [
+            names[x.object]
+            for x in scene.labels.labels
+            if x.frame == frame.id or str(frame.id) in x.views
+        ]
+        registered = scene.T_world_cam(frame.id) is not None
+        everywhere = [
+            names[x.object] for x in scene.labels.labels if registered and x.T_world_obj is not None
+        ]
+        labelled = [n for n in names.values() if n in annotated or n in everywhere]
+        rows.append(
+            FrameSummary(
+                frame.id, frame.name, frame.color, frame.depth, registered, labelled, annotated
+            )
+        )
+    return rows
+
+
+def frame_table(rows: Sequence[FrameSummary]) -> Table:
+    """The frames as a table: id, name, file, registered, number of labels, annotated objects."""
+    columns = [
+        Column(heading="id"),
+        *(Column(heading=h, numeric=False) for h in ("name", "file", "registered")),
+        Column(heading="labelled"),
+        Column(heading="annotated", numeric=False),
+    ]
+    return Table(
+        columns=columns,
+        rows=[
+            Row(
+                [
+                    Cell(text=str(row.id)),
+                    Cell(text=row.name),
+                    Cell(text=row.color),
+                    Cell(text="yes" if row.registered else "no"),
+                    Cell(text=str(len(row.labelled))),
+                    Cell(text=", ".join(row.annotated)),
+                ]
+            )
+            for row in rows
+        ],
+    )
 
 
 def _next_command(found: SceneSummary) -> str | None:

@@ -85,21 +85,25 @@ class RenderCommand:
     scene: Path
     """scene folder"""
     options: options.RenderOptions = field(default_factory=options.RenderOptions)
-    frames: tuple[int, ...] | None = None
-    """ids of the frames to render (default: all labelled frames)"""
+    frames: tuple[str, ...] | None = None
+    """file names, names or ids of the frames to render (default: all labelled frames)"""
     jobs: JobOptions = field(default_factory=JobOptions)
 
 
 def render(command: RenderCommand) -> int:
     """Render and print a summary; 1 if a frame failed."""
     from std_toolkit.rendering.render_step import render_ground_truth
+    from std_toolkit.scene.frame_names import frame_title
     from std_toolkit.scene.scene import Scene
 
     scene = Scene.open(command.scene)
     with scene.lock():
-        report = render_ground_truth(
-            scene, command.options, frames=command.frames, jobs=command.jobs
-        )
+        chosen = None
+        if command.frames is not None:
+            found = [scene.find_frame(given) for given in command.frames]
+            print("\n".join(frame_title(frame) for frame in found))
+            chosen = [frame.id for frame in found]
+        report = render_ground_truth(scene, command.options, frames=chosen, jobs=command.jobs)
     kept = sum(1 for outcome in report.results.values() if outcome == "kept")
     print(
         f"ground truth: {len(report.results) - kept} frames rendered, {kept} kept, "

@@ -73,16 +73,26 @@ class InfoCommand:
 
     scene: Path
     """scene folder"""
+    frames: bool = False
+    """list the frames instead: id, name, files, registered, labelled"""
     json: bool = False
     """print JSON"""
 
 
 def print_info(command: InfoCommand) -> int:
-    """Print the summary of a scene."""
-    from std_toolkit.checks.summary import summarise
+    """Print the summary of a scene, or its frames."""
+    from std_toolkit.checks.summary import frame_table, list_frames, summarise
     from std_toolkit.scene.scene import Scene
 
-    summary = summarise(Scene.open(command.scene))
+    scene = Scene.open(command.scene)
+    if command.frames:
+        rows = list_frames(scene)
+        if command.json:
+            print_json([asdict(row) for row in rows])
+        else:
+            print(frame_table(rows).terminal())
+        return 0
+    summary = summarise(scene)
     if command.json:
         print_json({**asdict(summary), "root": str(summary.root)})
     else:

@@ -10,10 +10,11 @@ import numpy as np
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import load_mesh, mesh_bounds
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.labels import label, pnp, posefile, symmetry_argument
+from std_toolkit.labels import label, pnp, pose_image, posefile, symmetry_argument
 from std_toolkit.options import LabelCommand
 from std_toolkit.scene import Frame, Scene, SymmetryModel
 from std_toolkit.scene.document import check_name, safe_name
+from std_toolkit.scene.frame_names import frame_title
 
 
 def run_label_command(scene: Scene, command: LabelCommand) -> Iterator[str]:
@@ -42,25 +43,24 @@ def run_label_command(scene: Scene, command: LabelCommand) -> Iterator[str]:
             value=wanted,
             hint=f"give --model {known.model}, or another name for --object",
         )
-    if len(set(command.frames)) != len(command.frames):
+    frames = [scene.find_frame(given) for given in command.frames]
+    if len({frame.id for frame in frames}) != len(frames):
         raise ToolkitError("a frame is given twice", field="--frame", value=command.frames)
-    annotations = [_pose_of(scene, command, i) for i in range(len(command.frames))]
+    annotations = [_pose_of(scene, command, frame, i) for i, frame in enumerate(frames)]
     symmetry = _symmetry(scene, command, known.model if known is not None else None)
     yield from _enter_object(scene, command, symmetry)
-    for i, (frame, (pose, method, found)) in enumerate(
-        zip(command.frames, annotations, strict=True)
-    ):
+    for i, (frame, (pose, method, found)) in enumerate(zip(frames, annotations, strict=True)):
         label.set_pose(
             scene,
             command.object,
-            frame,
+            frame.id,
             pose,
             method=method,
             annotator=command.annotator,
             as_view=i > 0 or command.add_view,
         )
         position = ", ".join(f"{x:.4f}" for x in pose.t)
-        yield f"{command.object}: pose set in frame {frame} ({method}), at ({position}) m"
+        yield f"{command.object}: pose set in {frame_title(frame)} ({method}), at ({position}) m"
         if found is not None:
             yield from _pnp_lines(found)
 
@@ -94,9 +94,8 @@ def _enter_object(
 
 
 def _pose_of(
-    scene: Scene, command: LabelCommand, index: int
+    scene: Scene, command: LabelCommand, frame: Frame, index: int
 ) -> tuple[SE3, str, pnp.PnPResult | None]:
-    frame = scene.frame(command.frames[index])
     if command.correspondences:
         points, pixels = pnp.read_correspondences(
             command.correspondences[index], unit=command.pose_unit or "m"
@@ -120,21 +119,11 @@ def _pose_of(
         format=command.pose_format,
         unit=command.pose_unit,
         convention=command.pose_convention,
-        frame=_image_in_file(path, command, frame),
+        frame=command.pose_frame,
         item=command.pose_item,
+        wanted=pose_image.WantedImage(frame, tuple(scene.frames)),
     )
     return pose, "file", None
-
-
-def _image_in_file(path: Path, command: LabelCommand, frame: Frame) -> str | None:
-    if command.pose_frame is not None:
-        return command.pose_frame
-    # BOP counts images; 6D-PAT names them.
-    return (
-        str(frame.id)
-        if path.name == "scene_gt.json" or command.pose_format == "bop"
-        else (frame.name if command.pose_format == "6dpat" else None)
-    )
 
 
 def _check_pixels(scene: Scene, frame: Frame, pixels: np.ndarray, path: Path) -> None:

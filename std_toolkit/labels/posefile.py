@@ -19,7 +19,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import UNITS_IN_M
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.documents import read_document
+from std_toolkit.labels.pose_image import WantedImage, choose_image, image_of_labelfusion
 from std_toolkit.scene.document import check_in_front
 
 FORMATS = ("auto", "matrix", "quaternion", "bop", "6dpat", "labelfusion")
@@ -35,6 +36,11 @@ CONVENTIONS = ("opencv", "opengl")
 MATRIX_KEYS = ("T_cam_obj", "pose", "transformation", "transform", "matrix")
 
 _LARGEST_FILE_BYTES = 256 * 1024 * 1024
+
+
+class _ImageChoice(NamedTuple):
+    given: str | None
+    wanted: WantedImage | None
 
 
 def read_pose(
@@ -45,6 +51,7 @@ def read_pose(
     convention: str = "opencv",
     frame: str | None = None,
     item: str | None = None,
+    wanted: WantedImage | None = None,
 ) -> SE3:
     """T_cam_obj in metres from a pose file.
 
@@ -55,17 +62,19 @@ def read_pose(
             metres); it must not contradict the unit of the format.
         convention: camera axes of the file: "opencv" (x right, y down, z forward) or "opengl"
             (x right, y up, z backward).
-        frame: image, for files of several: BOP's image id, 6D-PAT's file name or its stem.
+        frame: image in the file: BOP's or LabelFusion's number, 6D-PAT's file name or its stem.
         item: object, for files of several: BOP's obj_id or "#index", 6D-PAT's obj or id,
             LabelFusion's name. Not needed if the file has one object.
+        wanted: the frame of the scene that the pose is for. Without `frame` it selects the image.
 
     Raises:
-        ToolkitError: unreadable, not a pose, ambiguous, or an object that cannot be visible
-            (behind the camera, nearer than 1 cm or further than 20 m: typical for a wrong unit).
+        ToolkitError: unreadable, not a pose, ambiguous, the pose of another image than `frame` or
+            `wanted`, or an object that cannot be visible (behind the camera, nearer than 1 cm or
+            further than 20 m: typical for a wrong unit).
     """
     path = Path(path)
     _check_choices(path, format, unit, convention)
-    T, factor = _read(path, format, unit, frame, item)
+    T, factor = _read(path, format, unit, _ImageChoice(frame, wanted), item)
     M = np.array(T, dtype=np.float64)
     M[:3, 3] *= factor
     try:
@@ -96,7 +105,7 @@ def _check_choices(path: Path, format: str, unit: str | None, convention: str) -
 
 
 def _read(
-    path: Path, format: str, unit: str | None, frame: str | None, item: str | None
+    path: Path, format: str, unit: str | None, image: _ImageChoice, item: str | None
 ) -> tuple[NDArray[np.float64], float]:
     """Matrix (3, 4) or (4, 4) and metres per unit of its translation."""
     open_unit = UNITS_IN_M[unit or "m"]
@@ -106,7 +115,7 @@ def _read(
     if suffix == ".npy":
         return _npy(path), open_unit
     if suffix in (".yaml", ".yml"):
-        return _labelfusion(path, _yaml(path), item), _fixed_unit(path, unit, "m")
+        return _labelfusion(path, _yaml(path), image, item), _fixed_unit(path, unit, "m")
     if suffix != ".json":
         return _text(path), open_unit
     document = read_document(path, Any)
@@ -116,10 +125,10 @@ def _read(
     if kind == "quaternion":
         return _quaternion(path, document, unit)
     if kind == "bop":
-        return _bop(path, document, frame, item), _fixed_unit(path, unit, "mm")
+        return _bop(path, document, image, item), _fixed_unit(path, unit, "mm")
     if kind == "labelfusion":
-        return _labelfusion(path, document, item), _fixed_unit(path, unit, "m")
-    return _six_d_pat(path, document, frame, item), open_unit
+        return _labelfusion(path, document, image, item), _fixed_unit(path, unit, "m")
+    return _six_d_pat(path, document, image, item), open_unit
 
 
 def _fixed_unit(path: Path, given: str | None, fixed: str) -> float:
@@ -224,10 +233,8 @@ def _quaternion(path: Path, document: Any, unit: str | None) -> tuple[NDArray[np
     return pose.matrix(), _fixed_unit(path, unit, units[0].removeprefix("translation_"))
 
 
-def _bop(path: Path, document: Any, frame: str | None, item: str | None) -> NDArray[np.float64]:
-    rows = _choose_frame(
-        path, document, frame, lambda key, f: key.isdigit() and f.isdigit() and int(key) == int(f)
-    )
+def _bop(path: Path, document: Any, image: _ImageChoice, item: str | None) -> NDArray[np.float64]:
+    rows = _rows_of_image(path, document, image)
     if item is not None and item.startswith("#") and item[1:].isdigit():
         matches = rows[int(item[1:]) :][:1]
     else:
@@ -239,9 +246,9 @@ def _bop(path: Path, document: Any, frame: str | None, item: str | None) -> NDAr
 
 
 def _six_d_pat(
-    path: Path, document: Any, frame: str | None, item: str | None
+    path: Path, document: Any, image: _ImageChoice, item: str | None
 ) -> NDArray[np.float64]:
-    rows = _choose_frame(path, document, frame, lambda key, f: f in (key, Path(key).stem))
+    rows = _rows_of_image(path, document, image)
     matches = [
         r
         for r in rows
@@ -252,9 +259,14 @@ def _six_d_pat(
     return _assembled(path, row.get("R"), row.get("t"))
 
 
-def _labelfusion(path: Path, document: Any, item: str | None) -> NDArray[np.float64]:
+def _labelfusion(
+    path: Path, document: Any, image: _ImageChoice, item: str | None
+) -> NDArray[np.float64]:
     if not isinstance(document, Mapping):
         raise ToolkitError("not a LabelFusion pose file", path=path)
+    named = image_of_labelfusion(path)
+    if named is not None:
+        choose_image(path, [named], image.given, image.wanted)
     names = [k for k, v in document.items() if isinstance(v, Mapping) and "pose" in v]
     matches = [document[k] for k in names if item in (None, k)]
     row = _single(path, matches, names, item, "")
@@ -265,20 +277,12 @@ def _labelfusion(path: Path, document: Any, item: str | None) -> NDArray[np.floa
         raise ToolkitError("a pose is [[x, y, z], [w, x, y, z]]", path=path, field=item) from error
 
 
-def _choose_frame(path: Path, document: Any, frame: str | None, same: Any) -> list[Any]:
+def _rows_of_image(path: Path, document: Any, image: _ImageChoice) -> list[Any]:
     if not isinstance(document, Mapping) or not all(
         isinstance(v, list) and all(isinstance(r, Mapping) for r in v) for v in document.values()
     ):
         raise ToolkitError("expected a list of poses per image", path=path)
-    keys = [k for k in document if frame is None or same(k, frame)]
-    if len(keys) != 1:
-        raise ToolkitError(
-            "no poses for this image" if frame is not None else "the file has several images",
-            path=path,
-            value=frame if frame is not None else len(document),
-            hint="select the image with --pose-frame",
-        )
-    return list(document[keys[0]])
+    return list(document[choose_image(path, list(document), image.given, image.wanted)])
 
 
 def _single(

@@ -15,6 +15,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, check_depth_unit
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io import atomic, documents, images
+from std_toolkit.scene import frame_names
 from std_toolkit.scene.document import digest_file
 from std_toolkit.scene.model import (
     Annotation,
@@ -281,8 +282,21 @@ class Scene:
         if frame_id in self._frame_by_id:
             return self._frame_by_id[frame_id]
         raise ToolkitError(
-            "no such frame", path=self.root, value=frame_id, hint="see `std-curate info`"
+            "no such frame",
+            path=self.root,
+            value=frame_id,
+            hint="see `std-curate info SCENE --frames`",
         )
+
+    def find_frame(self, given: str | int) -> Frame:
+        """Return the frame that a user names by its id, its name or its file; see `find_frame`.
+
+        Programs that hold an id use `frame`.
+
+        Raises:
+            ToolkitError: there is no such frame, or a number means two frames.
+        """
+        return frame_names.find_frame(self.frames, given, root=self.root)
 
     def camera(self, frame: Frame) -> Camera:
         """Return the intrinsics of a frame, refined with the poses or else from scene.json."""

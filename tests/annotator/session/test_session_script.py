@@ -107,6 +107,29 @@ def test_a_script_goes_from_a_mesh_to_labels_in_all_frames(
     assert len(scene.annotation.of(thing.id).clicks) == 8
 
 
+def test_a_script_names_frames_by_file(
+    root: Path, script: Callable[[Any], Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = Scene.open(root)
+    change = {"object": "box_1", "frame": 2, "T_cam_obj": POSE.flat()}
+    steps = [
+        {"edit": "set_poses", "changes": [change]},
+        {"edit": "move", "object": "box_1", "frame": "000001.png"},
+        {"edit": "save"},
+    ]
+    assert main([str(root), "--script", str(script(steps))]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == f"[0] frame 2 = {scene.frame(2).color}"
+    assert f"[1] frame 1 = {scene.frame(1).color}" in lines
+    label = Scene.open(root).labels.of(1)
+    assert label is not None
+    assert label.frame == 1
+    change["frame"] = "000077.png"
+    assert main([str(root), "--script", str(script(steps))]) == 1
+    error = capsys.readouterr().err
+    assert "[0].changes[0].frame: no such frame; the scene has 3 frames" in error
+
+
 class TestValidation:
     @pytest.mark.parametrize(
         ("steps", "place"),
@@ -261,6 +284,8 @@ def test_the_schema_accepts_what_the_reader_accepts(
     schema = json.loads(script_schema())
     good = [{"edit": "move", "object": "a", "frame": 0}, {"edit": "save"}]
     jsonschema.validate(good, schema)
+    refined = {"edit": "refine", "objects": ["a"], "frame": "0.png", "frames": [1, "000002"]}
+    jsonschema.validate([refined], schema)
     assert len(read_script(script(good))) == 2
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate([{"edit": "fly"}], schema)

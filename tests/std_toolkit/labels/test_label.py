@@ -132,10 +132,29 @@ def test_the_command_solves_correspondences(scene, box_path, tmp_path, capsys):
     assert "8 of 8 correspondences fit" in capsys.readouterr().out
 
 
+def test_the_command_takes_file_names_and_echoes_the_frame(scene, box_path, tmp_path, capsys):
+    np.savetxt(tmp_path / "a.txt", POSE.matrix())
+    run(scene.root, "--object", "box", "--mesh", box_path, "--frame", "000001.png",
+        "--pose", tmp_path / "a.txt")  # fmt: skip
+    assert Scene.open(scene.root).labels.labels[0].frame == 1
+    assert "pose set in frame 1 = color/000001.png" in capsys.readouterr().out
+    with pytest.raises(ToolkitError, match="given twice"):
+        run(scene.root, "--object", "box", "--frame", "1", "--frame", "000001.png",
+            "--pose", tmp_path / "a.txt")  # fmt: skip
+
+
+def test_the_command_refuses_the_pose_of_another_image(scene, box_path, tmp_path):
+    row = {"obj_id": 1, "cam_R_m2c": POSE.R.ravel().tolist(), "cam_t_m2c": (1e3 * POSE.t).tolist()}
+    (tmp_path / "scene_gt.json").write_text(json.dumps({"5": [row]}))
+    with pytest.raises(ToolkitError, match="image 5 alone, not frame 0 = "):
+        run(scene.root, "--object", "box", "--mesh", box_path, "--frame", "0",
+            "--pose", tmp_path / "scene_gt.json")  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--frame", "9", "--pose", "POSE"], "no such frame"),
+        (["--frame", "9", "--pose", "POSE"], "no such frame; .*ids 0 to 2"),
         (["--frame", "0", "--pose", "BAD"], "not a rotation"),
         (["--frame", "0"], "needs one --pose"),
         (["--frame", "0", "--correspondences", "FAR"], "outside the 160x120 image"),
