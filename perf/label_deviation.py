@@ -86,8 +86,10 @@ def study(recording: Path, scene_root: Path, seed: int) -> list[Row]:
         for mesh in meshes.values():
             centre = mesh_bounds(mesh).mean(axis=0)
             mesh.vertices = centre + (mesh.vertices - centre) * rng.normal(1, MESH_SIZE, 3)
-    start = {i: _moved(T, mesh_bounds(meshes[scene.objects.object(i).model]).mean(axis=0), rng)
-             for i, T in truth.items()}
+    start = {
+        i: _moved(T, mesh_bounds(meshes[scene.objects.object(i).model]).mean(axis=0), rng)
+        for i, T in truth.items()
+    }
     count = int(rng.choice([3, 4, 6, 9]))
     chosen = [int(i) for i in np.linspace(0, FRAMES - 1, count).round()]
     found = refine_objects(scene, start, frames=chosen, mesh=meshes.__getitem__)
@@ -110,9 +112,20 @@ def study(recording: Path, scene_root: Path, seed: int) -> list[Row]:
         turn = error[3:] - sum((a * (a @ error[3:]) for a in axes), np.zeros(3))
         std = [float(np.sqrt(np.linalg.eigvalsh(C[k, k])[-1])) for k in (np.s_[:3], np.s_[3:])]
         rows.append(
-            Row(seed, item.name, item.material, count, depth, mesh_fault, camera_fault,
-                [float(x) for x in z], 1000 * float(np.linalg.norm(error[:3])),
-                float(np.rad2deg(np.linalg.norm(turn))), 1000 * std[0], float(np.rad2deg(std[1])))
+            Row(
+                seed,
+                item.name,
+                item.material,
+                count,
+                depth,
+                mesh_fault,
+                camera_fault,
+                [float(x) for x in z],
+                1000 * float(np.linalg.norm(error[:3])),
+                float(np.rad2deg(np.linalg.norm(turn))),
+                1000 * std[0],
+                float(np.rad2deg(std[1])),
+            )
         )
     return rows
 
@@ -149,7 +162,9 @@ def _shake(scene: Scene, rng: np.random.Generator) -> None:
     frames = [
         msgspec.structs.replace(
             f,
-            T_world_cam=(SE3.from_matrix(f.T_world_cam) @ SE3.exp(rng.normal(0, deviations))).flat(),
+            T_world_cam=(
+                SE3.from_matrix(f.T_world_cam) @ SE3.exp(rng.normal(0, deviations))
+            ).flat(),
             covariance=[float(x) for x in np.diag(deviations**2).ravel()],
         )
         for f in poses.frames
@@ -165,8 +180,10 @@ def shares(rows: list[Row]) -> tuple[float, float, float]:
 
 
 def print_table(rows: list[Row]) -> None:
-    print(f"{'group':<22}{'objects':>8}{'within 1':>10}{'within 2':>10}{'scale':>7}"
-          f"{'mm':>7}{'std mm':>8}{'deg':>7}{'std deg':>9}")
+    print(
+        f"{'group':<22}{'objects':>8}{'within 1':>10}{'within 2':>10}{'scale':>7}"
+        f"{'mm':>7}{'std mm':>8}{'deg':>7}{'std deg':>9}"
+    )
     groups = {
         "all": rows,
         **{m: [r for r in rows if r.material == m] for m in ("diffuse", "specular", "transparent")},
@@ -182,10 +199,14 @@ def print_table(rows: list[Row]) -> None:
         if not mine:
             continue
         one, two, scale = shares(mine)
-        middle = [float(np.median([getattr(r, f) for r in mine]))
-                  for f in ("mm", "std_mm", "deg", "std_deg")]
-        print(f"{name:<22}{len(mine):>8}{one:>10.1%}{two:>10.1%}{scale:>7.2f}"
-              f"{middle[0]:>7.2f}{middle[1]:>8.2f}{middle[2]:>7.2f}{middle[3]:>9.2f}")
+        middle = [
+            float(np.median([getattr(r, f) for r in mine]))
+            for f in ("mm", "std_mm", "deg", "std_deg")
+        ]
+        print(
+            f"{name:<22}{len(mine):>8}{one:>10.1%}{two:>10.1%}{scale:>7.2f}"
+            f"{middle[0]:>7.2f}{middle[1]:>8.2f}{middle[2]:>7.2f}{middle[3]:>9.2f}"
+        )
 
 
 def main() -> None:
@@ -204,7 +225,8 @@ def main() -> None:
             if not done.is_file():
                 recording = recordings / str(seed)
                 make_recording(
-                    recording, RecordingOptions(frames=FRAMES, seed=seed),
+                    recording,
+                    RecordingOptions(frames=FRAMES, seed=seed),
                     jobs=JobOptions(progress=False),
                 )
                 fresh = study(recording, Path(temporary) / f"scene_{seed}", seed)

@@ -13,7 +13,13 @@ from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.refine import problem
 from std_toolkit.labels.refine.caster import LayerStore
 from std_toolkit.labels.refine.edges.measure import Level, Measurements, PoseState, measure
-from std_toolkit.labels.refine.edges.system import NormalEquations, Step
+from std_toolkit.labels.refine.edges.system import (
+    FACTOR,
+    SCALE,
+    NormalEquations,
+    Step,
+    WeightedRows,
+)
 
 Array = NDArray[np.float64]
 
@@ -146,11 +152,36 @@ def assemble(
     delta: Array,
 ) -> tuple[NormalEquations, dict[int, float], dict[int, float]]:
     """Normal equations, and the robust standard deviations of edges (px) and depth (m)."""
+    rows, edge_std, depth_std = weigh(len(objects), measured, scale, options, delta)
     system = NormalEquations(len(objects))
+    for one in rows:
+        system.add(one)
+    _add_priors(system, objects, state, options)
+    return system, edge_std, depth_std
+
+
+def weigh(
+    objects: int,
+    measured: Measurements,
+    scale: float,
+    options: problem.RefineOptions,
+    delta: Array,
+) -> tuple[list[WeightedRows], dict[int, float], dict[int, float]]:
+    """Measurements with robust weights for the residuals after the step `delta`.
+
+    Args:
+        objects: number of objects.
+        scale: image scale of the measurements.
+        delta: (6 * objects + 2,).
+
+    Returns:
+        Weighted rows, and the robust standard deviations of edges (px) and depth (m) by object.
+    """
+    found: list[WeightedRows] = []
     edge_std: dict[int, float] = {}
     depth_std: dict[int, float] = {}
-    d_scale, d_factor = delta[system.SCALE], delta[system.FACTOR]
-    for i in range(len(objects)):
+    d_scale, d_factor = delta[-SCALE], delta[-FACTOR]
+    for i in range(objects):
         xi = delta[6 * i : 6 * i + 6]
         mine = [rows for k, rows in measured.contours if k == i]
         if mine:
@@ -159,7 +190,9 @@ def assemble(
             edge_std[i] = max(_robust_std(np.concatenate(left)[clear]), _SMALLEST_EDGE_STD_PX)
             information = 1 / (edge_std[i] ** 2 * _CONTOUR_CORRELATION_PX * max(scale, 0.5))
             for rows, rest in zip(mine, left, strict=True):
-                system.add_contour(i, rows, information * rows.weight * _cauchy(rest / edge_std[i]))
+                weight = information * rows.weight * _cauchy(rest / edge_std[i])
+                J = np.column_stack([rows.pose, rows.scale])
+                found.append(WeightedRows(i, rows.view, rows.residual, J, (SCALE,), weight))
         surfaces = [rows for k, rows in measured.depths if k == i]
         if surfaces:
             left = [
@@ -168,9 +201,12 @@ def assemble(
             depth_std[i] = max(_robust_std(np.concatenate(left)), _SMALLEST_DEPTH_STD_M)
             for surface, rest in zip(surfaces, left, strict=True):
                 share = min(1.0, options.depth_samples / len(rest)) / depth_std[i] ** 2
-                system.add_depth(i, surface, share * _cauchy(rest / depth_std[i]))
-    _add_priors(system, objects, state, options)
-    return system, edge_std, depth_std
+                J = np.column_stack([surface.pose, surface.scale, -surface.factor])
+                weight = share * _cauchy(rest / depth_std[i])
+                found.append(
+                    WeightedRows(i, surface.view, surface.residual, J, (SCALE, FACTOR), weight)
+                )
+    return found, edge_std, depth_std
 
 
 def _add_priors(

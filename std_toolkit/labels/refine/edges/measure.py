@@ -123,7 +123,7 @@ def measure(
     """
     caster = WorldCaster(objects, state.poses, layers)
     found = Measurements([], [])
-    for view, (camera, image) in zip(views, scaled, strict=True):
+    for number, (view, (camera, image)) in enumerate(zip(views, scaled, strict=True)):
         T_world_cam = state.camera_pose(view)
         sensor = _sensor(view, camera, state) if use_depth else None
         for i, obj in enumerate(objects):
@@ -156,6 +156,7 @@ def measure(
                     camera,
                     T_world_cam,
                     state.poses[i],
+                    view=number,
                 )
                 found.contours.append((i, rows))
             if sensor is not None and obj.trusts_depth:
@@ -163,9 +164,8 @@ def measure(
                     patch, i, sensor, camera, T_world_cam, gate_m=level.gate_m
                 )
                 if samples is not None:
-                    found.depths.append(
-                        (i, system.depth_rows(samples, T_world_cam, state.poses[i]))
-                    )
+                    rows_here = system.depth_rows(samples, T_world_cam, state.poses[i], view=number)
+                    found.depths.append((i, rows_here))
     return found
 
 

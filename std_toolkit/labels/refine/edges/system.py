@@ -22,6 +22,9 @@ _BORDER_PX = 3
 
 _SMALLEST_COSINE = 0.3
 
+# Places of the shared unknowns, counted from the end.
+SCALE, FACTOR = 2, 1
+
 
 @dataclass(frozen=True, eq=False)
 class Step:
@@ -46,12 +49,14 @@ class ContourRows:
         pose: (N, 6) derivative of the predicted position by a right perturbation of the pose.
         scale: (N,) derivative by the logarithm of the camera positions' scale.
         weight: (N,) 0 to 1, clarity of the edge.
+        view: index of the view.
     """
 
     residual: Array
     pose: Array
     scale: Array
     weight: Array
+    view: int
 
     def after(self, step: Step) -> ContourRows:
         """The same rows once a small step was made, to first order."""
@@ -67,17 +72,51 @@ class DepthRows:
         residual: (N,) metres along the surface normal, measured point minus model.
         pose, scale: as in `ContourRows`, of the model along the normal minus the measured point.
         factor: (N,) derivative of the measured point by the depth factor, along the normal.
+        view: index of the view.
     """
 
     residual: Array
     pose: Array
     scale: Array
     factor: Array
+    view: int
 
     def after(self, step: Step) -> DepthRows:
         """The same rows once a small step was made, to first order."""
         left = self.residual - self.pose @ step.xi - self.scale * step.scale
         return replace(self, residual=left + self.factor * step.factor)
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedRows:
+    """Residuals of one object in one view, of any kind, with their weights.
+
+    Attributes:
+        index: index of the object.
+        view: index of the view.
+        residual: (N,) in the unit of the kind.
+        jacobian: (N, 6 + K) derivative by the pose and by the shared unknowns.
+        shared: offsets of the K shared unknowns from the end of the unknowns.
+        information: (N,) weights in 1 / unit^2; their sum counts independent samples.
+    """
+
+    index: int
+    view: int
+    residual: Array
+    jacobian: Array
+    shared: tuple[int, ...]
+    information: Array
+
+    @property
+    def pose_information(self) -> Array:
+        """(6, 6) information on the pose."""
+        J = self.jacobian[:, :6]
+        return np.asarray(J.T @ (J * self.information[:, None]))
+
+    @property
+    def pose_gradient(self) -> Array:
+        """(6,) weighted sum of the residuals along the pose."""
+        return np.asarray(self.jacobian[:, :6].T @ (self.residual * self.information))
 
 
 def contour_rows(
@@ -88,6 +127,8 @@ def contour_rows(
     camera: Camera,
     T_world_cam: SE3,
     T_world_obj: SE3,
+    *,
+    view: int,
 ) -> ContourRows:
     """Linearise contour samples about the current poses.
 
@@ -95,6 +136,7 @@ def contour_rows(
         points_world: (N, 3) rim points on the object.
         normals: (N, 2) outward in the image.
         offset: (N,) pixels to the found edge.
+        view: index of the view.
     """
     used = weight > 0
     X_world, n, offset, weight = points_world[used], normals[used], offset[used], weight[used]
@@ -115,11 +157,14 @@ def contour_rows(
         # A larger scale moves the camera away from the world's origin.
         -g_world @ T_world_cam.t,
         weight,
+        view,
     )
 
 
-def depth_rows(samples: DepthSamples, T_world_cam: SE3, T_world_obj: SE3) -> DepthRows:
-    """Linearise depth samples about the current poses and depth factor."""
+def depth_rows(
+    samples: DepthSamples, T_world_cam: SE3, T_world_obj: SE3, *, view: int
+) -> DepthRows:
+    """Linearise depth samples of a view (by index) about the current poses and depth factor."""
     n = samples.normals
     along = (n * samples.directions).sum(axis=1)
     residual = along * (samples.measured - samples.expected)
@@ -128,6 +173,7 @@ def depth_rows(samples: DepthSamples, T_world_cam: SE3, T_world_obj: SE3) -> Dep
         _pose_derivative(n, samples.points, T_world_obj),
         -n @ T_world_cam.t,
         along * samples.measured,
+        view,
     )
 
 
@@ -146,18 +192,16 @@ class NormalEquations:
         size = 6 * objects + 2
         self.A: Array = np.zeros((size, size))
         self.b: Array = np.zeros(size)
-        self.SCALE, self.FACTOR = size - 2, size - 1
+        self.SCALE, self.FACTOR = size - SCALE, size - FACTOR
 
-    def add_contour(self, index: int, rows: ContourRows, weight: Array) -> None:
-        """Rows of object `index`; `weight` (N,) in 1/px^2."""
-        self._add(
-            index, np.column_stack([rows.pose, rows.scale]), [self.SCALE], rows.residual, weight
-        )
-
-    def add_depth(self, index: int, rows: DepthRows, weight: Array) -> None:
-        """Rows of object `index`; `weight` (N,) in 1/m^2."""
-        J = np.column_stack([rows.pose, rows.scale, -rows.factor])
-        self._add(index, J, [self.SCALE, self.FACTOR], rows.residual, weight)
+    def add(self, rows: WeightedRows) -> None:
+        """Residuals of one object in one view."""
+        at = 6 * rows.index
+        size = len(self.b)
+        columns = np.array([*range(at, at + 6), *(size - k for k in rows.shared)])
+        JW = rows.jacobian * rows.information[:, None]
+        self.A[np.ix_(columns, columns)] += rows.jacobian.T @ JW
+        self.b[columns] += JW.T @ rows.residual
 
     def add_prior(
         self, at: slice | int, information: Array | float, deviation: Array | float
@@ -183,12 +227,6 @@ class NormalEquations:
     def _size(self, radii: Sequence[float]) -> Array:
         poses = [x for r in radii for x in (1.0, 1.0, 1.0, 1 / r, 1 / r, 1 / r)]
         return np.array([*poses, 1.0, 1.0])
-
-    def _add(self, index: int, J: Array, shared: list[int], residual: Array, weight: Array) -> None:
-        columns = np.array([*range(6 * index, 6 * index + 6), *shared])
-        JW = J * weight[:, None]
-        self.A[np.ix_(columns, columns)] += J.T @ JW
-        self.b[columns] += JW.T @ residual
 
 
 @dataclass(frozen=True, eq=False)
