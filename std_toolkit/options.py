@@ -46,6 +46,42 @@ class Mapper(enum.StrEnum):
     GLOBAL = "global"
 
 
+CameraConvention = Literal[
+    "camera-to-world", "world-to-camera", "camera-to-world-opengl", "world-to-camera-opengl"
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownCameras:
+    """Camera poses from a robot, a motion capture system or another reconstruction."""
+
+    cameras: Path | None = None
+    """known camera poses: a folder with a 4x4 matrix per image or a file of all, TUM, CSV,
+    transforms.json, a COLMAP model or *_par.txt; see docs/camera-poses.md"""
+    cameras_convention: CameraConvention | None = None
+    """direction and camera axes of these poses; OpenCV axes (z forward) without -opengl (default:
+    that of the format; camera-to-world where it fixes none)"""
+    cameras_unit: Literal["m", "cm", "mm", "unknown"] | None = None
+    """unit of these positions; unknown estimates the scale (default: m; required for
+    transforms.json and COLMAP models)"""
+    cameras_use: Literal["keep", "refine"] = "keep"
+    """keep these poses as they are, or refine them by bundle adjustment, with their scale held"""
+    cameras_max_px: Positive = 4.0
+    """refuse poses with a larger median reprojection error of matched features"""
+    cameras_max_dt: Positive = 0.02
+    """largest time in seconds between an image and its pose, for files with time stamps"""
+    cameras_unchecked: bool = False
+    """keep poses that do not pass this check or cannot be checked"""
+    hand_eye: Path | None = None
+    """hand-eye calibration T_flange_cam of a robot; the poses are then those of its flange in its
+    base"""
+    hand_eye_unit: Unit = "m"
+    """unit of the hand-eye calibration"""
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
 @dataclass(frozen=True, kw_only=True)
 class ImportOptions:
     """Options for reading a recording in another format."""
@@ -70,6 +106,7 @@ class ImportOptions:
     """material of imported objects whose format has none"""
     models: Path | None = None
     """folder of CAD models, for formats that store them separately"""
+    known: KnownCameras = field(default_factory=KnownCameras)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,6 +142,7 @@ class PoseBasics:
 class PoseOptions(PoseBasics):
     """Options of camera pose recovery."""
 
+    known: KnownCameras = field(default_factory=KnownCameras)
     refine: Refinement = Refinement.NONE
     """intrinsics to refine together with the poses"""
     mapper: Mapper = Mapper.INCREMENTAL

@@ -59,7 +59,10 @@ def import_scene(command: ImportCommand) -> int:
         options=asked(command.jobs),
     )
     print("\n".join(summarise(scene).lines()))
-    return 0
+    if command.options.known.cameras is None or scene.poses is None:
+        return 0
+    print("\n".join(pose_lines(scene.poses, [f.name for f in scene.frames])))
+    return report_failed_gates(scene.poses)
 
 
 def asked(jobs: JobOptions) -> JobOptions | None:
@@ -111,8 +114,9 @@ def print_json(data: Any) -> None:
 class PosesCommand:
     """Recover the camera pose of every frame with structure from motion.
 
-    The metric scale is estimated from every source that the scene has. If a quality gate fails,
-    the exit status is 1 and the poses are saved with the failed gate.
+    With --cameras, known poses are checked against the images and used instead. The metric scale
+    is estimated from every source that the scene has. If a quality gate fails, the exit status is
+    1 and the poses are saved with the failed gate.
     """
 
     scene: Path
@@ -125,8 +129,7 @@ class PosesCommand:
 
 def recover_poses(command: PosesCommand) -> int:
     """Recover camera poses; 1 if a gate failed."""
-    from std_toolkit.log import logger
-    from std_toolkit.poses.pose_step import estimate_poses, failed_gates
+    from std_toolkit.poses.pose_step import estimate_poses
     from std_toolkit.scene.scene import Scene
 
     scene = Scene.open(command.scene)
@@ -135,6 +138,14 @@ def recover_poses(command: PosesCommand) -> int:
         print_json(poses)
     else:
         print("\n".join(pose_lines(poses, [f.name for f in scene.frames])))
+    return report_failed_gates(poses)
+
+
+def report_failed_gates(poses: CameraPoses) -> int:
+    """Print the failed gates; 1 if there are any."""
+    from std_toolkit.log import logger
+    from std_toolkit.poses.pose_step import failed_gates
+
     failed = failed_gates(poses)
     for line in failed:
         logger.error("gate failed: %s", line)

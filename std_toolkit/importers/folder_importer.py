@@ -10,7 +10,7 @@ from pathlib import Path
 from std_toolkit import errors, log, options
 from std_toolkit.importers.foreign_files import DEPTH_SUFFIXES, natural_key
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
-from std_toolkit.importers.intrinsics import parse_distortion, read_intrinsics
+from std_toolkit.importers.intrinsics import Intrinsics, parse_distortion, read_intrinsics
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size
 from std_toolkit.scene.document import safe_name
 from std_toolkit.scene.model import CameraModel
@@ -44,7 +44,7 @@ class FolderImporter:
                 intrinsics do not fit.
         """
         where = request.color or str(request.source)
-        if request.intrinsics is None:
+        if request.intrinsics is None and request.known.cameras is None:
             raise errors.ToolkitError(
                 "colour images need intrinsics",
                 path=where,
@@ -58,7 +58,7 @@ class FolderImporter:
             depth = pair(color, depth, skip_unpaired=request.skip_unpaired)
             color = {k: p for k, p in color.items() if k in depth}
         size = _common_size(color)
-        camera = _camera(request, request.intrinsics, size)
+        camera = _camera(request, size)
         names = frame_names(list(color))
         warn_about_gaps(list(color))
         scale = request.depth_scale or DEFAULT_DEPTH_SCALE
@@ -110,11 +110,30 @@ def _common_size(color: dict[str, Path]) -> tuple[int, int]:
     return size
 
 
-def _camera(request: options.ImportRequest, given: str, size: tuple[int, int]) -> CameraModel:
-    intrinsics = read_intrinsics(given, size=size)
+def _camera(request: options.ImportRequest, size: tuple[int, int]) -> CameraModel:
+    if request.intrinsics is not None:
+        given = request.intrinsics
+        intrinsics = read_intrinsics(given, size=size)
+    else:
+        given = str(request.known.cameras)
+        intrinsics = _filed_intrinsics(given)
     if request.distortion is not None:
         intrinsics = replace(intrinsics, distortion=parse_distortion(request.distortion))
     return CameraModel.of(intrinsics.camera(size, path=given, off_centre=request.off_centre))
+
+
+def _filed_intrinsics(path: str) -> Intrinsics:
+    """Intrinsics in the file of known cameras."""
+    from std_toolkit.poses.camera_file import read_cameras
+
+    lens = read_cameras(path).lens()
+    if lens is None:
+        raise errors.ToolkitError(
+            "the file of camera poses has no intrinsics",
+            path=path,
+            hint="give --intrinsics FILE or --intrinsics fx,fy,cx,cy",
+        )
+    return Intrinsics(lens.fx, lens.fy, lens.cx, lens.cy, lens.distortion, lens.size)
 
 
 FOLDER = FolderImporter()

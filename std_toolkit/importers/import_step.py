@@ -18,7 +18,7 @@ from std_toolkit.importers import foreign_files, importer
 from std_toolkit.io import atomic, exr, images
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.log import logger
-from std_toolkit.options import ImportRequest, LinkMode
+from std_toolkit.options import ImportRequest, KnownCameras, LinkMode, PoseOptions
 from std_toolkit.scene import CameraModel, Frame, Frames, ObjectTable, Scene, SceneInfo
 from std_toolkit.scene.document import check_name, check_relative
 
@@ -45,6 +45,7 @@ def write_recording(
     name: str,
     link: LinkMode = "copy",
     options: JobOptions | None = None,
+    known: KnownCameras | None = None,
 ) -> Scene:
     """Make the scene `out` from a recording.
 
@@ -52,6 +53,7 @@ def write_recording(
         name: name of the scene.
         link: "copy" images, or "hard"- or "sym"-link those that need no conversion.
         options: where the frames are processed.
+        known: camera poses from elsewhere, which are checked and added.
 
     Raises:
         ToolkitError: an image is damaged or has the wrong size, depth is in another unit, or
@@ -96,9 +98,24 @@ def write_recording(
             scene.save_labels(recording.labels)
         checked = Scene.open(staging)
         _ = checked.poses, checked.labels
+        if known is not None and (known.cameras is not None or known.hand_eye is not None):
+            _add_known_poses(checked, known, options)
     for note in recording.notes:
         logger.warning("%s", note)
     return Scene.open(out)
+
+
+def _add_known_poses(scene: Scene, known: KnownCameras, options: JobOptions | None) -> None:
+    from std_toolkit.poses.pose_step import estimate_poses
+
+    if scene.poses is not None:
+        raise ToolkitError(
+            "the recording has camera poses of its own",
+            field="--cameras",
+            value=str(known.cameras),
+            hint="import it without --cameras, then `std-curate poses SCENE --cameras FILE`",
+        )
+    estimate_poses(scene, PoseOptions(known=known), jobs=options)
 
 
 def _check_frames(recording: importer.Recording) -> None:
@@ -311,4 +328,6 @@ def import_recording(
     if format_name is None:
         format_name = "folder" if request.color else importer.detect_format(request.source)
     recording = importer.IMPORTERS.get(format_name).read(request)
-    return write_recording(recording, out, name=request.name, link=link, options=options)
+    return write_recording(
+        recording, out, name=request.name, link=link, options=options, known=request.known
+    )

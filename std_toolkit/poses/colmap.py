@@ -51,12 +51,17 @@ def from_colmap_camera(camera: Any) -> Camera:
     """Convert a pycolmap.Camera to the toolkit's camera.
 
     Raises:
-        ToolkitError: the camera model is not PINHOLE, SIMPLE_PINHOLE, OPENCV or FULL_OPENCV.
+        ToolkitError: the camera model is not (SIMPLE_)PINHOLE, (SIMPLE_)RADIAL, OPENCV or
+            FULL_OPENCV.
     """
     p = [float(x) for x in camera.params]
     name = camera.model_name
     if name == "SIMPLE_PINHOLE":
         p = [p[0], *p]
+    elif name in ("SIMPLE_RADIAL", "RADIAL"):
+        # One focal length, k1 and perhaps k2.
+        p = [p[0], *p, *([0.0] * (8 - len(p) - 1))]
+        p = p[:4] if not any(p[4:]) else p
     elif name not in ("PINHOLE", "OPENCV", "FULL_OPENCV"):
         raise ToolkitError("cannot convert this COLMAP camera model", value=name)
     fx, fy, cx, cy, *k = p
@@ -225,3 +230,9 @@ def place_in_world(model: Any, *, scale: float, first_image: int) -> None:
     T_cam_world = from_rigid3d(model.image(first_image).cam_from_world())
     rotation = pycolmap.Rotation3d(T_cam_world.R)
     model.transform(pycolmap.Sim3d(scale, rotation, scale * T_cam_world.t))
+
+
+def scale_world(model: Any, factor: float) -> None:
+    """Scale the model about the origin of its world, in place."""
+    if factor != 1:
+        model.transform(pycolmap.Sim3d(factor, pycolmap.Rotation3d(), np.zeros(3)))

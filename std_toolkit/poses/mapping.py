@@ -78,15 +78,10 @@ def map_keyframes(
     Raises:
         ToolkitError: no two keyframes fit together.
     """
-    threads = -1 if options.threads is None else options.threads
-    camera_ids = {key: i for i, key in enumerate(sorted(cameras), start=1)}
-    distorted = options.refine is Refinement.DISTORTION
-    database = work / "database.db"
+    database, camera_ids = match_keyframes(images, pairs, cameras, work, options=options)
     with quiet_colmap():
         pycolmap.set_random_seed(options.seed)
-        _write_database(database, images, cameras, camera_ids, distorted=distorted)
-        _match(database, images, pairs, work, threads=threads, seed=options.seed)
-        models = _map(database, work, options, threads)
+        models = _map(database, work, options, _threads(options))
     ranked = sorted(models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()))
     if not ranked or ranked[-1].num_reg_images() < 2:
         raise ToolkitError(
@@ -102,6 +97,33 @@ def map_keyframes(
             others,
         )
     return Mapping(ranked[-1], camera_ids, others)
+
+
+def match_keyframes(
+    images: Sequence[MappingImage],
+    pairs: Sequence[tuple[int, int]],
+    cameras: dict[str, Camera],
+    work: Path,
+    *,
+    options: PoseOptions,
+) -> tuple[Path, dict[str, int]]:
+    """Match the pairs of keyframes and verify the matches; arguments as of `map_keyframes`.
+
+    Returns:
+        The database in `work`, and the COLMAP camera id by camera key.
+    """
+    camera_ids = {key: i for i, key in enumerate(sorted(cameras), start=1)}
+    distorted = options.refine is Refinement.DISTORTION
+    database = work / "database.db"
+    with quiet_colmap():
+        pycolmap.set_random_seed(options.seed)
+        _write_database(database, images, cameras, camera_ids, distorted=distorted)
+        _match(database, images, pairs, work, threads=_threads(options), seed=options.seed)
+    return database, camera_ids
+
+
+def _threads(options: PoseOptions) -> int:
+    return -1 if options.threads is None else options.threads
 
 
 def adjust(

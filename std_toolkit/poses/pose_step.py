@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
@@ -17,6 +18,9 @@ from std_toolkit.options import PoseOptions, Refinement
 from std_toolkit.scene import CameraPoses, Frame, FramePose, Labels, Scene
 from std_toolkit.scene.document import digest_file, digest_of, is_fresh, write_record
 from std_toolkit.scene.model import Gate, ScaleReport, without_derived
+
+if TYPE_CHECKING:
+    from std_toolkit.poses.known_cameras import KnownPoses
 
 STEP = "poses"
 
@@ -50,13 +54,16 @@ def estimate_poses(
     jobs = _width(jobs or JobOptions(), options)
     check_source_name(options.scale)
     board = board_file(scene, options)
+    known = _known_poses(scene, options)
     with scene.lock():
         digest = _digest(scene, options, board)
+        if known is not None:
+            digest = digest_of(digest, known.digest())
         if is_fresh(scene.root, STEP, digest) and scene.poses is not None:
             logger.info("camera poses: up to date")
             return scene.poses
         with work_folder(scene.root) as work:
-            return _run(scene, options, jobs, board, digest, work)
+            return _run(scene, options, jobs, board, known, digest, work)
 
 
 def board_file(scene: Scene, options: PoseOptions) -> Path | None:
@@ -81,25 +88,34 @@ def _run(
     options: PoseOptions,
     jobs: JobOptions,
     board: Path | None,
+    known: KnownPoses | None,
     digest: str,
     work: Path,
 ) -> CameraPoses:
-    from std_toolkit.poses.colmap import place_in_world, quiet_colmap
+    from std_toolkit.poses.colmap import place_in_world, quiet_colmap, scale_world
+    from std_toolkit.poses.known_model import known_gates, known_scale, reconstruct_known
     from std_toolkit.poses.publish import publish_model
     from std_toolkit.poses.reconstruct import adjusted_cameras, reconstruct
     from std_toolkit.poses.scale_sources import ScaleContext, resolve_scale
 
     cache = scene.root / ".std" / "poses"
     cache.mkdir(parents=True, exist_ok=True)
-    done = reconstruct(scene, cache, work, options=options, jobs=jobs)
+    notes: list[str] = []
+    if known is None:
+        done = reconstruct(scene, cache, work, options=options, jobs=jobs)
+    else:
+        done, notes = reconstruct_known(scene, known, cache, work, options=options, jobs=jobs)
     image_ids = done.image_ids(scene.frames)
     context = ScaleContext(scene, done.model, image_ids, done.cameras(), board, jobs)
-    factor, report = resolve_scale(
-        context, scale=options.scale, max_disagreement=options.max_disagreement
-    )
-    place_in_world(done.model, scale=factor, first_image=next(iter(image_ids.values())))
+    if known is None:
+        factor, report = resolve_scale(
+            context, scale=options.scale, max_disagreement=options.max_disagreement
+        )
+        place_in_world(done.model, scale=factor, first_image=next(iter(image_ids.values())))
+    else:
+        factor, report = known_scale(known, context, options)
+        scale_world(done.model, factor)
     frames, distance = _frame_poses(scene.frames, done.model, image_ids)
-    notes = []
     if done.about.other_sizes:
         notes.append(
             f"the keyframes are split into {1 + len(done.about.other_sizes)} models; the largest "
@@ -118,9 +134,12 @@ def _run(
             scale=_judged(report, options),
             options=options,
         ),
-        source="sfm",
+        source="sfm" if known is None else f"import:{known.filed.kind}",
         notes=notes,
     )
+    if known is not None:
+        gates = known_gates(poses.gates, known, scene.frames)
+        poses = msgspec.structs.replace(poses, gates=gates)
     with quiet_colmap():
         done.model.extract_colors_for_all_images(scene.root)
     outputs = publish_model(scene.root, done.model, work)
@@ -134,6 +153,17 @@ def _run(
         parameters=_parameters(options, board),
     )
     return poses
+
+
+def _known_poses(scene: Scene, options: PoseOptions) -> KnownPoses | None:
+    """Poses from the file of known cameras, if the options name one."""
+    if options.known.cameras is None:
+        if options.known.hand_eye is not None:
+            raise ToolkitError("--hand-eye needs --cameras, the poses of the flange")
+        return None
+    from std_toolkit.poses.known_cameras import read_known_poses
+
+    return read_known_poses(options.known, scene.frames)
 
 
 def _forget_world_poses(scene: Scene) -> None:
@@ -194,6 +224,7 @@ def _parameters(options: PoseOptions, board: Path | None) -> dict[str, Any]:
     values = asdict(options)
     # No paths in records, so that a moved scene stays fresh.
     values["board"] = None if board is None else board.name
+    values["known"] = {k: v.name if isinstance(v, Path) else v for k, v in values["known"].items()}
     return {k: str(v) if isinstance(v, Refinement) else v for k, v in values.items()}
 
 

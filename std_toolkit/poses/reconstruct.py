@@ -187,7 +187,7 @@ def _build(
     is_key = set(chosen)
     logger.info("camera poses: %d keyframes of %d frames", len(chosen), len(frames))
     names = {
-        f.id: _feature_name(f, digests[f.id], i in is_key and options.fine_keyframes, options)
+        f.id: feature_name(f, digests[f.id], i in is_key and options.fine_keyframes, options)
         for i, f in enumerate(frames)
     }
     wanted = [
@@ -276,7 +276,7 @@ def _build(
         threads=options.threads,
         min_angle_deg=options.min_angle_deg,
     )
-    _unregister_unseen(model, min_points=options.min_points)
+    unregister_unseen(model, min_points=options.min_points)
     about = Reconstruction(
         keyframes=[f.id for f in keyframes],
         camera_ids=mapping.camera_ids,
@@ -290,7 +290,7 @@ def _has_pose(model: Any, frame: Frame) -> bool:
     return bool(model.exists_image(number) and model.image(number).has_pose)
 
 
-def _unregister_unseen(model: Any, *, min_points: int) -> None:
+def unregister_unseen(model: Any, *, min_points: int) -> None:
     """Deregister images that have too few points after the bundle adjustment."""
     for number in list(model.reg_image_ids()):
         image = model.image(number)
@@ -304,7 +304,8 @@ def _check_absent(model: Any, frame: Frame) -> None:
         raise ToolkitError("image is in the model without a pose", value=frame.color)
 
 
-def _feature_name(frame: Frame, digest: str, fine: bool, options: PoseOptions) -> str:
+def feature_name(frame: Frame, digest: str, fine: bool, options: PoseOptions) -> str:
+    """Return the name of the feature file of a frame."""
     key = digest_of("sift", digest, fine, options.max_features)
     return f"{frame.name}-{key[:16]}"
 

@@ -81,7 +81,7 @@ def _write_tum(scene: Scene, out: Path) -> None:
             continue
         w, x, y, z = T.quat()
         stamp = f"{frame.timestamp:.6f}" if timed else str(frame.id)
-        lines.append(" ".join([stamp, *(f"{v:.9f}" for v in (*T.t, x, y, z, w))]))
+        lines.append(" ".join([stamp, *(f"{v:.12f}" for v in (*T.t, x, y, z, w))]))
     write_bytes_atomic(out, ("\n".join(lines) + "\n").encode())
 
 

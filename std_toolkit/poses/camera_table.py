@@ -1,0 +1,284 @@
+"""Camera poses in text files: CSV with a header, TUM, rows of matrices, and `*_par.txt`.
+
+Columns of a CSV file (upper or lower case):
+
+which image   `name`, `image`, `file`, `filename`, `file_path`, `frame`, `timestamp` or `time`
+position      `x y z`, `tx ty tz` or `px py pz`
+rotation      `qw qx qy qz`, or the rotation vector `rx ry rz` in radians
+or a matrix   `m00` to `m33` (or to `m23`), row-major
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3
+from std_toolkit.geometry.se3 import so3_exp
+
+_KEYS = ("name", "image", "file", "filename", "file_path", "timestamp", "time", "frame", "id")
+_POSITIONS = (("x", "y", "z"), ("tx", "ty", "tz"), ("px", "py", "pz"))
+_QUATERNION = ("qw", "qx", "qy", "qz")
+_VECTOR = ("rx", "ry", "rz")
+_MATRIX = tuple(f"m{r}{c}" for r in range(4) for c in range(4))
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Intrinsics as filed, in the toolkit's pixels (centre of the first pixel at (0, 0)).
+
+    Attributes:
+        fx, fy, cx, cy: pixels.
+        distortion: OpenCV coefficients.
+        size: (width, height) if the file has it.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+    size: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FiledCameras:
+    """Camera poses as filed: no convention is applied.
+
+    Attributes:
+        path: the file or folder.
+        kind: name of the format.
+        matrices: (N, 4, 4) rigid transforms.
+        keys: what names the image of each pose: file name, time stamp or number. None: the
+            poses are in the order of the images.
+        lenses: intrinsics of each pose where the file has them; may be empty.
+        convention: convention that the format fixes; None: the file does not state it.
+        unit: unit that the format fixes.
+        unit_is_open: such files are often in an arbitrary unit, so the user must name it.
+    """
+
+    path: Path
+    kind: str
+    matrices: NDArray[np.float64]
+    keys: list[str] | None = None
+    lenses: Sequence[Lens | None] = ()
+    convention: str | None = None
+    unit: str | None = None
+    unit_is_open: bool = False
+
+    def lens(self) -> Lens | None:
+        """Return the intrinsics that all poses share; None if the file has none.
+
+        Raises:
+            ToolkitError: the intrinsics of the images differ.
+        """
+        lenses = [x for x in self.lenses if x is not None]
+        if not lenses:
+            return None
+        for i, other in enumerate(lenses):
+            a, b = ([x.fx, x.fy, x.cx, x.cy, *x.distortion] for x in (lenses[0], other))
+            if len(a) != len(b) or not np.allclose(a, b, rtol=1e-5, atol=1e-6):
+                raise ToolkitError(
+                    "the images have different intrinsics", path=self.path,
+                    value=self.keys[i] if self.keys else i,
+                    hint="one scene has one camera; give its intrinsics with --intrinsics, or "
+                    "import the images of each camera as a scene",
+                )  # fmt: skip
+        return lenses[0]
+
+
+def as_matrix(value: Any, path: Path, at: str) -> NDArray[np.float64]:
+    """Return a (4, 4) rigid transform from 16 or 12 numbers in any nesting.
+
+    Raises:
+        ToolkitError: other numbers, or not a rigid transform; `at` names the place.
+    """
+    try:
+        M = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ToolkitError("not a matrix of numbers", path=path, field=at) from error
+    if M.shape not in ((4, 4), (3, 4), (16,), (12,)):
+        raise ToolkitError(
+            "a camera pose needs 4x4 (or 3x4) numbers", path=path, field=at,
+            value=f"{M.size} numbers",
+        )  # fmt: skip
+    return _placed(lambda: SE3.from_matrix(M).matrix(), path, at)
+
+
+def read_table(path: Path) -> FiledCameras:
+    """Read a text file of camera poses; the number of columns tells the format.
+
+    Raises:
+        ToolkitError: not text, of unknown layout, or a row that is no pose.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ToolkitError("the file of camera poses is not text", path=path) from error
+    lines = [
+        (i, line.strip())
+        for i, line in enumerate(text.splitlines(), start=1)
+        if line.strip() and not line.lstrip().startswith(("#", "%", "//"))
+    ]
+    if not lines:
+        raise ToolkitError("the file has no camera poses", path=path)
+    rows = [(i, [w for w in re.split(r"[\s,;]+", line.strip("[] ")) if w]) for i, line in lines]
+    first = rows[0][1]
+    if len(first) > 2 and not any(_is_number(w) for w in first):
+        return _read_csv(path, [line for _, line in lines], rows[0][0])
+    if len(first) == 1 and len(rows) > 1 and len(rows[1][1]) == 22:
+        rows = rows[1:]
+    widths = {len(words) for _, words in rows}
+    if widths == {4} and len(rows) == 3:
+        M = as_matrix(_numbers(path, [w for _, words in rows for w in words], "line 1"), path, "")
+        return FiledCameras(path=path, kind="matrices", matrices=M[None])
+    if widths == {4} and len(rows) % 4 == 0:
+        rows = [
+            (rows[i][0], [w for _, words in rows[i : i + 4] for w in words])
+            for i in range(0, len(rows), 4)
+        ]
+        widths = {16}
+    readers: dict[int, Callable[..., FiledCameras]] = {
+        8: _read_tum, 12: _read_rows, 16: _read_rows, 13: _read_rows, 17: _read_rows, 22: _read_par,
+    }  # fmt: skip
+    if len(widths) > 1 or not widths & readers.keys():
+        shown = ", ".join(map(str, sorted(widths)[:4]))
+        raise ToolkitError(
+            f"unknown layout of camera poses: {shown} columns", path=path,
+            hint="8 (TUM: time tx ty tz qx qy qz qw), 12 or 16 (matrix), 13 or 17 (name, matrix), "
+            "22 (name K R t), or CSV with a header",
+        )  # fmt: skip
+    return readers[widths.pop()](path, rows)
+
+
+Rows = list[tuple[int, list[str]]]
+
+
+def _read_rows(path: Path, rows: Rows) -> FiledCameras:
+    named = len(rows[0][1]) in (13, 17)
+    matrices = [
+        as_matrix(_numbers(path, words[named:], f"line {i}"), path, f"line {i}")
+        for i, words in rows
+    ]
+    return FiledCameras(
+        path=path,
+        kind="matrices",
+        matrices=np.array(matrices),
+        keys=[words[0] for _, words in rows] if named else None,
+    )
+
+
+def _read_tum(path: Path, rows: Rows) -> FiledCameras:
+    matrices = []
+    for i, words in rows:
+        tx, ty, tz, *xyzw = _numbers(path, words[1:], f"line {i}")
+        matrices.append(_from_quat([xyzw[3], *xyzw[:3]], [tx, ty, tz], path, f"line {i}"))
+    return FiledCameras(
+        path=path,
+        kind="tum",
+        matrices=np.array(matrices),
+        keys=[words[0] for _, words in rows],
+    )
+
+
+def _read_par(path: Path, rows: Rows) -> FiledCameras:
+    matrices, lenses = [], []
+    for i, words in rows:
+        at = f"line {i}"
+        values = np.array(_numbers(path, words[1:], at))
+        K = values[:9].reshape(3, 3)
+        if abs(K[0, 1]) > 1e-6 * abs(K[0, 0]) or np.abs(K[1:, 0]).max() > 0 or K[2, 2] != 1:
+            raise ToolkitError("K has skew or is no camera matrix", path=path, field=at)
+        lenses.append(Lens(K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
+        M = np.column_stack([values[9:18].reshape(3, 3), values[18:21]])
+        matrices.append(as_matrix(M, path, at))
+    return FiledCameras(
+        path=path,
+        kind="par",
+        matrices=np.array(matrices),
+        keys=[words[0] for _, words in rows],
+        lenses=lenses,
+        convention="world-to-camera",
+    )
+
+
+def _read_csv(path: Path, lines: Sequence[str], first: int) -> FiledCameras:
+    delimiter = next((d for d in (",", ";", "\t") if d in lines[0]), " ")
+    reader = csv.DictReader(lines, delimiter=delimiter, skipinitialspace=True)
+    columns = [(c or "").strip().lower() for c in reader.fieldnames or ()]
+    reader.fieldnames = columns
+    key = next((k for k in _KEYS if k in columns), None)
+    position = next((p for p in _POSITIONS if set(p) <= set(columns)), None)
+    matrix = set(_MATRIX[:12]) <= set(columns)
+    rotation = next((r for r in (_QUATERNION, _VECTOR) if set(r) <= set(columns)), None)
+    if not matrix and (position is None or rotation is None):
+        raise ToolkitError(
+            "the columns do not hold a pose", path=path, value=columns,
+            hint="position x y z; rotation qw qx qy qz or rx ry rz (radians); or m00 to m33",
+        )  # fmt: skip
+    used = _MATRIX[:12] if matrix else (*(position or ()), *(rotation or ()))
+    matrices, keys = [], []
+    for i, row in enumerate(reader, start=first + 1):
+        at = f"line {i}"
+        if all(not (row.get(c) or "").strip() for c in used):
+            continue  # a frame without a pose
+        values = _numbers(path, [row.get(c) or "" for c in used], at)
+        matrices.append(_csv_matrix(values, rotation if not matrix else None, path, at))
+        keys.append((row.get(key) or "").strip() if key else "")
+    if not matrices:
+        raise ToolkitError("the file has no camera poses", path=path)
+    return FiledCameras(
+        path=path, kind="csv", matrices=np.array(matrices), keys=keys if all(keys) else None
+    )
+
+
+def _csv_matrix(
+    values: list[float], rotation: tuple[str, ...] | None, path: Path, at: str
+) -> NDArray[np.float64]:
+    if rotation is None:
+        return as_matrix(values, path, at)
+    if rotation == _QUATERNION:
+        return _from_quat(values[3:], values[:3], path, at)
+    if not np.isfinite(values).all():
+        raise ToolkitError("a pose contains a number that is not finite", path=path, field=at)
+    return SE3(so3_exp(values[3:]), np.array(values[:3])).matrix()
+
+
+def _from_quat(
+    wxyz: Sequence[float], t: Sequence[float], path: Path, at: str
+) -> NDArray[np.float64]:
+    return _placed(lambda: SE3.from_quat(wxyz, t).matrix(), path, at)
+
+
+def _placed(make: Callable[[], NDArray[np.float64]], path: Path, at: str) -> NDArray[np.float64]:
+    """Add the place in the file to an error."""
+    try:
+        return make()
+    except ToolkitError as error:
+        raise ToolkitError(
+            error.problem, path=path, field=at or None, value=error.value, hint=error.hint
+        ) from error
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _numbers(path: Path, words: Sequence[str], at: str) -> list[float]:
+    try:
+        return [float(w) for w in words]
+    except ValueError as error:
+        wrong = next(w for w in words if not _is_number(w))
+        raise ToolkitError("not a number", path=path, field=at, value=wrong) from error
