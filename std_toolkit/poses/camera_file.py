@@ -71,6 +71,9 @@ def read_cameras(path: Path | str) -> FiledCameras:
         raise ToolkitError("give the folder of the COLMAP model", path=path)
     if suffix == ".json":
         return _read_json(path, read_document(path, Any))
+    with path.open("rb") as file:
+        if file.read(64).lstrip().startswith(b"{"):
+            return _read_json(path, read_document(path, Any))
     return read_table(path)
 
 

@@ -34,6 +34,10 @@ from std_toolkit.scene.model import Gate, ScaleReport
 _ALL_PAIRS = 24
 # Sensor depth is a few per cent off at most; another unit is off by 10 or more.
 _DEPTH_FACTORS = (0.8, 1.25)
+# Deviation of given positions in a refinement, over the distance that a reprojection error of the
+# median, and at least of a feature's own error, stands for.
+_PRIOR_FACTOR = 3.0
+_SMALLEST_ERROR_PX = 0.5
 
 
 def reconstruct_known(
@@ -110,7 +114,8 @@ def reconstruct_known(
         shown = ", ".join(f"{file_names[f]} ({e:.0f} px)" for f, e in list(bad.items())[:5])
         notes.append(f"the pose of {len(bad)} further frames does not fit the others: {shown}")
     if known.options.cameras_use == "refine":
-        notes.append(_refine(model, poses, options))
+        kept = {f: T for f, T in poses.items() if f not in bad}
+        notes.append(_refine(model, kept, verdict.median_px or 0.0, options))
     about = reconstruct.Reconstruction(keyframes=[f.id for f in keyframes], camera_ids=camera_ids)
     return reconstruct.Reconstructed(model, about), notes
 
@@ -327,25 +332,55 @@ def _add_rest(
     return bad
 
 
-def _refine(model: Any, poses: dict[int, SE3], options: PoseOptions) -> str:
-    """Refine the model in place and move it back to scale and frame of the given poses."""
-    mapping.adjust(
-        model, refine=options.refine, threads=options.threads, min_angle_deg=options.min_angle_deg
-    )
-    reconstruct.unregister_unseen(model, min_points=options.min_points)
-    ids = [f for f in poses if model.exists_image(f + 1) and model.image(f + 1).has_pose]
-    if len(ids) < 2:
-        raise errors.ToolkitError("no pose could be refined", hint="use --cameras-use keep")
-    ours = [from_rigid3d(model.image(f + 1).cam_from_world()).inverse() for f in ids]
-    scale, T = align_poses(ours, [poses[f] for f in ids])
+def _refine(model: Any, poses: dict[int, SE3], median_px: float, options: PoseOptions) -> str:
+    """Refine the model in place and move it back to scale and frame of the given poses.
+
+    Positions are held to the given ones with the deviation that the reprojection error stands
+    for, so that directions that the images do not determine stay as given. An image with too few
+    points keeps its pose.
+    """
+    images = {f: model.image(f + 1) for f in poses}
+    depths = [observations(model, i).points_cam[:, 2] for i in model.reg_image_ids()]
+    distance = float(np.median(np.concatenate(depths)))
+    focal = float(np.mean([c.mean_focal_length() for c in model.cameras.values()]))
+    sigma = _PRIOR_FACTOR * max(median_px, _SMALLEST_ERROR_PX) / focal * distance
+    settings = mapping.adjustment_options(refine=options.refine, threads=options.threads)
+    with quiet_colmap():
+        for _ in range(2):
+            config = pycolmap.BundleAdjustmentConfig()
+            priors = []
+            for f, image in images.items():
+                if image.num_points3D < options.min_points:
+                    continue
+                config.add_image(image.image_id)
+                priors.append(
+                    pycolmap.PosePrior(
+                        corr_data_id=image.data_id,
+                        position=poses[f].t,
+                        position_covariance=np.eye(3) * sigma**2,
+                        coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
+                    )
+                )
+            if len(priors) < 3:
+                raise errors.ToolkitError(
+                    f"too few features match to refine poses: {len(priors)} images have enough",
+                    hint="use --cameras-use keep",
+                )
+            pycolmap.create_pose_prior_bundle_adjuster(
+                settings, pycolmap.PosePriorBundleAdjustmentOptions(), config, priors, model
+            ).solve()
+            manager = pycolmap.ObservationManager(model)
+            manager.filter_all_points3D(mapping.MAX_POINT_ERROR_PX, mapping.MIN_TRIANGULATION_DEG)
+        model.update_point_3d_errors()
+    ours = {f: from_rigid3d(x.cam_from_world()).inverse() for f, x in images.items()}
+    scale, T = align_poses(list(ours.values()), list(poses.values()))
     model.transform(pycolmap.Sim3d(scale, pycolmap.Rotation3d(T.R), T.t))
     moved = [
-        SE3(T.R @ a.R, scale * (T.R @ a.t) + T.t).inverse() @ poses[f]
-        for a, f in zip(ours, ids, strict=True)
+        SE3(T.R @ a.R, scale * (T.R @ a.t) + T.t).inverse() @ poses[f] for f, a in ours.items()
     ]
-    distance = float(np.median([np.linalg.norm(m.t) for m in moved]))
+    shift = float(np.median([np.linalg.norm(m.t) for m in moved]))
     turn = float(np.degrees(np.median([rotation_angle(m.R) for m in moved])))
-    return f"refined: the poses moved by {1000 * distance:.2f} mm and {turn:.3f} deg (medians)"
+    return f"refined: the poses moved by {1000 * shift:.2f} mm and {turn:.3f} deg (medians)"
 
 
 def align_poses(source: Sequence[SE3], target: Sequence[SE3]) -> tuple[float, SE3]:

@@ -138,6 +138,19 @@ def adjust(
         min_angle_deg: keep only points with at least this triangulation angle, see
             `keep_wide_points`.
     """
+    options = adjustment_options(refine=refine, threads=threads)
+    with quiet_colmap():
+        if min_angle_deg is not None:
+            keep_wide_points(model, min_angle_deg=min_angle_deg)
+        for _ in range(2):
+            pycolmap.bundle_adjustment(model, options)
+            manager = pycolmap.ObservationManager(model)
+            manager.filter_all_points3D(MAX_POINT_ERROR_PX, MIN_TRIANGULATION_DEG)
+        model.update_point_3d_errors()
+
+
+def adjustment_options(*, refine: Refinement, threads: int | None) -> Any:
+    """Return the pycolmap.BundleAdjustmentOptions of `adjust`."""
     options = pycolmap.BundleAdjustmentOptions()
     options.refine_focal_length = refine is not Refinement.NONE
     options.refine_principal_point = refine in (Refinement.INTRINSICS, Refinement.DISTORTION)
@@ -150,14 +163,7 @@ def adjust(
     options.ceres.solver_options.max_num_iterations = 200
     options.ceres.solver_options.function_tolerance = 1e-9
     options.ceres.solver_options.num_threads = -1 if threads is None else threads
-    with quiet_colmap():
-        if min_angle_deg is not None:
-            keep_wide_points(model, min_angle_deg=min_angle_deg)
-        for _ in range(2):
-            pycolmap.bundle_adjustment(model, options)
-            manager = pycolmap.ObservationManager(model)
-            manager.filter_all_points3D(MAX_POINT_ERROR_PX, MIN_TRIANGULATION_DEG)
-        model.update_point_3d_errors()
+    return options
 
 
 def keep_wide_points(model: Any, *, min_angle_deg: float) -> None:
