@@ -223,7 +223,7 @@ def convention_of(options: KnownCameras, filed: FiledCameras) -> Convention:
             hint="give --cameras-unit m, cm or mm; unknown estimates the scale as without poses",
         )  # fmt: skip
     name = options.cameras_convention or filed.convention or "camera-to-world"
-    if options.hand_eye is not None and options.cameras_convention is None and filed.lenses:
+    if options.hand_eye is not None and any(filed.lenses):
         raise ToolkitError(
             "these are poses of cameras, not of a robot's flange", path=filed.path,
             hint="leave out --hand-eye",
