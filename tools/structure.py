@@ -33,7 +33,8 @@ ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
         ("html", "scene"),
         ("poses", "rendering"),
         ("importers",),
-        ("checks", "exporters", "labels"),
+        ("exporters", "labels"),
+        ("checks",),
         ("cli",),
     ),
     "annotator": (

@@ -6,10 +6,43 @@ the print differs.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from std_toolkit.geometry.se3 import SE3
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.geometry import SE3, Camera, rotation_error
+from std_toolkit.labels.alternatives import Alternative, NearSymmetry
+from std_toolkit.labels.print_scores import (
+    SMALLEST_PX,
+    PrintWindow,
+    cut_window,
+    score_view,
+)
+from std_toolkit.labels.refine.problem import RefineObject, RefineView
+from std_toolkit.rendering.texture import TexturedSurface
+
+# Frames that are compared, and frames and size (pixels) of a first look at many alternatives.
+_FRAMES, _FIRST_FRAMES, _FIRST_PX = 6, 3, 80.0
+
+# With more alternatives, such as all turns of a can, the best are found by a first look.
+_MANY, _FOLLOWED = 6, 4
+
+# Total clarity of the frames below which the surface in view counts as plain.
+_LEAST_CLARITY = 0.5
+
+# Least score and margin of a winner, each with a part that falls with the root of the number of
+# frames, and what is added where the best of many alternatives is taken.
+_SCORE, _MARGIN, _PER_FRAME = 0.25, 0.1, 0.1
+_SCORE_OF_MANY, _MARGIN_OF_MANY = 0.1, 0.05
+
+# The score and the margin at which the pose itself is confirmed.
+_OWN_SCORE, _OWN_MARGIN = 0.2, 0.05
+
+# A turn nearer than this is a matter of refinement: a print hardly changes by it.
+_NEAR_TURN = np.deg2rad(45)
 
 PrintVerdict = Literal["fits", "turned", "undecided", "ambiguous"]
 
@@ -51,3 +84,159 @@ class PrintComparison:
         if self.verdict == "undecided":
             return "the images do not tell which turn fits the print"
         return "the print fits"
+
+
+def print_frames(
+    cameras: Sequence[Camera],
+    poses: Sequence[SE3],
+    centre: NDArray[np.float64],
+    radius: float,
+    *,
+    count: int = _FRAMES,
+) -> list[int]:
+    """Indices of frames that show an object large enough, from directions far apart.
+
+    Args:
+        cameras: cameras of the frames.
+        poses: T_world_cam of the frames.
+        centre: (3,) centre of the object in the world.
+        radius: of the object, metres.
+        count: largest number.
+    """
+    sizes, directions, usable = [], [], []
+    for k, (camera, T) in enumerate(zip(cameras, poses, strict=True)):
+        p = T.inverse() @ centre
+        if p[2] < 1.5 * radius:
+            continue
+        uv = camera.without_distortion().project(p)
+        size = 2 * radius * camera.fx / p[2]
+        inside = (uv >= 0.25 * size).all() and (uv < np.array(camera.size) - 0.25 * size).all()
+        if size >= SMALLEST_PX and inside:
+            usable.append(k)
+            sizes.append(size)
+            directions.append((centre - T.t) / np.linalg.norm(centre - T.t))
+    if not usable:
+        return []
+    way, size = np.array(directions), np.minimum(np.array(sizes), 300.0)
+    picks = [int(np.argmax(size))]
+    while len(picks) < min(count, len(usable)):
+        apart = np.min([np.linalg.norm(way - way[k], axis=1) for k in picks], axis=0)
+        # A near frame shows more of the print, a far one from another side shows other parts.
+        gain = (apart + 0.02) * size
+        gain[picks] = -1
+        picks.append(int(np.argmax(gain)))
+    return sorted(usable[k] for k in picks)
+
+
+def judge_print(
+    views: Sequence[RefineView],
+    obj: RefineObject,
+    others: Sequence[RefineObject] = (),
+    *,
+    surface: TexturedSurface | None = None,
+    near: NearSymmetry | None = None,
+) -> PrintComparison:
+    """Compare the print of an object at its pose and at near-symmetric alternatives.
+
+    Args:
+        views: images; those that show the object large and from different sides are used.
+        obj: the object at the pose to judge.
+        others: the other objects, which may hide it.
+        surface: the mesh with its colours at full resolution; default: `obj.print`.
+        near: alternatives of its mesh, if known.
+
+    Returns:
+        The comparison; "undecided" if no view shows enough of the object, or if it has no
+        alternatives and the print does not agree.
+    """
+    surface = surface or obj.print
+    near = near or NearSymmetry(obj.vertices, obj.faces, obj.symmetry)
+    centre = obj.T_world_obj @ obj.centre
+    chosen = print_frames(
+        [v.camera for v in views], [v.T_world_cam for v in views], centre, obj.radius
+    )
+    views = [views[k] for k in chosen]
+    in_view = [v.T_world_cam.inverse() @ obj.T_world_obj for v in views]
+    turns = [*near.turns, *(near.mirrored(in_view) if views else ())]
+    if not turns and surface is None:
+        return _unmeasured("undecided", None)
+    if surface is not None:
+        windows = [
+            w for v in views if (w := cut_window(v, surface, obj.T_world_obj, others)) is not None
+        ]
+        judged = _judge(windows, obj, surface, turns)
+        if judged is not None:
+            return judged
+    equal = next((a for a in turns if near.looks_equal(in_view, a)), None)
+    return _unmeasured("ambiguous" if equal else "undecided", equal)
+
+
+def _unmeasured(verdict: PrintVerdict, rival: Alternative | None) -> PrintComparison:
+    turn, text = (rival.turn, rival.text) if rival else (None, "")
+    return PrintComparison(verdict, turn, text, float("nan"), float("nan"), 0)
+
+
+def _judge(
+    windows: Sequence[PrintWindow],
+    obj: RefineObject,
+    surface: TexturedSurface,
+    turns: Sequence[Alternative],
+) -> PrintComparison | None:
+    """The comparison in these windows; None if the surface shows no print in them."""
+    pose = obj.T_world_obj
+    own = [score_view(w, surface, pose) for w in windows]
+    kept = [k for k, s in enumerate(own) if s is not None]
+    if sum(s.clarity for s in own if s is not None) < _LEAST_CLARITY:
+        return None
+    windows = [windows[k] for k in kept]
+    weight = np.array([own[k].clarity for k in kept])  # type: ignore[union-attr]
+    mine = np.array([own[k].value for k in kept])  # type: ignore[union-attr]
+    score = float(weight @ mine / weight.sum())
+    many = len(turns) > _MANY
+    scores = [
+        (_pooled(windows, weight, surface, pose @ a.turn), a)
+        for a in (_first_look(windows, surface, obj, turns) if many else turns)
+    ]
+    if not scores:
+        verdict: PrintVerdict = "fits" if score >= _OWN_SCORE + _PER_FRAME else "undecided"
+        return PrintComparison(verdict, None, "", score, float("nan"), len(windows))
+    rival_score, rival = max(scores, key=lambda s: s[0])
+    per_frame = _PER_FRAME / np.sqrt(len(windows))
+    margin = rival_score - score
+    far = [s for s, a in scores if rotation_error(a.turn, SE3.identity()) > _NEAR_TURN]
+    least = _SCORE + per_frame + _SCORE_OF_MANY * many
+    if rival_score >= least and margin >= _MARGIN + per_frame + _MARGIN_OF_MANY * many:
+        verdict = "turned"
+    elif score >= _OWN_SCORE + per_frame and score - max(far, default=-1.0) >= (
+        _OWN_MARGIN + per_frame
+    ):
+        verdict = "fits"
+    else:
+        verdict = "undecided"
+    return PrintComparison(verdict, rival.turn, rival.text, score, rival_score, len(windows))
+
+
+def _pooled(
+    windows: Sequence[PrintWindow],
+    weight: NDArray[np.float64],
+    surface: TexturedSurface,
+    T_world_obj: SE3,
+) -> float:
+    """Mean score of a pose over the windows; one that shows nothing of it scores 0."""
+    found = [score_view(w, surface, T_world_obj) for w in windows]
+    values = np.array([0.0 if s is None else s.value for s in found])
+    return float(weight @ values / weight.sum())
+
+
+def _first_look(
+    windows: Sequence[PrintWindow],
+    surface: TexturedSurface,
+    obj: RefineObject,
+    turns: Sequence[Alternative],
+) -> list[Alternative]:
+    """The most promising of many alternatives, from small pictures of a few frames."""
+    picks = np.unique(np.linspace(0, len(windows) - 1, _FIRST_FRAMES).round().astype(int))
+    small = [windows[k].shrunk(_FIRST_PX) for k in picks]
+    even = np.ones(len(small))
+    ranked = sorted(turns, key=lambda a: -_pooled(small, even, surface, obj.T_world_obj @ a.turn))
+    return ranked[:_FOLLOWED]

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.labels.refine.object_surface import SurfaceColors
 from std_toolkit.labels.refine.problem import RefineObject, RefineView, covariance_at
 from std_toolkit.labels.refine_step import choose_keyframes, load_views, scene_object
+from std_toolkit.rendering.texture import SurfaceColors
 from std_toolkit.scene.scene import Scene, require_metres
 
 if TYPE_CHECKING:
@@ -155,7 +155,7 @@ def _object(
 ) -> RefineObject:
     mesh = mesh_of(scene.objects.object(object_id).model)
     obj = scene_object(scene, object_id, pose, mesh=mesh)
-    return replace(obj, colors=SurfaceColors.of(mesh)) if colors else obj
+    return replace(obj, colors=SurfaceColors.from_mesh(mesh)) if colors else obj
 
 
 def method_sentence(edge_rms_px: float | None, depth_m: float | None, views: int) -> str:

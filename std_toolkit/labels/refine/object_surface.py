@@ -12,7 +12,6 @@ import threading
 import weakref
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -21,17 +20,11 @@ from numpy.typing import NDArray
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.se3 import SE3
 
-if TYPE_CHECKING:
-    import trimesh
-
 Array = NDArray[np.float64]
 
 
 # Fraction of the radius by which a sphere exceeds the hull of its points in `_directions`.
 _SLACK = 0.02
-
-# A larger texture is finer than the images that it is compared with.
-_LARGEST_TEXTURE = 512
 
 # A surface whose colours vary by less than the first figure (standard deviation, grey levels)
 # shows only noise and shading, one that varies by more than the second has a texture.
@@ -184,62 +177,6 @@ def surface_of(vertices: Array, faces: NDArray[np.int64]) -> ObjectSurface:
     with _lock:
         _kept[key] = weakref.ref(vertices, drop), weakref.ref(faces, drop), surface
     return surface
-
-
-@dataclass(frozen=True, eq=False)
-class SurfaceColors:
-    """Colours of a mesh surface.
-
-    Attributes:
-        corners: (F, 3, 2) texture coordinates of the faces' corners, or (F, 3, 3) their colours.
-        texture: (h, w, 3) float32 RGB, or None if the corners have colours.
-    """
-
-    corners: NDArray[np.float32]
-    texture: NDArray[np.float32] | None
-
-    @staticmethod
-    def of(mesh: trimesh.Trimesh) -> SurfaceColors | None:
-        """From the mesh's texture or vertex colours; None if it has at most one colour."""
-        visual: Any = mesh.visual
-        if visual.kind == "texture":
-            material = visual.material
-            image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
-            uv = visual.uv
-            if image is None or uv is None or len(uv) != len(mesh.vertices):
-                return None
-            texture = np.asarray(image.convert("RGB"), dtype=np.float32)
-            h, w = texture.shape[:2]
-            shrink = _LARGEST_TEXTURE / max(h, w)
-            if shrink < 1:
-                size = (max(1, round(w * shrink)), max(1, round(h * shrink)))
-                texture = np.asarray(cv2.resize(texture, size, interpolation=cv2.INTER_AREA))
-            return SurfaceColors(np.asarray(uv, dtype=np.float32)[mesh.faces], texture)
-        if visual.kind == "vertex":
-            colors = np.asarray(visual.vertex_colors, dtype=np.float32)[:, :3]
-            return SurfaceColors(colors[mesh.faces], None)
-        if visual.kind == "face":
-            colors = np.asarray(visual.face_colors, dtype=np.float32)[:, :3]
-            return SurfaceColors(np.repeat(colors[:, None], 3, axis=1), None)
-        return None
-
-    def at(self, face: NDArray[np.integer], weights: NDArray[np.floating]) -> Array:
-        """(N, 3) RGB, 0 to 255.
-
-        Args:
-            face: (N,) index of the face.
-            weights: (N, 2) barycentric weights of its second and third corner.
-        """
-        b, c = weights[:, :1], weights[:, 1:]
-        corner = self.corners[face]
-        value = (1 - b - c) * corner[:, 0] + b * corner[:, 1] + c * corner[:, 2]
-        if self.texture is None:
-            return np.asarray(value, dtype=np.float64)
-        h, w = self.texture.shape[:2]
-        # v = 0 is the bottom of the image; coordinates beyond 0 to 1 repeat it.
-        column = np.clip(np.floor((value[:, 0] % 1.0) * w), 0, w - 1).astype(np.int64)
-        row = np.clip(np.floor(((1 - value[:, 1]) % 1.0) * h), 0, h - 1).astype(np.int64)
-        return np.asarray(self.texture[row, column], dtype=np.float64)
 
 
 def color_agreement(

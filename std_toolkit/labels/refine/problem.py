@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import Camera, Symmetry, undistort_image
 from std_toolkit.geometry.se3 import SE3, skew
-from std_toolkit.labels.refine.object_surface import ObjectSurface, SurfaceColors, surface_of
+from std_toolkit.labels.refine.object_surface import ObjectSurface, surface_of
+from std_toolkit.rendering.texture import SurfaceColors, TexturedSurface
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 
 # Called with the completed fraction, 0 to 1, never decreasing. To cancel the computation, raise an
@@ -92,6 +93,7 @@ class RefineObject:
         rough: search poses around the start before edge refinement, if there are two views or
             more; see `RefineOptions.rough_m`.
         colors: colours of its surface, if the mesh has a texture that distinguishes its sides.
+        print: the mesh with its colours at full resolution, if it has any.
     """
 
     name: str
@@ -103,6 +105,7 @@ class RefineObject:
     fixed: bool = False
     rough: bool = False
     colors: SurfaceColors | None = None
+    print: TexturedSurface | None = None
 
     @property
     def trusts_depth(self) -> bool:

@@ -17,9 +17,9 @@ from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.images import read_color, read_depth
 from std_toolkit.labels.refine.caster import WorldCaster
 from std_toolkit.labels.refine.depth.observed import fit_background, plane_depth
-from std_toolkit.labels.refine.object_surface import SurfaceColors
 from std_toolkit.labels.refine.problem import RefineObject, RefineView
 from std_toolkit.labels.symmetry_argument import parse_symmetry
+from std_toolkit.rendering.texture import SurfaceColors
 
 CAMERA = Camera(640, 480, 618.0172729492188, 618.0033569335938, 312.376953125, 232.37530517578125)
 # Shapes that look the same turned: cans, bowl and marker about their axis; the wood block is a
@@ -112,7 +112,7 @@ def _object(name: str, mesh: trimesh.Trimesh, pose: SE3) -> RefineObject:
         pose,
         "diffuse",
         symmetry,
-        colors=SurfaceColors.of(mesh),
+        colors=SurfaceColors.from_mesh(mesh),
     )
 
 

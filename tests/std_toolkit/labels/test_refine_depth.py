@@ -17,8 +17,8 @@ from std_toolkit.labels.refine.depth.depth_steps import measure_depth
 from std_toolkit.labels.refine.depth.icp import DepthFitOptions, refine_on_depth
 from std_toolkit.labels.refine.depth.observed import fit_background, observe, plane_depth
 from std_toolkit.labels.refine.depth.pose_search import DepthCost
-from std_toolkit.labels.refine.object_surface import SurfaceColors
 from std_toolkit.labels.refine.problem import RefineObject
+from std_toolkit.rendering.texture import SurfaceColors
 
 BOX = mesh_object(
     trimesh.creation.box((0.08, 0.05, 0.1)),
@@ -138,7 +138,7 @@ def test_the_print_tells_the_front_of_a_box_from_its_back():
         [40, 60, 200],
     )
     mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=print_of.astype(np.uint8))
-    colors = SurfaceColors.of(mesh)
+    colors = SurfaceColors.from_mesh(mesh)
     box = mesh_object(mesh, BOX.T_world_obj, "carton", colors=colors)
     view = photograph([box])
     hits = box.surface.cast(

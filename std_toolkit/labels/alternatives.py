@@ -1,0 +1,309 @@
+"""Poses at which an object looks nearly the same but for its print, found from its mesh.
+
+Half and quarter turns about the axes of the mesh whose turned surface nearly coincides with it,
+steps of a turn for surfaces of revolution, and turns that only mirror the silhouette in the views
+at hand. Symmetries that the model declares are no alternatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.geometry import SE3, Symmetry, rotation_error, so3_exp
+from std_toolkit.labels.refine.object_surface import ObjectSurface, surface_of
+
+Array = NDArray[np.float64]
+
+# Points on the surface that are compared, and steps of the alignment of the turned surface.
+_POINTS, _STEPS = 600, 8
+
+# Largest distance of 95 % of the turned surface from the surface, and shift of its centre, in
+# parts of the diagonal of the bounding box. A handle is more, the back of a bottle less.
+_DISTANCE, _SHIFT = 0.05, 0.08
+
+# A turned surface that is further away before its alignment is another shape.
+_HOPELESS = 0.15
+
+# Distance below which a turn counts as exact: not even a perfect outline tells it.
+_EXACT = 0.01
+
+# Axes nearer to one another are the same, as are turns.
+_SAME_AXIS, _SAME_TURN = np.deg2rad(12), np.deg2rad(10)
+
+# Turns that are tried about the axis of a surface of revolution.
+_ROUND_STEP_DEG = 20
+
+# An alternative is at least this far away; smaller turns are a matter of refinement.
+_FAR = np.deg2rad(15)
+
+# Turns that only mirror the silhouette are further away, and cover nearly the same pixels.
+_MIRRORED, _SILHOUETTE_IOU = np.deg2rad(60), 0.94
+
+# Silhouettes that overlap by more are equal but for the pixels of their rims.
+_EQUAL_IOU = 0.97
+
+_SILHOUETTE_PX = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """A turn after which an object looks nearly the same.
+
+    Attributes:
+        turn: T_obj_turned; the alternative to `pose` is `pose @ turn`.
+        text: the turn in words, such as "turned by 180 deg about z".
+        distance: 95th percentile of the distance between the turned surface and the surface, in
+            parts of the bounding box's diagonal; NaN if only silhouettes agree.
+    """
+
+    turn: SE3
+    text: str
+    distance: float
+
+    @property
+    def exact(self) -> bool:
+        """Whether the turned surface is the surface, as far as an image can show."""
+        return self.distance <= _EXACT
+
+
+class NearSymmetry:
+    """Near-symmetric alternatives of one mesh.
+
+    Args:
+        vertices: (V, 3) metres.
+        faces: (F, 3) triangles.
+        symmetry: symmetries that the model declares.
+
+    Attributes:
+        turns: alternatives whose turned surface nearly coincides with the surface.
+    """
+
+    def __init__(
+        self, vertices: Array, faces: NDArray[np.integer], symmetry: Symmetry | None = None
+    ) -> None:
+        self._surface = surface_of(vertices, faces)  # type: ignore[arg-type]
+        self._symmetry = symmetry or Symmetry()
+        self._points = _spread_points(vertices, faces)
+        self._size = 2 * self._surface.radius
+        self._bases = _bases(self._points)
+        self.turns: tuple[Alternative, ...] = tuple(self._find())
+
+    def mirrored(self, poses: Sequence[SE3]) -> list[Alternative]:
+        """Turns at least 60 deg away whose silhouette is nearly the same in all given views.
+
+        A box seen from one side, or a plate, has more of them than its shape has.
+
+        Args:
+            poses: T_cam_obj of the views.
+        """
+        known = [a.turn for a in self.turns]
+        found: list[Alternative] = []
+        for rotation, text in _cube_turns(self._bases):
+            turn = _about(self._surface.centre, rotation)
+            if rotation_error(turn, SE3.identity(), self._symmetry) < _MIRRORED:
+                continue
+            if self._repeats(turn, [*known, *(a.turn for a in found)]):
+                continue
+            if all(self._same_silhouette(T, turn) for T in poses):
+                found.append(Alternative(turn, text, float("nan")))
+        return found
+
+    def looks_equal(self, poses: Sequence[SE3], alternative: Alternative) -> bool:
+        """Whether silhouettes cannot tell the alternative in any of the views.
+
+        Args:
+            poses: T_cam_obj of the views; without any, the shape decides.
+        """
+        if not poses:
+            return alternative.exact
+        return all(self._same_silhouette(T, alternative.turn, least=_EQUAL_IOU) for T in poses)
+
+    def _find(self) -> list[Alternative]:
+        found: list[Alternative] = []
+        tried = [*_cube_turns(self._bases)]
+        axis = self._round_axis()
+        if axis is not None:
+            tried += _round_turns(*axis)
+        for rotation, text in tried:
+            turn = _about(self._surface.centre, rotation)
+            if rotation_error(turn, SE3.identity(), self._symmetry) < _FAR:
+                continue
+            if self._repeats(turn, [a.turn for a in found]):
+                continue
+            turn, distance = self._aligned(turn)
+            if distance <= _DISTANCE:
+                found.append(Alternative(turn, text, distance))
+        return found
+
+    def _repeats(self, turn: SE3, known: Sequence[SE3]) -> bool:
+        return any(rotation_error(turn, k, self._symmetry) < _SAME_TURN for k in known)
+
+    def _round_axis(self) -> tuple[Array, str] | None:
+        """The axis about which the mesh is a surface of revolution, if there is one."""
+        for basis, names in self._bases:
+            for k in range(3):
+                turns = [_about(self._surface.centre, so3_exp(basis[k] * np.deg2rad(a)))
+                         for a in (20, 37, 45, 90)]  # fmt: skip
+                if max(self._aligned(t, steps=0)[1] for t in turns) <= 0.6 * _DISTANCE:
+                    return basis[k], names[k]
+        return None
+
+    def _aligned(self, turn: SE3, *, steps: int = _STEPS) -> tuple[SE3, float]:
+        """The turn moved so that the surfaces coincide best, and their distance then."""
+        start, limit = turn, _SHIFT * self._size
+        few = turn @ self._points[::5]
+        rough = np.linalg.norm(self._surface.closest(few)[0] - few, axis=1)
+        if np.percentile(rough, 90) > _HOPELESS * self._size:
+            return turn, float("inf")
+        for _ in range(steps):
+            p = turn @ self._points
+            nearest, normal = self._surface.closest(p)
+            gap = ((nearest - p) * normal).sum(axis=1)
+            spread = max(1.4826 * float(np.median(np.abs(gap))), 1e-6)
+            weight = 1 / (1 + (gap / (2 * spread)) ** 2)
+            q = p - self._surface.centre
+            J = np.hstack([normal, np.cross(q, normal)])
+            size = np.array([1.0] * 3 + [1 / self._surface.radius] * 3)
+            J = J * size
+            # A surface of revolution leaves some directions free: a weak prior keeps them.
+            A = (J * weight[:, None]).T @ J + 0.02 * weight.sum() * np.eye(6)
+            xi = size * np.linalg.solve(A, (J * weight[:, None]).T @ gap)
+            centre = self._surface.centre
+            step = SE3(so3_exp(xi[3:]), xi[:3] + centre - so3_exp(xi[3:]) @ centre)
+            turn = step @ turn
+        moved = np.linalg.norm(turn @ self._surface.centre - start @ self._surface.centre)
+        turned = rotation_error(turn, start)
+        if moved > limit or turned > _SAME_AXIS:
+            return start, float("inf")
+        there, back = turn @ self._points, turn.inverse() @ self._points
+        gaps = np.concatenate(
+            [np.linalg.norm(self._surface.closest(p)[0] - p, axis=1) for p in (there, back)]
+        )
+        return turn, float(np.percentile(gaps, 95)) / self._size
+
+    def _same_silhouette(
+        self, T_cam_obj: SE3, turn: SE3, *, least: float = _SILHOUETTE_IOU
+    ) -> bool:
+        masks = [_silhouette(self._surface, T) for T in (T_cam_obj, T_cam_obj @ turn)]
+        union = (masks[0] | masks[1]).sum()
+        return bool((masks[0] & masks[1]).sum() >= least * max(union, 1))
+
+
+def _spread_points(vertices: Array, faces: NDArray[np.integer]) -> Array:
+    """(N, 3) points spread over the surface by its area; the same at every call."""
+    corners = vertices[faces]
+    area = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    total = np.cumsum(area)
+    if total[-1] <= 0:
+        return vertices[np.unique(faces)][:_POINTS]
+    random = np.random.default_rng(0)
+    at = (np.arange(_POINTS) + random.random(_POINTS)) / _POINTS * total[-1]
+    face = np.minimum(np.searchsorted(total, at), len(faces) - 1)
+    a, b = random.random((2, _POINTS))
+    flip = a + b > 1
+    a[flip], b[flip] = 1 - a[flip], 1 - b[flip]
+    p = corners[face]
+    return np.asarray(p[:, 0] + a[:, None] * (p[:, 1] - p[:, 0]) + b[:, None] * (p[:, 2] - p[:, 0]))
+
+
+_Basis = tuple[Array, tuple[str, str, str]]
+
+
+def _bases(points: Array) -> list[_Basis]:
+    """Sets of three axes to turn about: those of the mesh, and its principal ones if they differ.
+
+    The principal axes of each pair of mesh axes are tried as well: a bottle stands upright in its
+    mesh frame but may look anywhere.
+    """
+    found: list[_Basis] = [(np.eye(3), ("x", "y", "z"))]
+    centred = points - (points.min(axis=0) + points.max(axis=0)) / 2
+    _, _, principal = np.linalg.svd(centred, full_matrices=False)
+    candidates = [principal]
+    for k in range(3):
+        i, j = (m for m in range(3) if m != k)
+        _, _, flat = np.linalg.svd(centred[:, [i, j]], full_matrices=False)
+        axes = np.zeros((3, 3))
+        axes[:2, i], axes[:2, j], axes[2, k] = flat[:, 0], flat[:, 1], 1.0
+        candidates.append(axes)
+    for axes in candidates:
+        if any(_same_axes(axes, known) for known, _ in found):
+            continue
+        names = tuple(_axis_name(a) for a in axes)
+        found.append((axes, names))  # type: ignore[arg-type]
+    return found
+
+
+def _same_axes(a: Array, b: Array) -> bool:
+    """Whether two sets of axes hold the same lines."""
+    return bool((np.abs(a @ b.T).max(axis=1) > np.cos(_SAME_AXIS)).all())
+
+
+def _axis_name(axis: Array) -> str:
+    k = int(np.argmax(np.abs(axis)))
+    if abs(axis[k]) > np.cos(_SAME_AXIS):
+        return "xyz"[k]
+    axis = axis if axis[k] > 0 else -axis
+    return "the axis (" + ", ".join(f"{x + 0.0:.2f}" for x in axis) + ")"
+
+
+def _cube_turns(bases: Sequence[_Basis]) -> list[tuple[Array, str]]:
+    """Half turns, quarter turns, then the other turns of a cube, with their words."""
+    found = []
+    for basis, names in bases:
+        for degrees in (180, 90, 270):
+            for k in (2, 1, 0):
+                text = f"turned by {degrees} deg about {names[k]}"
+                found.append((so3_exp(basis[k] * np.deg2rad(degrees)), text))
+    for basis, names in bases:
+        for i, j in product(range(3), repeat=2):
+            for a, b in product((90, 270), (90, 180, 270)):
+                if i != j:
+                    R = so3_exp(basis[i] * np.deg2rad(a)) @ so3_exp(basis[j] * np.deg2rad(b))
+                    text = f"turned by {b} deg about {names[j]}, then {a} deg about {names[i]}"
+                    found.append((R, text))
+    return found
+
+
+def _round_turns(axis: Array, name: str) -> list[tuple[Array, str]]:
+    """Steps of a full turn, upright and upside down."""
+    across = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    across = across - (across @ axis) * axis
+    across /= np.linalg.norm(across)
+    found = []
+    for degrees in range(_ROUND_STEP_DEG, 360, _ROUND_STEP_DEG):
+        R = so3_exp(axis * np.deg2rad(degrees))
+        found.append((R, f"turned by {degrees} deg about {name}"))
+    over = so3_exp(across * np.pi)
+    for degrees in range(0, 360, _ROUND_STEP_DEG):
+        text = f"turned by 180 deg about {_axis_name(across)}"
+        if degrees:
+            text += f", then {degrees} deg about {name}"
+        found.append((so3_exp(axis * np.deg2rad(degrees)) @ over, text))
+    return found
+
+
+def _about(centre: Array, R: Array) -> SE3:
+    return SE3(R, centre - R @ centre)
+
+
+def _silhouette(surface: ObjectSurface, T_cam_obj: SE3) -> NDArray[np.bool_]:
+    """(n, n) pixels that show the object, in a window around its centre as large as the object."""
+    centre = T_cam_obj @ surface.centre
+    half = surface.radius / max(float(np.linalg.norm(centre)), 1e-6)
+    grid = np.linspace(-1.1, 1.1, _SILHOUETTE_PX) * half
+    # Rays about the direction of the centre, so that a pose beside the image axis is the same.
+    forward = centre / np.linalg.norm(centre)
+    right = np.cross(np.array([0.0, 1.0, 0.0]), forward)
+    right /= np.linalg.norm(right)
+    down = np.cross(forward, right)
+    x, y = np.meshgrid(grid, grid)
+    rays = forward + x[..., None] * right + y[..., None] * down
+    hits = surface.cast(rays.reshape(-1, 3), T_cam_obj)
+    return np.asarray(np.isfinite(hits.depth).reshape(x.shape))
