@@ -17,6 +17,7 @@ from std_toolkit.checks import (
     coverage,
     figures,
     overlay,
+    prints,
     residuals,
     result,
 )
@@ -131,7 +132,8 @@ def _check(
 
     sparse, fused = sparse_cloud(scene), fused_cloud(scene, readable)
     up = _up(scene, sparse or fused)
-    report = judge_scene(scene, observed, problems, options, up=up)
+    compared = prints.compare_prints(scene, readable)
+    report = judge_scene(scene, observed, problems, options, up=up, compared=compared)
     if sparse is None and report.summary.registered:
         report.missing.append("The points of the reconstruction (poses/points.ply).")
 

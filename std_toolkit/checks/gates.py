@@ -106,6 +106,7 @@ def evaluate_object(item: ObjectCheck, share: float, options: CheckOptions) -> O
         or (excess is not None and excess > options.max_depth_mm)
         or (_drift(item, options) or 0) > options.max_drift_px
         or (item.label_std_mm or 0) > options.max_label_std_mm
+        or item.print_verdict == "turned"
     )
     verdict: Literal["good", "doubtful", "bad", "open"]
     if bad:

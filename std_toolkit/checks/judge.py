@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.checks import aggregate, contours, report_warnings, residuals, result
+from std_toolkit.checks import aggregate, contours, prints, report_warnings, residuals, result
 from std_toolkit.checks.gates import evaluate_gates, evaluate_object, scale_share
+from std_toolkit.labels.print import PrintComparison
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
 
@@ -20,6 +22,7 @@ def judge_scene(
     options: CheckOptions,
     *,
     up: NDArray[np.float64],
+    compared: Mapping[int, PrintComparison] | None = None,
 ) -> result.CheckReport:
     """Aggregate the measurements and evaluate the gates; writes nothing.
 
@@ -29,15 +32,17 @@ def judge_scene(
         problems: error line by frame id, of frames that could not be measured.
         options: limits.
         up: (3,) unit vector that points up in the world.
+        compared: comparisons of the prints, by object id; see `prints.compare_prints`.
     """
     bias = aggregate.common_depth_bias(scene, observed)
     objects = aggregate.check_objects(scene, observed, up=up, depth_bias=bias)
     rows = aggregate.check_frames(scene, observed, problems)
     materials = aggregate.check_materials(scene, observed)
+    objects = prints.with_prints(objects, compared or {})
     summary = _summary(scene, objects, rows, observed, bias)
     objects = [evaluate_object(o, scale_share(summary), options) for o in objects]
     gates = evaluate_gates(summary, objects, rows, scene.poses, options)
-    gates += _mesh_gate(scene)
+    gates += [prints.print_gate(objects), *_mesh_gate(scene)]
     failed = [g for g in gates if g.status == "fail"]
     return result.CheckReport(
         scene=scene.info.name,

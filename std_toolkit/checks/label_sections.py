@@ -42,6 +42,7 @@ _COLUMNS = (
     Column(heading="label std", unit="mm"),
     Column(heading="visible", unit="%, median", factor=100, digits=0),
 )
+_PRINT = Column(heading="print", numeric=False)
 
 
 def label_blocks(report: result.CheckReport, options: CheckOptions) -> list[page.Block]:
@@ -51,7 +52,10 @@ def label_blocks(report: result.CheckReport, options: CheckOptions) -> list[page
     if any(o.frames_seen for o in report.objects):
         share = gates.scale_share(report.summary)
         rows = [_label_row(report, o, share, options) for o in report.objects]
-        blocks: list[page.Block] = [Table(columns=_COLUMNS, rows=rows), page.Terms(_MEANINGS)]
+        blocks: list[page.Block] = [
+            Table(columns=(*_COLUMNS, _PRINT), rows=rows),
+            page.Terms(_MEANINGS),
+        ]
     else:
         rows = [
             Row([name_cell(report, o), Cell(text=o.verdict, tag=o.verdict), Cell(text=o.label)])
@@ -121,6 +125,9 @@ def _label_row(
         text = f"{column.text(value) or NONE} {behind}".rstrip()
         over = judged is not None and judged > limit
         cells.append(Cell(text=text, mark="bad" if over else ""))
+    turned = item.print_verdict == "turned"
+    shown = item.print_text if turned else item.print_verdict
+    cells.append(Cell(text=shown or NONE, mark="bad" if turned else ""))
     return Row(cells)
 
 

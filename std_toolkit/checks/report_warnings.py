@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from std_toolkit.checks import result
 from std_toolkit.checks.coverage import NARROW_DEG
 from std_toolkit.checks.gates import has_edges, is_confirmed
+from std_toolkit.checks.prints import print_warnings
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 
@@ -14,6 +15,7 @@ _ORDER: dict[result.Severity, int] = {"high": 0, "medium": 1, "low": 2}
 # Gates whose detail lists the objects or frames concerned.
 _NAMING = (
     "labelled", "edges", "shift", "depth", "drift", "covariance", "evidence", "frames", "meshes",
+    "print",
 )  # fmt: skip
 _LARGE_OFFSET_MM = 3.0
 _LOW_VISIBILITY = 0.5
@@ -46,6 +48,7 @@ def find_warnings(
     rest = [
         *_frame_warnings(frames),
         *(w for item in objects for w in _object_warnings(item, options)),
+        *print_warnings(objects),
         *_scale_warnings(summary),
         *_depth_warnings(summary, materials),
     ]

@@ -119,8 +119,8 @@ def _centred(image: Array32, part: NDArray[np.int32]) -> Array32:
     index = part[part > 0]
     values = image[part > 0].astype(np.float64)
     count = np.bincount(index)
-    means = np.stack([np.bincount(index, values[:, c]) for c in range(3)], axis=1)
-    means /= np.maximum(count, 1)[:, None]
+    sums = np.stack([np.bincount(index, values[:, c]) for c in range(3)], axis=1)
+    means = sums / np.maximum(count, 1)[:, None]
     return np.asarray(values - means[index], dtype=np.float32)
 
 
@@ -191,7 +191,7 @@ def _affine(
             ).reshape(-1, 6)
             JW = J * weight.reshape(-1, 1)
             A = JW.T @ J
-    XX
+            A += (np.trace(A) / 6 + 1e-6) * np.diag(stiff)
             step = np.linalg.solve(A, JW.T @ r.reshape(-1))
             flow = flow + step
             if np.abs(step).max() < 0.1:

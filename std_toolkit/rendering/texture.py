@@ -242,12 +242,12 @@ class TexturedSurface:
         count = hit.reshape(blocks).sum(axis=(1, 3))
         sound = np.zeros(hit.shape, bool)
         sound[hit] = self._sound[found.face[hit].astype(np.int64)]
-        sound = sound.reshape(blocks).all(axis=(1, 3))
+        whole = np.asarray(sound.reshape(blocks).all(axis=(1, 3)))
         mean = color.reshape(*blocks, 3).sum(axis=(1, 3)) / np.maximum(count, 1)[..., None]
         middle = (slice(n // 2, None, n), slice(n // 2, None, n))
         depth = np.where(hit, found.distance, np.inf).astype(np.float32)[middle]
         return TexturePicture(
-            x0, y0, mean.astype(np.float32), count == n * n, sound, depth, found.normal[middle]
+            x0, y0, mean.astype(np.float32), count == n * n, whole, depth, found.normal[middle]
         )
 
     def points(self, camera: Camera, T_cam_obj: SE3, uv: NDArray[np.floating]) -> Array:
