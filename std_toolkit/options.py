@@ -349,6 +349,12 @@ class CheckOptions:
     """largest width of the images in the report"""
     jpeg_quality: Annotated[int, msgspec.Meta(ge=1, le=100)] = 82
     """JPEG quality of the images in the report"""
+    inject: bool = False
+    """report the smallest known faults, put into the scene in memory, that the gates catch"""
+    inject_objects: Whole = 6
+    """--inject: number of evenly spaced objects that get faults; 0 = all"""
+    inject_frames: Whole = 8
+    """--inject: number of evenly spaced frames to measure; 0 = all"""
 
     def __post_init__(self) -> None:
         for entry in fields(self):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +21,8 @@ from std_toolkit.checks import (
     residuals,
     result,
 )
+from std_toolkit.checks.coverage import spread
+from std_toolkit.checks.inject import inject_faults
 from std_toolkit.checks.judge import judge_scene
 from std_toolkit.checks.report import PageParts, render_page
 from std_toolkit.checks.view3d import Cloud, fused_cloud, scene_figure, sparse_cloud
@@ -106,15 +108,6 @@ def report_path(root: Path) -> Path:
     return root / FOLDER / "report.html"
 
 
-def spread(frames: Sequence[Frame], count: int) -> list[Frame]:
-    """At most `count` frames, evenly spaced, with the first and the last; 0 means all."""
-    if count == 0 or len(frames) <= count:
-        return list(frames)
-    return [
-        frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, count).round().astype(int))
-    ]
-
-
 def _check(
     scene: Scene,
     frames: list[Frame],
@@ -137,6 +130,9 @@ def _check(
     if sparse is None and report.summary.registered:
         report.missing.append("The points of the reconstruction (poses/points.ply).")
 
+    if options.inject:
+        found = inject_faults(scene, observed, fingerprint, options, jobs, up=up)
+        report = msgspec.structs.replace(report, detectability=found)
     orders = _drawing_orders(readable, report.objects, options)
     drawn = run_jobs(
         partial(overlay.draw_frame, **work),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 from std_toolkit.geometry.se3 import SE3
 
 Array = NDArray[np.float64]
+Item = TypeVar("Item")
 
 # Below this largest angle between two views, depth is weakly determined: the error along the view
 # is 1 / tan(angle / 2) times the lateral error, 3.7 times at 30 degrees.
@@ -36,6 +39,13 @@ class Coverage:
     elevation_max_deg: float
     parallax_deg: float
     largest_step_deg: float
+
+
+def spread(items: Sequence[Item], count: int) -> list[Item]:
+    """At most `count` items, evenly spaced, with the first and the last; 0 means all."""
+    if count == 0 or len(items) <= count:
+        return list(items)
+    return [items[i] for i in np.unique(np.linspace(0, len(items) - 1, count).round().astype(int))]
 
 
 def scene_up(poses: list[SE3], points: Array | None) -> Array:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from std_toolkit import __version__
-from std_toolkit.checks import figures, label_sections, overlay, result
+from std_toolkit.checks import figures, inject_report, label_sections, overlay, result
 from std_toolkit.html import page
 from std_toolkit.html.plots import MATERIAL_COLORS
 from std_toolkit.html.table import MINUS, NONE, Cell, Column, Row, Table, number
@@ -45,6 +45,11 @@ def render_page(report: result.CheckReport, parts: PageParts, options: CheckOpti
             page.Section("gates", "Gates", [_gates(report)]),
             page.Section("warnings", "Warnings", [_warnings(report)]),
             page.Section("labels", "Labels", label_sections.label_blocks(report, options)),
+            page.Section(
+                "inject",
+                "Smallest faults caught",
+                inject_report.detectability_blocks(report.detectability),
+            ),
             page.Section(
                 "overlays", "Overlays", label_sections.overlay_blocks(report, parts.pictures)
             ),

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from std_toolkit.checks.detectability import Detectability
 from std_toolkit.scene.model import Count, Document, ObjectId, ScaleReport
 
 Severity = Literal["high", "medium", "low"]
@@ -268,6 +269,7 @@ class CheckReport(Document, frozen=True, kw_only=True):
         verdict: one line.
         missing: what the scene lacks, one sentence each.
         limits: the options of the check.
+        detectability: smallest faults that the gates catch; null without `--inject`.
     """
 
     format: Literal["std-toolkit-check"] = "std-toolkit-check"
@@ -283,6 +285,7 @@ class CheckReport(Document, frozen=True, kw_only=True):
     frames: list[FrameCheck]
     materials: list[MaterialDepth]
     limits: dict[str, float]
+    detectability: Detectability | None = None
 
     def failed_gates(self) -> list[CheckGate]:
         """The gates that failed, in order."""

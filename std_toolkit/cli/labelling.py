@@ -149,6 +149,10 @@ def check(command: CheckCommand) -> int:
         # Failed gates are printed above; warnings of low severity are in the report only.
         if warning.severity != "low" and not warning.gate:
             print(f"warning: {warning.about}: {warning.problem}; {warning.advice}")
+    if report.detectability is not None:
+        from std_toolkit.checks.inject_report import detectability_table
+
+        print(detectability_table(report.detectability).terminal(notes=False))
     print(report.verdict)
     print(f"report: {report_path(scene.root)}")
     return 0 if report.passed else 1
