@@ -382,6 +382,9 @@ class ExportOptions:
     quaternion: Literal["dreds", "plain"] = "dreds"
     """STD: rotation in the meta file: dreds (inverse, as the DREDS generator writes it) or plain
     (object to camera)"""
+    drop_bad_frames: bool = False
+    """leave out frames in which the check found a wrong camera pose, shifted depth, an unreadable
+    file, or an object that does not fit; needs a current report of `std-curate check`"""
     overwrite: bool = False
     """replace an earlier export"""
 

@@ -34,6 +34,7 @@ from std_toolkit.log import logger
 from std_toolkit.options import CheckOptions
 from std_toolkit.rendering.ground_truth import info_path, map_paths
 from std_toolkit.scene import Frame, Scene, document
+from std_toolkit.scene.check_flags import scene_fingerprint
 
 STEP = "check"
 FOLDER = "check"
@@ -65,7 +66,7 @@ def run_check(
     with scene.lock():
         sweep_temporaries(scene.root)
         frames = spread(scene.registered_frames(), options.max_frames)
-        fingerprint = _fingerprint(scene)
+        fingerprint = scene_fingerprint(scene)
         digest = document.digest_of(
             fingerprint, asdict(options), version("plotly"), _file_digests(scene, frames)
         )
@@ -100,7 +101,7 @@ def report_is_current(scene: Scene) -> bool:
         record = read_document(document.record_path(scene.root, STEP), document.Record)
     except ToolkitError:
         return True
-    return record.parameters.get("scene", "") in ("", _fingerprint(scene))
+    return record.parameters.get("scene", "") in ("", scene_fingerprint(scene))
 
 
 def report_path(root: Path) -> Path:
@@ -208,14 +209,6 @@ def _sky(
 def _up(scene: Scene, cloud: Cloud | None) -> NDArray[np.float64]:
     poses = [T for f in scene.registered_frames() if (T := scene.T_world_cam(f.id)) is not None]
     return coverage.scene_up(poses, None if cloud is None else cloud.xyz.astype(np.float64))
-
-
-def _fingerprint(scene: Scene) -> str:
-    """Digest of the documents and meshes, on which the work on every frame depends."""
-    meshes = {m.id: _digest_or_none(scene.mesh_path(m)) for m in scene.objects.models}
-    return document.digest_of(
-        scene.info, scene.frame_table, scene.objects, scene.poses, scene.labels, meshes
-    )
 
 
 def _file_digests(scene: Scene, frames: list[Frame]) -> dict[str, Any]:

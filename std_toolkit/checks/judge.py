@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.checks import aggregate, contours, prints, report_warnings, residuals, result
+from std_toolkit.checks.frame_faults import with_frame_faults, with_object_faults
 from std_toolkit.checks.gates import evaluate_gates, evaluate_object, scale_share
 from std_toolkit.labels.print import PrintComparison
 from std_toolkit.options import CheckOptions
@@ -41,6 +42,8 @@ def judge_scene(
     objects = prints.with_prints(objects, compared or {})
     summary = _summary(scene, objects, rows, observed, bias)
     objects = [evaluate_object(o, scale_share(summary), options) for o in objects]
+    objects = [with_object_faults(o, options) for o in objects]
+    rows = with_frame_faults(rows, objects)
     gates = evaluate_gates(summary, objects, rows, scene.poses, options)
     gates += [prints.print_gate(objects), *_mesh_gate(scene)]
     failed = [g for g in gates if g.status == "fail"]

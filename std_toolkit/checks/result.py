@@ -75,6 +75,7 @@ class ObjectFrameCheck(Document, frozen=True, kw_only=True):
         shift_px: [x, y] from the label to the image.
         depth_mm: median of rendered minus sensor depth.
         depth_unscaled_mm: the same without the bias common to all diffuse objects.
+        fault: why the label does not fit in this frame, or "".
     """
 
     frame: Count
@@ -84,6 +85,7 @@ class ObjectFrameCheck(Document, frozen=True, kw_only=True):
     shift_px: list[float] | None = None
     depth_mm: Number = None
     depth_unscaled_mm: Number = None
+    fault: str = ""
 
 
 class ObjectCheck(Document, frozen=True, kw_only=True):
@@ -186,6 +188,7 @@ class FrameCheck(Document, frozen=True, kw_only=True):
         depth_valid: fraction of pixels with sensor depth.
         truth: "current", "stale" or "none".
         problem: why the frame could not be checked, or "".
+        fault: what is wrong with the frame, such as "camera pose" or "unreadable", or "".
     """
 
     frame: Count
@@ -200,6 +203,7 @@ class FrameCheck(Document, frozen=True, kw_only=True):
     depth_valid: Number = None
     truth: Literal["current", "stale", "none"] = "none"
     problem: str = ""
+    fault: str = ""
 
 
 class MaterialDepth(Document, frozen=True, kw_only=True):

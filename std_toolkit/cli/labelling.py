@@ -192,8 +192,13 @@ def export(command: ExportCommand) -> int:
         f"{command.out}: {len(sidecar.frames)} frames, {len(sidecar.models)} models, "
         f"{len(sidecar.files)} files in the layout of {sidecar.layout}"
     )
-    if sidecar.left_out:
-        print(f"skipped {len(sidecar.left_out)} frames without ground truth")
+    bad = [f for f in sidecar.left_out if f.reason.startswith("check: ")]
+    if len(sidecar.left_out) > len(bad):
+        print(f"skipped {len(sidecar.left_out) - len(bad)} frames without ground truth")
+    if bad:
+        print(f"left out {len(bad)} bad frames: {', '.join(f.name for f in bad)}")
+    if faulty := sum(bool(f.fault or any(o.fault for o in f.objects)) for f in sidecar.frames):
+        print(f"{faulty} exported frames have a fault that the check found (field fault)")
     return 0
 
 

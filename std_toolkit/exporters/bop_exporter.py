@@ -133,7 +133,7 @@ class BopExporter:
                     "obj_id": number,
                 }
             )
-            gt_info.append(gt_info_row(row))
+            gt_info.append(gt_info_row(row, target.object_fault(frame.id, row.object)))
             coco.append(_coco_row(number, row, amodal, visible))
         return exporter.FrameRow(
             frame=exporter.exported_frame(
@@ -218,11 +218,13 @@ def model_info(
     return dict(sorted(entry.items()))
 
 
-def gt_info_row(row: ObjectTruth) -> dict[str, Any]:
+def gt_info_row(row: ObjectTruth, fault: str | None = None) -> dict[str, Any]:
     """An entry of scene_gt_info.json. Boxes are (x, y, max - min, max - min), no +1; all -1 for an
-    object that is not visible."""
+    object that is not visible. `label_fault` is an addition to BOP, absent without a check."""
     visible = row.px_visible > 0
+    flag = {} if fault is None else {"label_fault": fault}
     return {
+        **flag,
         "bbox_obj": _box(row.bbox_amodal) if visible else [-1] * 4,
         "bbox_visib": _box(row.bbox_visible) if visible else [-1] * 4,
         "px_count_all": row.px_all,

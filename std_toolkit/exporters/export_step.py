@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
 
@@ -26,6 +28,7 @@ from std_toolkit.log import logger
 from std_toolkit.options import ExportOptions
 from std_toolkit.rendering.ground_truth import info_path, read_frame_truth, rendered_frames
 from std_toolkit.scene import model
+from std_toolkit.scene.check_flags import CheckFlags, read_check_flags
 from std_toolkit.scene.document import digest_file, digest_of
 from std_toolkit.scene.scene import Scene
 from std_toolkit.scene.sidecar import (
@@ -81,7 +84,7 @@ def export_scene(
     if jobs is None and len(target.frames) < _SERIAL_BELOW:
         jobs = JobOptions(engine="serial")
     with staging_area(out, overwrite=options.overwrite) as staging:
-        staged = Target(scene, staging, options, target.frames, target.object_ids, target.model_ids)
+        staged = replace(target, root=staging)
         models, mesh_files = exporter.write_models(staged)
         job = partial(
             _export_frame,
@@ -116,6 +119,16 @@ def plan(scene: Scene, root: Path, options: ExportOptions) -> Target:
             path=scene.root,
             hint="run `std-curate render` first",
         )
+    flags = read_check_flags(scene)
+    dropped = _dropped(scene, frames, flags) if options.drop_bad_frames else {}
+    frames = tuple(f for f in frames if f.id not in dropped)
+    if not frames:
+        raise ToolkitError(
+            "nothing to export: the check found a fault in every frame",
+            path=scene.root / "check" / "report.json",
+            field="--drop-bad-frames",
+            hint="fix the labels that the report names, or export without the option",
+        )
     seen: set[int] = set()
     for frame in frames:
         truth = read_frame_truth(scene, frame.id)
@@ -123,7 +136,27 @@ def plan(scene: Scene, root: Path, options: ExportOptions) -> Target:
         seen.update(row.object for row in truth.objects)
     used = {scene.objects.object(i).model for i in seen}
     models = tuple(m.id for m in scene.objects.models if m.id in used)
-    return Target(scene, root, options, frames, tuple(sorted(seen)), models)
+    return Target(
+        scene, root, options, frames, tuple(sorted(seen)), models, flags=flags, dropped=dropped
+    )
+
+
+def _dropped(
+    scene: Scene, frames: Sequence[model.Frame], flags: CheckFlags | None
+) -> dict[int, str]:
+    """The frames with a fault, and the fault.
+
+    Raises:
+        ToolkitError: there is no report of the check, or it is outdated.
+    """
+    if flags is None:
+        raise ToolkitError(
+            "there is no current report of the check",
+            path=scene.root,
+            field="--drop-bad-frames",
+            hint="run `std-curate check` first",
+        )
+    return {f.id: f"check: {why}" for f in frames if (why := flags.of_frame(f.id))}
 
 
 def _export_frame(
@@ -186,7 +219,7 @@ def _close(
         label_cameras={k: model.CameraModel.of(c) for k, c in sorted(labels.items())},
         frames=[r.frame for r in rows],
         left_out=[
-            LeftOut(id=f.id, name=f.name, reason="no ground truth")
+            LeftOut(id=f.id, name=f.name, reason=target.dropped.get(f.id, "no ground truth"))
             for f in scene.frames
             if f.id not in exported
         ],
@@ -278,13 +311,28 @@ def _frame_digest(target: Target, frame: model.Frame, format_name: str, document
         digest_file(scene.color_path(frame)),
         None if frame.depth is None else digest_file(scene.root / frame.depth),
         documents,
+        _flags_key(target, frame.id),
     )
+
+
+def _flags_key(target: Target, frame_id: int) -> list[object] | None:
+    flags = target.flags
+    if flags is None:
+        return None
+    objects = [[i, why] for (frame, i), why in flags.objects.items() if frame == frame_id]
+    return [flags.frames.get(frame_id, ""), objects]
 
 
 def _export_digest(target: Target, format_name: str, frames: dict[int, str]) -> str:
     scene = target.scene
     meshes = [digest_file(scene.mesh_path(scene.objects.model(m))) for m in target.model_ids]
-    return digest_of(format_name, _options_key(target.options), list(frames.values()), meshes)
+    return digest_of(
+        format_name,
+        _options_key(target.options),
+        list(frames.values()),
+        meshes,
+        sorted(target.dropped.items()),
+    )
 
 
 def _options_key(options: ExportOptions) -> list[object]:

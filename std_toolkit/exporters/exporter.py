@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 
+from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.options import ExportOptions
 from std_toolkit.plugins import Registry
 from std_toolkit.rendering.ground_truth import FrameTruth
+from std_toolkit.scene.check_flags import CheckFlags
 from std_toolkit.scene.model import Frame
 from std_toolkit.scene.sidecar import ExportedFrame, ExportedModel, ExportedObject
 
 if TYPE_CHECKING:
     from std_toolkit.geometry.camera import Camera
     from std_toolkit.scene.scene import Scene
+
+
+FAULTS_NAME = "label_faults.json"
 
 
 @dataclass(frozen=True)
@@ -29,6 +36,8 @@ class Target:
         frames: frames with complete ground truth, in order.
         object_ids: ids of the objects that appear in any frame, ascending.
         model_ids: models of those objects, in the order of objects.json.
+        flags: faults that the last check found; None without a current report.
+        dropped: reason by id of the frames that are left out because of a fault.
     """
 
     scene: Scene
@@ -37,6 +46,8 @@ class Target:
     frames: tuple[Frame, ...]
     object_ids: tuple[int, ...]
     model_ids: tuple[str, ...]
+    flags: CheckFlags | None = None
+    dropped: Mapping[int, str] = field(default_factory=dict)
 
     def rank(self, object_id: int) -> int:
         """1-based position of an object among the exported ones: its id in dense layouts."""
@@ -45,6 +56,10 @@ class Target:
     def model_number(self, model_id: str) -> int:
         """1-based position of a model among the exported ones."""
         return self.model_ids.index(model_id) + 1
+
+    def object_fault(self, frame_id: int, object_id: int) -> str | None:
+        """Why a label does not fit in a frame, "" if it does; None without a current check."""
+        return None if self.flags is None else self.flags.objects.get((frame_id, object_id), "")
 
 
 class FrameRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -133,7 +148,34 @@ def exported_frame(
                 mask_id=mask_ids[row.object],
                 T_cam_obj=row.T_cam_obj,
                 visible_fraction=row.visible_fraction,
+                fault=target.object_fault(frame.id, row.object),
             )
             for row in truth.objects
         ],
+        fault=None if target.flags is None else target.flags.frames.get(frame.id, ""),
     )
+
+
+def write_faults(target: Target, folder: str, rows: list[FrameRow]) -> list[str]:
+    """Write label_faults.json for a layout whose own files cannot hold flags.
+
+    Frames without a fault are absent; without a current check nothing is written.
+
+    Args:
+        folder: folder of the frames, relative to the export.
+        rows: the exported frames.
+
+    Returns:
+        The path written, relative to the export.
+    """
+    if target.flags is None:
+        return []
+    content = {}
+    for frame in (r.frame for r in rows):
+        objects = {str(o.mask_id): o.fault for o in frame.objects if o.fault}
+        if frame.fault or objects:
+            content[frame.stem] = {"frame": frame.fault, "objects": objects}
+    name = f"{folder}/{FAULTS_NAME}"
+    text = json.dumps(content, indent=2, sort_keys=True) + "\n"
+    write_bytes_atomic(target.root / name, text.encode())
+    return [name]

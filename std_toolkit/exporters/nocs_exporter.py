@@ -107,12 +107,12 @@ class NocsExporter:
 
     def finish(
         self,
-        target: exporter.Target,  # noqa: ARG002 - part of the protocol
-        rows: list[exporter.FrameRow],  # noqa: ARG002
-        models: list[ExportedModel],  # noqa: ARG002
+        target: exporter.Target,
+        rows: list[exporter.FrameRow],
+        models: list[ExportedModel],  # noqa: ARG002 - part of the protocol
     ) -> list[str]:
-        """Return no paths: the layout has no documents over all frames."""
-        return []
+        """Write the faults that the check found; the layout has no documents over all frames."""
+        return exporter.write_faults(target, self.folder(target), rows)
 
     def _meta(self, target: exporter.Target) -> str:
         lines = []

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.exporters.exporter import FrameRow, Target, exported_frame
+from std_toolkit.exporters.exporter import FrameRow, Target, exported_frame, write_faults
 from std_toolkit.exporters.frame_maps import (
     color_camera,
     frame_maps,
@@ -142,12 +142,12 @@ class StdExporter:
 
     def finish(
         self,
-        target: Target,  # noqa: ARG002 - part of the protocol
-        rows: list[FrameRow],  # noqa: ARG002
-        models: list[ExportedModel],  # noqa: ARG002
+        target: Target,
+        rows: list[FrameRow],
+        models: list[ExportedModel],  # noqa: ARG002 - part of the protocol
     ) -> list[str]:
-        """Return no paths: the layout has no documents over all frames."""
-        return []
+        """Write the faults that the check found; the layout has no documents over all frames."""
+        return write_faults(target, self.folder(target), rows)
 
     def _meta(self, target: Target, truth: FrameTruth, mask_ids: dict[int, int]) -> str:
         lines = []

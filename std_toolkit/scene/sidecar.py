@@ -37,12 +37,14 @@ class ExportedObject(Document, frozen=True, kw_only=True):
         mask_id: value in the mask of the layout (BOP: index in scene_gt).
         T_cam_obj: mesh frame (of the scene, not recentred) to camera, metres.
         visible_fraction: visible pixels over all pixels of the silhouette on a 3x3 canvas.
+        fault: why the label does not fit in this frame, "" if it does, null without a check.
     """
 
     object: ObjectId
     mask_id: int
     T_cam_obj: Pose16
     visible_fraction: NonNegative
+    fault: str | None = None
 
 
 class ExportedFrame(Document, frozen=True, kw_only=True):
@@ -54,6 +56,7 @@ class ExportedFrame(Document, frozen=True, kw_only=True):
         T_world_cam: camera pose, metres; null if the frame was not registered.
         sensor_depth: false if the depth file of the layout is a placeholder of zeros.
         objects: the objects in the frame.
+        fault: what is wrong with the frame, "" if nothing is, null without a current check.
     """
 
     id: int
@@ -64,6 +67,7 @@ class ExportedFrame(Document, frozen=True, kw_only=True):
     T_world_cam: Pose16 | None
     sensor_depth: bool
     objects: list[ExportedObject]
+    fault: str | None = None
 
 
 class LeftOut(Document, frozen=True, kw_only=True):
