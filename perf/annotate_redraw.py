@@ -1,9 +1,10 @@
 """Latency of the annotator's views while an object is dragged, and time to full detail.
 
-    python perf/annotate_redraw.py [--drags 40]
+    python perf/annotate_redraw.py [--drags 40] [--mesh textured.obj]
 
 A window of 1280x720 with a main view and three side views of a 1280x720 recording, six objects of
-50,000 faces, 200,000 points in the cloud. An object is dragged by mouse events as Qt delivers
+50,000 faces, 200,000 points in the cloud; in style textured, the same solids with a texture of
+4096x4096 each, or six times the given mesh. An object is dragged by mouse events as Qt delivers
 them. Printed are the time until the view in hand shows the new pose, the time until all four do,
 and the time from letting go until all four are in full detail. Where there is no display, one is
 started; the driver drawn with is named.
@@ -24,15 +25,21 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 import numpy as np
-from render import CAMERA, make_scene
+import trimesh
+from PIL import Image
+from render import CAMERA, bumpy_solid, make_scene
 
 from annotator.views.viewset import SETTLE_S
+from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.io.images import write_color, write_depth_png16
 from std_toolkit.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from annotator.app.view_options import Mode, Style
 
 LIMITS_MS = {"view in hand": 50.0, "all four": 150.0, "full detail": 600.0}
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -55,6 +62,32 @@ def scene_with_depth(root: Path) -> Scene:
     (root / "frames.json").write_bytes(msgspec.json.encode(table))
     scene.save_info(msgspec.structs.replace(scene.info, depth_scale=0.0001))
     return Scene.open(root)
+
+
+def give_textures(root: Path, mesh: Path | None) -> None:
+    """Replace the meshes of the scene by ones with a texture: their own, or a given mesh."""
+    objects = Scene.open(root).objects
+    models = []
+    for k, model in enumerate(objects.models):
+        name = f"models/{model.id}/textured.glb"
+        if mesh is None:
+            solid = bumpy_solid(k)
+            unit = solid.vertices / np.linalg.norm(solid.vertices, axis=1, keepdims=True)
+            uv = np.stack([np.arctan2(unit[:, 1], unit[:, 0]) / (2 * np.pi) + 0.5,
+                           unit[:, 2] / 2 + 0.5], axis=1)  # fmt: skip
+            noise = np.random.default_rng(k).integers(30, 230, (512, 512, 3), dtype=np.uint8)
+            print_ = Image.fromarray(np.kron(noise, np.ones((8, 8, 1), np.uint8)))
+            material = trimesh.visual.material.PBRMaterial(baseColorTexture=print_)
+            solid.visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+        else:
+            solid = load_mesh(mesh)
+            solid.apply_translation(-solid.bounds.mean(axis=0))
+        solid.export(root / name)
+        size = solid.extents.tolist()
+        models.append(
+            msgspec.structs.replace(model, mesh=name, size_m=size, diameter_m=float(solid.scale))
+        )
+    Scene.open(root).save_objects(msgspec.structs.replace(objects, models=models))
 
 
 class Taken(NamedTuple):
@@ -210,50 +243,68 @@ class Bench:
 
 def measure(args: argparse.Namespace) -> int:
     os.environ.setdefault("QT_API", "pyside6")
-    from annotator.app.view_options import CloudSource, Mode, Style
+    from annotator.app.view_options import Mode, Style
 
-    with tempfile.TemporaryDirectory() as folder:
-        root = Path(folder) / "scene"
-        scene_with_depth(root)
-        start = time.perf_counter()
-        bench = Bench(root)
-        print(f"views shown and settled after {time.perf_counter() - start:.1f} s")
-        capabilities = bench.widgets[0].ren_win.ReportCapabilities()
-        print(next(line for line in capabilities.splitlines() if "renderer" in line.lower()))
-        sizes = ", ".join(f"{w.width()}x{w.height()}" for w in bench.widgets)
-        print(f"views {sizes}; {CORES} cores, load {os.getloadavg()[0]:.1f}; times in ms\n")
-        print(f"{'':34s}{'median':>8s}{'p90':>8s}{'limit':>8s}{'alone':>8s}")
-        worst = worst_alone = 0.0
-        cases = [
-            ("image, solid", {"mode": Mode.IMAGE, "style": Style.SOLID}),
-            ("image, contour", {"mode": Mode.IMAGE, "style": Style.CONTOUR}),
-            ("image, wireframe", {"mode": Mode.IMAGE, "style": Style.WIREFRAME}),
-            ("cloud, solid", {"mode": Mode.CLOUD, "style": Style.SOLID}),
-        ]
-        for title, case in cases:
-            bench.controller.set_mode(case["mode"])
-            bench.controller.set_options(style=case["style"], cloud=CloudSource.FRAME)
-            bench.settle()
-            times: dict[str, list[Taken]] = {}
-            for name in ("o4", "o1", "o3"):
-                for key, values in bench.drag(name, args.drags).items():
-                    times.setdefault(key, []).extend(values)
-            for key, values in times.items():
-                (middle, alone), (high, _) = np.median(values, 0), np.percentile(values, 90, 0)
-                limit = LIMITS_MS[key]
-                print(f"{title + ': ' + key:34s}{middle:8.0f}{high:8.0f}{limit:8.0f}{alone:8.0f}")
-                worst = max(worst, middle / limit)
-                worst_alone = max(worst_alone, alone / limit)
-        print(f"\nlargest median by its limit: {worst:.2f}; alone: {worst_alone:.2f}")
-        bench.views.close()
-        bench.session.close(discard=True)
-        bench.window.close()
+    plain = [
+        ("image, solid", Mode.IMAGE, Style.SOLID),
+        ("image, contour", Mode.IMAGE, Style.CONTOUR),
+        ("image, wireframe", Mode.IMAGE, Style.WIREFRAME),
+        ("cloud, solid", Mode.CLOUD, Style.SOLID),
+    ]
+    textured = [
+        ("image, textured", Mode.IMAGE, Style.TEXTURED),
+        ("cloud, textured", Mode.CLOUD, Style.TEXTURED),
+    ]
+    worst = Taken(0.0, 0.0)
+    for has_textures, cases in ((False, plain), (True, textured)):
+        with tempfile.TemporaryDirectory() as folder:
+            root = Path(folder) / "scene"
+            scene_with_depth(root)
+            if has_textures:
+                give_textures(root, args.mesh)
+            found = measure_scene(root, cases, args.drags)
+        worst = Taken(max(worst.clock, found.clock), max(worst.alone, found.alone))
+    print(f"\nlargest median by its limit: {worst.clock:.2f}; alone: {worst.alone:.2f}")
     return 0
+
+
+def measure_scene(root: Path, cases: list[tuple[str, Mode, Style]], drags: int) -> Taken:
+    """Print the times of some styles; return the largest medians by their limits."""
+    from annotator.app.view_options import CloudSource
+
+    start = time.perf_counter()
+    bench = Bench(root)
+    print(f"views shown and settled after {time.perf_counter() - start:.1f} s")
+    capabilities = bench.widgets[0].ren_win.ReportCapabilities()
+    print(next(line for line in capabilities.splitlines() if "renderer" in line.lower()))
+    sizes = ", ".join(f"{w.width()}x{w.height()}" for w in bench.widgets)
+    print(f"views {sizes}; {CORES} cores, load {os.getloadavg()[0]:.1f}; times in ms\n")
+    print(f"{'':34s}{'median':>8s}{'p90':>8s}{'limit':>8s}{'alone':>8s}")
+    worst = worst_alone = 0.0
+    for title, mode, style in cases:
+        bench.controller.set_mode(mode)
+        bench.controller.set_options(style=style, cloud=CloudSource.FRAME)
+        bench.settle()
+        times: dict[str, list[Taken]] = {}
+        for name in ("o4", "o1", "o3"):
+            for key, values in bench.drag(name, drags).items():
+                times.setdefault(key, []).extend(values)
+        for key, values in times.items():
+            (middle, alone), (high, _) = np.median(values, 0), np.percentile(values, 90, 0)
+            limit = LIMITS_MS[key]
+            print(f"{title + ': ' + key:34s}{middle:8.0f}{high:8.0f}{limit:8.0f}{alone:8.0f}")
+            worst = max(worst, middle / limit)
+            worst_alone = max(worst_alone, alone / limit)
+    bench.views.close()
+    bench.session.close(discard=True)
+    bench.window.close()
+    return Taken(worst, worst_alone)
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--drags", type=int, default=40, help="moves of the mouse per drag")
+    parser.add_argument("--mesh", type=Path, help="textured mesh of all objects in style textured")
     args = parser.parse_args()
     if sys.platform == "linux" and not os.environ.get("DISPLAY"):
         program = shutil.which("Xvfb")
@@ -272,7 +323,7 @@ def main() -> int:
         os.environ["QT_QPA_PLATFORM"] = "xcb"
         try:
             # In a process of its own: Qt aborts if its display goes first.
-            return subprocess.call([sys.executable, __file__, "--drags", str(args.drags)])
+            return subprocess.call([sys.executable, __file__, *sys.argv[1:]])
         finally:
             server.terminate()
             server.wait()

@@ -30,7 +30,7 @@ TOOLS = (
     ("open", "save"),
     ("undo", "redo"),
     ("mode_image", "mode_cloud"),
-    ("style_solid", "style_wireframe", "style_contour", "opacity", "blink"),
+    ("style_solid", "style_wireframe", "style_contour", "style_textured", "opacity", "blink"),
     ("gizmo_move", "gizmo_turn", "gizmo_off", "axes"),
     ("clicking", "refine", "drop", "residuals"),
     ("done",),
@@ -47,7 +47,7 @@ SHORT_TITLES = {
     "done": "Done",
 }
 
-OPACITY_TIP = "How much of the image shines through solid meshes."
+OPACITY_TIP = "How much of the image shines through solid and textured meshes."
 
 BEGIN = (
     "<!-- keys: written by `python -m annotator.app.action_table docs/annotating-reference.md` -->"

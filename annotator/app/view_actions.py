@@ -80,6 +80,11 @@ VIEW_ACTIONS: tuple[Action, ...] = (
     _style(Style.SOLID, "1", "Meshes as shaded surfaces over the image."),
     _style(Style.WIREFRAME, "2", "Meshes as wireframes."),
     _style(Style.CONTOUR, "3", "Only the silhouette: compare it with the edges in the image."),
+    _style(
+        Style.TEXTURED,
+        "4",
+        "Meshes with their texture or vertex colours: compare the print with the image.",
+    ),
     Action(
         "more_opaque",
         "View",
@@ -114,7 +119,7 @@ VIEW_ACTIONS: tuple[Action, ...] = (
         "contour_always",
         "Contour over every style",
         "K",
-        "Draw the silhouette over solid and wireframe meshes, too.",
+        "Draw the silhouette over the meshes in the other styles, too.",
         "contour_always",
         "style",
     ),

@@ -33,6 +33,11 @@ class Style(StrEnum):
     SOLID = "solid"
     WIREFRAME = "wireframe"
     CONTOUR = "contour"
+    TEXTURED = "textured"
+
+
+# Styles that cover the image, which shines through by the opacity.
+SURFACE_STYLES = (Style.SOLID, Style.TEXTURED)
 
 
 class CloudSource(StrEnum):
@@ -55,16 +60,17 @@ class ViewOptions:
     """Drawing options of the views.
 
     Attributes:
-        opacity: of solid meshes over the image, 0.1 to 1.
+        style: textured draws a mesh without a texture or vertex colours as solid.
+        opacity: of solid and textured meshes over the image, 0.1 to 1.
         blink: alternate between drawing and hiding the meshes, to compare with the image.
         hidden: do not draw meshes.
         only_selected: do not draw other objects.
         table: draw the table plane in the cloud.
         penetration: draw penetrating faces in red.
-        contour_always: also draw the contour over solid and wireframe meshes.
+        contour_always: also draw the contour in the other styles.
     """
 
-    style: Style = Style.SOLID
+    style: Style = Style.TEXTURED
     opacity: float = 0.55
     blink: bool = False
     hidden: bool = False

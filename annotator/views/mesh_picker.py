@@ -8,7 +8,8 @@ from typing import Any
 from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.app.placing import standing_axis
-from annotator.views.meshes import ShapeStore
+from annotator.app.view_options import Style
+from annotator.views.meshes import Shape, ShapeStore
 from annotator.views.model_view import ModelView
 from std_toolkit.html.plots import object_color
 
@@ -59,20 +60,31 @@ class MeshPicker:
             obj = c.session.object(c.selected)
             model = c.session.state.model(obj.model)
             shape = self._shapes.get(model)
-            if shape is None and self._shapes.pending and not self._waiting:
-                self._waiting = True
-                self._later(POLL_S, self._look_again)
+            self._wait_for(shape)
             ids = [o.id for o in c.session.state.objects]
             # Without a shape the mesh may be unreadable.
             up = 2 if shape is None else standing_axis(c.session, model)
-            self.view.show(shape, object_color(ids, obj.id), up=up)
+            # A print helps to find a point, also while the views show lines only.
+            style = Style.SOLID if c.options.style is Style.SOLID else Style.TEXTURED
+            self.view.show(shape, object_color(ids, obj.id), up=up, style=style)
             clicks = obj.clicks.get(c.active_frame, [])
             self.view.set_points([x.point for x in clicks], c.pending_point)
         self.view.draw()
 
-    def _look_again(self) -> None:
-        self._waiting = False
-        self.refresh()
+    def _wait_for(self, shape: Shape | None) -> None:
+        """Draw again when the mesh has been read, and when its colours have."""
+        if not self._shapes.pending or self._waiting:
+            return
+        self._waiting = True
+
+        def look_again() -> None:
+            self._waiting = False
+            if shape is None or not self._shapes.pending:
+                self.refresh()
+            elif not self._closed:
+                self._wait_for(shape)
+
+        self._later(POLL_S, look_again)
 
     def _clicked(self, point: tuple[float, float, float]) -> None:
         c = self._c
@@ -84,5 +96,5 @@ class MeshPicker:
         c.emit(Event("tool"))
 
     def _on_event(self, event: Event) -> None:
-        if event.kind in ("edited", "selected", "tool", "frames"):
+        if event.kind in ("edited", "selected", "tool", "frames", "view"):
             self.refresh()

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from vtkmodules.vtkCommonCore import mutable
 from vtkmodules.vtkCommonDataModel import vtkPolyData, vtkStaticCellLocator
 
+from annotator.views.mesh_colors import baked_mesh, colored_mesh, mesh_colors
 from annotator.views.triangles import (
     Surface,
     lighter,
@@ -46,17 +47,24 @@ class Shape:
         bounds: (2, 3) lowest and highest corner, mesh frame, metres.
     """
 
-    def __init__(self, full: Surface, bounds: Array) -> None:
+    def __init__(self, full: Surface, bounds: Array, mesh: trimesh.Trimesh | None = None) -> None:
         self.full = self.light = full
+        self._mesh = mesh
         self.wire = self.light_wire = vtkPolyData()
         self.bounds = bounds
 
     def complete(self) -> None:
         """Compute the parts not needed for the first drawing, which take most of the time."""
+        mesh, self._mesh = self._mesh, None
+        colors = None if mesh is None else mesh_colors(mesh)
+        if colors is not None:
+            self.full.colored = colored_mesh(self.full.polydata, colors)
         self.wire = self.light_wire = _wire(self.full, self.bounds)
         light = lighter(self.full.polydata, LIGHT_FACES)
         if light is not self.full.polydata:
             surface = Surface(with_normals(light))
+            if mesh is not None and colors is not None:
+                surface.colored = baked_mesh(surface.polydata, mesh.vertices, mesh.faces, colors)
             self.light_wire = _wire(surface, self.bounds)
             self.light = surface
 
@@ -115,7 +123,7 @@ def make_shape(mesh: trimesh.Trimesh) -> Shape:
     full = triangles(vertices, faces)
     used = vertices[np.unique(faces)] if len(faces) else np.zeros((1, 3))
     bounds = np.stack([used.min(axis=0), used.max(axis=0)]).astype(np.float64)
-    return Shape(Surface(with_normals(full)), bounds)
+    return Shape(Surface(with_normals(full)), bounds, mesh)
 
 
 def _wire(surface: Surface, bounds: Array) -> vtkPolyData:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -80,12 +81,19 @@ class ModelView:
     # --- what is shown --------------------------------------------------------------------------
 
     def show(
-        self, shape: meshes.Shape | None, color: str | Sequence[float] = "#c0c0c0", *, up: int = 2
+        self,
+        shape: meshes.Shape | None,
+        color: str | Sequence[float] = "#c0c0c0",
+        *,
+        up: int = 2,
+        style: Style = Style.TEXTURED,
     ) -> None:
         """Show a mesh, or nothing; a new mesh is seen from its front.
 
         Args:
+            color: of a mesh without texture or vertex colours, and of others in style solid.
             up: the coordinate axis of the mesh (0, 1, 2) that is up.
+            style: textured or solid.
         """
         self._up = up
         if shape is not (self._solid.shape if self._solid else None):
@@ -94,7 +102,7 @@ class ModelView:
             self._solid = None if shape is None else solids.Solid(self.layers, shape)
             self.fit()
         self._look = solids.Appearance(
-            color=triangles.rgba(color)[:3], style=Style.SOLID, contour=0.0, light=False
+            color=triangles.rgba(color)[:3], style=style, contour=0.0, light=False
         )
 
     def set_points(
@@ -157,7 +165,8 @@ class ModelView:
     def _prepare(self, *_: object) -> None:
         self.layers.look(self.screen)
         if self._solid is not None:
-            self._solid.show(self.T_eye_obj, self._look)
+            size_px = 2 / self.screen.pixel_m(DISTANCE)
+            self._solid.show(self.T_eye_obj, replace(self._look, size_px=size_px))
         strokes = triangles.Strokes()
         self._captions.begin()
         marks = [(p, _POINT, str(i)) for i, p in enumerate(self._points, start=1)]

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annotator.app.view_options import Mode, Style
-from annotator.views import meshes, projection, solids, triangles, viewpoint
-from annotator.views.layers import Layers
+from annotator.views import layers, meshes, projection, solids, triangles, viewpoint
 from std_toolkit.html.plots import object_color
 
 if TYPE_CHECKING:
+    from std_toolkit.geometry import SE3
     from std_toolkit.labels.support.penetration import Penetration
     from std_toolkit.scene import Model
 
@@ -27,7 +27,7 @@ SELECTED_COLOR = (1.0, 1.0, 1.0)
 class ObjectLayer:
     """The objects drawn in one view."""
 
-    def __init__(self, layers: Layers, shapes: meshes.ShapeStore) -> None:
+    def __init__(self, layers: layers.Layers, shapes: meshes.ShapeStore) -> None:
         self._layers, self._shapes = layers, shapes
         self._solids: dict[str, solids.Solid] = {}
         self._penetrations: tuple[Penetration, ...] = ()
@@ -54,8 +54,10 @@ class ObjectLayer:
                 continue
             color = triangles.rgba(object_color(ids, obj.id))[:3]
             look = _look(view, obj.name, color, light=light, pixel_ratio=pixel_ratio)
-            look = replace(look, red=self._painted(view, obj.name))
             T_eye_obj = view.T_eye_obj(obj.name) if _is_shown(view, obj.name) else None
+            look = replace(
+                look, red=self._painted(view, obj.name), size_px=_size_px(view, solid, T_eye_obj)
+            )
             solid.show(T_eye_obj, look, seen=not off)
             looks[obj.name] = look
         self._outline(view, looks)
@@ -164,6 +166,12 @@ def _is_shown(view: viewpoint.Viewpoint, name: str) -> bool:
     if controller.options.hidden:
         return False
     return not controller.options.only_selected or name == controller.selected
+
+
+def _size_px(view: viewpoint.Viewpoint, solid: solids.Solid, T_eye_obj: SE3 | None) -> float:
+    """Return the diameter of an object on the screen."""
+    depth = 1.0 if T_eye_obj is None else float((T_eye_obj @ solid.shape.centre)[2])
+    return 2 * solid.shape.radius / view.screen.pixel_m(max(depth, layers.NEAR_M))
 
 
 def _look(

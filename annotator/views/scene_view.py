@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from annotator.app.controller import Controller
 from annotator.app.events import Event
-from annotator.app.view_options import Mode, Style
+from annotator.app.view_options import SURFACE_STYLES, Mode
 from annotator.views import (
     cloud_layer,
     layers,
@@ -170,7 +170,7 @@ class SceneView(overlay.OverlaidView):
                 self.problem = str(error)
         self._picture.show(image)
         options = self.controller.options
-        part = self.objects.extent(self.screen) if options.style is Style.SOLID else None
+        part = self.objects.extent(self.screen) if options.style in SURFACE_STYLES else None
         self._picture.place(
             self.window, veil=0.0 if part is None else 1 - options.opacity, part=part
         )

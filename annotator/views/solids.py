@@ -1,18 +1,19 @@
-"""Render props of objects: shaded or wireframe meshes and silhouettes."""
+"""Render props of objects: textured, shaded or wireframe meshes and silhouettes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from vtkmodules.vtkCommonDataModel import vtkPolyData
-from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkRenderer
+from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkRenderer, vtkTexture
 
 from annotator.app.view_options import Style
 from annotator.views import meshes, projection, triangles
 from annotator.views.layers import Layers, fill, place
+from annotator.views.mesh_colors import ColoredMesh
 from std_toolkit.geometry import SE3
 
 # Replaces the depth of vertices by a constant, so that props drawn first hide later ones.
@@ -32,11 +33,12 @@ class Appearance:
 
     Attributes:
         color: red, green, blue, 0 to 1.
-        style: solid, wireframe or contour.
+        style: textured (solid for a mesh without colours), solid, wireframe or contour.
         contour: width of its silhouette in pixels; 0 for none.
         light: draw the light mesh instead of the full one.
         opacity: opacity of its surface; below 1 only if nothing is drawn after it.
         red: (N,) indices of the penetrating faces of the full mesh, or None.
+        size_px: size of the object on the screen, which determines the resolution of its texture.
     """
 
     color: tuple[float, float, float]
@@ -45,6 +47,7 @@ class Appearance:
     light: bool
     opacity: float = 1.0
     red: NDArray[np.int64] | None = None
+    size_px: float = 500.0
 
 
 class Solid:
@@ -56,6 +59,7 @@ class Solid:
         self.seen = False
         self._layers = layers
         self._bodies: dict[vtkPolyData, vtkActor] = {}
+        self._colored: dict[ColoredMesh, _ColoredBody] = {}
         self._hiders: dict[triangles.Surface, vtkActor] = {}
         self._masks: dict[triangles.Surface, vtkActor] = {}
         self._rim, self._rim_data = _rim_actor()
@@ -67,7 +71,7 @@ class Solid:
         """Draw the object at a pose, or remove it (None); if not `seen` it can still be picked."""
         self.T_eye_obj = T_eye_obj
         self.seen = seen and T_eye_obj is not None
-        for actor in (*self._bodies.values(), *self._hiders.values(), *self._masks.values()):
+        for actor in (*self._surfaces(), *self._hiders.values(), *self._masks.values()):
             actor.VisibilityOff()
         self._rim.VisibilityOff()
         self._patch.show(look.red if self.seen else None, T_eye_obj)
@@ -80,10 +84,14 @@ class Solid:
             hider = self._hider(surface)
             hider.VisibilityOn()
             place(hider, T_eye_obj)
-        lines = self.shape.light_wire if look.light else self.shape.wire
-        body = self._body(lines if wire else surface.polydata)
+        if look.style is Style.TEXTURED and surface.colored is not None:
+            body = self._colored_body(surface.colored, look.size_px)
+            _paint_colored(body, look)
+        else:
+            lines = self.shape.light_wire if look.light else self.shape.wire
+            body = self._body(lines if wire else surface.polydata)
+            _paint(body, look)
         body.VisibilityOn()
-        _paint(body, look)
         place(body, T_eye_obj)
 
     def outline(
@@ -120,11 +128,15 @@ class Solid:
         _set_slot(self._rim, depth + step)
 
     def close(self) -> None:
-        for actor in (*self._bodies.values(), *self._hiders.values()):
+        for actor in (*self._surfaces(), *self._hiders.values()):
             self._layers.solids.RemoveActor(actor)
         for actor in (*self._masks.values(), self._rim):
             self._layers.outlines.RemoveActor(actor)
         self._patch.show(None, None)
+
+    def _surfaces(self) -> Iterator[vtkActor]:
+        yield from self._bodies.values()
+        yield from (body.actor for body in self._colored.values())
 
     def _surface(self, light: bool) -> triangles.Surface:
         return self.shape.light if light else self.shape.full
@@ -137,6 +149,13 @@ class Solid:
                     "//VTK::PositionVC::Impl", True, _NEARER, False
                 )
         return self._bodies[polydata]
+
+    def _colored_body(self, colored: ColoredMesh, size_px: float) -> vtkActor:
+        if colored not in self._colored:
+            self._colored[colored] = _ColoredBody(colored, self._layers.solids)
+        body = self._colored[colored]
+        body.fit(size_px)
+        return body.actor
 
     def _hider(self, surface: triangles.Surface) -> vtkActor:
         if surface not in self._hiders:
@@ -159,6 +178,40 @@ class Solid:
             shader.AddFragmentShaderReplacement("//VTK::Light::Impl", True, _INVISIBLE, False)
             self._masks[surface] = actor
         return self._masks[surface]
+
+
+class _ColoredBody:
+    """The prop of a mesh with its own colours."""
+
+    def __init__(self, colored: ColoredMesh, renderer: vtkRenderer) -> None:
+        self.actor = _mesh_actor(colored.polydata, renderer)
+        self._image = colored.texture
+        self._level: int | None = None
+        if self._image is None:
+            mapper = self.actor.GetMapper()
+            mapper.ScalarVisibilityOn()
+            mapper.SetColorModeToDirectScalars()
+            if colored.by_face:
+                mapper.SetScalarModeToUseCellData()
+            else:
+                mapper.SetScalarModeToUsePointData()
+            return
+        self._texture = vtkTexture()
+        self._texture.SetColorModeToDirectScalars()
+        self._texture.InterpolateOn()
+        self._texture.SetMipmap(self._image.mipmaps)
+        self._texture.SetRepeat(self._image.mipmaps)
+        self._texture.SetEdgeClamp(not self._image.mipmaps)
+        self.actor.SetTexture(self._texture)
+
+    def fit(self, size_px: float) -> None:
+        """Choose the resolution of the texture for a size on the screen."""
+        if self._image is None:
+            return
+        level = self._image.level(size_px, self._level)
+        if level != self._level:
+            self._level = level
+            self._texture.SetInputData(self._image.data(level))
 
 
 class _Patch:
@@ -220,6 +273,17 @@ def _paint(actor: vtkActor, look: Appearance) -> None:
     paint.SetDiffuse(0.78)
     paint.SetSpecular(0.12)
     paint.SetSpecularPower(20)
+
+
+def _paint_colored(actor: vtkActor, look: Appearance) -> None:
+    paint = actor.GetProperty()
+    paint.SetColor(1.0, 1.0, 1.0)
+    paint.SetOpacity(look.opacity)
+    actor.SetForceOpaque(look.opacity >= 1)
+    # Enough shading to see the shape; a print stays legible on faces seen at a grazing angle.
+    paint.SetAmbient(0.55)
+    paint.SetDiffuse(0.45)
+    paint.SetSpecular(0.0)
 
 
 def _mesh_actor(polydata: vtkPolyData, renderer: vtkRenderer) -> vtkActor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,10 +14,12 @@ from numpy.typing import NDArray
 from annotator.app import events, placing, tasks
 from annotator.app.controller import Controller
 from annotator.session.meshes import Version
+from annotator.views.mesh_colors import mesh_colors
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.io.images import read_color, write_color
 from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
+from std_toolkit.rendering.texture import SurfaceColors
 from std_toolkit.scene import Model
 
 if TYPE_CHECKING:
@@ -30,6 +33,9 @@ PAPER = (38, 38, 38)
 CLAY = (192, 192, 192)
 
 _SAMPLES = 3
+
+# Longer side of textures, which are drawn some hundred pixels large.
+_TEXTURE_PX = 512
 
 _FOLDER = Path(".std") / "annotate" / "thumbnails"
 
@@ -51,14 +57,47 @@ def model_picture(snapshot: Snapshot, model: Model, size: int) -> NDArray[np.uin
     return thumbnail(mesh, size, axis)
 
 
-def thumbnail(mesh: trimesh.Trimesh | RenderMesh, size: int, axis: int = 2) -> NDArray[np.uint8]:
+def thumbnail(mesh: trimesh.Trimesh, size: int, axis: int = 2) -> NDArray[np.uint8]:
     """Render an upright mesh from above its front as (size, size, 3) RGB uint8.
 
-    Takes some tenths of a second for 50,000 faces. Thread-safe.
+    A mesh with a texture or vertex colours has its colours, another is grey. Takes some tenths of a
+    second for 50,000 faces. Thread-safe.
 
     Args:
+        mesh: in metres.
+        size: of the picture, pixels.
         axis: the coordinate axis (0, 1, 2) that is up.
     """
+    return _thumbnail(mesh, mesh_colors(mesh, largest=_TEXTURE_PX), size, axis)
+
+
+def cached_thumbnail(
+    root: Path, mesh: trimesh.Trimesh, size: int, axis: int = 2
+) -> NDArray[np.uint8]:
+    """Return `thumbnail`, cached in the scene folder under the mesh's digest if writable."""
+    colors = mesh_colors(mesh, largest=_TEXTURE_PX)
+    # The style is part of the name, so that thumbnails of earlier versions are not used.
+    style = "grey" if colors is None else f"colors-{_digest(colors)[:12]}"
+    name = f"{prepare_mesh(mesh).digest[:24]}-{size}-{'xyz'[axis]}-{style}.png"
+    path = root / _FOLDER / name
+    if path.is_file():
+        try:
+            return read_color(path, size=(size, size))
+        except ToolkitError:  # damaged, or of an earlier version: render again
+            pass
+    picture = _thumbnail(mesh, colors, size, axis)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_color(path, picture)
+    except (OSError, ToolkitError):
+        # In a read-only folder thumbnails are shown without caching.
+        pass
+    return picture
+
+
+def _thumbnail(
+    mesh: trimesh.Trimesh, colors: SurfaceColors | None, size: int, axis: int
+) -> NDArray[np.uint8]:
     from std_toolkit.rendering.maps import compose, surface_maps
     from std_toolkit.rendering.raycast import RaycastRenderer
     from std_toolkit.rendering.renderer import PlacedMesh
@@ -72,31 +111,36 @@ def thumbnail(mesh: trimesh.Trimesh | RenderMesh, size: int, axis: int = 2) -> N
     T_cam_obj = _front_view(prepared, axis, 10 * radius)
     placed = [PlacedMesh(1, prepared, T_cam_obj)]
     drawn = compose(RaycastRenderer(threads=1), camera, placed, canvas=1)
-    _, normals = surface_maps(camera, placed, drawn)
-    picture = _shaded(normals, drawn.depth > 0)
+    nocs, normals = surface_maps(camera, placed, drawn)
+    if colors is None:
+        picture = _shaded(normals, drawn.depth > 0, np.array(CLAY), ambient=0.30, shine=0.10)
+    else:
+        seen = drawn.depth > 0
+        points = (nocs[seen].astype(np.float64) - 0.5) * prepared.diagonal
+        paint = np.zeros((large, large, 3))
+        paint[seen] = _colors_at(prepared, colors, drawn.face[seen], points)
+        picture = _shaded(normals, seen, paint, ambient=0.60, shine=0.0)
     return np.asarray(cv2.resize(picture, (size, size), interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def cached_thumbnail(
-    root: Path, mesh: trimesh.Trimesh | RenderMesh, size: int, axis: int = 2
-) -> NDArray[np.uint8]:
-    """Return `thumbnail`, cached in the scene folder under the mesh's digest if writable."""
-    prepared = prepare_mesh(mesh)
-    # The style is part of the name, so that thumbnails of earlier versions are not used.
-    path = root / _FOLDER / f"{prepared.digest[:24]}-{size}-{'xyz'[axis]}-grey.png"
-    if path.is_file():
-        try:
-            return read_color(path, size=(size, size))
-        except ToolkitError:  # damaged, or of an earlier version: render again
-            pass
-    picture = thumbnail(prepared, size, axis)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_color(path, picture)
-    except (OSError, ToolkitError):
-        # In a read-only folder thumbnails are shown without caching.
-        pass
-    return picture
+def _colors_at(
+    mesh: RenderMesh, colors: SurfaceColors, face: NDArray[np.integer], points: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the colours (N, 3) of points (N, 3), relative to the mesh's centre, on faces (N,)."""
+    a, b, c = (mesh.vertices[mesh.faces[face, k]] for k in range(3))
+    u, v, w = b - a, c - a, points - a
+    uu, uv, vv, wu, wv = (np.einsum("ni,ni->n", *p) for p in ((u, u), (u, v), (v, v), (w, u), (w, v)))
+    area = np.maximum(uu * vv - uv * uv, 1e-30)
+    weights = np.stack([vv * wu - uv * wv, uu * wv - uv * wu], axis=1) / area[:, None]
+    return colors.at(face, np.clip(weights, 0, 1))
+
+
+def _digest(colors: SurfaceColors) -> str:
+    """Return the SHA-256 of the colours of a mesh."""
+    digest = hashlib.sha256(np.ascontiguousarray(colors.corners).tobytes())
+    if colors.texture is not None:
+        digest.update(np.ascontiguousarray(colors.texture).tobytes())
+    return digest.hexdigest()
 
 
 def _front_view(mesh: RenderMesh, axis: int, distance: float) -> SE3:
@@ -106,15 +150,22 @@ def _front_view(mesh: RenderMesh, axis: int, distance: float) -> SE3:
     return SE3(R, np.array([0.0, 0.0, distance]) - R @ middle)
 
 
-def _shaded(normals: NDArray[np.floating], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Shade with a light from the upper left and ambient light."""
+def _shaded(
+    normals: NDArray[np.floating],
+    mask: NDArray[np.bool_],
+    paint: NDArray[np.floating] | NDArray[np.integer],
+    *,
+    ambient: float,
+    shine: float,
+) -> NDArray[np.uint8]:
+    """Shade colours (3,) or (H, W, 3) with a light from the upper left and ambient light."""
     n = np.asarray(normals, dtype=np.float64)
     # Scans have inconsistent winding; visible normals must point to the eye.
     n = n * np.where(n[..., 2:] > 0, -1.0, 1.0)
     light = np.array([-0.45, -0.65, -0.62])
-    bright = 0.30 + 0.70 * np.clip(n @ (light / np.linalg.norm(light)), 0, 1)
-    shine = np.clip(-n[..., 2], 0, 1) ** 24 * 0.10
-    picture = bright[..., None] * np.array(CLAY) + 255 * shine[..., None]
+    bright = ambient + (1 - ambient) * np.clip(n @ (light / np.linalg.norm(light)), 0, 1)
+    gloss = np.clip(-n[..., 2], 0, 1) ** 24 * shine
+    picture = bright[..., None] * paint + 255 * gloss[..., None]
     shaded = np.where(mask[..., None], np.clip(picture, 0, 255), np.array(PAPER))
     return np.asarray(shaded, np.uint8)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +23,9 @@ from vtkmodules.vtkFiltersCore import (
     vtkQuadricClustering,
     vtkQuadricDecimation,
 )
+
+if TYPE_CHECKING:
+    from annotator.views.mesh_colors import ColoredMesh
 
 Array = NDArray[np.float64]
 
@@ -43,10 +47,12 @@ class Surface:
 
     Attributes:
         polydata: triangles with smooth normals; vertices are doubled at creases.
+        colored: the same triangles with the colours of the mesh; None while it has none.
     """
 
     def __init__(self, polydata: vtkPolyData) -> None:
         self.polydata = polydata
+        self.colored: ColoredMesh | None = None
 
     @property
     def faces(self) -> int:

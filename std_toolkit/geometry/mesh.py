@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.obj_texture import CORNER_UV, read_corner_uv
 
 if TYPE_CHECKING:
     import trimesh
@@ -40,6 +41,9 @@ _ROUNDS = 8
 
 def load_mesh(path: Path | str, *, unit: str = "m") -> trimesh.Trimesh:
     """Read a mesh as one `trimesh.Trimesh`, vertices in metres, vertex order kept.
+
+    A textured OBJ file has the texture coordinates of its faces' corners in the face attribute
+    `CORNER_UV`: the mesh itself has only one for each vertex.
 
     Args:
         path: OBJ, PLY, GLB, STL or OFF file.
@@ -75,6 +79,10 @@ def load_mesh(path: Path | str, *, unit: str = "m") -> trimesh.Trimesh:
         )
     if not np.isfinite(mesh.vertices).all():
         raise ToolkitError("the mesh has vertices that are not finite", path=path)
+    if path.suffix.lower() == ".obj" and mesh.visual.kind == "texture":
+        corners = read_corner_uv(path, mesh.vertices[mesh.faces])
+        if corners is not None:
+            mesh.face_attributes[CORNER_UV] = corners
     if unit != "m":
         mesh.apply_scale(UNITS_IN_M[unit])
     check_mesh_size(mesh, path=path)

@@ -80,6 +80,11 @@ class RayCaster:
         found = self._scene.compute_closest_points(self._floats(points), nthreads=self._threads)
         return found["points"].numpy(), found["primitive_normals"].numpy()
 
+    def closest_faces(self, points: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """Faces (...) nearest to points (..., 3), and weights (..., 2) as `RayHits.uv` there."""
+        found = self._scene.compute_closest_points(self._floats(points), nthreads=self._threads)
+        return found["primitive_ids"].numpy().astype(np.int64), found["primitive_uvs"].numpy()
+
     def inside(self, points: ArrayLike) -> NDArray[np.bool_]:
         """(...) whether points (..., 3) are inside the meshes, which must be closed."""
         found = self._scene.compute_occupancy(self._floats(points), nthreads=self._threads)

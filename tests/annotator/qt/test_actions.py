@@ -85,10 +85,10 @@ def test_what_makes_no_sense_now_is_greyed_out(bench: Bench) -> None:
 
 def test_switches_show_how_things_are(bench: Bench) -> None:
     actions = bench.space.commands.actions
-    assert actions["style_solid"].isChecked()
+    assert actions["style_textured"].isChecked()
     bench.press("2")
     bench.qtbot.waitUntil(actions["style_wireframe"].isChecked)
-    assert not actions["style_solid"].isChecked()
+    assert not actions["style_textured"].isChecked()
     bench.press("2")
     bench.qtbot.wait(20)
     assert actions["style_wireframe"].isChecked()
