@@ -129,7 +129,9 @@ def _colors_at(
     """Return the colours (N, 3) of points (N, 3), relative to the mesh's centre, on faces (N,)."""
     a, b, c = (mesh.vertices[mesh.faces[face, k]] for k in range(3))
     u, v, w = b - a, c - a, points - a
-    uu, uv, vv, wu, wv = (np.einsum("ni,ni->n", *p) for p in ((u, u), (u, v), (v, v), (w, u), (w, v)))
+    uu, uv, vv, wu, wv = (
+        np.einsum("ni,ni->n", *p) for p in ((u, u), (u, v), (v, v), (w, u), (w, v))
+    )
     area = np.maximum(uu * vv - uv * uv, 1e-30)
     weights = np.stack([vv * wu - uv * wv, uu * wv - uv * wu], axis=1) / area[:, None]
     return colors.at(face, np.clip(weights, 0, 1))

@@ -79,7 +79,7 @@ def load_mesh(path: Path | str, *, unit: str = "m") -> trimesh.Trimesh:
         )
     if not np.isfinite(mesh.vertices).all():
         raise ToolkitError("the mesh has vertices that are not finite", path=path)
-    if path.suffix.lower() == ".obj" and mesh.visual.kind == "texture":
+    if path.suffix.lower() == ".obj" and getattr(mesh.visual, "kind", None) == "texture":
         corners = read_corner_uv(path, mesh.vertices[mesh.faces])
         if corners is not None:
             mesh.face_attributes[CORNER_UV] = corners

@@ -6,6 +6,7 @@ so that fine print is averaged as a camera does it.
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.geometry import SE3, Camera
+from std_toolkit.geometry.obj_texture import CORNER_UV
 from std_toolkit.geometry.ray_caster import RayCaster
 
 if TYPE_CHECKING:
@@ -22,6 +24,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
+
+_reading = threading.Lock()
 
 # A larger texture is finer than the images that it is compared with.
 _LARGEST_TEXTURE = 512
@@ -68,10 +72,13 @@ class SurfaceColors:
             uv = visual.uv
             if image is None or uv is None or len(uv) != len(mesh.vertices):
                 return None
-            texture = np.asarray(image.convert("RGB"), dtype=np.float32)
+            texture = np.asarray(_pixels(image, largest), dtype=np.float32)
             if largest is not None:
                 texture = _reduced(texture, largest / max(texture.shape[:2]))
-            return SurfaceColors(np.asarray(uv, dtype=np.float32)[mesh.faces], texture)
+            corners = np.asarray(mesh.face_attributes.get(CORNER_UV, ()), dtype=np.float32)
+            if len(corners) != len(mesh.faces):
+                corners = np.asarray(uv, dtype=np.float32)[mesh.faces]
+            return SurfaceColors(corners.reshape(-1, 3, 2), texture)
         if visual.kind == "vertex":
             colors = np.asarray(visual.vertex_colors, dtype=np.float32)[:, :3]
             return SurfaceColors(colors[mesh.faces], None)
@@ -103,6 +110,15 @@ class SurfaceColors:
         if self.texture is None or factor >= 1:
             return self
         return SurfaceColors(self.corners, _reduced(self.texture, factor))
+
+
+def _pixels(image: Any, largest: int | None) -> Any:
+    """Return a texture as an RGB image, at most about twice as large as wanted."""
+    # A texture file is read on its first use, which must not happen in two threads at once.
+    with _reading:
+        image = image.convert("RGB")
+    factor = 1 if largest is None else max(image.size) // largest
+    return image.reduce(factor) if factor > 1 else image
 
 
 def _reduced(texture: Array32, factor: float) -> Array32:
