@@ -16,167 +16,20 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import tempfile
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
-import msgspec
 import numpy as np
-from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests/std_toolkit/labels"))
+
+from deviation_study import FRAMES, Row, shares, study
 
 from sensors.synthetic import RecordingOptions, make_recording
-from sensors.synthetic.truth import scene_from_truth
-from std_toolkit.geometry import SE3
-from std_toolkit.geometry.mesh import hull_vertices, mesh_bounds
-from std_toolkit.geometry.symmetry import fixed_point, nearest_variant
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.jobs import JobOptions
-from std_toolkit.labels.auto_refine import refine_objects
-from std_toolkit.labels.refine.problem import covariance_at
-from std_toolkit.scene import Scene
-
-FRAMES = 9
-START_M, START_DEG = 0.015, 8.0
-# Standard deviations of the faults.
-MESH_SIZE, CAMERA_M, CAMERA_RAD = 0.003, 0.0007, 0.0007
-# A rotation counts by the motion at this fraction of the object's size.
-Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Row:
-    """One refined object.
-
-    Attributes:
-        z: errors in units of the reported deviations, one per direction (5 or 6).
-        mm, deg: error of the centre and of the rotation, symmetry aware.
-        std_mm, std_deg: reported deviations along the weakest directions.
-    """
-
-    seed: int
-    name: str
-    material: str
-    frames: int
-    depth: bool
-    mesh_fault: bool
-    camera_fault: bool
-    z: list[float]
-    mm: float
-    deg: float
-    std_mm: float
-    std_deg: float
-
-
-def study(recording: Path, scene_root: Path, seed: int) -> list[Row]:
-    """Refine every object of a recording from one start each; rows in the order of their ids."""
-    rng = np.random.default_rng([seed, 77])
-    depth, mesh_fault, camera_fault = bool(seed % 4 < 2), seed % 2 == 1, seed % 3 == 2
-    scene = scene_from_truth(recording, scene_root)
-    truth = {x.object: SE3.from_matrix(x.T_world_obj) for x in scene.labels.labels}
-    if not depth:
-        table = scene.frame_table
-        frames = [msgspec.structs.replace(f, depth=None) for f in table.frames]
-        table = msgspec.structs.replace(table, frames=frames)
-        write_bytes_atomic(scene.root / "frames.json", msgspec.json.encode(table))
-    if camera_fault:
-        _shake(scene, rng)
-    scene = Scene.open(scene.root)
-    meshes = {m.id: scene.mesh(m.id).copy() for m in scene.objects.models}
-    if mesh_fault:
-        for mesh in meshes.values():
-            centre = mesh_bounds(mesh).mean(axis=0)
-            mesh.vertices = centre + (mesh.vertices - centre) * rng.normal(1, MESH_SIZE, 3)
-    start = {
-        i: _moved(T, mesh_bounds(meshes[scene.objects.object(i).model]).mean(axis=0), rng)
-        for i, T in truth.items()
-    }
-    count = int(rng.choice([3, 4, 6, 9]))
-    chosen = [int(i) for i in np.linspace(0, FRAMES - 1, count).round()]
-    found = refine_objects(scene, start, frames=chosen, mesh=meshes.__getitem__)
-    rows = []
-    for i, refined in sorted(found.objects.items()):
-        item = scene.objects.object(i)
-        model = scene.objects.model(item.model)
-        symmetry = model.symmetry.symmetry()
-        mesh = meshes[model.id]
-        centre = fixed_point(symmetry, mesh_bounds(mesh).mean(axis=0))
-        true = nearest_variant(truth[i], refined.pose, hull_vertices(mesh), symmetry)
-        error = (refined.pose.inverse() @ true).log()
-        at = SE3(np.eye(3), centre)
-        error = (at.inverse() @ SE3.exp(error) @ at).log()
-        C = covariance_at(refined.covariance, centre)
-        radius = 0.5 * float(np.linalg.norm(mesh.extents))
-        size = np.array([1.0] * 3 + [radius] * 3)
-        axes = [np.asarray(a) for a, _ in symmetry.continuous]
-        z = whitened(error * size, C * np.outer(size, size), axes)
-        turn = error[3:] - sum((a * (a @ error[3:]) for a in axes), np.zeros(3))
-        std = [float(np.sqrt(np.linalg.eigvalsh(C[k, k])[-1])) for k in (np.s_[:3], np.s_[3:])]
-        rows.append(
-            Row(
-                seed,
-                item.name,
-                item.material,
-                count,
-                depth,
-                mesh_fault,
-                camera_fault,
-                [float(x) for x in z],
-                1000 * float(np.linalg.norm(error[:3])),
-                float(np.rad2deg(np.linalg.norm(turn))),
-                1000 * std[0],
-                float(np.rad2deg(std[1])),
-            )
-        )
-    return rows
-
-
-def whitened(error: Array, covariance: Array, axes: list[Array]) -> Array:
-    """The error in units of its deviation along the principal axes of the covariance.
-
-    Args:
-        error: (6,) translation and rotation, in comparable units.
-        covariance: (6, 6).
-        axes: rotations that have no effect; they are left out.
-    """
-    keep = np.eye(6)
-    for axis in axes:
-        free = np.concatenate([np.zeros(3), axis])
-        keep = keep - np.outer(free, free)
-    basis = np.linalg.svd(keep)[0][:, : 6 - len(axes)]
-    values, vectors = np.linalg.eigh(basis.T @ covariance @ basis)
-    return np.asarray(vectors.T @ (basis.T @ error) / np.sqrt(values))
-
-
-def _moved(T: SE3, centre: Array, rng: np.random.Generator) -> SE3:
-    shift, axis = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
-    at = SE3(np.eye(3), centre)
-    turn = SE3.exp([0, 0, 0, *(np.deg2rad(START_DEG) * axis)])
-    return SE3(np.eye(3), START_M * shift) @ T @ at @ turn @ at.inverse()
-
-
-def _shake(scene: Scene, rng: np.random.Generator) -> None:
-    """Camera poses with errors of the deviations that they state."""
-    deviations = np.array([CAMERA_M] * 3 + [CAMERA_RAD] * 3)
-    poses = scene.poses
-    assert poses is not None
-    frames = [
-        msgspec.structs.replace(
-            f,
-            T_world_cam=(
-                SE3.from_matrix(f.T_world_cam) @ SE3.exp(rng.normal(0, deviations))
-            ).flat(),
-            covariance=[float(x) for x in np.diag(deviations**2).ravel()],
-        )
-        for f in poses.frames
-        if f.T_world_cam is not None
-    ]
-    scene.save_poses(msgspec.structs.replace(poses, frames=frames))
-
-
-def shares(rows: list[Row]) -> tuple[float, float, float]:
-    """Shares of the directions within one and two deviations, and the robust scale of z."""
-    z = np.abs(np.concatenate([r.z for r in rows]))
-    return float((z <= 1).mean()), float((z <= 2).mean()), float(np.median(z) / 0.6745)
 
 
 def print_table(rows: list[Row]) -> None:

@@ -118,6 +118,13 @@ class SE3:
     def inverse(self) -> SE3:
         return SE3(self.R.T, -self.R.T @ self.t)
 
+    def adjoint(self) -> Array:
+        """(6, 6) A with `T @ SE3.exp(xi) = SE3.exp(A @ xi) @ T` for xi = (rho, phi)."""
+        A = np.zeros((6, 6))
+        A[:3, :3] = A[3:, 3:] = self.R
+        A[:3, 3:] = skew(self.t) @ self.R
+        return A
+
     def matrix(self) -> Array:
         """(4, 4) homogeneous matrix."""
         M = np.eye(4)

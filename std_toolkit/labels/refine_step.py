@@ -115,14 +115,21 @@ def load_views(
     scene: Scene, frames: list[Frame], *, use_depth: bool = True
 ) -> list[problem.RefineView]:
     """The frames as inputs of a refinement; all must be registered."""
+    assert scene.poses is not None
+    covariances = {p.frame: p.covariance for p in scene.poses.frames if p.covariance is not None}
     views = []
     for frame in frames:
         T_world_cam = scene.T_world_cam(frame.id)
         assert T_world_cam is not None
-        depth = scene.read_depth(frame) if use_depth else None
+        known = covariances.get(frame.id)
         views.append(
             problem.RefineView.of(
-                scene.camera(frame), T_world_cam, scene.read_color(frame), depth, frame=frame.id
+                scene.camera(frame),
+                T_world_cam,
+                scene.read_color(frame),
+                scene.read_depth(frame) if use_depth else None,
+                frame=frame.id,
+                pose_covariance=None if known is None else np.reshape(known, (6, 6)),
             )
         )
     return views

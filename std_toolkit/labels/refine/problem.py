@@ -33,6 +33,7 @@ class RefineView:
         color: (H, W, 3) uint8.
         depth: sensor z-depth (H, W) float32 metres, 0 = none, or None.
         frame: id of the frame, for reports.
+        pose_covariance: (6, 6) of a right perturbation `T_world_cam @ SE3.exp(xi)`, if known.
     """
 
     camera: Camera
@@ -40,6 +41,7 @@ class RefineView:
     color: NDArray[np.uint8]
     depth: NDArray[np.float32] | None = None
     frame: int = -1
+    pose_covariance: Array | None = None
 
     @staticmethod
     def of(
@@ -49,6 +51,7 @@ class RefineView:
         depth: NDArray[np.float32] | None = None,
         *,
         frame: int = -1,
+        pose_covariance: Array | None = None,
     ) -> RefineView:
         """A view with the lens distortion removed from its images.
 
@@ -67,7 +70,8 @@ class RefineView:
             depth = undistort_image(depth, camera, interpolation=cv2.INTER_NEAREST).astype(
                 np.float32, copy=False
             )
-        return RefineView(camera.without_distortion(), T_world_cam, straight, depth, frame)
+        straight_camera = camera.without_distortion()
+        return RefineView(straight_camera, T_world_cam, straight, depth, frame, pose_covariance)
 
     def at_scale(self, factor: float) -> tuple[Camera, NDArray[np.uint8]]:
         """Camera and image resized by `factor` <= 1."""

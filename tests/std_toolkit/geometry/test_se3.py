@@ -197,3 +197,11 @@ def test_a_quaternion_of_about_unit_length_gives_a_rotation() -> None:
 def test_a_translation_has_three_numbers(t: list[float]) -> None:
     with pytest.raises(ToolkitError):
         SE3.from_quat([1.0, 0.0, 0.0, 0.0], t)
+
+
+@given(poses, vectors, rotation_vectors)
+def test_the_adjoint_moves_a_perturbation_to_the_left(
+    T: SE3, rho: np.ndarray, phi: np.ndarray
+) -> None:
+    xi = 1e-3 * np.concatenate([rho, phi])
+    assert_same(T @ SE3.exp(xi), SE3.exp(T.adjoint() @ xi) @ T, 1e-9)

@@ -18,8 +18,9 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.labels.refine import problem
 from std_toolkit.labels.refine.caster import LayerStore
 from std_toolkit.labels.refine.edges.approach import approach
-from std_toolkit.labels.refine.edges.descent import Descent, assemble, descend
+from std_toolkit.labels.refine.edges.descent import Descent, assemble, descend, weigh
 from std_toolkit.labels.refine.edges.measure import PoseState, coarse_to_fine
+from std_toolkit.labels.refine.edges.uncertainty import pose_covariance
 
 # Distance of the edges after a search; at lower resolutions glass and metal would diverge again.
 # Objects that are not rough are as near.
@@ -78,10 +79,11 @@ def refine_poses(
         layers=layers,
         progress=problem.sub_progress(progress, searched, 1),
     )
-    return _result(objects, state, descent, options)
+    return _result(views, objects, state, descent, options)
 
 
 def _result(
+    views: Sequence[problem.RefineView],
     objects: Sequence[problem.RefineObject],
     state: PoseState,
     descent: Descent,
@@ -91,9 +93,16 @@ def _result(
     zero = np.zeros(6 * len(objects) + 2)
     system, edge_std, depth_std = assemble(objects, state, measured, scale, options, zero)
     covariance = system.covariance([o.radius for o in objects])
+    rows, _, _ = weigh(len(objects), measured, scale, options, zero)
     refined = []
     for i, obj in enumerate(objects):
-        block = covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6]
+        block = pose_covariance(
+            covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6],
+            [r for r in rows if r.index == i],
+            views,
+            state.poses[i],
+            obj.material,
+        )
         seen = sum(1 for k, rows in measured.contours if k == i and len(rows.residual) >= 8)
         refined.append(
             problem.RefinedObject(
