@@ -28,9 +28,7 @@ def recorded(folder: Path, seeds: range) -> list[Row]:
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_errors_are_as_large_as_their_deviations_say(
-    synthetic_table: Path, tmp_path: Path
-) -> None:
+def test_errors_are_as_large_as_their_deviations_say(synthetic_table: Path, tmp_path: Path) -> None:
     # This seed has wrong meshes and wrong cameras.
     rows = study(synthetic_table, tmp_path / "scene", seed=155)
     one, two, scale = shares(rows)
