@@ -18,6 +18,12 @@ COLOR_STRENGTH = 0.5
 
 INFRARED_STRENGTH = 0.035
 
+# Irradiance of the projector at 1 m where the pattern is bright, relative to an environment of mean
+# luminance 1 of which the camera's filter blocks most. With 0.3 the dots on floors of random scenes
+# have a contrast of 0.20 to 0.34 of the mean in windows of 21 pixels; on a cloth under a real D415
+# it is 0.25.
+PROJECTOR_POWER = 0.3
+
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 
 FLOOR_FAMILIES = ("wood", "fabric", "leather", "paper", "clay", "coarse_plastic", "porcelain")

@@ -31,9 +31,11 @@ Places = Callable[[float, np.random.Generator], Array]
 # Of the real D415: cells, where the two lattices coincide, are 5.5 pitches apart.
 LATTICE_TURN_RAD = 0.18
 
-# Jitter of the dots and bending of the lattices, as a fraction of the pitch. Without the bending
-# all cells would be alike, and a matcher could confuse them.
-LATTICE_JITTER = 0.04
+# Jitter of the dots and bending of the lattices, as a fraction of the pitch. Without them all cells
+# would be alike, and a matcher would confuse them. On a plane at 0.75 m tilted by 40 degrees the
+# largest share of holes of ten seeds, without noise, was 4.4 % with a jitter of 0.04, 0.09 % with
+# 0.1 and 0.01 % with 0.13; a photographed D415 pattern has 0.12 %.
+LATTICE_JITTER = 0.1
 
 LATTICE_BEND = 0.25
 

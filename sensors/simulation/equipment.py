@@ -35,7 +35,7 @@ class Equipment:
 
     Attributes:
         cameras: infrared, and colour at the size of the labels.
-        pattern: image of the projector; None if the sensor has none.
+        picture: image that the projector shows in every scene; None: each scene has its own.
         arrangements: given object poses; None if objects are dropped.
     """
 
@@ -44,7 +44,7 @@ class Equipment:
     matcher: StereoMatcher
     assets: AssetSource
     environments: environment_sources.EnvironmentSource
-    pattern: DotPattern | None
+    picture: DotPattern | None
     arrangements: Arrangements | None
 
     @staticmethod
@@ -71,14 +71,24 @@ class Equipment:
             make_matcher(options.matcher, **own),
             open_source(options.assets, SourceOptions(root=root, split=options.split)),
             environment_sources.environment_source(options.environments, split=options.split),
-            _pattern(sensor, options),
+            _picture(sensor, options),
             Arrangements(options) if options.scenes_from == "graspnet" else None,
         )
 
+    def pattern(self, seed: int) -> DotPattern | None:
+        """What the projector shows; None if the sensor has none.
 
-def _pattern(sensor: SensorSpec, options: SimulationOptions) -> DotPattern | None:
+        Args:
+            seed: of the pattern, unused if the data set has a picture.
+        """
+        if self.sensor.projector is None:
+            return None
+        return self.picture or make_pattern(self.sensor, seed=seed)
+
+
+def _picture(sensor: SensorSpec, options: SimulationOptions) -> DotPattern | None:
     if options.pattern is None:
-        return None if sensor.projector is None else make_pattern(sensor)
+        return None
     if sensor.projector is None:
         raise ToolkitError("this sensor has no projector", field="pattern", value=sensor.name)
     fov = options.pattern_fov_deg or sensor.projector.fov_deg[0]

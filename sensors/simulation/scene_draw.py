@@ -21,7 +21,9 @@ from sensors.materials.material_library import MATERIAL_CLASSES, MaterialClass
 from sensors.simulation.options import MaterialSwitch, SimulationOptions
 from std_toolkit.errors import ToolkitError
 
-Aspect = Literal["objects", "sizes", "materials", "light", "floor", "drop", "views", "noise"]
+Aspect = Literal[
+    "objects", "sizes", "materials", "light", "floor", "drop", "views", "noise", "pattern"
+]
 ASPECTS: tuple[Aspect, ...] = (
     "objects",
     "sizes",
@@ -31,6 +33,7 @@ ASPECTS: tuple[Aspect, ...] = (
     "drop",
     "views",
     "noise",
+    "pattern",
 )
 # Materials that objects may have.
 _CLASSES: dict[MaterialSwitch, tuple[MaterialClass, ...]] = {
@@ -71,12 +74,14 @@ class SceneDraw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         objects: in the order of their instances.
         floor: the material of the floor.
         light: of each view.
+        pattern_seed: of the projector's dots; units of one sensor differ.
     """
 
     seed: int
     objects: list[ObjectDraw]
     floor: FloorDraw
     light: list[LightingDraw]
+    pattern_seed: int = 0
 
 
 def generator(seed: int, aspect: Aspect) -> np.random.Generator:
@@ -150,7 +155,11 @@ def dress_scene(
     environment = environments.draw(rng)
     light = [draw_lighting(rng, environment.name) for _ in range(options.views)]
     floor = draw_floor(generator(seed, "floor"), folder=options.floors, split=options.split)
-    return SceneDraw(seed=seed, objects=objects, floor=floor, light=light), environment
+    pattern_seed = int(generator(seed, "pattern").integers(2**31))
+    draw = SceneDraw(
+        seed=seed, objects=objects, floor=floor, light=light, pattern_seed=pattern_seed
+    )
+    return draw, environment
 
 
 def draw_categories(

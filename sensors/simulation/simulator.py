@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.align import align_depth
+from sensors.lighting.light_draw import PROJECTOR_POWER
 from sensors.output.simulated_frame import SimulatedFrame
+from sensors.pattern import DotPattern
 from sensors.render import color_image, infrared_image, sim_renderer, sim_scene
 from sensors.simulation.equipment import DRESSED_AS, Equipment
 from sensors.simulation.options import SimulationOptions
@@ -24,11 +26,6 @@ from sensors.simulation.world_builder import World, build_world
 from sensors.stereo import disparity_to_depth
 from std_toolkit.geometry.se3 import SE3
 
-# Irradiance of the projector at 1 m where the pattern is bright, relative to an environment of mean
-# luminance 1 of which the camera's filter blocks most. With 0.3 the dots on floors of random scenes
-# have a contrast of 0.20 to 0.34 of the mean in windows of 21 pixels; on a cloth under a real D415
-# it is 0.25.
-PROJECTOR_POWER = 0.3
 # Materials on which an active stereo camera does not measure the surface.
 CUT_MATERIALS = ("transparent", "specular")
 
@@ -104,7 +101,9 @@ class Simulator:
             options.color_factor * options.width, options.color_factor * options.height
         )
         self._quality = sim_renderer.quality_of(options.quality)
-        self._pattern = equipment.pattern
+        self._equipment = equipment
+        # The last pattern: frames of one scene, in any number of calls, share it.
+        self._pattern: tuple[int, DotPattern | None] | None = None
         self._parts_cache = parts_cache
         self._renderer = sim_renderer.SIM_RENDERERS.get(renderer)(threads=threads)
 
@@ -177,10 +176,11 @@ class Simulator:
         light = world.draw.light[index]
         T_world_ir = T_world_cam @ self._sensor.pose_of_color.inverse()
         projector = None
-        if self._pattern is not None and self._sensor.projector is not None:
+        pattern = self._pattern_of(world.draw.pattern_seed)
+        if pattern is not None and self._sensor.projector is not None:
             projector = sim_scene.Projector(
-                self._pattern.image,
-                self._pattern.fov_x_deg,
+                pattern.image,
+                pattern.fov_x_deg,
                 T_world_ir @ self._sensor.projector.T_ir_projector,
                 power=PROJECTOR_POWER * light.projector_factor,
             )
@@ -256,6 +256,11 @@ class Simulator:
             color_camera=self._color_camera,
             infrared_camera=self._infrared_camera,
         )
+
+    def _pattern_of(self, seed: int) -> DotPattern | None:
+        if self._pattern is None or self._pattern[0] != seed:
+            self._pattern = seed, self._equipment.pattern(seed)
+        return self._pattern[1]
 
     def _measured(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> NDArray[np.float32]:
         near, far = self._sensor.depth.range_m

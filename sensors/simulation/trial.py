@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 
 from sensors.assets import draw_diagonal, open_source
 from sensors.lighting.environment_sources import StudioSource
-from sensors.lighting.light_draw import draw_floor, draw_lighting
+from sensors.lighting.light_draw import PROJECTOR_POWER, draw_floor, draw_lighting
 from sensors.materials.material_draw import DrawnMaterial, draw_material
 from sensors.materials.material_library import MaterialClass, load_library
 from sensors.pattern import make_pattern
 from sensors.render import infrared_image, sim_renderer, sim_scene
-from sensors.simulation.simulator import PROJECTOR_POWER
 from sensors.specs import SensorSpec
 from sensors.stereo import disparity_to_depth, make_matcher
 from std_toolkit.geometry import SE3, Camera
@@ -161,12 +160,12 @@ def render_view(
     Args:
         spec: sensor with a projector.
         camera: its left infrared camera, or one for a crop of its image.
-        seed: of light and noise.
+        seed: of pattern, light and noise.
 
     Raises:
         ToolkitError: the sensor has no projector.
     """
-    pattern = make_pattern(spec)
+    pattern = make_pattern(spec, seed=seed)
     assert spec.projector is not None  # its pattern would have been refused
     rng = np.random.default_rng([seed, 2])
     light = draw_lighting(rng, trial.scene.environment.name)

@@ -169,6 +169,7 @@ class _Recorder:
             ),
             # The light is constant during a recording.
             light=[draw_lighting(rng, environment.name)] * options.frames,
+            pattern_seed=options.seed,
         )
         falling = [
             PhysicalObject(asset, obj.diagonal_m, convex_parts(asset, cache))
