@@ -115,7 +115,7 @@ def measure_plane(
         radiance = plane.albedo * (irradiance / np.pi + plane.ambient)
         shape = (height, _FINER, width, _FINER)
         light.append(radiance.reshape(shape).mean(axis=(1, 3)))
-        covered.append(inside.reshape(shape).all(axis=(1, 3)))
+        covered.append(np.asarray(inside.reshape(shape).all(axis=(1, 3))))
     response = infrared_image.InfraredResponse(noise=noise)
     left, right, _ = infrared_image.expose_pair(
         *light, rng=np.random.default_rng(seed), response=response
