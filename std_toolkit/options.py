@@ -173,7 +173,11 @@ class PoseOptions(PoseBasics):
     """gate: largest median standard deviation of the camera positions, relative to the distance
     of the observed points"""
     max_disagreement: float = 0.005
-    """gate: largest relative difference between two scale sources"""
+    """gate: largest relative difference between two scale sources; sources contradict each other
+    if this and max_disagreement_sigma are exceeded"""
+    max_disagreement_sigma: Positive = 3.0
+    """gate: largest difference between two scale sources, in units of their joint standard
+    deviation"""
 
     def __post_init__(self) -> None:
         # Without this check, a string that names no member would act as the default.
@@ -324,7 +328,11 @@ class CheckOptions:
     max_reprojection_px: float = 1.5
     """gate: largest mean reprojection error of the camera poses"""
     max_scale_disagreement: float = 0.005
-    """gate: largest relative difference between two scale sources"""
+    """gate: largest relative difference between two scale sources; the gate fails if this and
+    max_scale_sigma are exceeded"""
+    max_scale_sigma: Positive = 3.0
+    """gate: largest difference between two scale sources, in units of their joint standard
+    deviation"""
     max_edge_px: float = 3.0
     """gate: largest median distance from a contour to the nearest image edge"""
     max_shift_px: float = 3.0

@@ -369,8 +369,8 @@ def propagate_question(session: Session, react: Reaction) -> Question:
                 "Estimate the scale of the camera poses as well",
                 kind="switch",
                 value=False,
-                tip="Rewrites poses.json with it: for scenes whose metric scale comes from sensor "
-                "depth alone.",
+                tip="For scenes whose metric scale comes from sensor depth alone. Rewrites "
+                "poses.json, unless its scale is more precise.",
                 when=refining,
             ),
             Field(

@@ -11,6 +11,7 @@ from std_toolkit.checks.result import CheckGate, FrameCheck, Number, ObjectCheck
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import CameraPoses
 from std_toolkit.scene.model import ScaleReport
+from std_toolkit.scene.scale_model import ScaleDifference, differences
 
 # Sensors of this class are biased by 1 to 2 percent; a larger common residual has another cause.
 LARGEST_DEPTH_BIAS = 0.025
@@ -30,7 +31,7 @@ def scale_share(summary: SceneSummary) -> float:
     """
     share = 0.0
     if summary.scale is not None:
-        share = max(share, summary.scale.disagreement)
+        share = max(share, summary.scale.consistent().disagreement)
         chosen = [e for e in summary.scale.estimates if e.source == summary.scale.chosen]
         share = max([share, *(e.standard_error for e in chosen)])
     bias = abs(summary.depth_bias or 0.0)
@@ -125,7 +126,7 @@ def _pose_gates(
 ) -> list[CheckGate]:
     share = 100 * summary.registered / summary.frames if summary.frames else None
     scale = summary.scale
-    several = scale is not None and len(scale.estimates) >= 2
+    scale_pairs = differences(scale.estimates) if scale is not None else []
     gates = [
         _gate(
             "registered",
@@ -148,11 +149,11 @@ def _pose_gates(
         ),
         _gate(
             "scale",
-            "disagreement of the scale sources",
-            100 * scale.disagreement if scale is not None and several else None,
-            100 * options.max_scale_disagreement,
-            unit="%",
-            detail=_scale_detail(scale),
+            "difference of the scale sources in joint standard deviations, "
+            f"where above {100 * options.max_scale_disagreement:g} %",
+            _scale_sigma(scale_pairs, options),
+            options.max_scale_sigma,
+            detail=_scale_detail(scale, scale_pairs),
             advice="select the most reliable source (`std-curate poses --scale ...`), or correct "
             "the depth factor of the sensor in scene.json",
         ),
@@ -321,9 +322,16 @@ def _names(names: Sequence[str]) -> str:
     return shown + (f" and {len(names) - 6} more" if len(names) > 6 else "")
 
 
-def _scale_detail(scale: ScaleReport | None) -> str:
+def _scale_sigma(pairs: Sequence[ScaleDifference], options: CheckOptions) -> Number:
+    """Largest difference in joint deviations; small relative differences count as 0."""
+    beyond = [p.sigma for p in pairs if p.relative > options.max_scale_disagreement]
+    return max(beyond, default=0.0) if pairs else None
+
+
+def _scale_detail(scale: ScaleReport | None, pairs: Sequence[ScaleDifference]) -> str:
     if scale is None:
         return "no scale source"
-    if len(scale.estimates) < 2:
+    if not pairs:
         return f"only one source ({scale.chosen})"
-    return f"used: {scale.chosen}; available: {', '.join(e.source for e in scale.estimates)}"
+    used = ", ".join(scale.fused) or scale.chosen
+    return f"used: {used}; {pairs[0]}"

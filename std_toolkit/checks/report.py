@@ -11,6 +11,7 @@ from std_toolkit.html import page
 from std_toolkit.html.plots import MATERIAL_COLORS
 from std_toolkit.html.table import MINUS, NONE, Cell, Column, Row, Table, number
 from std_toolkit.options import CheckOptions
+from std_toolkit.scene.scale_model import differences
 
 
 @dataclass(frozen=True)
@@ -135,19 +136,30 @@ def _scene(report: result.CheckReport, parts: PageParts, options: CheckOptions) 
         columns = [
             Column(heading="source", numeric=False),
             Column(heading="factor", unit="m per unit", digits=5),
-            Column(heading="against the used one", unit="%", factor=100, digits=2, signed=True),
+            Column(heading="against the poses", unit="%", factor=100, digits=2, signed=True),
             Column(heading="spread", unit="%, IQR", factor=100, digits=2),
             Column(heading="standard error", unit="%", factor=100, digits=3),
+            Column(heading="deviation", unit="%", factor=100, digits=2),
             Column(heading="measurements", digits=0),
             _TEXT,
         ]
-        used = next((e for e in scale.estimates if e.source == scale.chosen), scale.estimates[0])
+        used = {e.source for e in scale.used()}
+        applied = scale.applied_factor
         rows = []
         for e in scale.estimates:
-            values = (e.factor, e.factor / used.factor - 1, e.spread, e.standard_error, e.count)
-            name = Cell(text=e.source, note="used" if e.source == scale.chosen else "")
-            rows.append(Row([name, *_cells(columns[1:-1], values), Cell(text=e.note)]))
-        blocks.append(Table(title="Sources of metric scale", columns=columns, rows=rows))
+            values = (e.factor, e.factor / applied - 1, e.spread, e.standard_error, e.sigma)
+            name = Cell(text=e.source, note="used" if e.source in used else "")
+            cells = _cells(columns[1:-1], (*values, e.count))
+            rows.append(Row([name, *cells, Cell(text=e.note)]))
+        notes = [
+            f"The camera poses have {applied:.6g} m per unit with a deviation of "
+            f"{100 * scale.applied_sigma:.2f} %: the mean of the used sources, weighted by inverse "
+            "variance. A deviation includes the systematic error of the kind of source.",
+            *(f"{d}." for d in differences(scale.estimates)),
+        ]
+        blocks.append(
+            Table(title="Sources of metric scale", notes=notes, columns=columns, rows=rows)
+        )
     figure = figures.registration_figure(report, limit_px=options.max_reprojection_px)
     if figure is not None:
         blocks += [page.Heading("Camera poses over frames"), page.Plot("registration", figure)]
@@ -265,4 +277,6 @@ def _scale_fact(report: result.CheckReport) -> tuple[str, str]:
     name = "unknown" if scale.unit == "unknown" else scale.chosen
     if len(scale.estimates) < 2:
         return name, ""
-    return name, f"{len(scale.estimates)} sources, differ by {100 * scale.disagreement:.2f} %"
+    worst = differences(scale.estimates)[0]
+    text = f"{len(scale.estimates)} sources, differ by {100 * worst.relative:.2f} %"
+    return name, f"{text} ({worst.sigma:.1f} standard deviations)"

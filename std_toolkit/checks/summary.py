@@ -258,7 +258,8 @@ def _scale_line(scene: Scene) -> str | None:
         return "metric, as imported"
     if poses.scale.unit != "metre":
         return "UNKNOWN: the poses are not in metres"
-    text = f"metres from {poses.scale.chosen}"
+    used = poses.scale.fused or [poses.scale.chosen]
+    text = f"metres from {', '.join(used)}, +- {poses.scale.applied_sigma:.2%}"
     factors = [e.factor for e in poses.scale.estimates]
     if len(factors) > 1:
         text += f", {len(factors)} sources within {max(factors) / min(factors) - 1:.2%}"

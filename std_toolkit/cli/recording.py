@@ -11,7 +11,7 @@ from std_toolkit.jobs.options import JobOptions
 from std_toolkit.options import ImportOptions, ImportRequest, LinkMode, PoseOptions
 
 if TYPE_CHECKING:
-    from std_toolkit.scene.model import CameraPoses
+    from std_toolkit.scene.model import CameraPoses, ScaleReport
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,10 +163,11 @@ def pose_lines(poses: CameraPoses, names: list[str]) -> list[str]:
         mark = "ok    " if gate.passed else "FAILED"
         lines.append(f"  {mark} {gate.name}: {gate.value:.4g} (limit {gate.limit:.4g})")
     if poses.scale is not None:
-        lines.append(f"scale: {poses.scale.chosen}, unit {poses.scale.unit}")
+        lines.append(_scale_line(poses.scale))
         lines += [
             f"  {e.source}: {e.factor:.6g} m per unit, spread {100 * e.spread:.2f} %, "
-            f"standard error {100 * e.standard_error:.3f} %, n = {e.count} ({e.note})"
+            f"standard error {100 * e.standard_error:.3f} %, deviation {100 * e.sigma:.2f} %, "
+            f"n = {e.count} ({e.note})"
             for e in poses.scale.estimates
         ]
     for key, camera in poses.cameras.items():
@@ -174,6 +175,15 @@ def pose_lines(poses: CameraPoses, names: list[str]) -> list[str]:
         extra = " ".join(f"{v:.4f}" for v in camera.distortion)
         lines.append(f"camera {key}: {values}" + (f" distortion {extra}" if extra else ""))
     return lines
+
+
+def _scale_line(scale: ScaleReport) -> str:
+    line = f"scale: {scale.chosen}, unit {scale.unit}"
+    if scale.factor is not None:
+        line += f", {scale.factor:.6g} m per unit +- {100 * scale.applied_sigma:.2f} %"
+    if len(scale.fused) > 1:
+        line += f", weighted mean of {', '.join(scale.fused)}"
+    return line
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,6 +13,7 @@ from std_toolkit.log import logger
 from std_toolkit.poses.known_points import KnownView, fit_body, scale_from_known_points
 from std_toolkit.poses.scale_sources import ScaleContext
 from std_toolkit.scene.model import Label, Object, ScaleEstimate, pose_from_list
+from std_toolkit.scene.scale_model import mesh_deviation
 
 MIN_ANGLE_DEG = 15.0
 GOOD_ANGLE_DEG = 60.0
@@ -37,11 +38,12 @@ class CadScale:
         return any(len(annotated_poses(context, x)) >= 2 for x in context.scene.labels.labels)
 
     def estimate(self, context: ScaleContext) -> ScaleEstimate:
-        estimates: list[tuple[ScaleEstimate, int]] = []
+        estimates: list[tuple[ScaleEstimate, str]] = []
         for label in context.scene.labels.labels:
             poses = annotated_poses(context, label)
             if len(poses) >= 2:
-                estimates.append((self._from_label(context, label, poses), len(poses)))
+                model = context.scene.objects.object(label.object).model
+                estimates.append((self._from_label(context, label, poses), model))
         if not estimates:
             raise ToolkitError(
                 "no object is annotated in two or more registered frames",
@@ -49,7 +51,7 @@ class CadScale:
                 hint="annotate one object in 2-4 frames at least 60 degrees apart: "
                 "`std-curate label SCENE ... --frame N` for each frame",
             )
-        return _combine(self.name, [e for e, _ in estimates])
+        return _combine(estimates)
 
     def _from_label(
         self, context: ScaleContext, label: Label, poses: dict[int, SE3]
@@ -136,6 +138,11 @@ def _sharpen(
     except ToolkitError as error:
         logger.warning("object %r: edges were not used for the scale: %s", obj.name, error)
         return annotated
+    if not refined.scale_converged:
+        logger.warning(
+            "object %r: the scale from edges did not settle; annotations are used", obj.name
+        )
+        return annotated
     if abs(refined.scale - 1) > MAX_EDGE_CORRECTION:
         logger.warning(
             "object %r: scale from edges and from annotations differ by %.1f %%; the annotations "
@@ -158,23 +165,30 @@ def annotated_poses(context: ScaleContext, label: Label) -> dict[int, SE3]:
     return {f: pose_from_list(T) for f, T in every.items() if f in context.image_ids}
 
 
-def _combine(name: str, estimates: list[ScaleEstimate]) -> ScaleEstimate:
-    if len(estimates) == 1:
-        return estimates[0]
-    # Objects of one size and annotator are equally good to first order; the floor keeps one object
-    # from dominating by chance.
-    weight = np.array([1 / max(e.standard_error, 1e-3) ** 2 for e in estimates])
-    total = float(weight.sum())
-    weight /= total
-    factors = np.array([e.factor for e in estimates])
+def _combine(estimates: list[tuple[ScaleEstimate, str]]) -> ScaleEstimate:
+    """Weighted mean of the estimates of single objects, each with its model's id.
+
+    The measurements of the objects are independent. So are the errors of different meshes; those
+    of one mesh are not. Objects that differ by more than their deviations widen the result.
+    """
+    found = [e for e, _ in estimates]
+    sigma = np.array([mesh_deviation(e.standard_error, 1) for e in found])
+    weight = sigma**-2 / (sigma**-2).sum()
+    factors = np.array([e.factor for e in found])
     factor = float(weight @ factors)
+    error = float(np.sqrt(weight**2 @ np.array([e.standard_error for e in found]) ** 2))
+    if len(found) > 1:
+        chi = float((((factors / factor - 1) / sigma) ** 2).sum()) / (len(found) - 1)
+        error = float(np.hypot(error, np.sqrt(max(chi - 1, 0) * (weight**2 @ sigma**2))))
+    single = len(found) == 1
     return ScaleEstimate(
-        source=name,
+        source=CadScale.name,
         factor=factor,
-        spread=float(np.ptp(factors)) / factor,
-        standard_error=float(total**-0.5),
-        count=sum(e.count for e in estimates),
-        note=" | ".join(f"{e.note}: {e.factor:.6g}" for e in estimates),
+        spread=found[0].spread if single else float(np.ptp(factors)) / factor,
+        standard_error=error,
+        count=sum(e.count for e in found),
+        note=" | ".join(e.note if single else f"{e.note}: {e.factor:.6g}" for e in found),
+        deviation=mesh_deviation(error, len({model for _, model in estimates})),
     )
 
 

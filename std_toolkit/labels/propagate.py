@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -25,6 +25,9 @@ from std_toolkit.options import PropagateOptions
 from std_toolkit.scene.document import digest_file, digest_of, is_fresh, write_record
 from std_toolkit.scene.model import Label, Labels, annotated_views, without_derived
 from std_toolkit.scene.scene import Scene, require_metres
+
+if TYPE_CHECKING:
+    from std_toolkit.labels.refine_step import RefinedLabels
 
 STEP = "propagate"
 
@@ -68,20 +71,7 @@ def propagate_labels(scene: Scene, options: PropagateOptions | None = None) -> L
             )
         scale: AbstractContextManager[None] = nullcontext()
         if options.refine:
-            from std_toolkit.labels.refine_step import refine_labels
-
-            refined = refine_labels(
-                scene,
-                placed,
-                keyframes=options.keyframes,
-                use_depth=options.use_depth,
-                refine_scale=options.refine_scale,
-            )
-            placed = refined.labels
-            if options.refine_scale:
-                from std_toolkit.poses.publish import rescaled_poses
-
-                scale = rescaled_poses(scene, refined.scale, refined.scale_std)
+            placed, scale = _refine(scene, placed, options)
         labels = Labels(labels=[placed.get(x.object, x) for x in scene.labels.labels])
         with scale:
             scene.save_labels(labels)
@@ -93,6 +83,45 @@ def propagate_labels(scene: Scene, options: PropagateOptions | None = None) -> L
                 parameters=_parameters(options),
             )
     return labels
+
+
+def _refine(
+    scene: Scene, placed: dict[int, Label], options: PropagateOptions
+) -> tuple[dict[int, Label], AbstractContextManager[None]]:
+    """Refined labels, and the change of the scale of the camera poses that they need."""
+    from std_toolkit.labels.refine_step import refine_labels
+    from std_toolkit.labels.refined_scale import decide_scale
+    from std_toolkit.poses.publish import rescaled_poses
+
+    def refined(*, with_scale: bool) -> RefinedLabels:
+        return refine_labels(
+            scene,
+            placed,
+            keyframes=options.keyframes,
+            use_depth=options.use_depth,
+            refine_scale=with_scale,
+        )
+
+    found = refined(with_scale=options.refine_scale)
+    if found.scale is None:
+        return found.labels, nullcontext()
+    assert scene.poses is not None
+    decision = decide_scale(scene.poses.scale, found.scale)
+    (logger.warning if decision.kept else logger.info)("--refine-scale: %s", decision.sentence)
+    if not found.scale.settled:
+        # The refined poses belong to a scale that is not used.
+        return refined(with_scale=False).labels, nullcontext()
+    labels = found.at_scale(decision.factor)
+    for label in scene.labels.labels:
+        if label.object not in labels and label.T_world_obj is not None:
+            labels[label.object] = _rescaled_label(label, decision.factor)
+    return labels, rescaled_poses(scene, decision.factor, decision.report)
+
+
+def _rescaled_label(label: Label, factor: float) -> Label:
+    """A label that is not propagated now, moved with the world."""
+    T = SE3.from_matrix(label.T_world_obj or [])
+    return msgspec.structs.replace(label, T_world_obj=SE3(T.R, factor * T.t).flat())
 
 
 def place_label(scene: Scene, label: Label) -> Label:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.refine import problem
 from std_toolkit.labels.refine.edges.solver import refine_poses
+from std_toolkit.labels.refined_scale import MeasuredScale
 from std_toolkit.log import logger
 from std_toolkit.scene.model import Frame, Label, annotated_views, pose_from_list
 from std_toolkit.scene.scene import Scene
@@ -37,13 +38,28 @@ class RefinedLabels:
 
     Attributes:
         labels: labels by object id.
-        scale: factor on the positions of the camera poses; 1 unless requested.
-        scale_std: standard deviation of the factor.
+        scale: what was measured of the scale; None unless requested.
+        coupling: (6,) by object id: change of the refined pose (right perturbation) per unit of
+            change of the log scale.
     """
 
     labels: dict[int, Label]
-    scale: float
-    scale_std: float
+    scale: MeasuredScale | None
+    coupling: dict[int, NDArray[np.float64]]
+
+    def at_scale(self, factor: float) -> dict[int, Label]:
+        """The labels for camera positions multiplied by `factor` instead of `scale.factor`.
+
+        The poses that fit best with this scale, to first order.
+        """
+        if self.scale is None or not self.coupling:
+            return self.labels
+        change = float(np.log(factor / self.scale.factor))
+        moved = dict(self.labels)
+        for i, coupling in self.coupling.items():
+            T = pose_from_list(moved[i].T_world_obj or []) @ SE3.exp(change * coupling)
+            moved[i] = msgspec.structs.replace(moved[i], T_world_obj=T.flat())
+        return moved
 
 
 def refine_labels(
@@ -57,7 +73,8 @@ def refine_labels(
     """Labels with refined world poses; the caller saves them while holding the scene's lock.
 
     Labels of the scene that are not in `labels` act as occluders and keep their poses. With
-    `refine_scale` the result is for camera poses multiplied by `RefinedLabels.scale`.
+    `refine_scale` the result is for camera poses multiplied by `RefinedLabels.scale.factor`; see
+    `RefinedLabels.at_scale` for others.
 
     Args:
         labels: labels by object id, placed in the world; those without a world pose are returned
@@ -93,6 +110,7 @@ def refine_labels(
     )
     _report(result)
     refined = dict(labels)
+    coupling = {}
     for i, found in zip(sorted(everything), result.objects, strict=True):
         if i not in placed:
             continue
@@ -108,7 +126,17 @@ def refine_labels(
             covariance=[float(x) for x in found.covariance.ravel()],
             weak_direction=found.weak_direction,
         )
-    return RefinedLabels(refined, result.scale, result.scale_std)
+        coupling[i] = found.scale_coupling
+    if not refine_scale:
+        return RefinedLabels(refined, None, {})
+    measured = MeasuredScale(
+        factor=result.scale,
+        standard_error=result.scale_std / result.scale,
+        objects=len(coupling),
+        models=len({scene.objects.object(i).model for i in coupling}),
+        settled=result.scale_converged and bool(coupling),
+    )
+    return RefinedLabels(refined, measured, coupling)
 
 
 def load_views(

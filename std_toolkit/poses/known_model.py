@@ -132,7 +132,10 @@ def known_scale(
     """
     if not known.metric:
         return resolve_scale(
-            context, scale=options.scale, max_disagreement=options.max_disagreement
+            context,
+            scale=options.scale,
+            max_disagreement=options.max_disagreement,
+            max_sigma=options.max_disagreement_sigma,
         )
     report = ScaleReport(unit="metre", chosen="given")
     source = DepthScale()

@@ -18,6 +18,7 @@ from std_toolkit.options import PoseOptions, Refinement
 from std_toolkit.scene import CameraPoses, Frame, FramePose, Labels, Scene
 from std_toolkit.scene.document import digest_file, digest_of, is_fresh, write_record
 from std_toolkit.scene.model import Gate, ScaleReport, without_derived
+from std_toolkit.scene.scale_model import differences
 
 if TYPE_CHECKING:
     from std_toolkit.poses.known_cameras import KnownPoses
@@ -109,7 +110,10 @@ def _run(
     context = ScaleContext(scene, done.model, image_ids, done.cameras(), board, jobs)
     if known is None:
         factor, report = resolve_scale(
-            context, scale=options.scale, max_disagreement=options.max_disagreement
+            context,
+            scale=options.scale,
+            max_disagreement=options.max_disagreement,
+            max_sigma=options.max_disagreement_sigma,
         )
         place_in_world(done.model, scale=factor, first_image=next(iter(image_ids.values())))
     else:
@@ -325,12 +329,18 @@ def pose_gates(
         ),
         _at_most(
             "scale_disagreement",
-            scale.disagreement,
-            options.max_disagreement,
+            _disagreement_sigma(scale, options),
+            options.max_disagreement_sigma,
             "the scale sources contradict each other: check the sensor's depth correction, the "
             "printed size of the board and the size of the mesh",
         ),
     ]
+
+
+def _disagreement_sigma(scale: ScaleReport, options: PoseOptions) -> float:
+    """Largest difference of two sources in joint deviations; relatively small ones count as 0."""
+    found = differences(scale.estimates)
+    return max((d.sigma for d in found if d.relative > options.max_disagreement), default=0.0)
 
 
 def _position_sigma(registered: Sequence[FramePose], distance: float) -> float:

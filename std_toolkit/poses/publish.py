@@ -14,14 +14,12 @@ from std_toolkit.io.atomic import atomic_path, sweep_temporaries
 from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.poses.colmap import quiet_colmap
 from std_toolkit.scene.document import Record, digest_file, is_fresh, record_path
-from std_toolkit.scene.model import FramePose, ScaleEstimate, ScaleReport, pose_from_list
+from std_toolkit.scene.model import FramePose, ScaleReport, pose_from_list
 from std_toolkit.scene.scene import Scene
 
 SPARSE = Path("poses") / "sparse"
 
 POINTS = Path("poses") / "points.ply"
-
-SOURCE = "objects"
 
 
 def publish_model(root: Path, model: Any, work: Path) -> list[Path]:
@@ -85,32 +83,22 @@ def _move(source: Path, target: Path) -> Path:
 
 
 @contextmanager
-def rescaled_poses(scene: Scene, factor: float, standard_error: float) -> Iterator[None]:
+def rescaled_poses(scene: Scene, factor: float, report: ScaleReport) -> Iterator[None]:
     """Multiply all camera positions and the reconstruction by `factor`; the caller holds the lock.
 
-    The scale report of poses.json gains an estimate called "objects". The caller saves the labels
-    in the new scale inside the block. If the block ends without an error, the record of the step
+    `report` replaces the scale report of poses.json. The caller saves the labels in the new scale
+    inside the block. If the block ends without an error, the record of the step
     that wrote the poses is updated, so that a pipeline treats them as fresh. After a run that was
     killed before that, the record does not match and the poses are recovered again.
     """
     intact = _intact_records(scene.root)
     poses = scene.poses
     assert poses is not None
-    rescale_model(scene.root, factor)
-    report = poses.scale or ScaleReport(unit="metre", chosen="given")
-    before = next((e.factor for e in report.estimates if e.source == report.chosen), 1.0)
-    estimate = ScaleEstimate(
-        source=SOURCE,
-        factor=before * factor,
-        spread=standard_error,
-        standard_error=standard_error,
-        count=len(scene.labels.labels),
-        note="sizes of the labelled objects, by `propagate --refine-scale`",
-    )
-    others = [e for e in report.estimates if e.source != SOURCE]
-    scale = msgspec.structs.replace(report, chosen=SOURCE, estimates=[*others, estimate])
-    frames = [_rescaled(f, factor) for f in poses.frames]
-    scene.save_poses(msgspec.structs.replace(poses, frames=frames, scale=scale))
+    frames = poses.frames
+    if factor != 1:
+        rescale_model(scene.root, factor)
+        frames = [_rescaled(f, factor) for f in frames]
+    scene.save_poses(msgspec.structs.replace(poses, frames=frames, scale=report))
     yield
     for path, record in intact:
         outputs = {name: digest_file(scene.root / name) for name in record.outputs}

@@ -13,10 +13,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
 from pathlib import Path
 from typing import Any, Protocol
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,9 +26,15 @@ from std_toolkit.jobs import JobOptions
 from std_toolkit.poses.colmap import Observations, observations
 from std_toolkit.scene import Frame, Scene
 from std_toolkit.scene.model import ScaleEstimate, ScaleReport
+from std_toolkit.scene.scale_model import (
+    CALIBRATED_DEPTH_ERROR,
+    MAX_RELATIVE,
+    MAX_SIGMA,
+    contradiction,
+    fuse,
+)
 
-# Ordered by known error: printed board 0.1 %, mesh with good annotations 0.3-0.8 %, depth of a
-# consumer sensor 1-2 %. Plug-ins follow.
+# Order of equally precise sources; plug-ins follow.
 TRUST = ("board", "cad", "depth")
 
 NO_SCALE_HINT = (
@@ -111,6 +117,9 @@ class ScaleSource(Protocol):
     def estimate(self, context: ScaleContext) -> ScaleEstimate:
         """Estimate the metres per unit of the model.
 
+        A source whose systematic error is known sets `deviation`; others get `OTHER_ERROR` of
+        `scene.scale_model`.
+
         Raises:
             ToolkitError: the data are insufficient or contradictory.
         """
@@ -190,14 +199,21 @@ def check_source_name(scale: str) -> None:
 
 
 def resolve_scale(
-    context: ScaleContext, *, scale: str, max_disagreement: float
+    context: ScaleContext,
+    *,
+    scale: str,
+    max_disagreement: float = MAX_RELATIVE,
+    max_sigma: float = MAX_SIGMA,
 ) -> tuple[float, ScaleReport]:
     """Return the metres per unit of the model, and the scale report.
+
+    With "auto" the factor is the mean of all sources, weighted by inverse variance.
 
     Args:
         context: the reconstruction and the scene.
         scale: "auto", "none" or the name of a source.
-        max_disagreement: largest relative difference between two sources with "auto".
+        max_disagreement, max_sigma: two sources contradict each other if their relative
+            difference exceeds the first and, in units of their joint deviation, the second.
 
     Raises:
         ToolkitError: the named source fails; with "auto", an available source fails or sources
@@ -230,43 +246,34 @@ def resolve_scale(
             NO_SCALE_HINT,
         )
         return 1.0, ScaleReport(unit="unknown", chosen="none")
-    disagreement, worst = _disagreement(estimates)
-    if disagreement > max_disagreement and not named:
-        a, b = worst
+    found = list(estimates.values())
+    wrong = contradiction(found, max_relative=max_disagreement, max_sigma=max_sigma)
+    if wrong is not None and not named:
         raise errors.ToolkitError(
-            f"scale sources differ by {100 * disagreement:.2f} % (limit "
-            f"{100 * max_disagreement:.2f} %): {_line(estimates[a])}; {_line(estimates[b])}",
-            hint=f"fix the wrong one or name the right one: --scale {a} or --scale {b}",
+            f"scale sources contradict each other: {wrong} (limits {100 * max_disagreement:.2f} % "
+            f"and {max_sigma:g}); {_line(wrong.a)}; {_line(wrong.b)}",
+            hint="fix the wrong one or name the right one: "
+            f"--scale {wrong.a.source} or --scale {wrong.b.source}",
         )
-    if disagreement > max_disagreement:
-        log.logger.warning(
-            "scale sources differ by %.2f %%; using %s, as requested", 100 * disagreement, scale
-        )
+    if wrong is not None:
+        log.logger.warning("scale sources contradict each other: %s; using %s", wrong, scale)
+    used = [estimates[scale]] if named else found
     order = {name: i for i, name in enumerate(TRUST)}
-    chosen = scale if named else min(estimates, key=lambda n: order.get(n, len(order)))
+    best = min(used, key=lambda e: (e.sigma, order.get(e.source, len(order))))
+    factor, deviation = fuse(used)
     report = ScaleReport(
         unit="metre",
-        chosen=chosen,
-        estimates=list(estimates.values()),
-        disagreement=disagreement,
+        chosen=next(name for name, e in estimates.items() if e is best),
+        estimates=found,
+        factor=factor,
+        deviation=deviation,
+        fused=[e.source for e in used],
     )
-    return estimates[chosen].factor, report
-
-
-def _disagreement(estimates: dict[str, ScaleEstimate]) -> tuple[float, tuple[str, str]]:
-    worst, pair = 0.0, ("", "")
-    for a, b in combinations(estimates, 2):
-        difference = abs(estimates[a].factor / estimates[b].factor - 1)
-        if difference > worst:
-            worst, pair = difference, (a, b)
-    return worst, pair
+    return factor, report.consistent()
 
 
 def _line(estimate: ScaleEstimate) -> str:
-    return (
-        f"{estimate.source} {estimate.factor:.6g} (spread {100 * estimate.spread:.2f} %, "
-        f"{estimate.note})"
-    )
+    return f"{estimate.source}: spread {100 * estimate.spread:.2f} %, {estimate.note}"
 
 
 class DepthScale:
@@ -296,13 +303,18 @@ class DepthScale:
                 value=len(found),
                 hint="is the depth aligned to colour? name another source with --scale",
             )
-        return summarise(
+        correction = context.scene.info.depth_correction
+        estimate = summarise(
             self.name,
             found,
             groups=np.concatenate(groups),
             note=f"z over z at {len(found)} points in {len(ratios)} frames; depth correction "
-            f"factor {context.scene.info.depth_correction:g} applied",
+            f"factor {correction:g} applied",
         )
+        if correction == 1:
+            return estimate
+        deviation = float(np.hypot(estimate.standard_error, CALIBRATED_DEPTH_ERROR))
+        return msgspec.structs.replace(estimate, deviation=deviation)
 
 
 def z_ratios(depth: NDArray[np.floating], seen: Observations) -> NDArray[np.float64]:

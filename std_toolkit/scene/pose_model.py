@@ -1,5 +1,7 @@
 """Documents of intrinsics, camera poses and annotations; `scene.model` has the others.
 
+`scene.scale_model` has those of the metric scale.
+
 Annotations are the provenance of labels and the state of the work on each object.
 """
 
@@ -13,6 +15,21 @@ import msgspec
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.scene import document
+from std_toolkit.scene.scale_model import ScaleEstimate, ScaleReport
+
+__all__ = [
+    "Annotation",
+    "CameraModel",
+    "CameraPoses",
+    "ClickedPoint",
+    "FramePose",
+    "Gate",
+    "LabelProvenance",
+    "ObjectAnnotation",
+    "ScaleEstimate",
+    "ScaleReport",
+    "Time",
+]
 
 # UTC, ISO 8601, to the second or finer.
 Time = Annotated[str, msgspec.Meta(pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?(Z|\+00:00)$")]
@@ -46,42 +63,6 @@ class FramePose(document.Document, frozen=True, kw_only=True):
                 value=self.status,
             )
         document.check_pose(self.T_world_cam, "T_world_cam")
-
-
-class ScaleEstimate(document.Document, frozen=True, kw_only=True):
-    """Estimate of the metric scale of a reconstruction by one source.
-
-    Attributes:
-        source: name of the plug-in: "depth", "cad", "board".
-        factor: metres per unit of the reconstruction before scaling.
-        spread: interquartile range of the single estimates, relative to the factor.
-        standard_error: standard error of the factor, relative to the factor.
-        count: number of single estimates.
-        note: description of the measurements.
-    """
-
-    source: str
-    factor: document.Positive
-    spread: document.NonNegative
-    standard_error: document.NonNegative
-    count: document.Count
-    note: str = ""
-
-
-class ScaleReport(document.Document, frozen=True, kw_only=True):
-    """Metric scale of the camera poses.
-
-    Attributes:
-        unit: "metre", or "unknown" if no source of metric scale was used.
-        chosen: source that was used; "given" for poses imported in metres.
-        estimates: estimates of all sources.
-        disagreement: largest relative difference between two sources.
-    """
-
-    unit: Literal["metre", "unknown"]
-    chosen: str
-    estimates: list[ScaleEstimate] = msgspec.field(default_factory=list)
-    disagreement: document.NonNegative = 0.0
 
 
 class Gate(document.Document, frozen=True, kw_only=True):

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -149,11 +150,13 @@ class Scene:
         self.objects = objects
 
     def save_poses(self, poses: CameraPoses) -> None:
-        """Save the camera poses.
+        """Save the camera poses, with the disagreement of the scale sources computed again.
 
         Raises:
             ToolkitError: a frame or camera is not in the scene.
         """
+        if poses.scale is not None:
+            poses = msgspec.structs.replace(poses, scale=poses.scale.consistent())
         documents.write_document(self.root / "poses.json", self._checked_poses(poses))
         self.__dict__["poses"] = poses
         self.__dict__.pop("_pose_by_frame", None)

@@ -181,6 +181,8 @@ class RefinedObject:
             depth was not used.
         views: number of views in which the object's contour was measured.
         converged: the last step was small and enough edges agree with the contour.
+        scale_coupling: (6,) change of the pose (right perturbation) that fits best per unit of
+            change of the log scale of the camera positions; zeros if it was not refined.
     """
 
     name: str
@@ -191,6 +193,7 @@ class RefinedObject:
     depth_rms_m: float | None
     views: int
     converged: bool
+    scale_coupling: NDArray[np.float64] = field(default_factory=lambda: np.zeros(6))
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +204,7 @@ class RefineResult:
         objects: in the order given.
         scale: factor on all camera positions (and on the world); 1 if it was not refined.
         scale_std: its standard deviation; 0 if it was not refined.
+        scale_converged: whether the last steps of the scale and of the objects were small.
         depth_factor: estimated true depth = depth_factor * sensor depth; 1 without depth.
         depth_factor_std: its standard deviation.
     """
@@ -210,6 +214,7 @@ class RefineResult:
     scale_std: float = 0.0
     depth_factor: float = 1.0
     depth_factor_std: float = 0.0
+    scale_converged: bool = True
 
 
 def no_progress(_: float) -> None:

@@ -55,12 +55,15 @@ def gates(item: ObjectCheck = GOOD, summary: SceneSummary = SUMMARY) -> dict[str
     return {g.key: g for g in found}
 
 
-def scale(disagreement: float, *, error: float = 0.001) -> ScaleReport:
+def scale(difference: float, *, deviation: float = 0.001) -> ScaleReport:
+    """Two sources; the stored disagreement is wrong on purpose, as in the files of 0.1.0."""
     estimates = [
-        ScaleEstimate(source=s, factor=1.0, spread=0.01, standard_error=error, count=10)
-        for s in ("depth", "cad")
+        ScaleEstimate(
+            source=s, factor=f, spread=0.01, standard_error=0.0, count=10, deviation=deviation
+        )
+        for s, f in (("depth", 1.0 + difference), ("cad", 1.0))
     ]
-    return ScaleReport(unit="metre", chosen="cad", estimates=estimates, disagreement=disagreement)
+    return ScaleReport(unit="metre", chosen="cad", estimates=estimates, disagreement=0.0)
 
 
 def test_a_good_scene_fails_nothing() -> None:
@@ -129,7 +132,25 @@ def test_one_scale_source_leaves_the_agreement_open() -> None:
     assert gate.detail == "only one source (cad)"
     three = msgspec.structs.replace(one, estimates=[*scale(0.0).estimates, *one.estimates])
     gate = gates(summary=msgspec.structs.replace(SUMMARY, scale=three))["scale"]
-    assert gate.detail == "used: cad; available: depth, cad, cad"
+    assert gate.detail.startswith("used: cad; depth 1 +- 0.10 % and cad 1 +- 0.10 % differ by")
+
+
+@pytest.mark.parametrize(
+    ("difference", "deviation", "status"),
+    [
+        (0.006, 0.001, "fail"),  # 4.2 joint deviations
+        (0.0088, 0.0037, "pass"),  # 1.7 joint deviations
+        (0.004, 0.0001, "pass"),  # many deviations, but below 0.5 %
+        (0.03, 0.005, "fail"),
+    ],
+)
+def test_the_scale_gate_compares_in_deviations(
+    difference: float, deviation: float, status: str
+) -> None:
+    report = scale(difference, deviation=deviation)
+    gate = gates(summary=msgspec.structs.replace(SUMMARY, scale=report))["scale"]
+    assert gate.status == status
+    assert f"differ by {100 * difference:.2f} %" in gate.detail
 
 
 def test_depth_gate_leaves_out_what_the_scale_explains() -> None:

@@ -12,9 +12,15 @@ from std_toolkit.labels.propagate import propagate_labels
 from std_toolkit.poses.publish import SPARSE, publish_model, rescaled_poses, work_folder
 from std_toolkit.scene import Scene
 from std_toolkit.scene.document import is_fresh, write_record
-from std_toolkit.scene.model import ScaleReport
+from std_toolkit.scene.model import ScaleEstimate, ScaleReport
 
 FACTOR = 0.98
+ESTIMATES = [
+    ScaleEstimate(source=s, factor=f, spread=0.01, standard_error=0.001, count=9)
+    for s, f in (("depth", 1.0), ("objects", FACTOR))
+]
+# What is stored here does not agree with the estimates.
+REPORT = ScaleReport(unit="metre", chosen="objects", estimates=ESTIMATES, disagreement=0.0)
 
 
 @pytest.fixture
@@ -33,7 +39,7 @@ def reconstructed(scene):
 def test_cameras_and_points_are_scaled_alike(reconstructed):
     before = pycolmap.Reconstruction(reconstructed.root / SPARSE)
     centre = reconstructed.T_world_cam(1).t
-    with rescaled_poses(reconstructed, FACTOR, 0.001):
+    with rescaled_poses(reconstructed, FACTOR, REPORT):
         pass
     after = pycolmap.Reconstruction(reconstructed.root / SPARSE)
     scene = Scene.open(reconstructed.root)
@@ -44,18 +50,20 @@ def test_cameras_and_points_are_scaled_alike(reconstructed):
         assert np.allclose(
             after.images[key].projection_center(), FACTOR * image.projection_center()
         )
-    estimate = scene.poses.scale.estimates[-1]
-    assert (scene.poses.scale.chosen, estimate.source) == ("objects", "objects")
+    saved = scene.poses.scale
+    assert (saved.chosen, saved.estimates[-1].source) == ("objects", "objects")
+    assert saved.disagreement == pytest.approx(1 / FACTOR - 1)
+    assert [e.deviation for e in saved.estimates] == [e.sigma for e in ESTIMATES]
 
 
 def test_the_step_that_made_the_poses_stays_done(reconstructed):
-    with rescaled_poses(reconstructed, FACTOR, 0.001):
+    with rescaled_poses(reconstructed, FACTOR, REPORT):
         assert not is_fresh(reconstructed.root, "poses", "digest")
     assert is_fresh(reconstructed.root, "poses", "digest")
 
 
 def test_a_run_that_dies_in_between_recovers_the_poses_again(reconstructed):
-    with pytest.raises(KeyboardInterrupt), rescaled_poses(reconstructed, FACTOR, 0.001):
+    with pytest.raises(KeyboardInterrupt), rescaled_poses(reconstructed, FACTOR, REPORT):
         raise KeyboardInterrupt
     assert not is_fresh(reconstructed.root, "poses", "digest")
 

@@ -43,11 +43,13 @@ class Descent:
         measured: measurements at the start of the last step.
         scale: image scale of the last level.
         step_mm: largest motion of an object's surface in the last step.
+        scale_step: change of the log scale in the last step.
     """
 
     measured: Measurements
     scale: float
     step_mm: float
+    scale_step: float = 0.0
 
 
 def descend(
@@ -71,7 +73,7 @@ def descend(
     """
     layers = LayerStore() if layers is None else layers
     measured = made = Measurements([], [])
-    largest, scale = np.inf, 1.0
+    largest, scale, scale_step = np.inf, 1.0, 0.0
     for number, level in enumerate(levels):
         enough = _SETTLED_MM if number == len(levels) - 1 else _SETTLED_COARSE_MM
         scale = level.scale
@@ -100,14 +102,16 @@ def descend(
                     hint="is the annotated pose of one of them far off?",
                 )
             made = measured
+            before = state.log_scale
             steps = _advance(objects, state, measured, scale, options)
+            scale_step = abs(state.log_scale - before)
             size = np.array([_size_mm(o, s) for o, s in zip(objects, steps, strict=True)])
             moved[again] = 0
             moved += size
             largest = float(size.max())
             measured = measured.after({k: s for k, s in enumerate(steps) if moved[k] <= enough})
         measured = Measurements([], [])
-    return Descent(made, scale, largest)
+    return Descent(made, scale, largest, scale_step)
 
 
 def _size_mm(obj: problem.RefineObject, step: Step) -> float:

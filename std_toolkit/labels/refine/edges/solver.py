@@ -25,6 +25,8 @@ from std_toolkit.labels.refine.edges.uncertainty import pose_covariance
 # Distance of the edges after a search; at lower resolutions glass and metal would diverge again.
 # Objects that are not rough are as near.
 _APPROACHED_PX = 20.0
+# Largest last step of a refinement that converged.
+_CONVERGED_MM = 0.5
 # Time of the search for an object, in units of its edge refinement.
 _SEARCH = 3.0
 
@@ -113,10 +115,14 @@ def _result(
                 edge_std.get(i, float("nan")) / scale,
                 depth_std.get(i),
                 seen,
-                seen > 0 and descent.step_mm < 0.5,
+                seen > 0 and descent.step_mm < _CONVERGED_MM,
+                covariance[6 * i : 6 * i + 6, system.SCALE] / covariance[system.SCALE, system.SCALE]
+                if options.refine_scale
+                else np.zeros(6),
             )
         )
     scale_std = float(np.sqrt(covariance[system.SCALE, system.SCALE]))
+    settled = descent.step_mm < _CONVERGED_MM and descent.scale_step < scale_std
     factor_std = float(np.sqrt(covariance[system.FACTOR, system.FACTOR]))
     return problem.RefineResult(
         tuple(refined),
@@ -124,4 +130,5 @@ def _result(
         scale_std if options.refine_scale else 0.0,
         state.depth_factor if measured.depths else 1.0,
         factor_std if measured.depths else 0.0,
+        settled or not options.refine_scale,
     )
