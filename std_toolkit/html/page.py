@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import gzip
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -262,8 +263,19 @@ class Page:
         """The page as one file."""
         sections = [section for section in self.sections if section.shown]
         drawn = any(_has_plot(section.shown) for section in sections)
-        template = environment().get_template("page.html")
-        return template.render(page=self, sections=sections, plotly=_plotly() if drawn else None)
+        program = environment().get_template("page.js").render()
+        plotly = _plotly() if drawn else None
+        return (
+            environment()
+            .get_template("page.html")
+            .render(
+                page=self,
+                sections=sections,
+                plotly=plotly,
+                program=program,
+                policy=_policy(program, plotly),
+            )
+        )
 
 
 def shown(blocks: Sequence[Block]) -> list[Block]:
@@ -283,4 +295,27 @@ def _plotly() -> dict[str, str]:
     source = get_plotlyjs()
     notice = source[: source.index("*/")].replace("/**", "").replace("\n* ", "\n").strip()
     packed = gzip.compress(source.encode(), 9, mtime=0)
-    return {"notice": notice, "data": base64.b64encode(packed).decode("ascii")}
+    return {
+        "notice": notice,
+        "data": base64.b64encode(packed).decode("ascii"),
+        "digest": _digest(source),
+    }
+
+
+def _policy(program: str, plotly: Mapping[str, str] | None) -> str:
+    """Content security policy: the page runs its own scripts alone and loads nothing.
+
+    Plotly compiles functions for its 3D views, which `unsafe-eval` permits; a script that got into
+    the page as text still does not run.
+    """
+    scripts = f"'{_digest(program)}'"
+    if plotly is not None:
+        scripts += f" '{plotly['digest']}' 'unsafe-eval'"
+    return (
+        "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; "
+        f"script-src {scripts}; base-uri 'none'; form-action 'none'"
+    )
+
+
+def _digest(source: str) -> str:
+    return "sha256-" + base64.b64encode(hashlib.sha256(source.encode()).digest()).decode("ascii")

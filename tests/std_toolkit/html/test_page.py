@@ -68,3 +68,12 @@ def test_a_page_with_a_figure_carries_the_library_once() -> None:
     page = Page(kind="k", title="t", footer="", sections=[Section("s", "S", figures)]).html()
     assert page.count("plotly.js v") == 1 and "MIT license" in page
     assert len(page) < 2_200_000
+
+
+@given(st.sampled_from(["large", "outlines", "plotly"]))
+def test_a_name_does_not_take_an_id_of_the_page(name: str) -> None:
+    blocks = [Plot(name, "{}"), Paragraph("text")]
+    sections = [Section(name, "S", blocks)]
+    page = Page(kind="k", title="t", footer="", sections=sections, outlines=True).html()
+    ids = re.findall(r'\bid="([^"]*)"', page)
+    assert len(ids) == len(set(ids))
