@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+import trimesh
 from pages import (
     looks,
     notice,
@@ -16,6 +19,7 @@ from pages import (
     wait_for_picture,
     wait_until_at,
 )
+from scene_on_disk import write_scene
 from serving import Served
 
 from annotator.app.action_table import TOOLS
@@ -176,3 +180,33 @@ def test_the_slider_marks_camera_poses_side_views_and_placed_objects(
     middle = [box["x"] + box["width"] / 2 for box in (mark, thumb)]
     assert middle[0] == pytest.approx(middle[1], abs=1.5)
     page.keyboard.press("Control+Home")
+
+
+def test_the_style_is_chosen_by_tool_and_key_and_the_picture_follows(
+    serve: Callable[..., Served], page: Page, tmp_path: Path
+) -> None:
+    """A mesh with colours is drawn with them from the beginning."""
+    write_scene(tmp_path / "scene")
+    mesh = trimesh.creation.box((0.06, 0.04, 0.1)).subdivide().subdivide()
+    upper = np.asarray(mesh.vertices)[:, 1] > 0
+    mesh.visual.vertex_colors = np.where(upper[:, None], (220, 30, 30), (30, 190, 40))
+    mesh.export(tmp_path / "scene/models/box/box.ply")
+
+    opened(page, serve(tmp_path / "scene").url)
+    page.wait_for_selector("[data-tool='style_textured'].on")
+
+    def change() -> float:
+        return float((np.abs(looks(page) - solid).max(axis=2) > 30).mean())
+
+    number = picture_number(page)
+    page.keyboard.press("1")
+    page.wait_for_selector("[data-tool='style_solid'].on")
+    wait_for_picture(page, number)
+    solid, number = looks(page), picture_number(page)
+    page.keyboard.press("4")
+    page.wait_for_selector("[data-tool='style_textured'].on")
+    while change() < 0.004:  # the colours may still be read
+        wait_for_picture(page, number)
+        number = picture_number(page)
+    page.locator("[data-tool='style_solid']").click()
+    page.wait_for_selector("[data-tool='style_solid'].on")
