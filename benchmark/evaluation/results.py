@@ -30,6 +30,11 @@ _NAME = re.compile(r"(\d{7})-(\d{7})\.parquet")
 # Columns of every row; the columns of the protocol's metrics follow.
 INDEX, SCENE, FRAME = "index", "scene", "frame"
 
+# Columns of text; all others hold numbers.
+_TEXTS = {
+    SCENE, FRAME, "error", "grid", "subset", "kind", "fate", "outcome", "model", "found"
+}  # fmt: skip
+
 ERROR = "error"  # why the frame or the method failed; empty otherwise
 
 NOT_FINITE = "not_finite"  # pixels of the prediction that are NaN or infinite
@@ -66,13 +71,20 @@ def read_table(path: Path) -> pd.DataFrame:
 
 
 def check_columns(table: pd.DataFrame, needed: Iterable[str], path: Path) -> None:
-    """Check that a table read from a file has the needed columns.
+    """Check that a table read from a file has the needed columns, and numbers where they belong.
 
     Raises:
-        ToolkitError: columns are missing.
+        ToolkitError: columns are missing, or hold text instead of numbers.
     """
+    needed = list(needed)
     if absent := [name for name in needed if name not in table]:
         raise ToolkitError("the table lacks columns", path=path, field=", ".join(absent))
+    for name in needed:
+        column = table[name]
+        if name in _TEXTS or column.isna().all() or pd.api.types.is_numeric_dtype(column):
+            continue
+        wrong = next(v for v in column if v is not None and not isinstance(v, int | float))
+        raise ToolkitError("the column needs numbers", path=path, field=name, value=str(wrong)[:40])
 
 
 def good_frames(table: pd.DataFrame) -> set[int]:

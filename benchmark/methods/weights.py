@@ -199,8 +199,13 @@ def _read_safetensors(path: Path) -> dict[str, Tensor]:
         raise ToolkitError(f"not a file of safetensors: {error}", path=path) from error
 
 
+_DEEPEST_WRAPPER = 8
+
+
 def _unwrapped(found: object, path: Path) -> dict[str, Tensor]:
-    while isinstance(found, Mapping):
+    for _ in range(_DEEPEST_WRAPPER):  # a checkpoint may contain itself
+        if not isinstance(found, Mapping):
+            break
         inner = next((found[key] for key in _WRAPPERS if isinstance(found.get(key), Mapping)), None)
         if inner is None:
             break

@@ -28,6 +28,7 @@ from sensors.physics.rigid_bodies import PhysicalObject, settle_from
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import load_mesh, nocs_frame
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.io.foreign_files import read_npy
 
 CAMERAS = ("realsense", "kinect")
 _MODELS = ("textured.obj", "nontextured.ply")
@@ -125,12 +126,7 @@ class GraspNetScenes:
 
 
 def _array(path: Path) -> NDArray[np.float64]:
-    try:
-        return np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
-    except FileNotFoundError as error:
-        raise ToolkitError("file not found", path=path) from error
-    except (OSError, ValueError, EOFError) as error:
-        raise ToolkitError(f"not an array: {error}", path=path) from error
+    return np.asarray(read_npy(path), dtype=np.float64)
 
 
 def _pose(matrix: NDArray[np.float64], path: Path) -> SE3:

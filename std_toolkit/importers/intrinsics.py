@@ -12,7 +12,9 @@ from typing import Any
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 
-_LARGEST_FILE = 4 * 1024 * 1024
+_LARGEST_FILE = 1024 * 1024
+# A key of YAML at the beginning of a line.
+_KEY = re.compile(r"([ \t-]*)([A-Za-z_]\w*)[ \t]*:")
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 # Largest distance of the principal point of an uncropped image from its centre, as a fraction of
 # the image. Half-size intrinsics put it at a quarter, those of a 4:3 image on 16:9 at two thirds.
@@ -114,10 +116,10 @@ def read_intrinsics(text: str, *, size: tuple[int, int] | None = None) -> Intrin
         try:
             data = json.loads(content)
         except (ValueError, RecursionError) as error:
-            raise ToolkitError(f"not valid JSON: {error}", path=path) from error
+            raise ToolkitError(f"not valid JSON: {str(error)[:200]}", path=path) from error
         return _from_mapping(data if isinstance(data, dict) else {"K": data}, path)
-    if re.search(r"^\s*[A-Za-z_]\w*\s*:", content, re.MULTILINE):
-        return _from_mapping(_parse_flat_yaml(content), path)
+    if any(_KEY.match(line) for line in content.splitlines()):
+        return _from_mapping(_parse_flat_yaml(content, path), path)
     plain = [line.split("#")[0].replace(",", " ") for line in content.splitlines()]
     words = " ".join(plain).split()
     if words and all(re.fullmatch(_NUMBER + "|nan|inf", w, re.IGNORECASE) for w in words):
@@ -232,40 +234,71 @@ def _flatten(value: Any, path: Path, field: str) -> list[float]:
 
 
 def _number(value: Any, path: Path, field: str | None) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ToolkitError("must be a finite number", path=path, field=field, value=value)
-    return float(value)
+    if not isinstance(value, bool) and isinstance(value, int | float):
+        try:
+            number = float(value)
+        except OverflowError:  # an integer of hundreds of digits
+            number = math.inf
+        if math.isfinite(number):
+            return number
+    shown = str(value)[:40] if isinstance(value, int) else value
+    raise ToolkitError("must be a finite number", path=path, field=field, value=shown)
 
 
-def _parse_flat_yaml(content: str) -> dict[str, Any]:
+def _parse_flat_yaml(content: str, path: Path) -> dict[str, Any]:
     """`key: number`, `key: text` and `key: [numbers]` (also over several lines); a `data:` list
-    belongs to the key of its section, as in ROS camera files."""
-    lines = [re.sub(r"\s#.*$|^#.*$", "", line) for line in content.splitlines()]
-    text = "\n".join(lines)
+    belongs to the key of its section, as in ROS camera files.
+
+    The files have tags of OpenCV and directives without a space that readers of YAML refuse.
+    """
     found: dict[str, Any] = {}
-    section = ""
-    entry = re.compile(r"^([ \t-]*)([A-Za-z_]\w*)[ \t]*:[ \t]*(\[[^\]]*\]|[^\n]*)", re.MULTILINE)
-    for match in entry.finditer(text):
-        indent, key, value = match.group(1), match.group(2), match.group(3).strip()
-        if not indent:
-            section = key
-        if value.startswith("["):
-            numbers = re.findall(_NUMBER + r"|\.?nan|\.?inf", value, re.IGNORECASE)
-            name = section if key == "data" else key
+    section = name = ""
+    parts: list[str] | None = None  # of a list that is still open
+    for line in content.splitlines():
+        text = line.split(" #")[0].split("\t#")[0]
+        if text.startswith("#"):
+            continue
+        if parts is None:
+            match = _KEY.match(text)
+            if match is None:
+                continue
+            indent, key = match.group(1), match.group(2)
+            value = text[match.end() :].strip()
+            if not indent:
+                section = key
+            if not value.startswith("["):
+                if re.fullmatch(_NUMBER, value):
+                    found.setdefault(key, float(value))
+                elif value:
+                    found.setdefault(key, value.strip("'\""))
+                continue
+            name, parts, text = section if key == "data" else key, [], value
+        before, bracket, _ = text.partition("]")
+        parts.append(before)
+        if bracket:
+            numbers = re.findall(_NUMBER + r"|\.?nan|\.?inf", " ".join(parts), re.IGNORECASE)
             found[name] = [float(n.lstrip(".") if n[-1].isalpha() else n) for n in numbers]
-        elif re.fullmatch(_NUMBER, value):
-            found.setdefault(key, float(value))
-        elif value:
-            found.setdefault(key, value.strip("'\""))
+            parts = None
+    if parts is not None:
+        raise ToolkitError("a list has no closing bracket", path=path, field=name)
     return found
 
 
 def _from_realsense_dump(content: str, path: Path, size: tuple[int, int] | None) -> Intrinsics:
-    blocks = re.findall(
-        r'Intrinsic of "Color" / (\d+)x(\d+) /[^\n]*\n(.*?)(?=\n\s*\n|\Z)', content, re.DOTALL
-    )
-    sizes = [(int(w), int(h)) for w, h, _ in blocks]
-    chosen = [body for (w, h, body) in blocks if (int(w), int(h)) == size]
+    blocks: list[tuple[tuple[int, int], list[str]]] = []
+    inside = False
+    for line in content.splitlines():
+        head = re.search(r'Intrinsic of "([^"]*)" / (\d{1,6})x(\d{1,6}) /', line)
+        if head:
+            inside = head.group(1) == "Color"
+            if inside:
+                blocks.append(((int(head.group(2)), int(head.group(3))), []))
+        elif not line.strip():
+            inside = False
+        elif inside:
+            blocks[-1][1].append(line)
+    sizes = [found for found, _ in blocks]
+    chosen = [body for found, body in blocks if found == size]
     if not chosen:
         raise ToolkitError(
             "no intrinsics of the colour stream for this image size",
@@ -274,7 +307,7 @@ def _from_realsense_dump(content: str, path: Path, size: tuple[int, int] | None)
             hint="sizes in the file: " + ", ".join(f"{w}x{h}" for w, h in dict.fromkeys(sizes)),
         )
     fields: dict[str, Any] = {}
-    for line in chosen[0].splitlines():
+    for line in chosen[0]:
         key, _, value = line.partition(":")
         numbers = value.split()
         if key.strip() == "Distortion":

@@ -5,7 +5,6 @@ Files of clicked 2D-3D correspondences: CSV or JSON of u, v, x, y, z.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
@@ -21,6 +20,7 @@ from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.mesh import UNITS_IN_M
 from std_toolkit.geometry.se3 import SE3, rotation_angle, skew, so3_exp
 from std_toolkit.io.documents import read_document
+from std_toolkit.io.foreign_files import csv_rows
 
 Array = NDArray[np.float64]
 
@@ -295,7 +295,7 @@ def _csv_rows(path: Path) -> list[list[float]]:
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     if not lines:
         return []
-    columns = [c.strip().lower() for c in next(csv.reader(lines[:1]))]
+    columns = [c.strip().lower() for c in next(csv_rows(lines[:1], path))]
     if set(COLUMNS) <= set(columns):
         order, lines, first = [columns.index(c) for c in COLUMNS], lines[1:], 2
     elif len(columns) == len(COLUMNS) and _is_number(columns[0]):
@@ -306,7 +306,7 @@ def _csv_rows(path: Path) -> list[list[float]]:
         )
     return [
         _numbers([row[i] for i in order] if len(row) > max(order) else row, path, f"row {n}")
-        for n, row in enumerate(csv.reader(lines), start=first)
+        for n, row in enumerate(csv_rows(lines, path, first=first), start=first)
     ]
 
 
@@ -334,6 +334,6 @@ def _numbers(row: list, path: Path, field: str) -> list[float]:
 def _is_number(text: object) -> bool:
     try:
         float(text)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return False
     return True

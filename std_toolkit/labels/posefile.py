@@ -28,6 +28,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import UNITS_IN_M
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.documents import read_document
+from std_toolkit.io.foreign_files import read_npy, read_yaml
 from std_toolkit.labels.pose_image import WantedImage, choose_image, image_of_labelfusion
 from std_toolkit.scene.document import check_in_front
 
@@ -113,9 +114,9 @@ def _read(
     if suffix in (".pkl", ".pickle"):
         raise ToolkitError("pickled files are not read", path=path, hint="save the pose as .npy")
     if suffix == ".npy":
-        return _npy(path), open_unit
+        return _shaped(path, read_npy(path)), open_unit
     if suffix in (".yaml", ".yml"):
-        return _labelfusion(path, _yaml(path), image, item), _fixed_unit(path, unit, "m")
+        return _labelfusion(path, read_yaml(path), image, item), _fixed_unit(path, unit, "m")
     if suffix != ".json":
         return _text(path), open_unit
     document = read_document(path, Any)
@@ -155,13 +156,6 @@ def _detect(path: Path, document: Any) -> str:
     raise ToolkitError("not a pose file of a known format", path=path, hint=f"known: {FORMATS[1:]}")
 
 
-def _npy(path: Path) -> NDArray[np.float64]:
-    try:
-        return _shaped(path, np.load(path, allow_pickle=False))
-    except (ValueError, OSError, EOFError, TypeError, SyntaxError) as error:
-        raise ToolkitError(f"not a numpy array of numbers: {error}", path=path) from error
-
-
 def _text(path: Path) -> NDArray[np.float64]:
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -188,7 +182,7 @@ def _json_matrix(path: Path, document: Any) -> NDArray[np.float64]:
 def _shaped(path: Path, value: Any) -> NDArray[np.float64]:
     try:
         M = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ToolkitError("not a matrix of numbers", path=path) from error
     if M.shape not in ((4, 4), (3, 4), (16,), (12,)):
         raise ToolkitError(
@@ -207,7 +201,7 @@ def _assembled(path: Path, R: Any, t: Any) -> NDArray[np.float64]:
     try:
         rotation = np.asarray(R, dtype=np.float64).reshape(3, 3)
         translation = np.asarray(t, dtype=np.float64).reshape(3, 1)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ToolkitError("a pose needs 9 + 3 numbers", path=path) from error
     return np.hstack([rotation, translation])
 
@@ -226,7 +220,7 @@ def _quaternion(path: Path, document: Any, unit: str | None) -> tuple[NDArray[np
         q = np.asarray(document[orders[0]], dtype=np.float64).reshape(4)
         t = np.asarray(document[units[0]], dtype=np.float64).reshape(3)
         pose = SE3.from_quat(np.roll(q, 1) if orders[0].endswith("xyzw") else q, t)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ToolkitError("a pose needs 4 + 3 numbers", path=path) from error
     except ToolkitError as error:
         raise ToolkitError(error.problem, path=path, field=orders[0], value=error.value) from error
@@ -273,7 +267,7 @@ def _labelfusion(
     try:
         position, wxyz = row["pose"]
         return SE3.from_quat(np.array(wxyz, float), np.array(position, float)).matrix()
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ToolkitError("a pose is [[x, y, z], [w, x, y, z]]", path=path, field=item) from error
 
 
@@ -296,16 +290,3 @@ def _single(
             hint=f"select with --pose-item {also}: {', '.join(map(str, known)) or 'none'}",
         )
     return matches[0]
-
-
-def _yaml(path: Path) -> Any:
-    try:
-        import yaml  # type: ignore[import-untyped]
-    except ImportError as error:
-        raise ToolkitError(
-            "reading YAML needs PyYAML", path=path, hint="pip install pyyaml, or convert to JSON"
-        ) from error
-    try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ToolkitError(f"not valid YAML: {error}", path=path) from error

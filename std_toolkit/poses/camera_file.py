@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.io.documents import read_document
+from std_toolkit.io.foreign_files import read_npy
 from std_toolkit.poses.camera_table import FiledCameras, Lens, as_matrix, read_table
 
 # Keys of a JSON matrix, with the direction that the name states, if it states one.
@@ -117,10 +118,7 @@ def _quaternion(path: Path, document: Any) -> NDArray[np.float64] | None:
 
 
 def _array(path: Path) -> NDArray[np.float64]:
-    try:
-        values = np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
-    except (ValueError, OSError, EOFError, TypeError, SyntaxError) as error:
-        raise ToolkitError(f"not a numpy array of numbers: {error}", path=path) from error
+    values = np.asarray(read_npy(path), dtype=np.float64)
     if values.ndim < 2 or values.shape[-2:] not in ((4, 4), (3, 4)) or values.ndim > 3:
         raise ToolkitError(
             "camera poses are an array of 4x4 (or 3x4) matrices", path=path, value=values.shape

@@ -10,7 +10,6 @@ or a matrix   `m00` to `m33` (or to `m23`), row-major
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.se3 import so3_exp
+from std_toolkit.io.foreign_files import csv_rows
 
 _KEYS = ("name", "image", "file", "filename", "file_path", "timestamp", "time", "frame", "id")
 _POSITIONS = (("x", "y", "z"), ("tx", "ty", "tz"), ("px", "py", "pz"))
@@ -212,9 +212,8 @@ def _read_par(path: Path, rows: Rows) -> FiledCameras:
 
 def _read_csv(path: Path, lines: Sequence[str], first: int) -> FiledCameras:
     delimiter = next((d for d in (",", ";", "\t") if d in lines[0]), " ")
-    reader = csv.DictReader(lines, delimiter=delimiter, skipinitialspace=True)
-    columns = [(c or "").strip().lower() for c in reader.fieldnames or ()]
-    reader.fieldnames = columns
+    table = list(csv_rows(lines, path, first=first, delimiter=delimiter))
+    columns = [c.strip().lower() for c in table[0]]
     key = next((k for k in _KEYS if k in columns), None)
     position = next((p for p in _POSITIONS if set(p) <= set(columns)), None)
     matrix = set(_MATRIX[:12]) <= set(columns)
@@ -226,8 +225,8 @@ def _read_csv(path: Path, lines: Sequence[str], first: int) -> FiledCameras:
         )  # fmt: skip
     used = _MATRIX[:12] if matrix else (*(position or ()), *(rotation or ()))
     matrices, keys = [], []
-    for i, row in enumerate(reader, start=first + 1):
-        at = f"line {i}"
+    for i, cells in enumerate(table[1:], start=first + 1):
+        row, at = dict(zip(columns, cells, strict=False)), f"line {i}"
         if all(not (row.get(c) or "").strip() for c in used):
             continue  # a frame without a pose
         values = _numbers(path, [row.get(c) or "" for c in used], at)

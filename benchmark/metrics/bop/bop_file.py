@@ -13,6 +13,7 @@ import numpy as np
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.io.foreign_files import csv_rows
 
 _COLUMNS = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
 _MM = 1000.0
@@ -59,8 +60,8 @@ def read_bop_results(path: Path | str) -> list[BopEstimate]:
     path = Path(path)
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+            rows = list(csv_rows(file, path))
+    except (OSError, UnicodeDecodeError) as error:
         raise ToolkitError(f"cannot read the results: {error}", path=path) from error
     estimates = []
     times: dict[tuple[int, int], float] = {}

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.io.foreign_files import read_npy
 
 Floats = NDArray[np.float64]
 
@@ -309,14 +310,7 @@ def read_grasps(path: Path | str) -> Grasps:
     0
     """
     path = Path(path)
-    try:
-        array = np.load(path, allow_pickle=False)
-    except FileNotFoundError:
-        raise ToolkitError("file of grasps not found", path=path) from None
-    except (OSError, ValueError, EOFError) as error:
-        raise ToolkitError(f"cannot read the grasps: {error}", path=path) from error
-    if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
-        raise ToolkitError("holds no array of numbers", path=path)
+    array = read_npy(path)
     try:
         return Grasps.from_array(array)
     except ToolkitError as error:
