@@ -163,6 +163,14 @@ VIEW_ACTIONS: tuple[Action, ...] = (
         operations.fit_view,
         group="look",
     ),
+    _switch(
+        "maximised",
+        "Only the view in hand",
+        "F",
+        "Show the view that was clicked last alone and large; again to show all views.",
+        "maximised",
+        "look",
+    ),
     Action(
         "zoom_object",
         "View",

@@ -68,6 +68,7 @@ class ViewOptions:
         table: draw the table plane in the cloud.
         penetration: draw penetrating faces in red.
         contour_always: also draw the contour in the other styles.
+        maximised: show the active view alone.
     """
 
     style: Style = Style.TEXTURED
@@ -79,6 +80,7 @@ class ViewOptions:
     table: bool = True
     penetration: bool = True
     contour_always: bool = False
+    maximised: bool = False
 
 
 def choose_view_frames(scene: Scene, session: Queries, *, side_views: int = 3) -> list[int]:

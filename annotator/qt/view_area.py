@@ -14,6 +14,7 @@ from PySide6.QtGui import (
     QDropEvent,
     QKeyEvent,
     QMouseEvent,
+    QResizeEvent,
 )
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QSplitter, QToolButton, QVBoxLayout, QWidget
 from pyvistaqt import QtInteractor
@@ -28,7 +29,8 @@ from annotator.views import ViewSet
 from annotator.views.meshes import ShapeStore
 from std_toolkit.errors import ToolkitError
 
-SIDE_WIDTH = 260
+# Smallest width of the side views, and largest one as a fraction of the whole.
+SIDE_WIDTH, _WIDEST_SIDE = 260, 0.34
 
 _MARGIN = 6
 
@@ -38,6 +40,7 @@ class ViewArea(QWidget):
 
     Attributes:
         tiles: tiles of the views, the main view first.
+        own_widths: whether a person has chosen the width of the side views.
     """
 
     def __init__(self, controller: Controller, commands: Commands) -> None:
@@ -56,6 +59,8 @@ class ViewArea(QWidget):
         self.split.setStretchFactor(0, 1)
         self.split.setStretchFactor(1, 0)
         self.split.setSizes([10_000, SIDE_WIDTH])
+        self.own_widths = False
+        self.split.splitterMoved.connect(self._keep_widths)
         for split in (self.split, self.column):
             split.setHandleWidth(3)
             split.setChildrenCollapsible(False)
@@ -79,6 +84,30 @@ class ViewArea(QWidget):
         self.views = ViewSet(self._controller, plotters, later=self.later, pixel_ratio=ratio)
         return self.views.shapes
 
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        super().resizeEvent(event)
+        self._fit_column()
+
+    def _keep_widths(self, *_: object) -> None:
+        self.own_widths = True
+
+    def _fit_column(self) -> None:
+        """Make the side views as wide as their images, unless a person has moved the handle."""
+        if self.own_widths or len(self.tiles) < 2 or self._controller.options.maximised:
+            return
+        scene = self._controller.session.scene
+        camera = scene.camera(scene.frames[0])
+        width = camera.width / camera.height * self.height() / (len(self.tiles) - 1)
+        column = round(max(min(width, _WIDEST_SIDE * self.width()), SIDE_WIDTH))
+        self.split.setSizes([max(self.width() - column, 1), column])
+
+    def _arrange(self) -> None:
+        """Show all views, or the active one alone."""
+        only = self._controller.active_view if self._controller.options.maximised else None
+        self.column.setVisible(only != 0)
+        for tile in self.tiles:
+            tile.setVisible(only is None or tile.slot == only)
+
     def close_panel(self) -> None:
         self._unsubscribe()
         if self.views is not None:
@@ -98,6 +127,7 @@ class ViewArea(QWidget):
         if event.kind in ("frames", "tool", "view", "edited"):
             for tile in self.tiles:
                 tile.refresh()
+            self._arrange()
 
 
 class ViewTile(QFrame):

@@ -92,6 +92,7 @@ class Workspace(QWidget):
         known = settings.restore_splitters(self.splitters)
         if "side" in known:
             self._shared = False
+        self.views.own_widths = "views" in known
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(0)
@@ -153,7 +154,7 @@ class Workspace(QWidget):
     def close_panel(self) -> None:
         """Unsubscribe from the controller; the widgets are deleted afterwards."""
         self._closed = True
-        settings.remember(self._window, self.splitters if not self._shared else self._divided())
+        settings.remember(self._window, self._divided())
         self._unsubscribe()
         if self._upkeep is not None:
             self._upkeep.close()
@@ -168,8 +169,13 @@ class Workspace(QWidget):
         self._window.menuBar().clear()
 
     def _divided(self) -> dict[str, QSplitter]:
-        """Return the splitters whose layout is stored."""
-        return {name: s for name, s in self.splitters.items() if name != "side"}
+        """Return the splitters whose layout is stored: those that a person has moved."""
+        left_out = {"side"} if self._shared else set()
+        if not self.views.own_widths:
+            left_out |= {"views"}
+        if self.controller.options.maximised:
+            left_out |= {"views", "column"}
+        return {name: s for name, s in self.splitters.items() if name not in left_out}
 
     def _on_event(self, event: Event) -> None:
         if event.kind == "message":

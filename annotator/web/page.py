@@ -103,7 +103,14 @@ def page_constants(session: Session, *, dialogs: frozenset[str]) -> dict[str, An
             for f, t in pose_text.FORM_TITLES.items()
         ],
         "posed": session.posed,
+        "aspect": _aspect(session),
     }
+
+
+def _aspect(session: Session) -> float:
+    """Return the ratio of width to height of the images, to which the side views are fitted."""
+    camera = session.scene.camera(session.scene.frames[0])
+    return camera.width / camera.height
 
 
 def _tools(dialogs: frozenset[str]) -> list[list[dict[str, Any]]]:
@@ -164,6 +171,7 @@ def page_state(c: controller.Controller, fields: pose_text.PoseFields) -> dict[s
         "frame_index": frames.index(c.frame),
         "frame_ids": list(c.view_frames),
         "active_view": c.active_view,
+        "maximised": c.options.maximised,
         "clicking": c.clicking,
         "frame_problem": _frame_problem(c),
         "busy": "" if c.task is None else c.task.title,

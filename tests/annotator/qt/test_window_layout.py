@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
 from bench import Bench
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtTest import QTest
@@ -113,3 +114,30 @@ def test_a_broken_memory_is_no_trouble(open_bench: OpenBench, root: Path) -> Non
     recent_file().write_text("{not json")
     recent_file().with_name("window.json").write_text('["list"]')
     assert open_bench(root).session.scene.info.name == "bench"
+
+
+def test_one_key_shows_the_view_in_hand_alone(bench: Bench) -> None:
+    tiles = bench.space.views.tiles
+    whole = tiles[0].width() + tiles[1].width()
+    bench.press("f")
+    assert [t.isVisible() for t in tiles] == [True, *[False] * (len(tiles) - 1)]
+    bench.press("f")
+    assert all(t.isVisible() for t in tiles)
+    bench.click(bench.widget(2).rect().topLeft() + bench.at((10, 10), 2), 2)
+    narrow = tiles[2].width()
+    bench.press("f")
+    bench.settle()
+    assert [t.slot for t in tiles if t.isVisible()] == [2]
+    assert tiles[2].width() > 0.95 * whole > 2 * narrow
+    bench.press("f")
+    bench.settle()
+    assert abs(tiles[2].width() - narrow) < 8
+
+
+def test_side_views_are_as_wide_as_their_images(bench: Bench) -> None:
+    """A wide image would leave bars above and below in a column of a fixed width."""
+    area = bench.space.views
+    camera = bench.session.scene.camera(bench.session.scene.frames[0])
+    tile = area.tiles[1]
+    wanted = min(max(tile.height() * camera.width / camera.height, 260), 0.34 * area.width())
+    assert tile.width() == pytest.approx(wanted, abs=8)

@@ -15,6 +15,7 @@ from pages import (
     opened,
     picture_number,
     position,
+    sharp,
     wait_for_move,
     wait_for_picture,
     wait_until_at,
@@ -210,3 +211,19 @@ def test_the_style_is_chosen_by_tool_and_key_and_the_picture_follows(
         number = picture_number(page)
     page.locator("[data-tool='style_solid']").click()
     page.wait_for_selector("[data-tool='style_solid'].on")
+
+
+def test_one_key_shows_the_view_in_hand_alone(served: Served, page: Page) -> None:
+    opened(page, served.url)
+    small = page.locator("[data-view='0']").bounding_box()
+    all_views = page.locator(".views").bounding_box()
+    assert small is not None and all_views is not None
+    page.keyboard.press("f")
+    page.wait_for_selector(".views.maximised")
+    sharp(page)
+    large = page.locator("[data-view='0']").bounding_box()
+    assert large is not None and large["width"] > all_views["width"] - 10 > small["width"]
+    page.keyboard.press("f")
+    page.wait_for_selector(".views:not(.maximised)")
+    sharp(page)
+    assert page.locator("[data-view='0']").bounding_box() == small
