@@ -51,7 +51,7 @@ def write_part(folder: Path, first: int, last: int, rows: Sequence[dict[str, Any
         ToolkitError: the file cannot be written.
     """
     with atomic_path(folder / PARTS / f"{first:07d}-{last:07d}.parquet") as temporary:
-        pd.DataFrame(list(rows)).to_parquet(temporary, index=False)
+        pd.DataFrame(list(rows)).to_parquet(temporary, index=False, write_page_checksum=True)
 
 
 def read_table(path: Path) -> pd.DataFrame:
@@ -61,7 +61,7 @@ def read_table(path: Path) -> pd.DataFrame:
         ToolkitError: it cannot be read.
     """
     try:
-        return pd.read_parquet(path)
+        return pd.read_parquet(path, page_checksum_verification=True)
     except Exception as error:  # pyarrow raises OSError, ValueError and classes of its own
         raise ToolkitError(
             f"cannot read the table: {' '.join(str(error).split())[:200]}",
@@ -109,7 +109,7 @@ def join_parts(folder: Path, name: str = TABLE) -> pd.DataFrame:
     table = _newest([read_table(path) for path in (*earlier, *paths)])
     if paths:
         with atomic_path(folder / name) as temporary:
-            table.to_parquet(temporary, index=False)
+            table.to_parquet(temporary, index=False, write_page_checksum=True)
         failed = table[table[ERROR] != ""]
         with atomic_path(folder / FAILURES) as temporary:
             failures = failed[[INDEX, SCENE, FRAME, ERROR]].drop_duplicates()

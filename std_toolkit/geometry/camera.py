@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 # cropped images. In whole images it is within a few percent of the centre; importers check that.
 NEAREST_TO_EDGE = 0.27
 
+# Rational models of real lenses reach some hundred.
+LARGEST_DISTORTION = 1e4
+
 # Relative to the depth: a table seen at 15 degrees changes by less from pixel to pixel.
 LARGEST_DEPTH_STEP = 0.03
 
@@ -200,6 +203,12 @@ def _check_numbers(camera: Camera) -> None:
         )
     if not all(np.isfinite(distortion)):
         raise ToolkitError("is not finite", field="distortion", value=distortion)
+    if any(abs(k) > LARGEST_DISTORTION for k in distortion):
+        raise ToolkitError(
+            f"no lens has coefficients above {LARGEST_DISTORTION:g}",
+            field="distortion",
+            value=distortion,
+        )
 
 
 @lru_cache(maxsize=2)

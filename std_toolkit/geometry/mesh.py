@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.mesh_damage import check_whole
 from std_toolkit.geometry.obj_texture import CORNER_UV, read_corner_uv
 
 if TYPE_CHECKING:
@@ -77,6 +78,7 @@ def load_mesh(path: Path | str, *, unit: str = "m") -> trimesh.Trimesh:
             path=path,
             value=int(mesh.faces.max()),
         )
+    check_whole(path, len(mesh.vertices), len(mesh.faces))
     if not np.isfinite(mesh.vertices).all():
         raise ToolkitError("the mesh has vertices that are not finite", path=path)
     if path.suffix.lower() == ".obj" and getattr(mesh.visual, "kind", None) == "texture":

@@ -14,6 +14,7 @@ import numpy as np
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.documents import read_document
+from std_toolkit.scene.document import check_in_front
 
 MM = 0.001
 Nine = Annotated[list[float], msgspec.Meta(min_length=9, max_length=9)]
@@ -113,7 +114,7 @@ def read_bop_scene(folder: Path) -> BopScene:
             raise ToolkitError("no such image in scene_camera.json", path=gt_path, value=im_id)
         for i, entry in enumerate(rows):
             with named(gt_path, f"{im_id}[{i}]"):
-                _ = entry.T_cam_obj
+                check_in_front(entry.T_cam_obj, unit_hint="BOP translations are in millimetres")
     return BopScene(folder, cameras, gt)
 
 

@@ -241,8 +241,15 @@ def write_record(
     )
 
 
-def check_in_front(T_cam_obj: SE3, *, path: Path | str | None = None) -> None:
+def check_in_front(
+    T_cam_obj: SE3,
+    *,
+    path: Path | str | None = None,
+    unit_hint: str = "if the pose is in millimetres, give --pose-unit mm",
+) -> None:
     """Check that the origin of a pose can be in view of the camera.
+
+    `unit_hint` is the hint for a distance that suggests a wrong unit.
 
     Raises:
         ToolkitError: it is behind the camera, or its distance suggests a wrong unit.
@@ -261,5 +268,5 @@ def check_in_front(T_cam_obj: SE3, *, path: Path | str | None = None) -> None:
             "the object's distance is implausible",
             path=path,
             value=f"z = {z:.4g} m" + (f", {distance:.4g} m away" if distance > 2 * z else ""),
-            hint="if the pose is in millimetres, give --pose-unit mm",
+            hint=unit_hint,
         )

@@ -298,3 +298,8 @@ def test_the_radius_of_distortion_ends_where_it_stops_growing(distortion: tuple)
     shrinks = (np.diff(r * top / bottom) <= 0) | (bottom[1:] <= 0)
     assert shrinks.any()
     assert np.sqrt(largest_radius2(distortion)) == pytest.approx(r[np.argmax(shrinks)], abs=1e-4)
+
+
+def test_distortion_of_no_lens_is_refused() -> None:
+    with pytest.raises(ToolkitError, match="distortion"):
+        Camera(640, 480, 600, 600, 320, 240, (1e9, 0, 0, 0))

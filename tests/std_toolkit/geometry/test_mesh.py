@@ -198,3 +198,24 @@ def test_a_handle_does_not_hide_the_axis_and_a_box_has_none() -> None:
     assert round_axis(np.asarray(BOX.vertices), np.asarray(BOX.faces)) is None
     ball = trimesh.creation.icosphere(radius=0.05)
     assert round_axis(np.asarray(ball.vertices), np.asarray(ball.faces)) is None
+
+
+@pytest.mark.parametrize("share", [0.5, 0.8, 0.97])
+@pytest.mark.parametrize("suffix", [".ply", ".off", ".obj"])
+def test_text_meshes_that_are_cut_off_are_refused(
+    suffix: str, share: float, tmp_path: Path
+) -> None:
+    mesh = trimesh.creation.icosphere(subdivisions=2, radius=0.05)
+    options = {"encoding": "ascii"} if suffix == ".ply" else {}
+    whole = mesh.export(file_type=suffix[1:], **options)
+    data = whole.encode() if isinstance(whole, str) else whole
+    path = tmp_path / f"ball{suffix}"
+    path.write_bytes(data)
+    assert len(load_mesh(path).faces) == len(mesh.faces)
+    cut = data[: int(len(data) * share)]
+    if suffix == ".obj":
+        # The format has no counts: only a line that is cut is noticed.
+        cut = cut[: cut.rindex(b" ")]
+    path.write_bytes(cut)
+    with pytest.raises(ToolkitError, match="ball"):
+        load_mesh(path)

@@ -179,6 +179,12 @@ HOSTILE = {
     "a scaled rotation": (
         "scene_gt", set_at("1", 0, "cam_R_m2c", value=[2, 0, 0, 0, 2, 0, 0, 0, 2]), "rotation",
     ),
+    "behind the camera": (
+        "scene_gt", set_at("1", 0, "cam_t_m2c", value=[0, 0, -700]), "behind",
+    ),
+    "translation in metres": (
+        "scene_gt", set_at("1", 0, "cam_t_m2c", value=[0.01, 0, 0.7]), "millimetres",
+    ),
     "NaN pose": (
         "scene_gt", set_at("1", 0, "cam_t_m2c", value=[float("nan"), 0, 0]), "JSON|finite",
     ),

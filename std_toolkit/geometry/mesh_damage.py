@@ -1,0 +1,97 @@
+"""Mesh files that were cut off, which parsers of text formats read as smaller meshes."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from std_toolkit.errors import ToolkitError
+
+_HEADER_BYTES = 65536
+_TAIL_BYTES = 65536
+_CORNER = re.compile(r"-?\d+(/-?\d*){0,2}")
+# Numbers after the keyword of a line of an OBJ file.
+_FEWEST = {"v": 3, "vt": 2, "vn": 3}
+
+
+def check_whole(path: Path, vertices: int, faces: int) -> None:
+    """Check that a text mesh was read to its end.
+
+    Args:
+        path: of the file.
+        vertices, faces: numbers that were read.
+
+    Raises:
+        ToolkitError: a PLY or OFF file has fewer elements than its header says, or the last line
+            of an OBJ file is incomplete.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".ply":
+        announced = _ply_counts(path)
+    elif suffix == ".off":
+        announced = _off_counts(path)
+    else:
+        announced = {}
+        if suffix == ".obj":
+            _check_last_line(path)
+    for name, found in (("vertices", vertices), ("faces", faces)):
+        wanted = announced.get(name, 0)
+        if found < wanted:
+            raise ToolkitError(
+                f"the mesh file is cut off: its header announces {wanted} {name}",
+                path=path,
+                field=name,
+                value=found,
+                hint="export or copy it again",
+            )
+
+
+def _ply_counts(path: Path) -> dict[str, int]:
+    with path.open("rb") as file:
+        head = file.read(_HEADER_BYTES).split(b"end_header")[0].decode("ascii", "replace")
+    counts = {}
+    for name, key in (("vertices", "vertex"), ("faces", "face")):
+        found = re.search(rf"^element {key} (\d{{1,12}})\s*$", head, re.MULTILINE)
+        if found:
+            counts[name] = int(found.group(1))
+    return counts
+
+
+def _off_counts(path: Path) -> dict[str, int]:
+    with path.open("rb") as file:
+        head = file.read(_HEADER_BYTES).decode("ascii", "replace")
+    lines = [line.split("#")[0].strip() for line in head.splitlines()]
+    words = " ".join(lines).replace("OFF", " ", 1).split()[:2]
+    if len(words) == 2 and all(w.isdigit() and len(w) < 13 for w in words):
+        return {"vertices": int(words[0]), "faces": int(words[1])}
+    return {}
+
+
+def _check_last_line(path: Path) -> None:
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - _TAIL_BYTES))
+        text = file.read().decode("utf-8", "replace")
+    lines = [line for line in text.splitlines()[-50:] if line.strip()]
+    if text.endswith(("\n", "\r")) or len(lines) < 2:
+        return
+    last = lines[-1].split()
+    if last[0] == "f":
+        corners = [w for w in last[1:] if _CORNER.fullmatch(w)]
+        before = next((x.split() for x in reversed(lines[:-1]) if x.startswith("f ")), None)
+        # Every corner of a file names the same things: v, v/vt, v//vn or v/vt/vn.
+        whole = len(corners) == len(last) - 1 >= 3 and (
+            before is None or _slashes(last[-1]) == _slashes(before[-1])
+        )
+    else:
+        whole = len(last) - 1 >= _FEWEST.get(last[0], 0)
+    if not whole:
+        raise ToolkitError(
+            "the mesh file is cut off: its last line is incomplete",
+            path=path,
+            value=lines[-1][:40],
+            hint="export or copy it again",
+        )
+
+
+def _slashes(corner: str) -> tuple[int, bool]:
+    return corner.count("/"), corner.endswith("/")
