@@ -78,7 +78,16 @@ def verdict(c: Controller) -> str:
 
 def weak_direction(c: Controller) -> str:
     """Return a sentence on the direction least determined by the last refinement, or ""."""
+    from std_toolkit.labels.refine.problem import weak_direction_upright
+
     weak = c.weak_directions.get(c.selected or "", "")
+    if c.table is not None and c.selected is not None:
+        plane = c.table.plane
+        T = c.session.T_world_obj(c.selected)
+        if plane.frame != "world":
+            T = c.pose(c.selected, int(plane.frame.split()[-1]))
+        if T is not None:
+            weak = weak_direction_upright(weak, T.R.T @ plane.normal)
     return f"{weak[:1].upper()}{weak[1:]}." if weak else ""
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import cv2
@@ -245,14 +246,21 @@ def weakest_direction(
     centre: NDArray[np.floating],
     radius: float,
     symmetry: Symmetry,
+    *,
+    T_world_obj: SE3 | None = None,
+    views: Sequence[RefineView] = (),
 ) -> str:
     """One sentence on the direction of the largest uncertainty of the surface.
+
+    It names the frame along whose view the direction lies, if there is one;
+    `weak_direction_upright` says it relative to the table.
 
     Args:
         covariance: (6, 6) of a right perturbation, metres and radians.
         centre: (3,) centre of the object, mesh frame.
         radius: metres; rotations are weighted with the motion at this distance.
         symmetry: rotations about its axes are ignored, because they have no effect.
+        T_world_obj, views: pose of the object and the views that determined it, for the words.
     """
     C = covariance_at(covariance, centre)
     size = np.array([1.0] * 3 + [radius] * 3)
@@ -265,13 +273,61 @@ def weakest_direction(
     v, std = vectors[:, -1], float(np.sqrt(max(values[-1], 0)))
     shift, turn = np.linalg.norm(v[:3]), np.linalg.norm(v[3:])
     if shift >= turn:
-        direction, what = v[:3] / shift, "shift along"
+        direction, what = v[:3] / shift, "shift"
         amount = f"{1000 * std:.2f} mm"
     else:
-        direction, what = v[3:] / turn, "turn about"
+        direction, what = v[3:] / turn, "turn"
         amount = f"{np.rad2deg(std / radius):.2f} deg"
     # The sign of an eigenvector is arbitrary; a fixed one keeps files reproducible.
     if direction[int(np.argmax(np.abs(direction)))] < 0:
         direction = -direction
     axis_text = ", ".join(f"{x + 0.0:.2f}" for x in np.round(direction, 2))
-    return f"least determined: {what} object axis ({axis_text}), standard deviation {amount}"
+    words = _view_words(what, direction, centre, T_world_obj, views)
+    return f"least determined: {what} {words}object axis ({axis_text}), standard deviation {amount}"
+
+
+# A direction within this angle of another is named by it.
+_SAME_DEG = 25.0
+_PLAIN_WORDS = {"shift": "along ", "turn": "about "}
+_WEAK = re.compile(r"(?P<what>shift|turn) (?P<words>[^(]*)object axis \((?P<axis>[^)]*)\)")
+
+
+def weak_direction_upright(sentence: str, up: NDArray[np.floating]) -> str:
+    """Return a sentence of `weakest_direction` in words of up and down where they fit.
+
+    Args:
+        sentence: as returned, or "".
+        up: (3,) the upright direction in the object frame, unit length.
+    """
+    found = _WEAK.search(sentence)
+    if found is None:
+        return sentence
+    axis = np.array([float(x) for x in found["axis"].split(",")])
+    along = abs(float(axis @ up)) / max(float(np.linalg.norm(axis)), 1e-9)
+    words = found["words"]
+    if along > np.cos(np.deg2rad(_SAME_DEG)):
+        words = "up or down, " if found["what"] == "shift" else "about its upright axis, "
+    elif along < np.sin(np.deg2rad(_SAME_DEG)) and words in _PLAIN_WORDS.values():
+        words = "sideways, " if found["what"] == "shift" else "of its upright axis (tilt), "
+    return sentence[: found.start("words")] + words + sentence[found.end("words") :]
+
+
+def _view_words(
+    what: str,
+    direction: NDArray[np.floating],
+    centre: NDArray[np.floating],
+    T_world_obj: SE3 | None,
+    views: Sequence[RefineView],
+) -> str:
+    """Return "along the view of frame 3, ", or "along " if the direction is along no view."""
+    if T_world_obj is None or not views:
+        return _PLAIN_WORDS[what]
+    rays = T_world_obj @ centre - np.stack([view.T_world_cam.t for view in views])
+    rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-9)
+    cosine = np.abs(rays @ (T_world_obj.R @ direction))
+    best = int(np.argmax(cosine))
+    if cosine[best] < np.cos(np.deg2rad(_SAME_DEG)) or views[best].frame < 0:
+        return _PLAIN_WORDS[what]
+    frame = views[best].frame
+    place = "along the view" if what == "shift" else "in the image"
+    return f"{place} of frame {frame}, "

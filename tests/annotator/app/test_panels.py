@@ -14,6 +14,7 @@ from annotator.app.panels import frame_marks, residual_rows, verdict, weak_direc
 from annotator.app.pose_text import PoseFields, RotationForm
 from annotator.session.residuals import FrameResidual
 from std_toolkit.errors import ToolkitError
+from std_toolkit.labels.support.plane import Plane, TablePlane
 
 
 @pytest.fixture
@@ -50,6 +51,20 @@ def test_a_weak_direction_is_a_sentence(desk: Desk) -> None:
     assert weak_direction(desk.controller) == ""
     desk.controller.weak_directions["box_1"] = "turning about z is weak"
     assert weak_direction(desk.controller) == "Turning about z is weak."
+
+
+def test_a_weak_direction_is_said_relative_to_the_table(desk: Desk) -> None:
+    c = desk.controller
+    pose = c.session.T_world_obj("box_1")
+    assert pose is not None
+    plane = Plane(pose.R[:, 2], 0.0, "world")
+    c.table = TablePlane(plane, "depth", 0.001, 100, 1, pose.t, 0.2, 0.001)
+    c.weak_directions["box_1"] = (
+        "least determined: turn about object axis (0.00, 0.10, 0.99), standard deviation 0.80 deg"
+    )
+    assert weak_direction(c).startswith(
+        "Least determined: turn about its upright axis, object axis"
+    )
 
 
 def test_numbers_of_a_residual_have_their_units_and_grades(desk: Desk) -> None:

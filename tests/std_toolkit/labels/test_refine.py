@@ -19,6 +19,7 @@ from std_toolkit.labels.refine.problem import (
     RefineOptions,
     RefineView,
     covariance_at,
+    weak_direction_upright,
     weakest_direction,
 )
 
@@ -175,3 +176,34 @@ def test_the_weak_direction_in_words():
     )
     free = Symmetry(continuous=(((0.0, 0.0, 1.0), (0.0, 0.0, 0.0)),))
     assert "(0.00, 0.00, 1.00)" not in weakest_direction(C, np.zeros(3), 0.05, free)
+
+
+def test_the_weak_direction_is_said_along_a_view_or_upright():
+    image = np.zeros((480, 640, 3), np.uint8)
+    views = [
+        RefineView.of(Camera(640, 480, 600.0, 600.0, 320.0, 240.0), pose, image, frame=7 + i)
+        for i, pose in enumerate((SE3.identity(), SE3.exp([0.5, 0, 0, 0, -0.7, 0])))
+    ]
+    # The object's y axis points away from the first camera; its z axis is upright.
+    T_world_obj = SE3(so3_exp([np.pi / 2, 0, 0]), np.array([0.0, 0.0, 0.6]))
+    up = np.array([0.0, 0.0, 1.0])
+
+    def sentence(*variances: float) -> str:
+        C = np.diag(np.array(variances))
+        return weakest_direction(
+            C, np.zeros(3), 0.05, Symmetry(), T_world_obj=T_world_obj, views=views
+        )
+
+    away = sentence(1e-8, 4e-6, 1e-8, 1e-8, 1e-8, 1e-8)
+    assert "shift along the view of frame 7, object axis (0.00, 1.00, 0.00)" in away
+    assert weak_direction_upright(away, up) == away
+    rise = weak_direction_upright(sentence(1e-8, 1e-8, 4e-6, 1e-8, 1e-8, 1e-8), up)
+    assert "shift up or down, object axis (0.00, 0.00, 1.00)" in rise and "2.00 mm" in rise
+    yaw = weak_direction_upright(sentence(1e-8, 1e-8, 1e-8, 1e-8, 1e-8, 1e-2), up)
+    assert "turn about its upright axis, object axis (0.00, 0.00, 1.00)" in yaw
+    assert "deg" in yaw
+    roll = sentence(1e-8, 1e-8, 1e-8, 1e-8, 1e-2, 1e-8)
+    assert "turn in the image of frame 7, object axis (0.00, 1.00, 0.00)" in roll
+    tilt = weak_direction_upright(sentence(1e-8, 1e-8, 1e-8, 1e-2, 1e-8, 1e-8), up)
+    assert "turn of its upright axis (tilt), object axis (1.00, 0.00, 0.00)" in tilt
+    assert weak_direction_upright("depth is weak", up) == "depth is weak"

@@ -161,7 +161,9 @@ def refine_on_depth(
         obj.name,
         pose,
         covariance,
-        problem.weakest_direction(covariance, obj.centre, obj.radius, obj.symmetry),
+        problem.weakest_direction(
+            covariance, obj.centre, obj.radius, obj.symmetry, T_world_obj=pose, views=views
+        ),
         agreement,
         None,
         len(observed),
