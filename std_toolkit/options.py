@@ -341,6 +341,8 @@ class CheckOptions:
     """gate: largest median depth residual on a diffuse object, without the part due to scale"""
     max_drift_px: float = 3.0
     """gate: largest image motion relative to a label that no pose explains"""
+    max_alignment_px: float = 3.0
+    """gate: largest shift of sensor depth against colour"""
     max_label_std_mm: float = 5.0
     """gate: largest standard deviation of a label along its weakest direction"""
     min_edge_support: Share = 0.3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import hypot
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.checks import result, sensor_depth
+from std_toolkit.checks.alignment import DepthShift, common_depth_shift
 from std_toolkit.checks.contours import mesh_problem
 from std_toolkit.checks.coverage import SEEN_FRACTION, directions, measure_coverage
 from std_toolkit.checks.edges import Consistency, fit_consistency
@@ -19,6 +21,10 @@ from std_toolkit.scene import Object, Scene
 
 # Frames that show less of an object constrain its pose too weakly.
 _JUDGED_FRACTION = 0.2
+# Edge distance over that by chance of a label that fits.
+_CLOSE = 0.6
+# Outlines that determine the shift of depth in one frame.
+_FEWEST_OUTLINES = 2
 _SHOWN_BIN_M = 0.002
 _SHOWN_LIMIT_M = 0.1
 MATERIAL_ORDER = ("raw", "diffuse", "specular", "transparent")
@@ -98,11 +104,43 @@ def check_frames(
                 if look
                 else None,
                 depth_valid=rounded(look.depth_valid, 4) if look else None,
+                depth_shift_px=_frame_depth_shift(look) if look else None,
                 truth=look.truth if look else "none",  # type: ignore[arg-type]
                 problem=problems.get(frame.id, ""),
             )
         )
     return rows
+
+
+def depth_shifts(observed: Sequence[FrameObservation]) -> list[DepthShift]:
+    """Shifts of sensor depth against colour at the outlines of labels that fit in colour."""
+    return [
+        shift
+        for frame in observed
+        for o in frame.objects.values()
+        if (shift := _against_colour(o)) is not None
+    ]
+
+
+def _against_colour(observation: ObjectObservation) -> DepthShift | None:
+    """The shift of depth against the image; the label's own shift is subtracted."""
+    edges, depth = observation.edges, observation.depth_shift
+    if edges is None or depth is None or observation.visible_fraction < _JUDGED_FRACTION:
+        return None
+    if observation.shift is not None:
+        x_px, y_px = depth.x_px - observation.shift.x_px, depth.y_px - observation.shift.y_px
+        return replace(depth, x_px=x_px, y_px=y_px)
+    close = edges.median_px is not None and edges.median_px <= _CLOSE * (edges.chance_px or 0)
+    return depth if close else None
+
+
+def _frame_depth_shift(frame: FrameObservation) -> list[float] | None:
+    """Shift of depth in one frame, from at least two objects."""
+    found = depth_shifts([frame])
+    common = common_depth_shift(found)
+    if common is None or len(found) < _FEWEST_OUTLINES:
+        return None
+    return [round(common.x_px, 2), round(common.y_px, 2)]
 
 
 def check_materials(
@@ -285,6 +323,7 @@ def _object_frame(
         visible_fraction=round(observation.visible_fraction, 4),
         edge_px=rounded(_edge(observation)),
         edge_support=rounded(observation.edges.support) if observation.edges else None,
+        edge_chance_px=rounded(observation.edges.chance_px) if observation.edges else None,
         shift_px=[round(shift.x_px, 2), round(shift.y_px, 2)] if shift else None,
         depth_mm=_mm(observation.residual.median_m) if observation.residual else None,
         depth_unscaled_mm=_mm(_unscaled(observation.residual, depth_bias))

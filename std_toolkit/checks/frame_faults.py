@@ -1,57 +1,200 @@
-"""Faults of single frames, and of objects in single frames."""
+"""Faults of single frames: a camera pose that is wrong, an object that moved, shifted depth.
+
+A label fits in a frame if its contour is much closer to image edges than by chance, and no clear
+shift contradicts it. An object whose label fits in enough frames is a witness: where it does not
+fit, the camera pose is wrong if most other witnesses do not fit either; otherwise the object moved.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import hypot
 
 import msgspec
+import numpy as np
 
 from std_toolkit.checks.result import FrameCheck, ObjectCheck, ObjectFrameCheck
 from std_toolkit.options import CheckOptions
 
-# In a frame with a wrong camera pose nearly all objects are off, in other frames they are not.
+# Edge distance divided by that of displaced contours: a label fits below the first limit. It does
+# not fit above the second one, and above a multiple of what is usual for the object.
+_FITS = 0.6
+_OFF = 0.7
+_TIMES_USUAL = 2.0
+# A witness fits in at least this many frames and this share of them, clearly better than chance.
+_FEWEST_FITS = 2
+_SHARE_OF_FITS = 0.3
+_CLEAR = 0.45
+# Where a camera pose is wrong, nearly all witnesses do not fit.
 _CAMERA_SHARE = 0.6
-_FEWEST_OBJECTS = 2
+_FEWEST_WITNESSES = 2
+# Frames in a row without a fit, and the part of single frames that may contradict a motion.
+_FEWEST_MOVED = 3
+_CONTRADICTION = 0.2
 
 
-def with_object_faults(item: ObjectCheck, options: CheckOptions) -> ObjectCheck:
-    """The object with `fault` set in the frames in which its label does not fit."""
-    rows = [msgspec.structs.replace(f, fault=_object_fault(f, options)) for f in item.frames]
-    return msgspec.structs.replace(item, frames=rows)
+@dataclass(frozen=True)
+class Motion:
+    """An object that moved during the recording.
 
-
-def with_frame_faults(
-    frames: Sequence[FrameCheck], objects: Sequence[ObjectCheck]
-) -> list[FrameCheck]:
-    """The frames with `fault` set where the camera pose is wrong or a file cannot be read.
-
-    Objects that are off in most of their frames have wrong labels and say nothing about cameras.
+    Attributes:
+        object, name: of the object.
+        between: pairs of frame ids between which it moved: into and out of the frames in which
+            the label does not fit.
+        frames: ids of these frames.
     """
-    usable = [o for o in objects if o.label in ("propagated", "refined") and not _mostly_off(o)]
-    found = []
+
+    object: int
+    name: str
+    between: tuple[tuple[int, int], ...]
+    frames: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class FrameFaults:
+    """The tables of the report with their faults, and what caused them.
+
+    Attributes:
+        objects, frames: the rows with `fault` set.
+        camera: ids of the frames with a wrong camera pose.
+        moved: objects that moved.
+    """
+
+    objects: list[ObjectCheck]
+    frames: list[FrameCheck]
+    camera: list[int]
+    moved: list[Motion]
+
+
+def find_frame_faults(
+    objects: Sequence[ObjectCheck], frames: Sequence[FrameCheck], options: CheckOptions
+) -> FrameFaults:
+    """Set the faults of frames and of objects in frames.
+
+    Args:
+        objects, frames: tables of the report.
+        options: limits and the smallest share of a contour near edges.
+    """
+    states = {o.object: _states(o, options) for o in objects}
+    witnesses = [o for o in objects if _is_witness(o, states[o.object], options)]
+    camera = []
     for row in frames:
-        seen = [f for o in usable for f in o.frames if f.frame == row.frame and f.shift_px]
-        off = sum(bool(f.fault) for f in seen)
-        fault = row.fault
-        if row.problem:
-            fault = "unreadable"
-        elif not fault and off >= _FEWEST_OBJECTS and off >= _CAMERA_SHARE * len(seen):
-            fault = "camera pose"
-        found.append(msgspec.structs.replace(row, fault=fault))
-    return found
+        seen = [s for o in witnesses if (s := states[o.object].get(row.frame)) is not None]
+        off = sum(not fits for fits in seen)
+        if off >= _FEWEST_WITNESSES and off >= _CAMERA_SHARE * len(seen):
+            camera.append(row.frame)
+    moved = [
+        m for o in witnesses if (m := _motion(o, states[o.object], frozenset(camera))) is not None
+    ]
+    moved_in = {(m.object, f) for m in moved for f in m.frames}
+    trusted = {o.object for o in witnesses}
+    return FrameFaults(
+        [
+            msgspec.structs.replace(
+                o,
+                verdict="bad" if any(m.object == o.object for m in moved) else o.verdict,
+                frames=[
+                    msgspec.structs.replace(
+                        f,
+                        fault="moved"
+                        if (o.object, f.frame) in moved_in
+                        else _fault(f, o.object in trusted, states[o.object], options),
+                    )
+                    for f in o.frames
+                ],
+            )
+            for o in objects
+        ],
+        [_with_fault(row, camera, options) for row in frames],
+        camera,
+        moved,
+    )
 
 
-def _object_fault(row: ObjectFrameCheck, options: CheckOptions) -> str:
-    if row.fault:
-        return row.fault
-    clear = (row.edge_support or 0) >= options.min_edge_support
-    if clear and row.shift_px is not None and hypot(*row.shift_px) > options.max_shift_px:
-        return f"shifted by {hypot(*row.shift_px):.1f} px"
+def _ratio(row: ObjectFrameCheck, options: CheckOptions) -> float | None:
+    """Edge distance over that by chance; None if the contour has too few edges."""
+    if row.edge_px is None or not row.edge_chance_px:
+        return None
+    if (row.edge_support or 0) < options.min_edge_support:
+        return None
+    return row.edge_px / row.edge_chance_px
+
+
+def _shift_px(row: ObjectFrameCheck) -> float:
+    return hypot(*row.shift_px) if row.shift_px is not None else 0.0
+
+
+def _states(item: ObjectCheck, options: CheckOptions) -> dict[int, bool]:
+    """Whether the label fits, by frame id; frames that do not tell are absent."""
+    ratios = {f.frame: (r, f) for f in item.frames if (r := _ratio(f, options)) is not None}
+    good = [r for r, f in ratios.values() if r <= _FITS and _shift_px(f) <= options.max_shift_px]
+    usual = float(np.median(good)) if good else _FITS
+    states = {}
+    for frame, (ratio, row) in ratios.items():
+        if _shift_px(row) > options.max_shift_px or ratio > max(_OFF, _TIMES_USUAL * usual):
+            states[frame] = False
+        elif ratio <= _FITS:
+            states[frame] = True
+    return states
+
+
+def _is_witness(item: ObjectCheck, states: dict[int, bool], options: CheckOptions) -> bool:
+    fitting = [f for f in item.frames if states.get(f.frame)]
+    if len(fitting) < max(_FEWEST_FITS, _SHARE_OF_FITS * len(states)):
+        return False
+    ratios = [r for f in fitting if (r := _ratio(f, options)) is not None]
+    return float(np.median(ratios)) <= _CLEAR
+
+
+def _motion(item: ObjectCheck, states: dict[int, bool], camera: frozenset[int]) -> Motion | None:
+    """The run of frames in which the label does not fit, if it fits in nearly all others."""
+    known = [(f, fits) for f, fits in sorted(states.items()) if f not in camera]
+    gains = np.array([-1 if fits else 1 for _, fits in known])
+    if len(gains) < _FEWEST_MOVED + _FEWEST_FITS:
+        return None
+    # The run with the largest sum.
+    total = np.concatenate([[0], np.cumsum(gains)])
+    best = (0, 0, 0)
+    for end in range(1, len(total)):
+        start = int(total[:end].argmin())
+        best = max(best, (int(total[end] - total[start]), -start, end))
+    start, end = -best[1], best[2]
+    inside, outside = gains[start:end], np.concatenate([gains[:start], gains[end:]])
+    if len(inside) < _FEWEST_MOVED or len(outside) < _FEWEST_FITS:
+        return None
+    if (inside < 0).mean() > _CONTRADICTION or (outside > 0).mean() > _CONTRADICTION:
+        return None
+    frames = [f for f, _ in known]
+    between = []
+    if start > 0:
+        between.append((frames[start - 1], frames[start]))
+    if end < len(frames):
+        between.append((frames[end - 1], frames[end]))
+    off = tuple(f for f, fits in known[start:end] if not fits)
+    return Motion(item.object, item.name, tuple(between), off)
+
+
+def _fault(
+    row: ObjectFrameCheck, trusted: bool, states: dict[int, bool], options: CheckOptions
+) -> str:
+    if (row.edge_support or 0) >= options.min_edge_support:
+        if _shift_px(row) > options.max_shift_px:
+            return f"shifted by {_shift_px(row):.1f} px"
+        if trusted and states.get(row.frame) is False:
+            return "contour off the image edges"
     if row.depth_unscaled_mm is not None and abs(row.depth_unscaled_mm) > options.max_depth_mm:
         return f"{row.depth_unscaled_mm:+.1f} mm against the depth"
     return ""
 
 
-def _mostly_off(item: ObjectCheck) -> bool:
-    return 2 * sum(bool(f.fault) for f in item.frames) > len(item.frames)
+def _with_fault(row: FrameCheck, camera: Sequence[int], options: CheckOptions) -> FrameCheck:
+    fault = ""
+    shift = 0.0 if row.depth_shift_px is None else hypot(*row.depth_shift_px)
+    if row.problem:
+        fault = "unreadable"
+    elif row.frame in camera:
+        fault = "camera pose"
+    elif shift > options.max_alignment_px:
+        fault = f"depth shifted by {shift:.1f} px"
+    return msgspec.structs.replace(row, fault=fault)

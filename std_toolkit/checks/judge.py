@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.checks import aggregate, contours, prints, report_warnings, residuals, result
-from std_toolkit.checks.frame_faults import with_frame_faults, with_object_faults
+from std_toolkit.checks.alignment import common_depth_shift
+from std_toolkit.checks.fault_gates import fault_gates
+from std_toolkit.checks.frame_faults import find_frame_faults
 from std_toolkit.checks.gates import evaluate_gates, evaluate_object, scale_share
 from std_toolkit.labels.print import PrintComparison
 from std_toolkit.options import CheckOptions
@@ -42,9 +44,10 @@ def judge_scene(
     objects = prints.with_prints(objects, compared or {})
     summary = _summary(scene, objects, rows, observed, bias)
     objects = [evaluate_object(o, scale_share(summary), options) for o in objects]
-    objects = [with_object_faults(o, options) for o in objects]
-    rows = with_frame_faults(rows, objects)
+    faults = find_frame_faults(objects, rows, options)
+    objects, rows = faults.objects, faults.frames
     gates = evaluate_gates(summary, objects, rows, scene.poses, options)
+    gates += fault_gates(faults, summary, options)
     gates += [prints.print_gate(objects), *_mesh_gate(scene)]
     failed = [g for g in gates if g.status == "fail"]
     return result.CheckReport(
@@ -73,6 +76,8 @@ def _summary(
     errors = [r.reprojection_px for r in registered if r.reprojection_px is not None]
     current = sum(o.truth == "current" for o in observed)
     cast = any(o.tallies for o in observed)
+    shifts = aggregate.depth_shifts(observed)
+    shift = common_depth_shift(shifts)
     return result.SceneSummary(
         frames=len(rows),
         registered=len(registered),
@@ -83,6 +88,9 @@ def _summary(
         depth_frames=sum(f.depth is not None for f in scene.frames),
         truth_frames=current,
         truth_source="rendered maps" if current else "labels cast here" if cast else "none",
+        depth_shift_px=[round(shift.x_px, 2), round(shift.y_px, 2)] if shift else None,
+        depth_shift_std_px=aggregate.rounded(shift.std_px) if shift else None,
+        depth_shifts=len(shifts),
         depth_bias=aggregate.rounded(bias, 5),
         scale=scene.poses.scale if scene.poses else None,
         poses_source=scene.poses.source if scene.poses else "",

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.checks.alignment import DepthShift, depth_shift
 from std_toolkit.checks.contours import NOTHING, Contour, LabelCaster, trace_contour
 from std_toolkit.checks.edges import (
     EdgeDistance,
@@ -38,6 +39,7 @@ class ObjectObservation:
         visible_px, silhouette_px: visible pixels, and pixels in the image without occlusion.
         visible_fraction: from the ground truth if present, otherwise the ratio of these two.
         edges, shift, residual: None if the frame does not determine them.
+        depth_shift: shift of sensor depth against the image; None if undetermined.
         jacobian: (2, 3) px per metre in the world of the object's centre.
         metres_per_px: size of a pixel at the object.
     """
@@ -50,6 +52,7 @@ class ObjectObservation:
     residual: DepthResidual | None = None
     jacobian: NDArray[np.float64] | None = None
     metres_per_px: float | None = None
+    depth_shift: DepthShift | None = None
 
 
 @dataclass(eq=False)
@@ -264,10 +267,11 @@ def _observe_object(
     profiles = read_profiles(smoothed, contour, reach_px=options.search_px, noise=noise)
     edges = edge_distance(profiles) if profiles else None
     shift = best_shift(profiles, largest_px=options.shift_px) if profiles else None
-    residual = None
+    residual = displaced = None
     if sensor is not None and scene.objects.object(object_id).material in DIFFUSE_MATERIALS:
         trusted = mask & (view.truth.mask == object_id) if view.truth and view.hides else mask
         residual = depth_residual(view.depth, sensor, trusted)
+        displaced = depth_shift(contour, view.depth, sensor)
     centre = view.caster.corners[object_id].mean(axis=0)
     jacobian, z = shift_jacobian(view.camera, view.T_world_cam, centre)
     return ObjectObservation(
@@ -279,6 +283,7 @@ def _observe_object(
         residual,
         jacobian,
         2 * z / (view.camera.fx + view.camera.fy),
+        displaced,
     )
 
 

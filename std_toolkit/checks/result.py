@@ -72,6 +72,7 @@ class ObjectFrameCheck(Document, frozen=True, kw_only=True):
         visible_fraction: 0..1.
         edge_px: median distance of the contour to the nearest image edge.
         edge_support: fraction of the contour near an edge.
+        edge_chance_px: edge distance of displaced contours in this frame.
         shift_px: [x, y] from the label to the image.
         depth_mm: median of rendered minus sensor depth.
         depth_unscaled_mm: the same without the bias common to all diffuse objects.
@@ -82,6 +83,7 @@ class ObjectFrameCheck(Document, frozen=True, kw_only=True):
     visible_fraction: float
     edge_px: Number = None
     edge_support: Number = None
+    edge_chance_px: Number = None
     shift_px: list[float] | None = None
     depth_mm: Number = None
     depth_unscaled_mm: Number = None
@@ -187,6 +189,7 @@ class FrameCheck(Document, frozen=True, kw_only=True):
         edge_px: median over the objects.
         depth_valid: fraction of pixels with sensor depth.
         truth: "current", "stale" or "none".
+        depth_shift_px: [x, y] shift of sensor depth against colour, median over the objects.
         problem: why the frame could not be checked, or "".
         fault: what is wrong with the frame, such as "camera pose" or "unreadable", or "".
     """
@@ -202,6 +205,7 @@ class FrameCheck(Document, frozen=True, kw_only=True):
     edge_px: Number = None
     depth_valid: Number = None
     truth: Literal["current", "stale", "none"] = "none"
+    depth_shift_px: list[float] | None = None
     problem: str = ""
     fault: str = ""
 
@@ -246,6 +250,9 @@ class SceneSummary(Document, frozen=True, kw_only=True):
         truth_frames: measured frames with current ground truth.
         truth_source: source of ground-truth depth: "rendered maps", "labels cast here" (from the
             labels by the check itself) or "none".
+        depth_shift_px: [x, y] shift of sensor depth against colour, median over outlines.
+        depth_shift_std_px: its standard deviation.
+        depth_shifts: number of outlines.
         depth_bias: rendered over sensor depth minus 1, common to all diffuse objects.
         scale: from the poses.
         poses_source: from the poses.
@@ -261,6 +268,9 @@ class SceneSummary(Document, frozen=True, kw_only=True):
     truth_frames: Count
     truth_source: Literal["rendered maps", "labels cast here", "none"] = "none"
     depth_bias: Number = None
+    depth_shift_px: list[float] | None = None
+    depth_shift_std_px: Number = None
+    depth_shifts: Count = 0
     scale: ScaleReport | None = None
     poses_source: str = ""
 
