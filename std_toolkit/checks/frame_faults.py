@@ -16,6 +16,7 @@ import numpy as np
 
 from std_toolkit.checks.result import FrameCheck, ObjectCheck, ObjectFrameCheck
 from std_toolkit.options import CheckOptions
+from std_toolkit.scene.model import DIFFUSE_MATERIALS
 
 # Edge distance divided by that of displaced contours: a label fits below the first limit. It does
 # not fit above the second one, and above a multiple of what is usual for the object.
@@ -31,6 +32,9 @@ _CAMERA_SHARE = 0.6
 _FEWEST_WITNESSES = 2
 # Frames in a row without a fit, and the part of single frames that may contradict a motion.
 _FEWEST_MOVED = 3
+# Reflections displace edges in several frames: such objects need a longer run, and no single
+# frame of theirs is a fault.
+_FEWEST_MOVED_SHINY = 4
 _CONTRADICTION = 0.2
 
 
@@ -99,7 +103,7 @@ def find_frame_faults(
                         f,
                         fault="moved"
                         if (o.object, f.frame) in moved_in
-                        else _fault(f, o.object in trusted, states[o.object], options),
+                        else _fault(f, o, o.object in trusted, states[o.object], options),
                     )
                     for f in o.frames
                 ],
@@ -161,7 +165,8 @@ def _motion(item: ObjectCheck, states: dict[int, bool], camera: frozenset[int]) 
         best = max(best, (int(total[end] - total[start]), -start, end))
     start, end = -best[1], best[2]
     inside, outside = gains[start:end], np.concatenate([gains[:start], gains[end:]])
-    if len(inside) < _FEWEST_MOVED or len(outside) < _FEWEST_FITS:
+    fewest = _FEWEST_MOVED if item.material in DIFFUSE_MATERIALS else _FEWEST_MOVED_SHINY
+    if len(inside) < fewest or len(outside) < _FEWEST_FITS:
         return None
     if (inside < 0).mean() > _CONTRADICTION or (outside > 0).mean() > _CONTRADICTION:
         return None
@@ -176,8 +181,14 @@ def _motion(item: ObjectCheck, states: dict[int, bool], camera: frozenset[int]) 
 
 
 def _fault(
-    row: ObjectFrameCheck, trusted: bool, states: dict[int, bool], options: CheckOptions
+    row: ObjectFrameCheck,
+    item: ObjectCheck,
+    trusted: bool,
+    states: dict[int, bool],
+    options: CheckOptions,
 ) -> str:
+    if item.material not in DIFFUSE_MATERIALS:
+        return ""
     if (row.edge_support or 0) >= options.min_edge_support:
         if _shift_px(row) > options.max_shift_px:
             return f"shifted by {_shift_px(row):.1f} px"

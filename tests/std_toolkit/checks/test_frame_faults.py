@@ -1,4 +1,4 @@
-"""Faults of single frames in the report, and what the exporters read of them."""
+"""Faults of single frames: camera poses, objects that moved, shifted depth."""
 
 from __future__ import annotations
 
@@ -9,67 +9,167 @@ import numpy as np
 import pytest
 from toy_balls import Toy
 
+from std_toolkit.checks.alignment import DepthShift, common_depth_shift
 from std_toolkit.checks.check_step import run_check
-from std_toolkit.checks.frame_faults import with_frame_faults, with_object_faults
-from std_toolkit.checks.result import FrameCheck, ObjectCheck, ObjectFrameCheck
+from std_toolkit.checks.fault_gates import fault_gates
+from std_toolkit.checks.faults import Fault, apply_fault
+from std_toolkit.checks.frame_faults import FrameFaults, find_frame_faults
+from std_toolkit.checks.judge import judge_scene
+from std_toolkit.checks.residuals import FrameObservation, measure_frame, open_for_work
+from std_toolkit.checks.result import (
+    CheckGate,
+    FrameCheck,
+    ObjectCheck,
+    ObjectFrameCheck,
+    SceneSummary,
+)
 from std_toolkit.geometry import SE3
 from std_toolkit.jobs import JobOptions
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import CameraPoses, Scene
 from std_toolkit.scene.check_flags import read_check_flags
 
+OPTIONS = CheckOptions()
+GOOD, BAD, OPEN = (0.2, None), (1.6, None), (None, None)
+SHIFTED = (0.5, [0.0, 8.0])
+State = tuple[float | None, list[float] | None]
 
-def make_object(object_id: int, shifts_px: list[float]) -> ObjectCheck:
+
+def make_object(object_id: int, states: list[State], material: str = "diffuse") -> ObjectCheck:
+    """An object with edge distance and shift in each frame; 1.8 px by chance."""
     rows = [
-        ObjectFrameCheck(frame=i, visible_fraction=1.0, edge_support=0.9, shift_px=[0.0, s])
-        for i, s in enumerate(shifts_px)
+        ObjectFrameCheck(
+            frame=i,
+            visible_fraction=1.0,
+            edge_px=edge,
+            edge_support=0.9,
+            edge_chance_px=1.8,
+            shift_px=shift,
+        )
+        for i, (edge, shift) in enumerate(states)
     ]
-    item = ObjectCheck(
+    return ObjectCheck(
         object=object_id,
         name=f"o{object_id}",
         model="m",
         category="other",
-        material="diffuse",
+        material=material,
         label="propagated",
+        verdict="good",
         frames=rows,
     )
-    return with_object_faults(item, CheckOptions())
 
 
-def frame_faults(*objects: ObjectCheck, problem: str = "") -> list[str]:
+def find(*objects: ObjectCheck, problem: str = "") -> FrameFaults:
     rows = [
-        FrameCheck(frame=i, name=f"{i}", status="registered", problem=problem if i == 0 else "")
-        for i in range(5)
+        FrameCheck(frame=i, name=f"{i:03d}", status="registered", problem=problem if i == 0 else "")
+        for i in range(len(objects[0].frames))
     ]
-    return [r.fault for r in with_frame_faults(rows, objects)]
+    return find_frame_faults(objects, rows, OPTIONS)
 
 
-def test_an_object_off_in_one_frame_is_no_fault_of_the_camera() -> None:
-    moved, still = make_object(1, [0.2, 0.1, 8.0, 0.3, 0.2]), make_object(2, [0.1] * 5)
-    assert [f.fault for f in moved.frames] == ["", "", "shifted by 8.0 px", "", ""]
-    assert frame_faults(moved, still) == [""] * 5
+def gates_of(faults: FrameFaults) -> dict[str, CheckGate]:
+    summary = SceneSummary(
+        frames=8, registered=8, looked_at=8, objects=2, labelled=2, depth_frames=0, truth_frames=0
+    )
+    return {g.key: g for g in fault_gates(faults, summary, OPTIONS)}
 
 
-def test_all_objects_off_in_one_frame_are_a_fault_of_the_camera() -> None:
-    objects = [make_object(i, [0.2, 0.1, 8.0, 0.3, 0.2]) for i in (1, 2, 3)]
-    assert frame_faults(*objects) == ["", "", "camera pose", "", ""]
+def test_labels_that_fit_have_no_fault() -> None:
+    found = find(make_object(1, [GOOD] * 8), make_object(2, [GOOD, OPEN] * 4))
+    assert not found.camera and not found.moved
+    assert {f.fault for f in found.frames} == {""}
+    assert {f.fault for o in found.objects for f in o.frames} == {""}
+    assert {g.status for k, g in gates_of(found).items() if k != "alignment"} == {"pass"}
 
 
-def test_wrong_labels_accuse_no_camera() -> None:
-    objects = [make_object(i, [8.0, 7.0, 9.0, 8.0, 0.2]) for i in (1, 2)]
-    assert frame_faults(*objects, problem="cannot be read") == ["unreadable", "", "", "", ""]
+def test_an_object_off_in_one_frame_accuses_no_camera() -> None:
+    off = [GOOD] * 3 + [SHIFTED] + [GOOD] * 4
+    found = find(make_object(1, off), make_object(2, [GOOD] * 8), make_object(3, [GOOD] * 8))
+    assert not found.camera and not found.moved
+    assert [f.fault for f in found.objects[0].frames if f.fault] == ["shifted by 8.0 px"]
 
 
-def test_a_shift_without_edges_is_no_fault() -> None:
-    item = make_object(1, [8.0])
-    dim = [msgspec.structs.replace(f, edge_support=0.1, fault="") for f in item.frames]
-    weak = with_object_faults(msgspec.structs.replace(item, frames=dim), CheckOptions())
-    assert weak.frames[0].fault == ""
+@pytest.mark.parametrize("state", [BAD, SHIFTED])
+def test_all_objects_off_in_one_frame_accuse_the_camera(state: State) -> None:
+    off = [GOOD] * 3 + [state] + [GOOD] * 4
+    found = find(*(make_object(i, off) for i in (1, 2, 3)), problem="cannot be read")
+    assert found.camera == [3] and not found.moved
+    assert [f.fault for f in found.frames] == ["unreadable", "", "", "camera pose", "", "", "", ""]
+    gate = gates_of(found)["camera"]
+    assert gate.status == "fail" and gate.value == 1 and gate.detail == "003"
+
+
+@pytest.mark.parametrize(
+    ("states", "between"),
+    [
+        ([GOOD] * 4 + [BAD] * 4, ((3, 4),)),
+        ([SHIFTED] * 3 + [GOOD] * 5, ((2, 3),)),
+        ([GOOD] * 2 + [BAD, SHIFTED, BAD] + [GOOD] * 3, ((1, 2), (4, 5))),
+        ([GOOD, GOOD, OPEN, GOOD, OPEN, BAD, BAD, BAD], ((3, 5),)),
+    ],
+)
+def test_an_object_that_moved_is_found(
+    states: list[State], between: tuple[tuple[int, int], ...]
+) -> None:
+    found = find(make_object(1, states), make_object(2, [GOOD] * 8))
+    (motion,) = found.moved
+    assert motion.name == "o1" and motion.between == between
+    assert not found.camera
+    assert [f.frame for f in found.objects[0].frames if f.fault == "moved"] == [
+        i for i, s in enumerate(states) if s in (BAD, SHIFTED)
+    ]
+    assert [o.verdict for o in found.objects] == ["bad", "good"]
+    gate = gates_of(found)["moved"]
+    assert gate.status == "fail" and f"between frames {between[0][0]:03d} and" in gate.detail
+
+
+@pytest.mark.parametrize(
+    "states", [[GOOD, BAD] * 4, [BAD] * 7 + [GOOD], [GOOD] * 6 + [BAD] * 2, [(1.0, None)] * 8]
+)
+def test_scattered_or_wrong_labels_did_not_move(states: list[State]) -> None:
+    found = find(make_object(1, states), make_object(2, [GOOD] * 8))
+    assert not found.moved and not found.camera
+
+
+def test_reflections_in_three_frames_are_no_motion() -> None:
+    states = [GOOD] * 5 + [BAD] * 3
+    assert find(make_object(1, states), make_object(2, [GOOD] * 8)).moved
+    shiny = find(make_object(1, states, "specular"), make_object(2, [GOOD] * 8))
+    assert not shiny.moved
+    assert {f.fault for o in shiny.objects for f in o.frames} == {""}
+
+
+def test_the_common_shift_of_depth_is_robust() -> None:
+    shifts = [DepthShift(5.0 + 0.1 * i, -0.1 * i, 0.3, 100) for i in range(5)]
+    found = common_depth_shift([*shifts, DepthShift(-9.0, 9.0, 0.3, 100)])
+    assert found is not None
+    assert (found.x_px, found.y_px) == pytest.approx((5.15, -0.15), abs=0.1)
+    assert found.std_px < 0.5
+    assert common_depth_shift([]) is None
+
+
+def measured(scene: Scene) -> list[FrameObservation]:
+    _, caster = open_for_work(scene.root, "faults")
+    return [measure_frame(scene, caster, f, OPTIONS) for f in scene.frames]
+
+
+@pytest.mark.slow
+def test_shifted_depth_fails_with_its_shift(make_scene: Callable[[Toy], Scene]) -> None:
+    scene = make_scene(Toy(frames=3, arc_deg=20))
+    up = np.array([0.0, 1.0, 0.0])
+    for shift_px, status in ((0, "pass"), (5, "fail")):
+        faulty = apply_fault(scene, Fault("alignment", shift_px)) if shift_px else scene
+        report = judge_scene(faulty, measured(faulty), {}, OPTIONS, up=up)
+        (gate,) = (g for g in report.gates if g.key == "alignment")
+        assert gate.status == status, gate
+        assert report.summary.depth_shift_px == pytest.approx([shift_px, 0], abs=0.5)
+        assert {bool(f.fault) for f in report.frames} == {status == "fail"}
 
 
 @pytest.mark.slow
 def test_the_exporters_read_the_faults_of_the_report(make_scene: Callable[[Toy], Scene]) -> None:
-    scene = make_scene(Toy(frames=5))
+    scene = make_scene(Toy(frames=4))
     assert scene.poses is not None
     poses = list(scene.poses.frames)
     off = SE3(np.eye(3), np.array([0.015, 0.0, 0.0]))
@@ -80,7 +180,8 @@ def test_the_exporters_read_the_faults_of_the_report(make_scene: Callable[[Toy],
     scene.save_poses(CameraPoses(frames=poses))
     jobs = JobOptions(engine="serial", progress=False)
     report = run_check(scene, CheckOptions(overlay_frames=0), jobs)
-    assert [bool(f.fault) for f in report.frames] == [False, False, True, False, False]
+    assert [f.fault for f in report.frames] == ["", "", "camera pose", ""]
+    assert "camera" in {g.key for g in report.failed_gates()}
     flags = read_check_flags(scene)
     assert flags is not None
     assert set(flags.frames) == {2} and {f for f, _ in flags.objects} <= {2}
