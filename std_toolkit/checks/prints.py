@@ -11,14 +11,10 @@ import numpy as np
 from std_toolkit.checks import result
 from std_toolkit.checks.contours import mesh_problem
 from std_toolkit.geometry import SE3
-from std_toolkit.labels.print import PrintComparison, judge_print, print_frames
-from std_toolkit.labels.refine.problem import RefineObject, RefineView
-from std_toolkit.labels.refine_step import load_views, scene_object
-from std_toolkit.rendering.texture import TexturedSurface
+from std_toolkit.labels.print import FRAMES, PrintComparison, judge_print
+from std_toolkit.labels.refine.problem import RefineObject, RefineView, large_views
+from std_toolkit.labels.refine_step import load_views, print_surface, scene_object
 from std_toolkit.scene import Frame, Scene
-
-# Clear objects show what is behind them, whatever their mesh is painted with.
-_CLEAR = "transparent"
 
 
 def compare_prints(scene: Scene, frames: Sequence[Frame]) -> dict[int, PrintComparison]:
@@ -44,7 +40,8 @@ def compare_prints(scene: Scene, frames: Sequence[Frame]) -> dict[int, PrintComp
     views: dict[int, RefineView] = {}
     found = {}
     for i, obj in objects.items():
-        chosen = print_frames(cameras, poses, obj.T_world_obj @ obj.centre, obj.radius)
+        centre = obj.T_world_obj @ obj.centre
+        chosen = large_views(cameras, poses, centre, obj.radius, count=FRAMES)
         for k in chosen:
             if k not in views:
                 (views[k],) = load_views(scene, [frames[k]])
@@ -60,10 +57,8 @@ def _compare(
     others: Sequence[RefineObject],
     views: Sequence[RefineView],
 ) -> PrintComparison:
-    item = scene.objects.object(object_id)
-    printed = None
-    if item.material != _CLEAR:
-        printed = TexturedSurface.from_mesh(scene.mesh(item.model))
+    mesh = scene.mesh(scene.objects.object(object_id).model)
+    printed = print_surface(scene, object_id, mesh)
     return judge_print(views, replace(obj, print=printed), others)
 
 

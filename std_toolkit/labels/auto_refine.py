@@ -248,7 +248,12 @@ class _Run:
         )
         try:
             result = refine_poses(
-                self._problem.views, prepared, options, layers=self._layers, progress=progress
+                self._problem.views,
+                prepared,
+                options,
+                print_views=self._problem.print_views,
+                layers=self._layers,
+                progress=progress,
             )
         except ToolkitError as error:
             for k in chosen:

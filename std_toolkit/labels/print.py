@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.geometry import SE3, Camera, rotation_error
+from std_toolkit.geometry import SE3, rotation_error
 from std_toolkit.labels.alternatives import Alternative, NearSymmetry
 from std_toolkit.labels.print_scores import (
     SMALLEST_PX,
@@ -21,11 +21,11 @@ from std_toolkit.labels.print_scores import (
     cut_window,
     score_view,
 )
-from std_toolkit.labels.refine.problem import RefineObject, RefineView
+from std_toolkit.labels.refine.problem import RefineObject, RefineView, large_views
 from std_toolkit.rendering.texture import TexturedSurface
 
 # Frames that are compared, and frames and size (pixels) of a first look at many alternatives.
-_FRAMES, _FIRST_FRAMES, _FIRST_PX = 6, 3, 80.0
+FRAMES, _FIRST_FRAMES, _FIRST_PX = 6, 3, 80.0
 
 # With more alternatives, such as all turns of a can, the best are found by a first look.
 _MANY, _FOLLOWED = 6, 4
@@ -86,48 +86,6 @@ class PrintComparison:
         return "the print fits"
 
 
-def print_frames(
-    cameras: Sequence[Camera],
-    poses: Sequence[SE3],
-    centre: NDArray[np.float64],
-    radius: float,
-    *,
-    count: int = _FRAMES,
-) -> list[int]:
-    """Indices of frames that show an object large enough, from directions far apart.
-
-    Args:
-        cameras: cameras of the frames.
-        poses: T_world_cam of the frames.
-        centre: (3,) centre of the object in the world.
-        radius: of the object, metres.
-        count: largest number.
-    """
-    sizes, directions, usable = [], [], []
-    for k, (camera, T) in enumerate(zip(cameras, poses, strict=True)):
-        p = T.inverse() @ centre
-        if p[2] < 1.5 * radius:
-            continue
-        uv = camera.without_distortion().project(p)
-        size = 2 * radius * camera.fx / p[2]
-        inside = (uv >= 0.25 * size).all() and (uv < np.array(camera.size) - 0.25 * size).all()
-        if size >= SMALLEST_PX and inside:
-            usable.append(k)
-            sizes.append(size)
-            directions.append((centre - T.t) / np.linalg.norm(centre - T.t))
-    if not usable:
-        return []
-    way, size = np.array(directions), np.minimum(np.array(sizes), 300.0)
-    picks = [int(np.argmax(size))]
-    while len(picks) < min(count, len(usable)):
-        apart = np.min([np.linalg.norm(way - way[k], axis=1) for k in picks], axis=0)
-        # A near frame shows more of the print, a far one from another side shows other parts.
-        gain = (apart + 0.02) * size
-        gain[picks] = -1
-        picks.append(int(np.argmax(gain)))
-    return sorted(usable[k] for k in picks)
-
-
 def judge_print(
     views: Sequence[RefineView],
     obj: RefineObject,
@@ -152,8 +110,13 @@ def judge_print(
     surface = surface or obj.print
     near = near or NearSymmetry(obj.vertices, obj.faces, obj.symmetry)
     centre = obj.T_world_obj @ obj.centre
-    chosen = print_frames(
-        [v.camera for v in views], [v.T_world_cam for v in views], centre, obj.radius
+    chosen = large_views(
+        [v.camera for v in views],
+        [v.T_world_cam for v in views],
+        centre,
+        obj.radius,
+        count=FRAMES,
+        smallest_px=SMALLEST_PX,
     )
     views = [views[k] for k in chosen]
     in_view = [v.T_world_cam.inverse() @ obj.T_world_obj for v in views]

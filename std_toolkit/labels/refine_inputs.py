@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.refine.problem import RefineObject, RefineView, covariance_at
-from std_toolkit.labels.refine_step import choose_keyframes, load_views, scene_object
+from std_toolkit.labels.refine_step import (
+    choose_keyframes,
+    load_print_views,
+    load_views,
+    print_surface,
+    scene_object,
+)
 from std_toolkit.rendering.texture import SurfaceColors
 from std_toolkit.scene.scene import Scene, require_metres
 
@@ -42,11 +48,13 @@ class AutoProblem:
         views: images; a single view has the identity as camera pose if the scene has none.
         objects: objects by id, at their start poses; chosen ones with the colours of their meshes.
         posed: whether the coordinate frame is the world; otherwise the camera of the only view.
+        print_views: more images, for the prints of the chosen objects.
     """
 
     views: list[RefineView]
     objects: dict[int, RefineObject]
     posed: bool
+    print_views: list[RefineView] = field(default_factory=list)
 
     @property
     def has_depth(self) -> bool:
@@ -87,7 +95,11 @@ def auto_problem(
         i: _object(scene, i, T, mesh or scene.mesh, colors=i in chosen)
         for i, T in sorted(poses.items())
     }
-    return AutoProblem(views, objects, posed)
+    more: list[RefineView] = []
+    if posed and frames is None:
+        printed = {i: poses[i] for i in chosen if objects[i].print is not None}
+        more = load_print_views(scene, printed, [v.frame for v in views])
+    return AutoProblem(views, objects, posed, more)
 
 
 def _views(
@@ -155,7 +167,11 @@ def _object(
 ) -> RefineObject:
     mesh = mesh_of(scene.objects.object(object_id).model)
     obj = scene_object(scene, object_id, pose, mesh=mesh)
-    return replace(obj, colors=SurfaceColors.from_mesh(mesh)) if colors else obj
+    if not colors:
+        return obj
+    return replace(
+        obj, colors=SurfaceColors.from_mesh(mesh), print=print_surface(scene, object_id, mesh)
+    )
 
 
 def method_sentence(edge_rms_px: float | None, depth_m: float | None, views: int) -> str:

@@ -14,16 +14,21 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.refine import problem
 from std_toolkit.labels.refine.edges.solver import refine_poses
 from std_toolkit.labels.refined_scale import MeasuredScale
 from std_toolkit.log import logger
+from std_toolkit.rendering.texture import TexturedSurface
 from std_toolkit.scene.model import Frame, Label, annotated_views, pose_from_list
 from std_toolkit.scene.scene import Scene
 
 if TYPE_CHECKING:
     import trimesh
+
+# Frames in which the print of an object is matched.
+_PRINT_VIEWS = 32
 
 # Number of frames around a viewpoint from which the sharpest is used.
 _CANDIDATES = 3
@@ -100,13 +105,18 @@ def refine_labels(
             scene_object(scene, i, start[i], fixed=i not in placed),
             # Objects refined in the annotator are aligned; manual poses may be far off.
             rough=everything[i].method != "refine",
+            print=None
+            if i not in placed
+            else print_surface(scene, i, scene.mesh(scene.objects.object(i).model)),
         )
         for i in sorted(everything)
     ]
+    printed = {i: start[i] for i, o in zip(sorted(everything), objects, strict=True) if o.print}
     result = refine_poses(
         views,
         objects,
         problem.RefineOptions(use_depth=use_depth, refine_scale=refine_scale),
+        print_views=load_print_views(scene, printed, [v.frame for v in views]),
     )
     _report(result)
     refined = dict(labels)
@@ -161,6 +171,43 @@ def load_views(
             )
         )
     return views
+
+
+def print_surface(scene: Scene, object_id: int, mesh: trimesh.Trimesh) -> TexturedSurface | None:
+    """The mesh of an object with its colours; None if it has none or the object is clear."""
+    # A clear object shows what is behind it, whatever its mesh is painted with.
+    if scene.objects.object(object_id).material == "transparent":
+        return None
+    return TexturedSurface.from_mesh(mesh)
+
+
+def load_print_views(
+    scene: Scene, objects: Mapping[int, SE3], loaded: Sequence[int]
+) -> list[problem.RefineView]:
+    """More frames in which the prints of objects are matched, without depth.
+
+    Args:
+        objects: T_world_obj of the objects with a print, by id.
+        loaded: ids of the frames that are loaded anyway.
+    """
+    frames = [f for f in scene.registered_frames() if f.id not in set(loaded)]
+    cameras = [scene.camera(f) for f in frames]
+    poses = [T for f in frames if (T := scene.T_world_cam(f.id)) is not None]
+    chosen: set[int] = set()
+    for i, T in objects.items():
+        low, high = mesh_bounds(scene.mesh(scene.objects.object(i).model))
+        radius = float(np.linalg.norm(high - low)) / 2
+        count = max(_PRINT_VIEWS - len(loaded), 0)
+        chosen |= set(
+            problem.large_views(cameras, poses, T @ ((low + high) / 2), radius, count=count)
+        )
+    # Each object has its own best views; together they stay affordable.
+    kept = sorted(chosen)
+    if len(kept) > 2 * _PRINT_VIEWS:
+        kept = [
+            kept[k] for k in np.linspace(0, len(kept) - 1, 2 * _PRINT_VIEWS).round().astype(int)
+        ]
+    return load_views(scene, [frames[k] for k in kept], use_depth=False)
 
 
 def scene_object(
@@ -287,8 +334,6 @@ def _in_view(scene: Scene, frame: Frame, centres: Sequence[NDArray[np.float64]])
 
 def _centre(scene: Scene, object_id: int) -> NDArray[np.float64]:
     """Centre of an object's bounding box, mesh frame."""
-    from std_toolkit.geometry.mesh import mesh_bounds
-
     return mesh_bounds(scene.mesh(scene.objects.object(object_id).model)).mean(axis=0)
 
 

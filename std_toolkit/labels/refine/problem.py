@@ -151,6 +151,7 @@ class RefineOptions:
             counts as.
         rough_m, rough_turn: largest error of the start of a rough object: its centre, metres,
             and its rotation, radians.
+        use_prints: match the textures of meshes with the images.
     """
 
     use_depth: bool = True
@@ -165,6 +166,7 @@ class RefineOptions:
     depth_samples: float = 1.5
     rough_m: float = 0.035
     rough_turn: float = float(np.deg2rad(18))
+    use_prints: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,6 +218,50 @@ class RefineResult:
     depth_factor: float = 1.0
     depth_factor_std: float = 0.0
     scale_converged: bool = True
+
+
+def large_views(
+    cameras: Sequence[Camera],
+    poses: Sequence[SE3],
+    centre: Array,
+    radius: float,
+    *,
+    count: int,
+    smallest_px: float = 40.0,
+) -> list[int]:
+    """Indices of views that show an object large, from directions far apart.
+
+    Args:
+        cameras: cameras of the views.
+        poses: T_world_cam of the views.
+        centre: (3,) centre of the object in the world.
+        radius: of the object, metres.
+        count: largest number.
+        smallest_px: smallest size of the object in the image.
+    """
+    sizes, directions, usable = [], [], []
+    for k, (camera, T) in enumerate(zip(cameras, poses, strict=True)):
+        p = T.inverse() @ centre
+        if p[2] < 1.5 * radius:
+            continue
+        uv = camera.without_distortion().project(p)
+        size = 2 * radius * camera.fx / p[2]
+        inside = (uv >= 0.25 * size).all() and (uv < np.array(camera.size) - 0.25 * size).all()
+        if size >= smallest_px and inside:
+            usable.append(k)
+            sizes.append(size)
+            directions.append((centre - T.t) / np.linalg.norm(centre - T.t))
+    if not usable:
+        return []
+    way, size = np.array(directions), np.minimum(np.array(sizes), 300.0)
+    picks = [int(np.argmax(size))]
+    while len(picks) < min(count, len(usable)):
+        apart = np.min([np.linalg.norm(way - way[k], axis=1) for k in picks], axis=0)
+        # A near view shows more, a far one from another side shows other parts.
+        gain = (apart + 0.02) * size
+        gain[picks] = -1
+        picks.append(int(np.argmax(gain)))
+    return sorted(usable[k] for k in picks)
 
 
 def no_progress(_: float) -> None:

@@ -17,6 +17,7 @@ from std_toolkit.labels.refine.edges.system import (
     FACTOR,
     SCALE,
     NormalEquations,
+    PrintRows,
     Step,
     WeightedRows,
 )
@@ -29,6 +30,11 @@ Array = NDArray[np.float64]
 _CONTOUR_CORRELATION_PX = 100.0
 _SMALLEST_EDGE_STD_PX = 0.25
 _SMALLEST_DEPTH_STD_M = 0.001
+# Matches of a print in one view count as at most this many independent points: what is off is the
+# texture on the mesh and the camera pose, alike for neighbours.
+_PRINT_SAMPLES, _SMALLEST_PRINT_STD_PX = 6.0, 0.5
+# Beside a print, the contours of all views count as those of so many views.
+_CONTOURS_BESIDE_PRINT = 2.0
 # Convergence limit of a step (mm at the object's surface): less than the change by contour
 # sampling from one step to the next. Coarse levels stop earlier.
 _SETTLED_MM = 0.1
@@ -103,9 +109,9 @@ def descend(
                 )
             made = measured
             before = state.log_scale
-            steps = _advance(objects, state, measured, scale, options)
+            steps = advance(objects, state, measured, scale, options)
             scale_step = abs(state.log_scale - before)
-            size = np.array([_size_mm(o, s) for o, s in zip(objects, steps, strict=True)])
+            size = np.array([step_size_mm(o, s) for o, s in zip(objects, steps, strict=True)])
             moved[again] = 0
             moved += size
             largest = float(size.max())
@@ -114,13 +120,13 @@ def descend(
     return Descent(made, scale, largest, scale_step)
 
 
-def _size_mm(obj: problem.RefineObject, step: Step) -> float:
+def step_size_mm(obj: problem.RefineObject, step: Step) -> float:
     """Largest motion of the surface by a step."""
     shift, turn = np.linalg.norm(step.xi[:3]), np.linalg.norm(step.xi[3:])
     return 1000 * float(shift + turn * obj.radius)
 
 
-def _advance(
+def advance(
     objects: Sequence[problem.RefineObject],
     state: PoseState,
     measured: Measurements,
@@ -193,6 +199,9 @@ def weigh(
             clear = np.concatenate([r.weight for r in mine]) > 0.1
             edge_std[i] = max(_robust_std(np.concatenate(left)[clear]), _SMALLEST_EDGE_STD_PX)
             information = 1 / (edge_std[i] ** 2 * _CONTOUR_CORRELATION_PX * max(scale, 0.5))
+            if any(k == i for k, _ in measured.prints):
+                # The rim of a scanned mesh is off by more than its print, and in all views alike.
+                information *= min(1.0, _CONTOURS_BESIDE_PRINT / len(mine))
             for rows, rest in zip(mine, left, strict=True):
                 weight = information * rows.weight * _cauchy(rest / edge_std[i])
                 J = np.column_stack([rows.pose, rows.scale])
@@ -210,7 +219,25 @@ def weigh(
                 found.append(
                     WeightedRows(i, surface.view, surface.residual, J, (SCALE, FACTOR), weight)
                 )
+        printed = [rows for k, rows in measured.prints if k == i]
+        if printed:
+            found += _weigh_prints(i, printed, xi, d_scale)
     return found, edge_std, depth_std
+
+
+def _weigh_prints(
+    index: int, printed: Sequence[PrintRows], xi: Array, d_scale: float
+) -> list[WeightedRows]:
+    left = [r.residual - r.pose @ xi - r.scale * d_scale for r in printed]
+    std = max(_robust_std(np.concatenate(left)), _SMALLEST_PRINT_STD_PX)
+    found = []
+    for rows, rest in zip(printed, left, strict=True):
+        share = min(1.0, _PRINT_SAMPLES / len(rest)) / std**2
+        weight = share * _cauchy(np.linalg.norm(rest, axis=1) / (std * np.sqrt(2)))
+        J = np.concatenate([rows.pose, rows.scale[..., None]], axis=2).reshape(-1, 7)
+        flat = rows.residual.reshape(-1), J, (SCALE,), np.repeat(weight, 2)
+        found.append(WeightedRows(index, rows.view, *flat))
+    return found
 
 
 def _add_priors(

@@ -20,6 +20,7 @@ from std_toolkit.labels.refine.caster import LayerStore
 from std_toolkit.labels.refine.edges.approach import approach
 from std_toolkit.labels.refine.edges.descent import Descent, assemble, descend, weigh
 from std_toolkit.labels.refine.edges.measure import PoseState, coarse_to_fine
+from std_toolkit.labels.refine.edges.print_matches import follow_prints
 from std_toolkit.labels.refine.edges.uncertainty import pose_covariance
 
 # Distance of the edges after a search; at lower resolutions glass and metal would diverge again.
@@ -36,6 +37,7 @@ def refine_poses(
     objects: Sequence[problem.RefineObject],
     options: problem.RefineOptions | None = None,
     *,
+    print_views: Sequence[problem.RefineView] = (),
     layers: LayerStore | None = None,
     progress: problem.Progress = problem.no_progress,
 ) -> problem.RefineResult:
@@ -45,6 +47,7 @@ def refine_poses(
         views: images with metric camera poses; three or more from different sides determine
             objects without depth, one determines the distance to the camera weakly.
         objects: all labelled objects of the scene, so that occlusions between them are known.
+        print_views: more views, in which only prints are matched, because that is cheap.
         layers: cached layers of the objects in these views, if any.
         progress: called with the completed fraction.
 
@@ -70,6 +73,8 @@ def refine_poses(
             progress=problem.sub_progress(progress, 0, searched),
         )
         options = replace(options, search_px=min(options.search_px, _APPROACHED_PX))
+    printed = options.use_prints and any(o.print is not None and not o.fixed for o in objects)
+    contours_done = searched + (1 - searched) * (0.6 if printed else 1.0)
     state = PoseState([o.T_world_obj for o in objects])
     levels = coarse_to_fine(views, options)
     descent = descend(
@@ -79,9 +84,21 @@ def refine_poses(
         levels,
         options,
         layers=layers,
-        progress=problem.sub_progress(progress, searched, 1),
+        progress=problem.sub_progress(progress, searched, contours_done),
     )
-    return _result(views, objects, state, descent, options)
+    if printed:
+        descent = follow_prints(
+            views,
+            print_views,
+            objects,
+            state,
+            descent,
+            levels[-1],
+            options,
+            layers=layers,
+            progress=problem.sub_progress(progress, contours_done, 1),
+        )
+    return _result([*views, *print_views], objects, state, descent, options)
 
 
 def _result(

@@ -88,6 +88,28 @@ class DepthRows:
 
 
 @dataclass(frozen=True, eq=False)
+class PrintRows:
+    """Residuals of matched points of a print in one view with their derivatives.
+
+    Attributes:
+        residual: (N, 2) pixels, where the view shows the points minus where they are predicted.
+        pose: (N, 2, 6) derivative of the predicted pixels by a right perturbation of the pose.
+        scale: (N, 2) derivative by the logarithm of the camera positions' scale.
+        view: index of the view.
+    """
+
+    residual: Array
+    pose: Array
+    scale: Array
+    view: int
+
+    def after(self, step: Step) -> PrintRows:
+        """The same rows once a small step was made, to first order."""
+        left = self.residual - self.pose @ step.xi - self.scale * step.scale
+        return replace(self, residual=left)
+
+
+@dataclass(frozen=True, eq=False)
 class WeightedRows:
     """Residuals of one object in one view, of any kind, with their weights.
 
@@ -175,6 +197,42 @@ def depth_rows(
         along * samples.measured,
         view,
     )
+
+
+def print_rows(
+    points: Array,
+    pixels: Array,
+    camera: Camera,
+    T_world_cam: SE3,
+    T_world_obj: SE3,
+    *,
+    view: int,
+    scale: float,
+) -> PrintRows:
+    """Linearise matched points about the current poses.
+
+    Args:
+        points: (N, 3) on the mesh, mesh frame.
+        pixels: (N, 2) where the camera shows them.
+        view: index of the view.
+        scale: factor on all pixels, for the image scale of the other measurements.
+    """
+    X_world = T_world_obj @ points
+    p = T_world_cam.inverse() @ X_world
+    z, zero = p[:, 2], np.zeros(len(p))
+    g = scale * np.stack(
+        [
+            np.stack([camera.fx / z, zero, -camera.fx * p[:, 0] / z**2], axis=1),
+            np.stack([zero, camera.fy / z, -camera.fy * p[:, 1] / z**2], axis=1),
+        ],
+        axis=1,
+    )
+    g_world = g @ T_world_cam.R.T
+    pose = np.stack(
+        [_pose_derivative(g_world[:, k], X_world, T_world_obj) for k in range(2)], axis=1
+    )
+    residual = scale * (pixels - camera.project(p))
+    return PrintRows(residual, pose, -g_world @ T_world_cam.t, view)
 
 
 def _pose_derivative(g_world: Array, X_world: Array, T_world_obj: SE3) -> Array:
