@@ -127,6 +127,8 @@ def judge_print(
         windows = [
             w for v in views if (w := cut_window(v, surface, obj.T_world_obj, others)) is not None
         ]
+        if not windows:
+            return _unmeasured("undecided", None)
         judged = _judge(windows, obj, surface, turns)
         if judged is not None:
             return judged

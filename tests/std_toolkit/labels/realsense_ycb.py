@@ -19,7 +19,7 @@ from std_toolkit.labels.refine.caster import WorldCaster
 from std_toolkit.labels.refine.depth.observed import fit_background, plane_depth
 from std_toolkit.labels.refine.problem import RefineObject, RefineView
 from std_toolkit.labels.symmetry_argument import parse_symmetry
-from std_toolkit.rendering.texture import SurfaceColors
+from std_toolkit.rendering.texture import SurfaceColors, TexturedSurface
 
 CAMERA = Camera(640, 480, 618.0172729492188, 618.0033569335938, 312.376953125, 232.37530517578125)
 # Shapes that look the same turned: cans, bowl and marker about their axis; the wood block is a
@@ -129,3 +129,8 @@ def _table(view: RefineView, objects: list[RefineObject]) -> NDArray[np.float64]
     plane = fit_background(rays[free] * view.depth[free, None])
     assert plane is not None
     return plane_depth(plane, rays.reshape(-1, 3)).reshape(view.depth.shape)
+
+
+def print_of(data: Path, name: str) -> TexturedSurface | None:
+    """The textured mesh of an object at full resolution."""
+    return TexturedSurface.from_mesh(load_mesh(data / "ycb_meshes" / name / "textured.obj"))

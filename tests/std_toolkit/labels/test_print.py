@@ -1,0 +1,233 @@
+"""The print of a mesh against images: right and turned poses, light, plain meshes, real frames."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from realsense_ycb import load_frame, print_of
+
+from std_toolkit.geometry import SE3, Camera, Symmetry, rotation_error, so3_exp
+from std_toolkit.labels.alternatives import NearSymmetry
+from std_toolkit.labels.print import PrintComparison, judge_print
+from std_toolkit.labels.refine.problem import RefineObject, RefineView
+from std_toolkit.rendering.texture import SurfaceColors, TexturedSurface
+
+CAMERA = Camera(320, 240, 420.0, 420.0, 159.5, 119.5)
+SIZE = np.array([0.12, 0.05, 0.18])
+
+
+def box_mesh(image: Image.Image | None) -> trimesh.Trimesh:
+    """A box about the origin; each face shows its own sixth of the picture."""
+    corners, uv, faces = [], [], []
+    for axis in range(3):
+        for side in (-1, 1):
+            i, j = (m for m in range(3) if m != axis)
+            number = 2 * axis + (side > 0)
+            u0, v0 = (number % 3) / 3, (number // 3) / 2
+            start = len(corners)
+            for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
+                p = np.zeros(3)
+                p[axis], p[i], p[j] = side, a, b
+                corners.append(p * SIZE / 2)
+                uv.append([u0 + (a + 1) / 6, v0 + (b + 1) / 4])
+            faces += [[start, start + 1, start + 2], [start, start + 2, start + 3]]
+    mesh = trimesh.Trimesh(np.array(corners), np.array(faces), process=False)
+    if image is not None:
+        mesh.visual = trimesh.visual.TextureVisuals(uv=np.array(uv), image=image)
+    return mesh
+
+
+def printed_picture(seed: int) -> Image.Image:
+    """Letters and patches in many colours."""
+    random = np.random.default_rng(seed)
+    picture = np.full((256, 384, 3), 220, np.uint8)
+    for _ in range(120):
+        x, y = random.integers(0, 384), random.integers(0, 256)
+        color = tuple(int(c) for c in random.integers(0, 255, 3))
+        if random.random() < 0.5:
+            w, h = random.integers(8, 40, 2)
+            cv2.rectangle(picture, (int(x), int(y)), (int(x + w), int(y + h)), color, -1)
+        else:
+            text = chr(65 + int(random.integers(26)))
+            cv2.putText(picture, text, (int(x), int(y)), 0, 1.2, color, 3)
+    return Image.fromarray(picture)
+
+
+def box_object(mesh: trimesh.Trimesh, pose: SE3, symmetry: Symmetry | None = None) -> RefineObject:
+    return RefineObject(
+        "box",
+        np.asarray(mesh.vertices, dtype=np.float64),
+        np.asarray(mesh.faces, dtype=np.int64),
+        pose,
+        symmetry=symmetry or Symmetry(),
+        print=TexturedSurface.from_mesh(mesh),
+    )
+
+
+def cameras(count: int) -> list[SE3]:
+    """Camera poses on an arc about the origin, half a metre away."""
+    found = []
+    for angle in np.linspace(-0.9, 0.9, count):
+        R = so3_exp([0, angle, 0]) @ so3_exp([0.45, 0, 0])
+        found.append(SE3(R, R @ np.array([0, 0, -0.5])))
+    return found
+
+
+def photos(
+    mesh: trimesh.Trimesh, pose: SE3, *, gain: tuple[float, ...] = (1, 1, 1), seed: int = 0
+) -> list[RefineView]:
+    """Pictures of the mesh before a grey table, lit from one side, with noise."""
+    surface = TexturedSurface.from_mesh(mesh)
+    random = np.random.default_rng(seed)
+    views = []
+    for number, T in enumerate(cameras(4)):
+        image = np.full((240, 320, 3), 120.0)
+        T_cam_obj = T.inverse() @ pose
+        if surface is None:
+            plain = TexturedSurface(
+                np.asarray(mesh.vertices, dtype=np.float64),
+                mesh.faces,
+                SurfaceColors(np.full((len(mesh.faces), 3, 3), 180, np.float32), None),
+            )
+            drawn = plain.draw(CAMERA, T_cam_obj)
+        else:
+            drawn = surface.draw(CAMERA, T_cam_obj)
+        assert drawn is not None
+        h, w = drawn.mask.shape
+        light = 0.55 + 0.45 * np.clip(drawn.normal @ (pose.R.T @ [0.6, -0.5, -0.6]), 0, 1)
+        part = image[drawn.y : drawn.y + h, drawn.x : drawn.x + w]
+        part[drawn.mask] = (drawn.color * light[..., None])[drawn.mask]
+        image = image * np.array(gain) + random.normal(0, 4, image.shape)
+        views.append(RefineView(CAMERA, T, np.clip(image, 0, 255).astype(np.uint8), frame=number))
+    return views
+
+
+POSE = SE3(so3_exp([1.4, 0.1, 0.2]), np.array([0.01, 0.0, 0.02]))
+HALF = SE3(so3_exp([0, 0, np.pi]), np.zeros(3))
+
+
+def test_a_box_has_three_half_turns() -> None:
+    mesh = box_mesh(None)
+    turns = NearSymmetry(np.asarray(mesh.vertices), np.asarray(mesh.faces)).turns
+    assert sorted(a.text for a in turns) == [
+        f"turned by 180 deg about {axis}" for axis in ("x", "y", "z")
+    ]
+    assert all(a.exact for a in turns)
+
+
+def test_declared_symmetries_are_no_alternatives() -> None:
+    mesh = box_mesh(None)
+    declared = Symmetry(discrete=(tuple(HALF.matrix().ravel()),))
+    turns = NearSymmetry(np.asarray(mesh.vertices), np.asarray(mesh.faces), declared).turns
+    # The half turns about x and y are one and the same then.
+    assert len(turns) == 1
+    assert rotation_error(turns[0].turn, SE3.identity(), declared) > 1
+
+
+def test_a_can_is_tried_all_around_and_upside_down() -> None:
+    can = trimesh.creation.cylinder(radius=0.03, height=0.1, sections=48)
+    turns = NearSymmetry(np.asarray(can.vertices), np.asarray(can.faces)).turns
+    texts = [a.text for a in turns]
+    assert "turned by 180 deg about z" in texts
+    assert "turned by 40 deg about z" in texts
+    over = [a for a in turns if abs(a.turn.R[2, 2] + 1) < 0.01]
+    assert len(over) >= 12
+
+
+def test_a_mug_with_a_handle_has_no_turn() -> None:
+    body = trimesh.creation.cylinder(radius=0.04, height=0.1, sections=32)
+    handle = trimesh.creation.box((0.04, 0.015, 0.06))
+    handle.apply_translation([0.06, 0, 0])
+    mesh = trimesh.util.concatenate([body, handle])
+    turns = NearSymmetry(np.asarray(mesh.vertices), np.asarray(mesh.faces)).turns
+    assert not any(a.text.endswith("deg about z") and "then" not in a.text for a in turns)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("gain", [(1, 1, 1), (0.55, 0.7, 0.9)])
+def test_the_right_pose_fits_and_the_half_turn_does_not(seed: int, gain: tuple[float, ...]) -> None:
+    mesh = box_mesh(printed_picture(seed))
+    views = photos(mesh, POSE, gain=gain, seed=seed)
+    right = judge_print(views, box_object(mesh, POSE))
+    assert right.verdict == "fits"
+    assert right.frames == 4
+    # A few pixels off is still right.
+    near = POSE @ SE3(so3_exp([0.03, 0.02, -0.03]), np.array([0.003, 0.002, -0.003]))
+    assert judge_print(views, box_object(mesh, near)).verdict == "fits"
+    wrong = judge_print(views, box_object(mesh, POSE @ HALF))
+    assert wrong.verdict == "turned"
+    assert wrong.text == "turned by 180 deg about z"
+    assert wrong.turn is not None
+    assert rotation_error(POSE @ HALF @ wrong.turn, POSE) < 0.02
+    assert wrong.sentence() == "turned by 180 deg about z fits the print better"
+    assert wrong.margin < -0.3
+
+
+@pytest.mark.slow
+def test_a_box_without_print_is_ambiguous_by_geometry() -> None:
+    mesh = box_mesh(None)
+    views = photos(mesh, POSE)
+    found = judge_print(views, box_object(mesh, POSE))
+    assert found.verdict == "ambiguous"
+    assert np.isnan(found.score)
+    assert found.text in found.sentence()
+
+
+@pytest.mark.slow
+def test_a_box_of_one_colour_is_never_turned() -> None:
+    plain = Image.new("RGB", (64, 64), (200, 40, 40))
+    mesh = box_mesh(plain)
+    views = photos(mesh, POSE)
+    for pose in (POSE, POSE @ HALF):
+        assert judge_print(views, box_object(mesh, pose)).verdict == "ambiguous"
+
+
+@pytest.mark.slow
+def test_another_print_than_the_mesh_has_is_undecided() -> None:
+    """A bottle of another print run: neither pose fits."""
+    views = photos(box_mesh(printed_picture(3)), POSE)
+    mesh = box_mesh(printed_picture(4))
+    found = judge_print(views, box_object(mesh, POSE))
+    assert found.verdict == "undecided"
+
+
+def test_an_object_out_of_view_is_undecided() -> None:
+    mesh = box_mesh(printed_picture(1))
+    away = SE3(np.eye(3), np.array([0.0, 0.0, -3.0]))
+    found = judge_print(photos(mesh, POSE), box_object(mesh, away))
+    assert (found.verdict, found.frames) == ("undecided", 0)
+
+
+PRINTED = {
+    0: ("003_cracker_box", "004_sugar_box", "006_mustard_bottle"),
+    1: ("009_gelatin_box", "010_potted_meat_can", "021_bleach_cleanser"),
+    2: ("008_pudding_box",),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.real
+@pytest.mark.parametrize("index", sorted(PRINTED))
+def test_prints_on_real_frames(index: int, test_data: Path) -> None:
+    if not (test_data / "realsense_ycb_frames").is_dir():
+        pytest.skip("realsense_ycb_frames not found")
+    frame = load_frame(test_data, index)
+    for k, obj in enumerate(frame.objects):
+        if obj.name not in PRINTED[index]:
+            continue
+        others = frame.objects[:k] + frame.objects[k + 1 :]
+        near = NearSymmetry(obj.vertices, obj.faces, obj.symmetry)
+        printed = replace(obj, print=print_of(test_data, obj.name))
+        right = judge_print([frame.view], printed, others, near=near)
+        assert right.verdict == "fits", (obj.name, right)
+        half = next(a for a in near.turns if a.text == "turned by 180 deg about z")
+        turned = replace(printed, T_world_obj=obj.T_world_obj @ half.turn)
+        wrong: PrintComparison = judge_print([frame.view], turned, others, near=near)
+        assert wrong.verdict == "turned", (obj.name, wrong)
