@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels import refine_inputs
-from std_toolkit.labels.print import PrintComparison
+from std_toolkit.labels.print import PrintComparison, judge_print
 from std_toolkit.labels.refine.caster import LayerStore
 from std_toolkit.labels.refine.depth import icp
 from std_toolkit.labels.refine.edges.approach import search_turns
@@ -37,6 +37,8 @@ Method = Literal["auto", "depth", "multiview"]
 _VIEWS_AROUND = 3
 # Search radius around the contour for edges, pixels: after alignment by depth, or by hand.
 _NEAR_PX, _FAR_PX = 24.0, 48.0
+# Fraction of the time after which only prints are compared.
+_COMPARED = 0.92
 # Time for an object without depth, in units of one with depth.
 _SEARCHED = 2.5
 
@@ -182,7 +184,8 @@ class _Run:
             self._turn_about()
         left += [i for i in self._fits if i not in self.found]
         if left:
-            self._fit_edges(left, sub_progress(self._report, share, 1))
+            self._fit_edges(left, sub_progress(self._report, share, _COMPARED))
+        self._compare_prints()
         self._report(1.0)
 
     def _uses_depth(self, i: int) -> bool:
@@ -277,6 +280,19 @@ class _Run:
             self.found[i] = self._of_depth(i, self._fits[i])
         else:
             self.failures[i] = error
+
+    def _compare_prints(self) -> None:
+        """Judge the print at each refined pose."""
+        poses = {i: found.pose for i, found in self.found.items()}
+        objects = self._problem.placed(poses)
+        for done, (i, found) in enumerate(self.found.items()):
+            self._report(_COMPARED + (1 - _COMPARED) * done / len(self.found))
+            others = [o for k, o in objects.items() if k != i]
+            judged = judge_print(self._problem.views, objects[i], others)
+            warnings = found.warnings
+            if judged.verdict == "turned":
+                warnings += (judged.sentence(),)
+            self.found[i] = replace(found, print=judged, warnings=warnings)
 
     def _placed(self) -> dict[int, RefineObject]:
         return self._problem.placed({i: f.T_world_obj for i, f in self._fits.items()})

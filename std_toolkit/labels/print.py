@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from std_toolkit.geometry import SE3, rotation_error
 from std_toolkit.labels.alternatives import Alternative, NearSymmetry
 from std_toolkit.labels.print_scores import (
     SMALLEST_PX,
+    PrintScore,
     PrintWindow,
     cut_window,
     score_view,
@@ -25,21 +25,24 @@ from std_toolkit.labels.refine.problem import RefineObject, RefineView, large_vi
 from std_toolkit.rendering.texture import TexturedSurface
 
 # Frames that are compared, and frames and size (pixels) of a first look at many alternatives.
-FRAMES, _FIRST_FRAMES, _FIRST_PX = 6, 3, 80.0
+FRAMES, _FIRST_FRAMES, _FIRST_PX = 8, 3, 80.0
 
 # With more alternatives, such as all turns of a can, the best are found by a first look.
 _MANY, _FOLLOWED = 6, 4
 
-# Total clarity of the frames below which the surface in view counts as plain.
+# Clarity of the best frame below which the surface in view counts as plain.
 _LEAST_CLARITY = 0.5
 
 # Least score and margin of a winner, each with a part that falls with the root of the number of
 # frames, and what is added where the best of many alternatives is taken.
-_SCORE, _MARGIN, _PER_FRAME = 0.25, 0.1, 0.1
+_SCORE, _MARGIN, _PER_FRAME = 0.15, 0.06, 0.1
 _SCORE_OF_MANY, _MARGIN_OF_MANY = 0.1, 0.05
 
+# The margin must exceed its standard deviation over the frames by this factor.
+_SURE = 1.5
+
 # The score and the margin at which the pose itself is confirmed.
-_OWN_SCORE, _OWN_MARGIN = 0.2, 0.05
+_OWN_SCORE, _OWN_MARGIN = 0.1, 0.02
 
 # A turn nearer than this is a matter of refinement: a print hardly changes by it.
 _NEAR_TURN = np.deg2rad(45)
@@ -151,46 +154,72 @@ def _judge(
     pose = obj.T_world_obj
     own = [score_view(w, surface, pose) for w in windows]
     kept = [k for k, s in enumerate(own) if s is not None]
-    if sum(s.clarity for s in own if s is not None) < _LEAST_CLARITY:
-        return None
     windows = [windows[k] for k in kept]
-    weight = np.array([own[k].clarity for k in kept])  # type: ignore[union-attr]
-    mine = np.array([own[k].value for k in kept])  # type: ignore[union-attr]
-    score = float(weight @ mine / weight.sum())
+    mine = [s for s in own if s is not None]
+    if not mine:
+        return PrintComparison("undecided", None, "", float("nan"), float("nan"), 0)
+    if max(s.clarity for s in mine) < _LEAST_CLARITY:
+        return None
     many = len(turns) > _MANY
-    scores = [
-        (_pooled(windows, weight, surface, pose @ a.turn), a)
-        for a in (_first_look(windows, surface, obj, turns) if many else turns)
+    tried = _first_look(windows, surface, obj, turns) if many else turns
+    duels = [
+        _duel(mine, [score_view(w, surface, pose @ a.turn) for w in windows], a) for a in tried
     ]
-    if not scores:
-        verdict: PrintVerdict = "fits" if score >= _OWN_SCORE + _PER_FRAME else "undecided"
-        return PrintComparison(verdict, None, "", score, float("nan"), len(windows))
-    rival_score, rival = max(scores, key=lambda s: s[0])
     per_frame = _PER_FRAME / np.sqrt(len(windows))
-    margin = rival_score - score
-    far = [s for s, a in scores if rotation_error(a.turn, SE3.identity()) > _NEAR_TURN]
-    least = _SCORE + per_frame + _SCORE_OF_MANY * many
-    if rival_score >= least and margin >= _MARGIN + per_frame + _MARGIN_OF_MANY * many:
+    if not duels:
+        weight = np.array([s.strength + 1e-3 for s in mine])
+        score = float(weight @ np.array([s.value for s in mine]) / weight.sum())
+        alone: PrintVerdict = "fits" if score >= _OWN_SCORE + per_frame else "undecided"
+        return PrintComparison(alone, None, "", score, float("nan"), len(windows))
+    best = max(duels, key=lambda d: d.margin)
+    far = [d for d in duels if rotation_error(d.rival.turn, SE3.identity()) > _NEAR_TURN]
+    verdict: PrintVerdict = "undecided"
+    if best.rival_score >= _SCORE + 1.5 * per_frame + _SCORE_OF_MANY * many and best.margin >= max(
+        _MARGIN + per_frame + _MARGIN_OF_MANY * many, _SURE * best.margin_std
+    ):
         verdict = "turned"
-    elif score >= _OWN_SCORE + per_frame and score - max(far, default=-1.0) >= (
-        _OWN_MARGIN + per_frame
+    elif all(
+        d.score >= _OWN_SCORE + per_frame and -d.margin >= _OWN_MARGIN + 0.5 * per_frame
+        for d in far
     ):
         verdict = "fits"
-    else:
-        verdict = "undecided"
-    return PrintComparison(verdict, rival.turn, rival.text, score, rival_score, len(windows))
+    return PrintComparison(
+        verdict, best.rival.turn, best.rival.text, best.score, best.rival_score, len(windows)
+    )
 
 
-def _pooled(
-    windows: Sequence[PrintWindow],
-    weight: NDArray[np.float64],
-    surface: TexturedSurface,
-    T_world_obj: SE3,
-) -> float:
-    """Mean score of a pose over the windows; one that shows nothing of it scores 0."""
-    found = [score_view(w, surface, T_world_obj) for w in windows]
-    values = np.array([0.0 if s is None else s.value for s in found])
-    return float(weight @ values / weight.sum())
+@dataclass(frozen=True)
+class _Duel:
+    """The pose against one alternative.
+
+    Attributes:
+        score, rival_score: means over the frames; a frame counts by the print that the two poses
+            predict in it: one that predicts a print where there is none is wrong as well.
+        margin: `rival_score` minus `score`.
+        margin_std: its standard deviation from the scatter of the frames; 0 for one or two.
+        rival: the alternative.
+    """
+
+    score: float
+    rival_score: float
+    margin: float
+    margin_std: float
+    rival: Alternative
+
+
+def _duel(
+    mine: Sequence[PrintScore], other: Sequence[PrintScore | None], rival: Alternative
+) -> _Duel:
+    # A pose that shows nothing in a frame scores 0 there.
+    theirs = [s or PrintScore(0.0, 0.0, 0.0, 0.0) for s in other]
+    weight = np.array([a.strength + b.strength + 1e-3 for a, b in zip(mine, theirs, strict=True)])
+    weight = weight / weight.sum()
+    a, b = (np.array([s.value for s in scores]) for scores in (mine, theirs))
+    margin = float(weight @ (b - a))
+    std = 0.0
+    if len(mine) >= 3:
+        std = float(np.sqrt((weight**2) @ ((b - a) - margin) ** 2) * np.sqrt(len(a) / (len(a) - 1)))
+    return _Duel(float(weight @ a), float(weight @ b), margin, std, rival)
 
 
 def _first_look(
@@ -202,6 +231,9 @@ def _first_look(
     """The most promising of many alternatives, from small pictures of a few frames."""
     picks = np.unique(np.linspace(0, len(windows) - 1, _FIRST_FRAMES).round().astype(int))
     small = [windows[k].shrunk(_FIRST_PX) for k in picks]
-    even = np.ones(len(small))
-    ranked = sorted(turns, key=lambda a: -_pooled(small, even, surface, obj.T_world_obj @ a.turn))
-    return ranked[:_FOLLOWED]
+
+    def promise(turn: Alternative) -> float:
+        found = [score_view(w, surface, obj.T_world_obj @ turn.turn) for w in small]
+        return sum(s.value * (s.strength + 0.1) for s in found if s is not None)
+
+    return sorted(turns, key=promise, reverse=True)[:_FOLLOWED]

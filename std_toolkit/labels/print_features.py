@@ -27,6 +27,13 @@ _BORDER_PX = 3
 # baked-in shading, above the second a clear print.
 _PLAIN, _PRINTED = 3.0, 8.0
 
+# Contrast of a print in large letters.
+_STRONG = 30.0
+
+# Shares of colours, colours without their slow part, and gradients in the agreement. Shading and
+# exposure disturb colours most, and gradients least.
+_SHARES = (0.15, 0.35, 0.5)
+
 # The same when pictures are aligned.
 _SLOW_ALIGN = 0.15
 
@@ -70,6 +77,11 @@ def contrast(color: Array32, mask: Mask, size: float) -> float:
     return float(np.sqrt((fine[mask] ** 2).mean()))
 
 
+def strength(level: float) -> float:
+    """0 to 1, how much a view tells about the print, from its contrast."""
+    return float(np.clip((level - _PLAIN) / (_STRONG - _PLAIN), 0, 1))
+
+
 def clarity(level: float) -> float:
     """0 for a plain surface, 1 for a clear print, from its contrast."""
     return float(np.clip((level - _PLAIN) / (_PRINTED - _PLAIN), 0, 1))
@@ -96,7 +108,7 @@ def agreement(drawn: Array32, taken: Array32, mask: Mask, size: float) -> float:
         size: of the object, pixels.
     """
     parts = agreements(drawn, taken, mask, size)
-    return float(np.mean(parts)) if parts else 0.0
+    return float(np.dot(parts, _SHARES)) if parts else 0.0
 
 
 def agreements(drawn: Array32, taken: Array32, mask: Mask, size: float) -> list[float]:

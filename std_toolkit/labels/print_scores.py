@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.geometry import SE3, Camera
-from std_toolkit.labels.print_features import agreement, aligned, clarity, contrast, inner_mask
+from std_toolkit.labels.print_features import (
+    agreement,
+    aligned,
+    clarity,
+    contrast,
+    inner_mask,
+    strength,
+)
 from std_toolkit.labels.refine.caster import WorldCaster
 from std_toolkit.labels.refine.problem import RefineObject, RefineView
 from std_toolkit.rendering.texture import TexturedSurface
@@ -92,11 +99,13 @@ class PrintScore:
     Attributes:
         value: correlation, -1 to 1.
         clarity: 0 to 1, whether the surface in view has a print at all.
+        strength: 0 to 1, how strong the print in view is.
         visible: fraction of the pixels of the object that are in view.
     """
 
     value: float
     clarity: float
+    strength: float
     visible: float
 
 
@@ -164,5 +173,6 @@ def score_view(
     taken = window.color
     if align:
         taken = aligned(drawn.color, taken, inner, limit_px=max(3.0, _MOTION * window.size))
-    level = clarity(contrast(drawn.color, inner, window.size))
-    return PrintScore(agreement(drawn.color, taken, inner, window.size), level, visible)
+    level = contrast(drawn.color, inner, window.size)
+    value = agreement(drawn.color, taken, inner, window.size)
+    return PrintScore(value, clarity(level), strength(level), visible)

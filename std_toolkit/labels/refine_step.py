@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.print import judge_print
 from std_toolkit.labels.refine import problem
 from std_toolkit.labels.refine.edges.solver import refine_poses
 from std_toolkit.labels.refined_scale import MeasuredScale
@@ -119,6 +120,10 @@ def refine_labels(
         print_views=load_print_views(scene, printed, [v.frame for v in views]),
     )
     _report(result)
+    by_id = dict(zip(sorted(everything), objects, strict=True))
+    at_scale = [
+        replace(v, T_world_cam=SE3(v.T_world_cam.R, v.T_world_cam.t * result.scale)) for v in views
+    ]
     refined = dict(labels)
     coupling = {}
     for i, found in zip(sorted(everything), result.objects, strict=True):
@@ -129,6 +134,15 @@ def refine_labels(
             continue
         if not found.converged:
             logger.warning("%s: the refinement did not converge; check its label", found.name)
+        at_end = replace(by_id[i], T_world_obj=found.T_world_obj)
+        around = [
+            replace(o, T_world_obj=x.T_world_obj)
+            for (k, o), x in zip(by_id.items(), result.objects, strict=True)
+            if k != i
+        ]
+        judged = judge_print(at_scale, at_end, around)
+        if judged.verdict == "turned":
+            logger.warning("%s: %s; turn it and refine again", found.name, judged.sentence())
         refined[i] = msgspec.structs.replace(
             placed[i],
             T_world_obj=found.T_world_obj.flat(),
