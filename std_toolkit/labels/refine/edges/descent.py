@@ -32,9 +32,9 @@ _SMALLEST_EDGE_STD_PX = 0.25
 _SMALLEST_DEPTH_STD_M = 0.001
 # Matches of a print in one view count as at most this many independent points: what is off is the
 # texture on the mesh and the camera pose, alike for neighbours.
-_PRINT_SAMPLES, _SMALLEST_PRINT_STD_PX = 6.0, 0.5
-# Beside a print, the contours of all views count as those of so many views.
-_CONTOURS_BESIDE_PRINT = 2.0
+_PRINT_SAMPLES, _SMALLEST_PRINT_STD_PX, _LARGEST_PRINT_STD_PX = 6.0, 0.5, 1.5
+# Beside a print, the contours of all views count as those of one view.
+_CONTOURS_BESIDE_PRINT = 1.0
 # Convergence limit of a step (mm at the object's surface): less than the change by contour
 # sampling from one step to the next. Coarse levels stop earlier.
 _SETTLED_MM = 0.1
@@ -230,10 +230,12 @@ def _weigh_prints(
 ) -> list[WeightedRows]:
     left = [r.residual - r.pose @ xi - r.scale * d_scale for r in printed]
     std = max(_robust_std(np.concatenate(left)), _SMALLEST_PRINT_STD_PX)
+    # A print may have parts that the mesh's print has not: the mode of the matches counts.
+    sharp = min(std, _LARGEST_PRINT_STD_PX)
     found = []
     for rows, rest in zip(printed, left, strict=True):
         share = min(1.0, _PRINT_SAMPLES / len(rest)) / std**2
-        weight = share * _cauchy(np.linalg.norm(rest, axis=1) / (std * np.sqrt(2)))
+        weight = share * _cauchy(np.linalg.norm(rest, axis=1) / (sharp * np.sqrt(2)))
         J = np.concatenate([rows.pose, rows.scale[..., None]], axis=2).reshape(-1, 7)
         flat = rows.residual.reshape(-1), J, (SCALE,), np.repeat(weight, 2)
         found.append(WeightedRows(index, rows.view, *flat))

@@ -32,7 +32,7 @@ _LONGEST_PX, _SMALLEST_PX = 300.0, 40.0
 _ROUNDS = ((0.12, 12), (0.05, 32), (0.03, 32))
 
 # The best match must be this much nearer than the second; both are near their predicted place.
-_RATIO = 0.85
+_RATIO = 0.8
 
 # Matched features have nearly the same orientation and size, because the pose is nearly right.
 _TURN_DEG, _ZOOM = 25.0, 1.5
