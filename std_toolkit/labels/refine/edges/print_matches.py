@@ -111,6 +111,7 @@ def follow_prints(
             views, scaled, objects, state, level, use_depth=options.use_depth, layers=layers
         )
         for _ in range(_STEPS):
+            last_scale = state.log_scale
             rows = _rows(matches, every, state, level.scale)
             measured = outlines + Measurements([], [], rows)
             steps = advance(objects, state, measured, level.scale, options)
@@ -130,7 +131,12 @@ def follow_prints(
         at_end = measure(
             views, scaled, objects, state, level, use_depth=options.use_depth, layers=layers
         )
-        descent = replace(descent, measured=at_end + Measurements([], [], rows), step_mm=moved)
+        descent = replace(
+            descent,
+            measured=at_end + Measurements([], [], rows),
+            step_mm=moved,
+            scale_step=abs(state.log_scale - last_scale),
+        )
     return descent
 
 
