@@ -172,7 +172,8 @@ class ObjectListModel(QAbstractListModel):
         if role == _ROLE.DisplayRole:
             return row.name
         if role == _ROLE.ToolTipRole:
-            return row.explanation
+            # The row may cut a long name.
+            return f"{row.name} ({row.model})\n{row.explanation}"
         if role == _ROLE.UserRole:
             return row
         return None

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 from bench import Bench
+from PySide6.QtCore import Qt
 
 from annotator.app import operations
 from annotator.app.object_summary import summarize
@@ -98,3 +99,10 @@ def test_pictures_are_not_begun_anew_with_every_edit(bench: Bench, tmp_path: Pat
     for _ in range(3):
         bench.controller.nudge(shift=(1, 0, 0))
     assert asked.count("Thumbnails") == before
+
+
+def test_the_tip_of_an_object_has_its_whole_name(bench: Bench) -> None:
+    """The row cuts names that are wider than the panel."""
+    objects = bench.space.objects.list.model()
+    tip = objects.data(objects.index(0, 0), Qt.ItemDataRole.ToolTipRole)
+    assert tip.startswith("box_1 (box)\n")
