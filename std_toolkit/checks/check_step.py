@@ -16,6 +16,7 @@ from std_toolkit.checks import (
     aggregate,
     coverage,
     figures,
+    object_sizes,
     overlay,
     prints,
     residuals,
@@ -127,7 +128,8 @@ def _check(
     sparse, fused = sparse_cloud(scene), fused_cloud(scene, readable)
     up = _up(scene, sparse or fused)
     compared = prints.compare_prints(scene, readable)
-    report = judge_scene(scene, observed, problems, options, up=up, compared=compared)
+    sizes = object_sizes.measure_sizes(scene)
+    report = judge_scene(scene, observed, problems, options, up=up, compared=compared, sizes=sizes)
     if sparse is None and report.summary.registered:
         report.missing.append("The points of the reconstruction (poses/points.ply).")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +17,7 @@ from std_toolkit.checks.gates import evaluate_gates, evaluate_object, scale_shar
 from std_toolkit.labels.print import PrintComparison
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
+from std_toolkit.scene.model import ScaleEstimate
 
 
 def judge_scene(
@@ -26,6 +28,7 @@ def judge_scene(
     *,
     up: NDArray[np.float64],
     compared: Mapping[int, PrintComparison] | None = None,
+    sizes: ScaleEstimate | None = None,
 ) -> result.CheckReport:
     """Aggregate the measurements and evaluate the gates; writes nothing.
 
@@ -36,6 +39,7 @@ def judge_scene(
         options: limits.
         up: (3,) unit vector that points up in the world.
         compared: comparisons of the prints, by object id; see `prints.compare_prints`.
+        sizes: scale from the sizes of the objects; see `object_sizes.measure_sizes`.
     """
     bias = aggregate.common_depth_bias(scene, observed)
     objects = aggregate.check_objects(scene, observed, up=up, depth_bias=bias)
@@ -43,6 +47,7 @@ def judge_scene(
     materials = aggregate.check_materials(scene, observed)
     objects = prints.with_prints(objects, compared or {})
     summary = _summary(scene, objects, rows, observed, bias)
+    summary = msgspec.structs.replace(summary, sizes=sizes)
     objects = [evaluate_object(o, scale_share(summary), options) for o in objects]
     faults = find_frame_faults(objects, rows, options)
     objects, rows = faults.objects, faults.frames

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 from std_toolkit import __version__
 from std_toolkit.checks import figures, inject_report, label_sections, overlay, result
+from std_toolkit.checks.scale_section import scale_fact, scale_table
 from std_toolkit.html import page
 from std_toolkit.html.plots import MATERIAL_COLORS
 from std_toolkit.html.table import MINUS, NONE, Cell, Column, Row, Table, number
 from std_toolkit.options import CheckOptions
-from std_toolkit.scene.scale_model import differences
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def _facts(report: result.CheckReport) -> list[page.Fact]:
         )
         if edges
         else page.Fact("contour to edge", NONE),
-        page.Fact("scale from", *_scale_fact(report)),
+        page.Fact("scale from", *scale_fact(report)),
     ]
 
 
@@ -131,35 +131,9 @@ def _scene(report: result.CheckReport, parts: PageParts, options: CheckOptions) 
             ),
             page.Plot("scene", parts.view3d),
         ]
-    scale = report.summary.scale
-    if scale is not None and scale.estimates:
-        columns = [
-            Column(heading="source", numeric=False),
-            Column(heading="factor", unit="m per unit", digits=5),
-            Column(heading="against the poses", unit="%", factor=100, digits=2, signed=True),
-            Column(heading="spread", unit="%, IQR", factor=100, digits=2),
-            Column(heading="standard error", unit="%", factor=100, digits=3),
-            Column(heading="deviation", unit="%", factor=100, digits=2),
-            Column(heading="measurements", digits=0),
-            _TEXT,
-        ]
-        used = {e.source for e in scale.used()}
-        applied = scale.applied_factor
-        rows = []
-        for e in scale.estimates:
-            values = (e.factor, e.factor / applied - 1, e.spread, e.standard_error, e.sigma)
-            name = Cell(text=e.source, note="used" if e.source in used else "")
-            cells = _cells(columns[1:-1], (*values, e.count))
-            rows.append(Row([name, *cells, Cell(text=e.note)]))
-        notes = [
-            f"The camera poses have {applied:.6g} m per unit with a deviation of "
-            f"{100 * scale.applied_sigma:.2f} %: the mean of the used sources, weighted by inverse "
-            "variance. A deviation includes the systematic error of the kind of source.",
-            *(f"{d}." for d in differences(scale.estimates)),
-        ]
-        blocks.append(
-            Table(title="Sources of metric scale", notes=notes, columns=columns, rows=rows)
-        )
+    sources = scale_table(report)
+    if sources is not None:
+        blocks.append(sources)
     figure = figures.registration_figure(report, limit_px=options.max_reprojection_px)
     if figure is not None:
         blocks += [page.Heading("Camera poses over frames"), page.Plot("registration", figure)]
@@ -267,16 +241,3 @@ def _cells(columns: Sequence[Column], values: Sequence[float | None]) -> list[Ce
 
 def _with_unit(gate: result.CheckGate, value: float | None) -> str:
     return NONE if value is None else f"{value:.4g} {gate.unit}".rstrip().replace("-", MINUS)
-
-
-def _scale_fact(report: result.CheckReport) -> tuple[str, str]:
-    """Source of the metric scale, and the difference between its sources."""
-    scale = report.summary.scale
-    if scale is None:
-        return "given" if report.summary.registered else NONE, ""
-    name = "unknown" if scale.unit == "unknown" else scale.chosen
-    if len(scale.estimates) < 2:
-        return name, ""
-    worst = differences(scale.estimates)[0]
-    text = f"{len(scale.estimates)} sources, differ by {100 * worst.relative:.2f} %"
-    return name, f"{text} ({worst.sigma:.1f} standard deviations)"

@@ -50,6 +50,7 @@ def find_warnings(
         *(w for item in objects for w in _object_warnings(item, options)),
         *print_warnings(objects),
         *_scale_warnings(summary),
+        *_size_warnings(summary, options),
         *_depth_warnings(summary, materials),
     ]
     return found + sorted(rest, key=lambda w: _ORDER[w.severity])
@@ -147,6 +148,33 @@ def _object_warnings(item: result.ObjectCheck, options: CheckOptions) -> list[re
     if item.weak_direction:
         warn("low", item.weak_direction, "annotate it in a view perpendicular to that direction")
     return found
+
+
+def _size_warnings(
+    summary: result.SceneSummary, options: CheckOptions
+) -> list[result.CheckWarning]:
+    """Camera poses and labels of one wrong scale agree; only the sizes of the objects tell it."""
+    sizes = summary.sizes
+    if sizes is None:
+        return []
+    change = sizes.factor - 1
+    limit = max(options.max_scale_disagreement, options.max_scale_sigma * sizes.sigma)
+    if abs(change) <= limit:
+        return []
+    known = summary.scale is not None and summary.scale.applied_sigma < sizes.sigma
+    return [
+        result.CheckWarning(
+            severity="medium",
+            about="scale",
+            problem="the sizes of the objects ask for camera poses that are "
+            f"{100 * abs(change):.1f} % +- {100 * sizes.sigma:.1f} % "
+            f"{'larger' if change > 0 else 'smaller'} ({sizes.note})",
+            advice="check the sizes of the meshes, and the source of the scale"
+            if known
+            else "run `std-curate propagate --refine --refine-scale`, or correct the sizes of the "
+            "meshes",
+        )
+    ]
 
 
 def _scale_warnings(summary: result.SceneSummary) -> list[result.CheckWarning]:

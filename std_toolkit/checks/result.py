@@ -8,7 +8,7 @@ from typing import Any, Literal
 import msgspec
 
 from std_toolkit.checks.detectability import Detectability
-from std_toolkit.scene.model import Count, Document, ObjectId, ScaleReport
+from std_toolkit.scene.model import Count, Document, ObjectId, ScaleEstimate, ScaleReport
 
 Severity = Literal["high", "medium", "low"]
 
@@ -255,6 +255,8 @@ class SceneSummary(Document, frozen=True, kw_only=True):
         depth_shifts: number of outlines.
         depth_bias: rendered over sensor depth minus 1, common to all diffuse objects.
         scale: from the poses.
+        sizes: scale from the sizes of the labelled objects; its factor is relative to the present
+            scale of the poses, 1 if they agree.
         poses_source: from the poses.
     """
 
@@ -272,6 +274,7 @@ class SceneSummary(Document, frozen=True, kw_only=True):
     depth_shift_std_px: Number = None
     depth_shifts: Count = 0
     scale: ScaleReport | None = None
+    sizes: ScaleEstimate | None = None
     poses_source: str = ""
 
 

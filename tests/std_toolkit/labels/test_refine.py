@@ -129,6 +129,26 @@ def test_the_scale_of_the_camera_positions_is_found():
     assert error_mm(result.objects[0].T_world_obj, box()) < 1.5
 
 
+def test_the_pose_at_another_scale_follows_from_the_coupling():
+    """Against a refinement with the scale fixed there; the world's origin is far off."""
+    far = SE3(np.eye(3), np.array([0.4, 0.2, 0.3]))
+    wrong = []
+    for angle in ANGLES:
+        v = photograph([box()], angle)
+        T = far @ v.T_world_cam
+        wrong.append(RefineView.of(v.camera, SE3(T.R, T.t * 1.01), v.color))
+    start = box(pose=far @ TRUTH @ SMALL)
+    free = refine_poses(wrong, [start], RefineOptions(refine_scale=True))
+    assert free.scale_converged
+    assert abs(free.scale * 1.01 - 1) < 0.003
+    fixed = refine_poses(wrong, [start]).objects[0].T_world_obj
+    found = free.objects[0]
+    moved = found.T_world_obj @ SE3.exp(-np.log(free.scale) * found.scale_coupling)
+    before = error_mm(found.T_world_obj, start, fixed)
+    assert before > 2
+    assert error_mm(moved, start, fixed) < 0.25 * before
+
+
 @pytest.mark.slow
 def test_objects_hide_each_other():
     ahead = SE3(TRUTH.R, TRUTH.t + np.array([0.03, -0.08, 0.0]))
