@@ -65,7 +65,7 @@ def measure_sizes(scene: Scene) -> ScaleEstimate | None:
 def object_sizes(scene: Scene) -> list[ObjectSize]:
     """The scale by each labelled object; those without sufficient views are left out."""
     placed = {o.id: T for o in scene.objects.objects if (T := scene.T_world_obj(o.id)) is not None}
-    if not placed:
+    if not placed or not scene.registered_frames():
         return []
     try:
         frames = choose_keyframes(scene, placed, count=_KEYFRAMES)
