@@ -159,6 +159,8 @@ class PoseOptions(PoseBasics):
     """number of temporal neighbours to match each keyframe with"""
     loops: Whole = 4
     """number of similar keyframes from other times to match each keyframe with"""
+    small_set: Whole = 60
+    """match all pairs of up to this many frames where the usual pairs leave frames out"""
     min_points: Annotated[int, msgspec.Meta(ge=6)] = 20
     """smallest number of points needed to register a frame"""
     # Reduced on a short sweep and where an image has too few points. The limit keeps the objects

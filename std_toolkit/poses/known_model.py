@@ -27,6 +27,7 @@ from std_toolkit.poses.colmap import (
 from std_toolkit.poses.known_cameras import KnownPoses
 from std_toolkit.poses.pose_check import check_poses, join_tracks
 from std_toolkit.poses.scale_sources import DepthScale, ScaleContext, resolve_scale
+from std_toolkit.poses.small_sets import verified_matches
 from std_toolkit.scene import Frame, Scene
 from std_toolkit.scene.model import Gate, ScaleReport
 
@@ -93,7 +94,10 @@ def reconstruct_known(
         for f in keyframes
     ]  # fmt: skip
     database, camera_ids = mapping.match_keyframes(images, pairs, cameras, work, options=options)
-    tracks = join_tracks(_verified(database), {f.id: loaded[f.id].uv for f in keyframes})
+    tracks = join_tracks(
+        [(a - 1, b - 1, m) for a, b, m in verified_matches(database)],
+        {f.id: loaded[f.id].uv for f in keyframes},
+    )
     file_names = {f.id: f.color.rsplit("/")[-1] for f in frames}
     verdict = check_poses(known, tracks, lens, file_names)
     poses = {f: T for f, T in known.poses().items() if f not in verdict.bad}
@@ -212,18 +216,6 @@ def _pairs(vectors: Sequence[Any], options: PoseOptions) -> list[tuple[int, int]
     if len(vectors) <= _ALL_PAIRS:
         return list(combinations(range(len(vectors)), 2))
     return features.choose_pairs(vectors, overlap=options.overlap, loops=options.loops)
-
-
-def _verified(database: Path) -> list[tuple[int, int, Any]]:
-    """Verified matches as (frame id, frame id, feature indices)."""
-    with pycolmap.Database.open(database) as opened:
-        numbers, geometries = opened.read_two_view_geometries()
-    found = []
-    for number, geometry in zip(numbers, geometries, strict=True):
-        a, b = pycolmap.pair_id_to_image_pair(number)
-        if len(geometry.inlier_matches):
-            found.append((a - 1, b - 1, np.asarray(geometry.inlier_matches, dtype=np.int64)))
-    return found
 
 
 def _triangulate(

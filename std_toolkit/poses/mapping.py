@@ -79,11 +79,8 @@ def map_keyframes(
         ToolkitError: no two keyframes fit together.
     """
     database, camera_ids = match_keyframes(images, pairs, cameras, work, options=options)
-    with quiet_colmap():
-        pycolmap.set_random_seed(options.seed)
-        models = _map(database, work, options, _threads(options))
-    ranked = sorted(models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()))
-    if not ranked or ranked[-1].num_reg_images() < 2:
+    ranked = map_database(database, work, options=options)
+    if not ranked:
         raise ToolkitError(
             "structure from motion found no two keyframes that fit together",
             hint="record with more overlap, more texture in view and less motion blur",
@@ -120,6 +117,24 @@ def match_keyframes(
         _write_database(database, images, cameras, camera_ids, distorted=distorted)
         _match(database, images, pairs, work, threads=_threads(options), seed=options.seed)
     return database, camera_ids
+
+
+def map_database(database: Path, work: Path, *, options: PoseOptions) -> list[Any]:
+    """Map the verified matches of a database.
+
+    Args:
+        database: database of `match_keyframes`.
+        work: folder for the models, which must not have any yet.
+        options: options of the pose step.
+
+    Returns:
+        The models of two or more images; the largest is the last.
+    """
+    with quiet_colmap():
+        pycolmap.set_random_seed(options.seed)
+        models = _map(database, work, options, _threads(options))
+    ranked = sorted(models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()))
+    return [m for m in ranked if m.num_reg_images() >= 2]
 
 
 def _threads(options: PoseOptions) -> int:

@@ -141,6 +141,9 @@ def _run(
         source="sfm" if known is None else f"import:{known.filed.kind}",
         notes=notes,
     )
+    if done.about.explained is not None:
+        explained = matches_gate(done.about.explained)
+        poses = msgspec.structs.replace(poses, gates=[*poses.gates, explained])
     if known is not None:
         gates = known_gates(poses.gates, known, scene.frames)
         poses = msgspec.structs.replace(poses, gates=gates)
@@ -341,6 +344,19 @@ def _disagreement_sigma(scale: ScaleReport, options: PoseOptions) -> float:
     """Largest difference of two sources in joint deviations; relatively small ones count as 0."""
     found = differences(scale.estimates)
     return max((d.sigma for d in found if d.relative > options.max_disagreement), default=0.0)
+
+
+def matches_gate(explained: float) -> Gate:
+    """Gate of a small set whose pairs were all matched; a ring may close on the wrong side."""
+    from std_toolkit.poses.small_sets import MIN_EXPLAINED
+
+    return _at_least(
+        "matches_explained",
+        explained,
+        MIN_EXPLAINED,
+        "matches of neighbouring images contradict the poses: sides that look alike were taken for "
+        "one; put texture around the object, or give known poses with --cameras",
+    )
 
 
 def _position_sigma(registered: Sequence[FramePose], distance: float) -> float:

@@ -32,6 +32,7 @@ from std_toolkit.poses.features import (
     train_vocabulary,
 )
 from std_toolkit.poses.mapping import MappingImage, adjust, map_keyframes
+from std_toolkit.poses.small_sets import map_small_set, rank_model
 from std_toolkit.scene import CameraModel, Frame, Scene
 from std_toolkit.scene.document import digest_file, digest_of
 from std_toolkit.scene.model import Document
@@ -44,6 +45,7 @@ _MODEL_OPTIONS = (
     "fine_keyframes",
     "overlap",
     "loops",
+    "small_set",
     "mapper",
     "refine",
     "min_angle_deg",
@@ -60,11 +62,14 @@ class Reconstruction(Document, frozen=True, kw_only=True):
         keyframes: frame ids of the keyframes.
         camera_ids: COLMAP camera id by camera key.
         other_sizes: number of images in each smaller model that was dropped.
+        explained: fraction of the matches of neighbouring images that the model explains, if all
+            pairs were matched.
     """
 
     keyframes: list[int]
     camera_ids: dict[str, int]
     other_sizes: list[int] = msgspec.field(default_factory=list)
+    explained: float | None = None
 
 
 @dataclass(frozen=True)
@@ -171,6 +176,79 @@ def reconstruct(
 
 
 def _build(
+    scene: Scene,
+    digests: dict[int, str],
+    features: Path,
+    work: Path,
+    options: PoseOptions,
+    jobs: JobOptions,
+) -> tuple[Any, Reconstruction]:
+    """Map the keyframes and register the rest; match all pairs if a small set leaves images out.
+
+    The better model has more registered images, then the lower reprojection error.
+    """
+    total = len(scene.frames)
+    first: tuple[Any, Reconstruction] | None = None
+    failure: ToolkitError | None = None
+    try:
+        first = _build_sequentially(scene, digests, features, work, options, jobs)
+    except ToolkitError as error:
+        if total > options.small_set:
+            raise
+        failure = error
+    if first is not None and (total > options.small_set or first[0].num_reg_images() == total):
+        return first
+    found = first[0].num_reg_images() if first is not None else 0
+    logger.info("camera poses: %d of %d images; matching all pairs", found, total)
+    second = _build_exhaustively(scene, digests, features, work, options, jobs)
+    results = [x for x in (first, second) if x is not None]
+    if not results:
+        assert failure is not None
+        raise failure
+    return max(results, key=lambda x: rank_model(x[0]))
+
+
+def _build_exhaustively(
+    scene: Scene,
+    digests: dict[int, str],
+    features: Path,
+    work: Path,
+    options: PoseOptions,
+    jobs: JobOptions,
+) -> tuple[Any, Reconstruction] | None:
+    frames = scene.frames
+    cameras = {f.camera: scene.info.cameras[f.camera].camera() for f in frames}
+
+    def images(faint: bool) -> list[MappingImage]:
+        names = {f.id: feature_name(f, digests[f.id], True, options, faint=faint) for f in frames}
+        wanted = [
+            FeatureJob(names[f.id], scene.color_path(f), cameras[f.camera].size, True, faint)
+            for f in frames
+        ]
+        extract_features(wanted, features, max_features=options.max_features, options=jobs)
+        return [
+            MappingImage(
+                image_id=image_id_of(f),
+                name=f.color,
+                camera=f.camera,
+                features=load_features(features, names[f.id]),
+            )
+            for f in frames
+        ]
+
+    found = map_small_set(images, cameras, work, options=options)
+    if found is None:
+        return None
+    about = Reconstruction(
+        keyframes=[f.id for f in frames],
+        camera_ids=found.mapping.camera_ids,
+        other_sizes=found.mapping.other_sizes,
+        explained=found.explained,
+    )
+    return found.mapping.model, about
+
+
+def _build_sequentially(
     scene: Scene,
     digests: dict[int, str],
     features: Path,
@@ -304,9 +382,11 @@ def _check_absent(model: Any, frame: Frame) -> None:
         raise ToolkitError("image is in the model without a pose", value=frame.color)
 
 
-def feature_name(frame: Frame, digest: str, fine: bool, options: PoseOptions) -> str:
+def feature_name(
+    frame: Frame, digest: str, fine: bool, options: PoseOptions, *, faint: bool = False
+) -> str:
     """Return the name of the feature file of a frame."""
-    key = digest_of("sift", digest, fine, options.max_features)
+    key = digest_of("faint sift" if faint else "sift", digest, fine, options.max_features)
     return f"{frame.name}-{key[:16]}"
 
 

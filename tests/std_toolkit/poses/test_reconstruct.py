@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pycolmap
 
-from std_toolkit.poses.reconstruct import _unregister_unseen
+from std_toolkit.poses.reconstruct import unregister_unseen
 
 
 def test_an_image_that_lost_its_points_has_no_pose() -> None:
@@ -17,6 +17,6 @@ def test_an_image_that_lost_its_points_has_no_pose() -> None:
     for index in image.get_observation_point2D_idxs()[:-5]:
         model.delete_observation(image.image_id, index)
     assert 0 < image.num_points3D < 20
-    _unregister_unseen(model, min_points=20)
+    unregister_unseen(model, min_points=20)
     assert not model.image(image.image_id).has_pose
     assert model.num_reg_images() == 3
