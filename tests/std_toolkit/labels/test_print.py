@@ -15,7 +15,8 @@ from realsense_ycb import load_frame, print_of
 from std_toolkit.geometry import SE3, Camera, Symmetry, rotation_error, so3_exp
 from std_toolkit.labels.alternatives import NearSymmetry
 from std_toolkit.labels.print import PrintComparison, judge_print
-from std_toolkit.labels.refine.problem import RefineObject, RefineView
+from std_toolkit.labels.refine.edges.solver import refine_poses
+from std_toolkit.labels.refine.problem import RefineObject, RefineOptions, RefineView
 from std_toolkit.rendering.texture import SurfaceColors, TexturedSurface
 
 CAMERA = Camera(320, 240, 420.0, 420.0, 159.5, 119.5)
@@ -230,3 +231,17 @@ def test_prints_on_real_frames(index: int, test_data: Path) -> None:
         turned = replace(printed, T_world_obj=obj.T_world_obj @ half.turn)
         wrong: PrintComparison = judge_print([frame.view], turned, others, near=near)
         assert wrong.verdict == "turned", (obj.name, wrong)
+
+
+@pytest.mark.slow
+def test_refinement_follows_the_print() -> None:
+    mesh = box_mesh(printed_picture(5))
+    views = photos(mesh, POSE, seed=3)
+    start = POSE @ SE3(so3_exp([0.05, -0.03, 0.06]), np.array([0.006, -0.004, 0.005]))
+    errors = {}
+    for use in (False, True):
+        result = refine_poses(views, [box_object(mesh, start)], RefineOptions(use_prints=use))
+        pose = result.objects[0].T_world_obj
+        errors[use] = np.rad2deg(rotation_error(pose, POSE))
+    assert errors[True] < 0.15
+    assert errors[True] < errors[False]
