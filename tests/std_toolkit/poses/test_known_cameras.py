@@ -84,7 +84,9 @@ def test_known_poses_are_kept_exactly(ring: Recording, tmp_path: Path) -> None:
     assert poses.scale.estimates[0].factor == pytest.approx(1, abs=5e-3)
     assert "read as camera-to-world in OpenCV axes, unit m" in poses.notes[0]
     assert (scene.root / "poses" / "sparse" / "images.bin").is_file()
-    assert run(scene, tmp_path / "poses") == poses
+    before = (scene.root / "poses.json").stat().st_mtime_ns
+    assert run(scene, tmp_path / "poses").frames == poses.frames
+    assert (scene.root / "poses.json").stat().st_mtime_ns == before
 
 
 @pytest.mark.slow
