@@ -345,11 +345,19 @@ class CheckOptions:
     """gate: largest image motion relative to a label that no pose explains"""
     max_alignment_px: float = 3.0
     """gate: largest shift of sensor depth against colour"""
+    max_motion_mm: float = 4.0
+    """gate: largest significant translation between a label and the images"""
+    max_motion_deg: float = 2.5
+    """gate: largest significant rotation between a label and the images"""
+    max_size_error: float = 0.025
+    """gate: largest significant relative difference in size between a mesh and its object"""
+    allow_unconfirmed: bool = False
+    """pass although the images do not confirm every label"""
     max_label_std_mm: float = 5.0
     """gate: largest standard deviation of a label along its weakest direction"""
     min_edge_support: Share = 0.3
     """smallest fraction of a contour that must be near image edges to be measured"""
-    max_frames: int = 120
+    max_frames: int = 0
     """number of evenly spaced frames to measure; 0 = all"""
     overlay_frames: int = 6
     """number of frames to show with all labels; 0 = no images"""

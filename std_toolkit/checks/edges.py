@@ -65,12 +65,14 @@ class Profiles:
         offsets: (S,) positions along the normal in px, positive outwards.
         threshold: (P,) slope above which a peak counts as an edge.
         normals: (P, 2).
+        index: (P,) places in the contour's points.
     """
 
     slope: Array
     offsets: Array
     threshold: Array
     normals: Array
+    index: NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -155,7 +157,7 @@ def read_profiles(
     slope = np.linalg.norm(values[:, 2:] - values[:, :-2], axis=-1) / (2 * STEP_PX * np.sqrt(3))
     floor = max(SMALLEST_SLOPE, 1.4 * noise)
     threshold = np.maximum(floor, RELATIVE_SLOPE * slope.max(axis=1))
-    return Profiles(slope, offsets[1:-1].astype(np.float64), threshold, normals)
+    return Profiles(slope, offsets[1:-1].astype(np.float64), threshold, normals, index)
 
 
 def edge_distance(profiles: Profiles) -> EdgeDistance:
@@ -226,6 +228,14 @@ def _score(profiles: Profiles, strength: Array, dx: Array, dy: Array) -> Array:
     value = left + part * (right - left)
     value[outside] = 0
     return np.asarray(value.mean(axis=0).reshape(dx.shape))
+
+
+def edge_peaks(profiles: Profiles) -> tuple[Array, Array]:
+    """(P, S-2) positions of the edges as in `_peaks`, and their strengths, 0..1."""
+    position = _peaks(profiles)
+    slope = profiles.slope[:, 1:-1]
+    strength = slope / (slope + profiles.threshold[:, None])
+    return position, np.where(np.isfinite(position), strength, 0.0)
 
 
 def _peaks(profiles: Profiles) -> Array:

@@ -7,6 +7,7 @@ from typing import Literal
 
 import msgspec
 
+from std_toolkit.checks.motion_checks import has_wrong_size, is_small
 from std_toolkit.checks.result import CheckGate, FrameCheck, Number, ObjectCheck, SceneSummary
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import CameraPoses
@@ -71,6 +72,8 @@ def is_confirmed(item: ObjectCheck, options: CheckOptions) -> bool:
     A wrong label is close to edges of other surfaces, especially in a textured scene. A small
     edge distance alone is therefore no evidence.
     """
+    if item.confirmed:
+        return True
     if not has_edges(item, options):
         return False
     return not is_uninformative(item) or shift_px(item, options) is not None
@@ -101,9 +104,13 @@ def evaluate_gates(
 def evaluate_object(item: ObjectCheck, share: float, options: CheckOptions) -> ObjectCheck:
     """The object with its verdict."""
     excess = depth_excess_mm(item, share)
+    small = is_small(item, options)
     bad = (
-        (has_edges(item, options) and (item.edge_px or 0) > options.max_edge_px)
-        or (shift_px(item, options) or 0) > options.max_shift_px
+        (not small and has_edges(item, options) and (item.edge_px or 0) > options.max_edge_px)
+        or (not small and (shift_px(item, options) or 0) > options.max_shift_px)
+        or (item.motion_mm or 0) > options.max_motion_mm
+        or (item.motion_deg or 0) > options.max_motion_deg
+        or has_wrong_size(item, options)
         or (excess is not None and excess > options.max_depth_mm)
         or (_drift(item, options) or 0) > options.max_drift_px
         or (item.label_std_mm or 0) > options.max_label_std_mm
@@ -114,7 +121,7 @@ def evaluate_object(item: ObjectCheck, share: float, options: CheckOptions) -> O
         verdict = "bad"
     elif not item.frames_seen:
         verdict = "open"
-    elif not is_confirmed(item, options):
+    elif item.confirmed is False or not is_confirmed(item, options):
         verdict = "doubtful"
     else:
         verdict = "good"
@@ -190,11 +197,12 @@ def _label_gates(
     unlabelled = [o.name for o in objects if o not in labelled]
     share = scale_share(summary)
     seen = [o for o in labelled if o.frames_seen]
-    edges = {o.name: o.edge_px for o in seen if has_edges(o, options)}
+    # Pixels depend on resolution and distance: they decide where the motion is not measured.
+    edges = {o.name: o.edge_px for o in seen if has_edges(o, options) and not is_small(o, options)}
     depth = {o.name: depth_excess_mm(o, share) for o in seen}
     drift = {o.name: _drift(o, options) for o in seen}
     spread = {o.name: o.label_std_mm for o in labelled}
-    shift = {o.name: shift_px(o, options) for o in seen}
+    shift = {o.name: shift_px(o, options) for o in seen if not is_small(o, options)}
     # Clear glass may have no visible edge; that is a warning, not a failure.
     blind = [o.name for o in seen if o.material != "transparent" and not is_confirmed(o, options)]
     return [

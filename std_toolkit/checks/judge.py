@@ -14,6 +14,7 @@ from std_toolkit.checks.alignment import common_depth_shift
 from std_toolkit.checks.fault_gates import fault_gates
 from std_toolkit.checks.frame_faults import find_frame_faults
 from std_toolkit.checks.gates import evaluate_gates, evaluate_object, scale_share
+from std_toolkit.checks.motion_checks import motion_gates, with_motions
 from std_toolkit.labels.print import PrintComparison
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
@@ -46,6 +47,7 @@ def judge_scene(
     rows = aggregate.check_frames(scene, observed, problems)
     materials = aggregate.check_materials(scene, observed)
     objects = prints.with_prints(objects, compared or {})
+    objects = with_motions(scene, objects, observed, options)
     summary = _summary(scene, objects, rows, observed, bias)
     summary = msgspec.structs.replace(summary, sizes=sizes)
     objects = [evaluate_object(o, scale_share(summary), options) for o in objects]
@@ -53,6 +55,7 @@ def judge_scene(
     objects, rows = faults.objects, faults.frames
     gates = evaluate_gates(summary, objects, rows, scene.poses, options)
     gates += fault_gates(faults, summary, options)
+    gates += motion_gates(objects, options)
     gates += [prints.print_gate(objects), *_mesh_gate(scene)]
     failed = [g for g in gates if g.status == "fail"]
     return result.CheckReport(

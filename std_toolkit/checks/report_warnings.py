@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from std_toolkit.checks import result
 from std_toolkit.checks.coverage import NARROW_DEG
 from std_toolkit.checks.gates import has_edges, is_confirmed
+from std_toolkit.checks.motion_checks import motion_warnings
 from std_toolkit.checks.prints import print_warnings
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
@@ -15,7 +16,7 @@ _ORDER: dict[result.Severity, int] = {"high": 0, "medium": 1, "low": 2}
 # Gates whose detail lists the objects or frames concerned.
 _NAMING = (
     "labelled", "edges", "shift", "depth", "drift", "covariance", "evidence", "frames", "meshes",
-    "print",
+    "print", "motion", "rotation", "size", "confirmed",
 )  # fmt: skip
 _LARGE_OFFSET_MM = 3.0
 _LOW_VISIBILITY = 0.5
@@ -48,6 +49,7 @@ def find_warnings(
     rest = [
         *_frame_warnings(frames),
         *(w for item in objects for w in _object_warnings(item, options)),
+        *motion_warnings(objects, options),
         *print_warnings(objects),
         *_scale_warnings(summary),
         *_size_warnings(summary, options),
@@ -121,7 +123,8 @@ def _object_warnings(item: result.ObjectCheck, options: CheckOptions) -> list[re
             f"({item.edge_chance_px:.1f} px): the images do not support the label",
             "inspect its close-ups",
         )
-    if (item.offset_norm_mm or 0) > _LARGE_OFFSET_MM and has_edges(item, options):
+    pooled = item.motion_mm is None and has_edges(item, options)
+    if pooled and (item.offset_norm_mm or 0) > _LARGE_OFFSET_MM:
         warn(
             "medium",
             f"all frames together place it {item.offset_norm_mm:.1f} mm from its label",

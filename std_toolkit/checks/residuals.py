@@ -22,6 +22,7 @@ from std_toolkit.checks.edges import (
     shift_jacobian,
     smooth_image,
 )
+from std_toolkit.checks.motion import MotionEquations, motion_equations
 from std_toolkit.checks.sensor_depth import DepthResidual, ErrorTally, depth_residual
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.options import CheckOptions
@@ -42,6 +43,7 @@ class ObjectObservation:
         depth_shift: shift of sensor depth against the image; None if undetermined.
         jacobian: (2, 3) px per metre in the world of the object's centre.
         metres_per_px: size of a pixel at the object.
+        motion: equations of the residual motion in six degrees of freedom.
     """
 
     visible_px: int
@@ -53,6 +55,7 @@ class ObjectObservation:
     jacobian: NDArray[np.float64] | None = None
     metres_per_px: float | None = None
     depth_shift: DepthShift | None = None
+    motion: MotionEquations | None = None
 
 
 @dataclass(eq=False)
@@ -284,6 +287,9 @@ def _observe_object(
         jacobian,
         2 * z / (view.camera.fx + view.camera.fy),
         displaced,
+        motion_equations(contour, profiles, view.camera, view.T_world_cam, centre)
+        if profiles
+        else None,
     )
 
 

@@ -16,6 +16,14 @@ Number = float | None
 
 _PARTS = {
     "offset_mm": ("offset_x_mm", "offset_y_mm", "offset_z_mm"),
+    "motion": (
+        "motion_x_mm",
+        "motion_y_mm",
+        "motion_z_mm",
+        "turn_x_deg",
+        "turn_y_deg",
+        "turn_z_deg",
+    ),
     "elevation_deg": ("elevation_min_deg", "elevation_max_deg"),
 }
 
@@ -76,6 +84,8 @@ class ObjectFrameCheck(Document, frozen=True, kw_only=True):
         shift_px: [x, y] from the label to the image.
         depth_mm: median of rendered minus sensor depth.
         depth_unscaled_mm: the same without the bias common to all diffuse objects.
+        motion_mm, motion_deg: significant translation and rotation between the label and the
+            image of this frame alone, which determines the distance weakly.
         fault: why the label does not fit in this frame, or "".
     """
 
@@ -87,6 +97,8 @@ class ObjectFrameCheck(Document, frozen=True, kw_only=True):
     shift_px: list[float] | None = None
     depth_mm: Number = None
     depth_unscaled_mm: Number = None
+    motion_mm: Number = None
+    motion_deg: Number = None
     fault: str = ""
 
 
@@ -115,6 +127,16 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
         offset_norm_mm: its length.
         drift_px, drift_mm: part of the shifts that no correction explains, median over frames.
         drift_frames: number of frames with a shift.
+        motion_mm, motion_std_mm: significant translation between the label and the images of all
+            frames, and its standard deviation; 0 if none is significant, null if not measured.
+        motion_deg, motion_std_deg: the same for the rotation about the object's centre.
+        motion: [x, y, z] translation in mm, [x, y, z] rotation vector in degrees, along the axes of
+            the world, with the parts that are not significant.
+        size_error, size_std: size of the object relative to its mesh, minus 1; null with fewer
+            than four frames.
+        confirmed: whether the images show the object where the label puts it; null if the object
+            has no label in the world.
+        confirmed_share: fraction of the frames with a visible contour in which it beats chance.
         label_std_mm: standard deviation along the weakest direction, from the label's covariance.
         label_std_deg: the same for the rotation.
         weak_direction: sentence from the label.
@@ -158,6 +180,15 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
     drift_px: Number = None
     drift_mm: Number = None
     drift_frames: Count = 0
+    motion_mm: Number = None
+    motion_std_mm: Number = None
+    motion_deg: Number = None
+    motion_std_deg: Number = None
+    motion: list[float] | None = None
+    size_error: Number = None
+    size_std: Number = None
+    confirmed: bool | None = None
+    confirmed_share: Number = None
     label_std_mm: Number = None
     label_std_deg: Number = None
     weak_direction: str = ""

@@ -1,0 +1,259 @@
+"""Residual motion, size and confirmation of the labels: values, gates and warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+
+from std_toolkit.checks.contours import mesh_problem
+from std_toolkit.checks.faults import object_centre
+from std_toolkit.checks.motion import (
+    FEWEST_SIZE_FRAMES,
+    Motion,
+    MotionEquations,
+    solve_motion,
+    symmetry_motions,
+)
+from std_toolkit.checks.residuals import FrameObservation
+from std_toolkit.checks.result import CheckGate, CheckWarning, ObjectCheck
+from std_toolkit.options import CheckOptions
+from std_toolkit.scene import Scene
+
+# Motions below these are not worth a warning.
+_NOTED_MM = 2.0
+_NOTED_DEG = 1.5
+_NOTED_SIZE = 0.015
+_SIZE_DEVIATIONS = 3.0
+_JUDGED_FRACTION = 0.2
+_LABELLED = ("propagated", "refined")
+
+
+def with_motions(
+    scene: Scene,
+    objects: Sequence[ObjectCheck],
+    observed: Sequence[FrameObservation],
+    options: CheckOptions,
+) -> list[ObjectCheck]:
+    """The rows of the objects with their motion, size and confirmation."""
+    return [_with_motion(scene, o, observed, options) for o in objects]
+
+
+def is_small(item: ObjectCheck, options: CheckOptions) -> bool:
+    """Whether the images confirm the label and its motion is within the limits."""
+    return (
+        item.confirmed is True
+        and (item.motion_mm or 0) <= options.max_motion_mm
+        and (item.motion_deg or 0) <= options.max_motion_deg
+    )
+
+
+def has_wrong_size(item: ObjectCheck, options: CheckOptions) -> bool:
+    """Whether the mesh differs from the object by more than the limit."""
+    return abs(size_error(item)) > options.max_size_error
+
+
+def size_error(item: ObjectCheck) -> float:
+    """The relative difference in size, 0 if it is not significant."""
+    if item.size_error is None or item.size_std is None:
+        return 0.0
+    significant = abs(item.size_error) > _SIZE_DEVIATIONS * item.size_std
+    return item.size_error if significant else 0.0
+
+
+def motion_gates(objects: Sequence[ObjectCheck], options: CheckOptions) -> list[CheckGate]:
+    """Gates on translation, rotation, size and confirmation."""
+    labelled = [o for o in objects if o.label in _LABELLED]
+    refine = "run `std-curate propagate --refine`, or correct the label in the annotator"
+    unconfirmed = [o for o in labelled if o.confirmed is False]
+    confirmed = _gate(
+        "confirmed",
+        "labels that the images do not confirm",
+        {o.name: 1.0 for o in unconfirmed} or {o.name: 0.0 for o in labelled},
+        0.0,
+        "inspect their overlays; annotate them in frames that show them clearly, or accept them "
+        "with --allow-unconfirmed",
+    )
+    names = ", ".join(o.name for o in unconfirmed)
+    accepted = options.allow_unconfirmed and confirmed.status == "fail"
+    confirmed = msgspec.structs.replace(
+        confirmed,
+        value=float(len(unconfirmed)) if labelled else None,
+        detail=names + ("; allowed by --allow-unconfirmed" if accepted else ""),
+        status="pass" if accepted else confirmed.status,
+    )
+    return [
+        _gate(
+            "motion",
+            "translation between a label and the images, worst object",
+            {o.name: o.motion_mm for o in labelled if o.motion_mm is not None},
+            options.max_motion_mm,
+            refine,
+            unit="mm",
+        ),
+        _gate(
+            "rotation",
+            "rotation between a label and the images, worst object",
+            {o.name: o.motion_deg for o in labelled if o.motion_deg is not None},
+            options.max_motion_deg,
+            refine,
+            unit="deg",
+        ),
+        _gate(
+            "size",
+            "difference in size between a mesh and its object, worst object",
+            {o.name: 100 * abs(size_error(o)) for o in labelled if o.size_error is not None},
+            100 * options.max_size_error,
+            "the mesh differs from the object: measure the object and scale its mesh, or use the "
+            "mesh of this object",
+            unit="%",
+        ),
+        confirmed,
+    ]
+
+
+def motion_warnings(objects: Sequence[ObjectCheck], options: CheckOptions) -> list[CheckWarning]:
+    """Significant motions and sizes below the limits, and labels that are not confirmed."""
+    found = []
+    for item in objects:
+        if item.label not in _LABELLED:
+            continue
+        parts = []
+        if _NOTED_MM <= (item.motion_mm or 0) <= options.max_motion_mm:
+            parts.append(f"{item.motion_mm:.1f} mm (± {item.motion_std_mm or 0:.1f})")
+        if _NOTED_DEG <= (item.motion_deg or 0) <= options.max_motion_deg:
+            parts.append(f"{item.motion_deg:.1f} deg (± {item.motion_std_deg or 0:.1f})")
+        if parts:
+            found.append(
+                CheckWarning(
+                    severity="medium",
+                    about=item.name,
+                    problem=f"all frames together place it {' and '.join(parts)} from its label",
+                    advice="run `std-curate propagate --refine`",
+                )
+            )
+        size = size_error(item)
+        if abs(size) >= _NOTED_SIZE:
+            word = "large" if size < 0 else "small"
+            found.append(
+                CheckWarning(
+                    severity="medium",
+                    about=item.name,
+                    problem=f"the mesh differs from the object: it is {100 * abs(size):.1f} % "
+                    f"(± {100 * (item.size_std or 0):.1f}) too {word}, or the scale of the poses "
+                    "is off",
+                    advice="measure the object and scale its mesh, or check the scale sources",
+                )
+            )
+        if item.confirmed is False:
+            share = 100 * (item.confirmed_share or 0)
+            found.append(
+                CheckWarning(
+                    severity="high",
+                    about=item.name,
+                    problem="is unconfirmed: its contour beats chance in "
+                    f"{share:.0f} % of the frames that show it",
+                    advice="inspect its close-ups",
+                )
+            )
+    return found
+
+
+def _with_motion(
+    scene: Scene,
+    item: ObjectCheck,
+    observed: Sequence[FrameObservation],
+    options: CheckOptions,
+) -> ObjectCheck:
+    T_world_obj = scene.T_world_obj(item.object)
+    if item.label not in _LABELLED or T_world_obj is None:
+        return item
+    if mesh_problem(scene, item.model) is not None:
+        return item
+    rows: dict[int, MotionEquations] = {}
+    judged: dict[int, MotionEquations] = {}
+    for frame in observed:
+        seen = frame.objects.get(item.object)
+        if seen is not None and seen.motion is not None:
+            rows[frame.frame] = seen.motion
+            if seen.visible_fraction >= _JUDGED_FRACTION:
+                judged[frame.frame] = seen.motion
+    symmetry = scene.objects.model(item.model).symmetry.symmetry()
+    free = symmetry_motions(symmetry, T_world_obj, object_centre(scene, item.object))
+    equations = list(judged.values())
+    motion = solve_motion(equations, free)
+    if motion is None:
+        return msgspec.structs.replace(item, confirmed=False, confirmed_share=0.0)
+    fields: dict[str, Any] = {}
+    if len(equations) >= FEWEST_SIZE_FRAMES:
+        sized = solve_motion(equations, free, with_size=True)
+        assert sized is not None and sized.size is not None and sized.size_std is not None
+        fields |= {"size_error": round(sized.size, 5), "size_std": round(sized.size_std, 5)}
+        # A wrong size pulls the motion with it, and a size that is right leaves it as it is.
+        if abs(sized.size) > max(_NOTED_SIZE, _SIZE_DEVIATIONS * sized.size_std):
+            motion = sized
+    # Support is measured where the images put the object: a small motion has a gate of its own.
+    whole = motion.vector if motion.size is None else np.append(motion.vector, motion.size)
+    share = float(np.mean([e.beats_chance(whole) for e in equations]))
+    mm, mm_std = motion.translation_mm
+    deg, deg_std = motion.rotation_deg
+    fields |= {
+        "motion_mm": round(mm, 2),
+        "motion_std_mm": round(mm_std, 2),
+        "motion_deg": round(deg, 2),
+        "motion_std_deg": round(deg_std, 2),
+        "motion": [
+            *(round(float(x), 2) for x in 1000 * motion.vector[:3]),
+            *(round(float(x), 2) for x in np.rad2deg(motion.vector[3:])),
+        ],
+        "confirmed_share": round(share, 4),
+        "confirmed": share > 0.5 and not _is_loose(motion, options),
+    }
+    frames = []
+    for row in item.frames:
+        alone = solve_motion([rows[row.frame]], free) if row.frame in rows else None
+        if alone is not None:
+            row = msgspec.structs.replace(
+                row,
+                motion_mm=round(alone.translation_mm[0], 2),
+                motion_deg=round(alone.rotation_deg[0], 2),
+            )
+        frames.append(row)
+    return msgspec.structs.replace(item, **fields, frames=frames)
+
+
+def _is_loose(motion: Motion, options: CheckOptions) -> bool:
+    """Whether the images allow a pose far from the label without showing it."""
+    mm = 1000 * float(np.linalg.norm(motion.vector[:3]))
+    deg = float(np.rad2deg(np.linalg.norm(motion.vector[3:])))
+    return (mm > options.max_motion_mm and motion.translation_mm[0] == 0) or (
+        deg > options.max_motion_deg and motion.rotation_deg[0] == 0
+    )
+
+
+def _gate(
+    key: str,
+    title: str,
+    values: dict[str, float],
+    limit: float,
+    advice: str,
+    *,
+    unit: str = "",
+) -> CheckGate:
+    worst = max(values, key=lambda k: values[k]) if values else None
+    status: Literal["pass", "fail", "open"] = "open"
+    if worst is not None:
+        status = "fail" if round(values[worst], 3) > limit + 1e-9 else "pass"
+    return CheckGate(
+        key=key,
+        title=title,
+        value=None if worst is None else round(values[worst], 3),
+        limit=round(limit, 4),
+        rule="at most",
+        unit=unit,
+        status=status,
+        detail="" if worst is None or not values[worst] else worst,
+        advice=advice,
+    )
