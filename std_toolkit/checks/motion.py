@@ -80,12 +80,42 @@ class MotionEquations:
         moved = np.abs(offsets[None] - _CHANCE_SHIFTS_PX[:, None, None]).min(axis=2)
         return on_edge, float((moved < _ON_EDGE_PX).mean())
 
+    @property
+    def independent(self) -> float:
+        """Number of independent samples of the contour."""
+        return max(self.length_px / _INDEPENDENT_PX, 3.0)
+
     def beats_chance(self, motion: Array) -> bool:
         """Whether more points lie on edges than displaced contours explain, at two deviations."""
         share, chance = self.support(motion)
-        independent = max(self.length_px / _INDEPENDENT_PX, 3.0)
-        deviation = np.sqrt(max(chance * (1 - chance), 0.02) / independent)
+        deviation = np.sqrt(max(chance * (1 - chance), 0.02) / self.independent)
         return share - chance > max(2 * deviation, _SMALLEST_MARGIN)
+
+
+@dataclass(frozen=True)
+class Support:
+    """Share of contour points on image edges, against displaced contours.
+
+    Attributes:
+        share, chance: means over the frames, weighted by the length of the contour.
+        deviation: standard deviation of their difference.
+        frames: fraction of the frames that beat chance alone.
+    """
+
+    share: float
+    chance: float
+    deviation: float
+    frames: float
+
+
+def pooled_support(equations: Sequence[MotionEquations], motion: Array) -> Support:
+    """Support over frames after a motion (6,) or (7,); at least one entry."""
+    weights = np.array([e.independent for e in equations])
+    values = np.array([e.support(motion) for e in equations])
+    share, chance = weights @ values / weights.sum()
+    deviation = np.sqrt(max(chance * (1 - chance), 0.02) / weights.sum())
+    beaten = [e.beats_chance(motion) for e in equations]
+    return Support(float(share), float(chance), float(deviation), float(np.mean(beaten)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,8 @@ from std_toolkit.checks.motion import (
     FEWEST_SIZE_FRAMES,
     Motion,
     MotionEquations,
+    Support,
+    pooled_support,
     solve_motion,
     symmetry_motions,
 )
@@ -28,6 +30,13 @@ _NOTED_DEG = 1.5
 _NOTED_SIZE = 0.015
 _SIZE_DEVIATIONS = 3.0
 _JUDGED_FRACTION = 0.2
+# Support of all frames together that confirms a label which few frames confirm alone.
+_CLEAR_DEVIATIONS = 4.0
+_CLEAR_MARGIN = 0.15
+_FEWEST_SHARE = 0.25
+# Systematic part of the deviation of a size: reflections and refraction move the edges of contours.
+_SIZE_STD = {"specular": 0.012, "transparent": 0.008}
+_OPAQUE_SIZE_STD = 0.004
 _LABELLED = ("propagated", "refined")
 
 
@@ -190,13 +199,15 @@ def _with_motion(
     if len(equations) >= FEWEST_SIZE_FRAMES:
         sized = solve_motion(equations, free, with_size=True)
         assert sized is not None and sized.size is not None and sized.size_std is not None
-        fields |= {"size_error": round(sized.size, 5), "size_std": round(sized.size_std, 5)}
+        floor = _SIZE_STD.get(item.material, _OPAQUE_SIZE_STD)
+        size_std = float(np.hypot(sized.size_std, floor))
+        fields |= {"size_error": round(sized.size, 5), "size_std": round(size_std, 5)}
         # A wrong size pulls the motion with it, and a size that is right leaves it as it is.
-        if abs(sized.size) > max(_NOTED_SIZE, _SIZE_DEVIATIONS * sized.size_std):
+        if abs(sized.size) > max(_NOTED_SIZE, _SIZE_DEVIATIONS * size_std):
             motion = sized
     # Support is measured where the images put the object: a small motion has a gate of its own.
     whole = motion.vector if motion.size is None else np.append(motion.vector, motion.size)
-    share = float(np.mean([e.beats_chance(whole) for e in equations]))
+    support = pooled_support(equations, whole)
     mm, mm_std = motion.translation_mm
     deg, deg_std = motion.rotation_deg
     fields |= {
@@ -208,8 +219,8 @@ def _with_motion(
             *(round(float(x), 2) for x in 1000 * motion.vector[:3]),
             *(round(float(x), 2) for x in np.rad2deg(motion.vector[3:])),
         ],
-        "confirmed_share": round(share, 4),
-        "confirmed": share > 0.5 and not _is_loose(motion, options),
+        "confirmed_share": round(support.frames, 4),
+        "confirmed": _is_supported(support) and not _is_loose(motion, options),
     }
     frames = []
     for row in item.frames:
@@ -222,6 +233,13 @@ def _with_motion(
             )
         frames.append(row)
     return msgspec.structs.replace(item, **fields, frames=frames)
+
+
+def _is_supported(support: Support) -> bool:
+    """Whether the images show the object: most frames alone, or all together clearly."""
+    margin = support.share - support.chance
+    together = margin > max(_CLEAR_DEVIATIONS * support.deviation, _CLEAR_MARGIN)
+    return support.frames > 0.5 or (together and support.frames >= _FEWEST_SHARE)
 
 
 def _is_loose(motion: Motion, options: CheckOptions) -> bool:
