@@ -7,7 +7,7 @@ from typing import Literal
 
 import msgspec
 
-from std_toolkit.checks.motion_checks import has_wrong_size, is_small
+from std_toolkit.checks.motion_checks import counted_motion, has_wrong_size, is_small
 from std_toolkit.checks.result import CheckGate, FrameCheck, Number, ObjectCheck, SceneSummary
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import CameraPoses
@@ -72,7 +72,7 @@ def is_confirmed(item: ObjectCheck, options: CheckOptions) -> bool:
     A wrong label is close to edges of other surfaces, especially in a textured scene. A small
     edge distance alone is therefore no evidence.
     """
-    if item.confirmed:
+    if item.confirmed and item.motion_mm is not None:
         return True
     if not has_edges(item, options):
         return False
@@ -104,12 +104,12 @@ def evaluate_gates(
 def evaluate_object(item: ObjectCheck, share: float, options: CheckOptions) -> ObjectCheck:
     """The object with its verdict."""
     excess = depth_excess_mm(item, share)
-    small = is_small(item, options)
+    small, moved = is_small(item, options), counted_motion(item, options)
     bad = (
         (not small and has_edges(item, options) and (item.edge_px or 0) > options.max_edge_px)
         or (not small and (shift_px(item, options) or 0) > options.max_shift_px)
-        or (item.motion_mm or 0) > options.max_motion_mm
-        or (item.motion_deg or 0) > options.max_motion_deg
+        or (moved[0] or 0) > options.max_motion_mm
+        or (moved[1] or 0) > options.max_motion_deg
         or has_wrong_size(item, options)
         or (excess is not None and excess > options.max_depth_mm)
         or (_drift(item, options) or 0) > options.max_drift_px

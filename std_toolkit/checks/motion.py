@@ -26,7 +26,7 @@ from std_toolkit.geometry.symmetry import Symmetry
 Array = NDArray[np.float64]
 
 FEWEST_POINTS = 16
-FEWEST_SIZE_FRAMES = 4
+FEWEST_FRAMES = 4
 # Chi square with three degrees of freedom that chance exceeds as rarely as three deviations.
 _SIGNIFICANT_CHI2 = 14.16
 # Parts of a significant motion below this number of deviations are left out.

@@ -11,7 +11,7 @@ import numpy as np
 from std_toolkit.checks.contours import mesh_problem
 from std_toolkit.checks.faults import object_centre
 from std_toolkit.checks.motion import (
-    FEWEST_SIZE_FRAMES,
+    FEWEST_FRAMES,
     Motion,
     MotionEquations,
     Support,
@@ -31,13 +31,16 @@ _NOTED_SIZE = 0.015
 _SIZE_DEVIATIONS = 3.0
 _JUDGED_FRACTION = 0.2
 # Support of all frames together that confirms a label which few frames confirm alone.
-_CLEAR_DEVIATIONS = 4.0
-_CLEAR_MARGIN = 0.15
-_FEWEST_SHARE = 0.25
+_CLEAR_DEVIATIONS = 3.5
+_CLEAR_MARGIN = 0.2
 # Systematic part of the deviation of a size: reflections and refraction move the edges of contours.
 _SIZE_STD = {"specular": 0.012, "transparent": 0.008}
 _OPAQUE_SIZE_STD = 0.004
 _LABELLED = ("propagated", "refined")
+# Motions up to this many limits are put down to the shape of the mesh where its print fits.
+_OTHER_SHAPE = 3.0
+# Contours further from the image than this differ in shape.
+_OFFSET_PX = 1.5
 
 
 def with_motions(
@@ -51,12 +54,45 @@ def with_motions(
 
 
 def is_small(item: ObjectCheck, options: CheckOptions) -> bool:
-    """Whether the images confirm the label and its motion is within the limits."""
+    """Whether the images confirm the label, and determine that its motion is within the limits.
+
+    One frame leaves the distance open: its motion says little.
+    """
+    if is_another_shape(item, options):
+        return True
     return (
         item.confirmed is True
-        and (item.motion_mm or 0) <= options.max_motion_mm
-        and (item.motion_deg or 0) <= options.max_motion_deg
+        and item.motion_mm is not None
+        and max(item.motion_mm or 0, item.motion_std_mm or 0) <= options.max_motion_mm
+        and max(item.motion_deg or 0, item.motion_std_deg or 0) <= options.max_motion_deg
     )
+
+
+def is_another_shape(item: ObjectCheck, options: CheckOptions) -> bool:
+    """Whether the print fits and the contour does not: the mesh has another shape than the object.
+
+    A box that bulges or a bottle of another production has the print of the mesh, and a contour
+    that no pose explains.
+    """
+    mm, deg = item.motion_mm or 0, item.motion_deg or 0
+    return (
+        item.print_verdict == "fits"
+        and item.motion_mm is not None
+        and (mm > options.max_motion_mm or deg > options.max_motion_deg or _is_offset(item))
+        and mm <= _OTHER_SHAPE * options.max_motion_mm
+        and deg <= _OTHER_SHAPE * options.max_motion_deg
+    )
+
+
+def _is_offset(item: ObjectCheck) -> bool:
+    return (item.edge_px or 0) > _OFFSET_PX
+
+
+def counted_motion(item: ObjectCheck, options: CheckOptions) -> tuple[float | None, float | None]:
+    """Translation (mm) and rotation (degrees) that count against the label; None without."""
+    if is_another_shape(item, options):
+        return 0.0, 0.0
+    return item.motion_mm, item.motion_deg
 
 
 def has_wrong_size(item: ObjectCheck, options: CheckOptions) -> bool:
@@ -97,7 +133,7 @@ def motion_gates(objects: Sequence[ObjectCheck], options: CheckOptions) -> list[
         _gate(
             "motion",
             "translation between a label and the images, worst object",
-            {o.name: o.motion_mm for o in labelled if o.motion_mm is not None},
+            {o.name: v for o in labelled if (v := counted_motion(o, options)[0]) is not None},
             options.max_motion_mm,
             refine,
             unit="mm",
@@ -105,7 +141,7 @@ def motion_gates(objects: Sequence[ObjectCheck], options: CheckOptions) -> list[
         _gate(
             "rotation",
             "rotation between a label and the images, worst object",
-            {o.name: o.motion_deg for o in labelled if o.motion_deg is not None},
+            {o.name: v for o in labelled if (v := counted_motion(o, options)[1]) is not None},
             options.max_motion_deg,
             refine,
             unit="deg",
@@ -128,6 +164,18 @@ def motion_warnings(objects: Sequence[ObjectCheck], options: CheckOptions) -> li
     found = []
     for item in objects:
         if item.label not in _LABELLED:
+            continue
+        if is_another_shape(item, options):
+            found.append(
+                CheckWarning(
+                    severity="medium",
+                    about=item.name,
+                    problem="the mesh has another shape than the object: its print fits, its "
+                    f"contour lies {item.motion_mm or 0:.1f} mm and {item.motion_deg or 0:.1f} deg "
+                    "from the label",
+                    advice="the label fits best; scan this object if its shape matters",
+                )
+            )
             continue
         parts = []
         if _NOTED_MM <= (item.motion_mm or 0) <= options.max_motion_mm:
@@ -195,16 +243,23 @@ def _with_motion(
     motion = solve_motion(equations, free)
     if motion is None:
         return msgspec.structs.replace(item, confirmed=False, confirmed_share=0.0)
+    if len(equations) < FEWEST_FRAMES:
+        # Errors of mesh and lens move a whole contour in one image: its motion is no evidence.
+        support = pooled_support(equations, motion.vector)
+        return msgspec.structs.replace(
+            item,
+            confirmed=_is_supported(support) or item.print_verdict == "fits",
+            confirmed_share=round(support.frames, 4),
+        )
     fields: dict[str, Any] = {}
-    if len(equations) >= FEWEST_SIZE_FRAMES:
-        sized = solve_motion(equations, free, with_size=True)
-        assert sized is not None and sized.size is not None and sized.size_std is not None
-        floor = _SIZE_STD.get(item.material, _OPAQUE_SIZE_STD)
-        size_std = float(np.hypot(sized.size_std, floor))
-        fields |= {"size_error": round(sized.size, 5), "size_std": round(size_std, 5)}
-        # A wrong size pulls the motion with it, and a size that is right leaves it as it is.
-        if abs(sized.size) > max(_NOTED_SIZE, _SIZE_DEVIATIONS * size_std):
-            motion = sized
+    sized = solve_motion(equations, free, with_size=True)
+    assert sized is not None and sized.size is not None and sized.size_std is not None
+    floor = _SIZE_STD.get(item.material, _OPAQUE_SIZE_STD)
+    size_std = float(np.hypot(sized.size_std, floor))
+    fields |= {"size_error": round(sized.size, 5), "size_std": round(size_std, 5)}
+    # A wrong size pulls the motion with it, and a size that is right leaves it as it is.
+    if abs(sized.size) > max(_NOTED_SIZE, _SIZE_DEVIATIONS * size_std):
+        motion = sized
     # Support is measured where the images put the object: a small motion has a gate of its own.
     whole = motion.vector if motion.size is None else np.append(motion.vector, motion.size)
     support = pooled_support(equations, whole)
@@ -220,7 +275,8 @@ def _with_motion(
             *(round(float(x), 2) for x in np.rad2deg(motion.vector[3:])),
         ],
         "confirmed_share": round(support.frames, 4),
-        "confirmed": _is_supported(support) and not _is_loose(motion, options),
+        "confirmed": item.print_verdict == "fits"
+        or (_is_supported(support) and not _is_loose(motion, options)),
     }
     frames = []
     for row in item.frames:
@@ -236,10 +292,13 @@ def _with_motion(
 
 
 def _is_supported(support: Support) -> bool:
-    """Whether the images show the object: most frames alone, or all together clearly."""
+    """Whether the images show the object: most frames alone, or all together clearly.
+
+    The contour of clear glass is faint: few frames tell it from chance alone.
+    """
     margin = support.share - support.chance
     together = margin > max(_CLEAR_DEVIATIONS * support.deviation, _CLEAR_MARGIN)
-    return support.frames > 0.5 or (together and support.frames >= _FEWEST_SHARE)
+    return support.frames > 0.5 or together
 
 
 def _is_loose(motion: Motion, options: CheckOptions) -> bool:

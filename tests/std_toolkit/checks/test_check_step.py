@@ -171,7 +171,7 @@ def test_second_run_does_nothing_and_changes_are_noticed(make_scene: MakeScene) 
     files[2].unlink()
     check(scene)
     assert files[2].exists()
-    assert check(scene, max_edge_px=0.001).failed_gates()
+    assert check(scene, max_edge_px=2.5).limits["max_edge_px"] == 2.5
     scene.save_labels(Labels())
     assert "labelled" in failed(check(scene))
 
