@@ -198,11 +198,14 @@ def _label_gates(
     share = scale_share(summary)
     seen = [o for o in labelled if o.frames_seen]
     # Pixels depend on resolution and distance: they decide where the motion is not measured.
-    edges = {o.name: o.edge_px for o in seen if has_edges(o, options) and not is_small(o, options)}
+    small = {o.name for o in seen if is_small(o, options)}
+    edges = {o.name: o.edge_px for o in seen if has_edges(o, options)}
+    edges = _at_most(edges, small, options.max_edge_px)
     depth = {o.name: depth_excess_mm(o, share) for o in seen}
     drift = {o.name: _drift(o, options) for o in seen}
     spread = {o.name: o.label_std_mm for o in labelled}
-    shift = {o.name: shift_px(o, options) for o in seen if not is_small(o, options)}
+    shift = {o.name: shift_px(o, options) for o in seen}
+    shift = _at_most(shift, small, options.max_shift_px)
     # Clear glass may have no visible edge; that is a warning, not a failure.
     blind = [o.name for o in seen if o.material != "transparent" and not is_confirmed(o, options)]
     return [
@@ -313,6 +316,11 @@ def _gate(
 def _drift(item: ObjectCheck, options: CheckOptions) -> Number:
     reliable = item.drift_frames >= FEWEST_DRIFT_FRAMES and has_edges(item, options)
     return item.drift_px if reliable and item.material != "transparent" else None
+
+
+def _at_most(values: dict[str, Number], names: set[str], limit: float) -> dict[str, Number]:
+    """The values, those of `names` not above the limit."""
+    return {k: v if v is None or k not in names else min(v, limit) for k, v in values.items()}
 
 
 def _worst(values: dict[str, Number]) -> Number:
