@@ -37,7 +37,9 @@ def simulation_s(options: SimulationOptions, scenes: int) -> float:
     quality = quality_of(options.quality)
     pixels = options.width * options.height / _MEASURED_PIXELS
     color_pixels = pixels * options.color_factor**2
-    infrared = _INFRARED_S * quality.infrared.samples / _DRAFT_SAMPLES
+    draft = quality_of("draft").infrared
+    paths = quality.infrared.samples + quality.infrared.ambient_samples
+    infrared = _INFRARED_S * paths / (draft.samples + draft.ambient_samples)
     color = _COLOR_S * quality.color.samples / _DRAFT_SAMPLES + _DENOISING_S
     frame = pixels * (infrared + _REST_S) + color_pixels * color
     shapes = min(scenes * (options.min_objects + options.max_objects) / 2, _SHAPES)

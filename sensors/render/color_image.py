@@ -141,6 +141,6 @@ def denoiser(threads: int | None) -> Denoiser | None:
     try:
         import pyoidn
     except (ImportError, OSError) as error:
-        logger.warning("colour images keep the renderer's noise: no denoiser (%s)", error)
+        logger.warning("images keep the renderer's noise: no denoiser (%s)", error)
         return None
     return Denoiser(pyoidn, threads)

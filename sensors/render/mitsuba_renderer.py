@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sensors.render import mitsuba_scene
+from sensors.render.color_image import Denoiser, denoiser
 from sensors.render.sim_renderer import DRAFT_COLOR, DRAFT_INFRARED, ColorLight, RenderOptions
 from sensors.render.sim_scene import Projector, SimScene
 from sensors.render.variant import choose_variant
@@ -18,6 +20,8 @@ if TYPE_CHECKING:
     from std_toolkit.geometry import SE3, Camera
 
 _FEATURE_SAMPLES = 4
+# This share of the pixels is darker than the brightest dots, mirrored ones aside.
+_DOT_QUANTILE = 0.995
 _CLIP_FACTOR = 2.0
 _CLIP_FLOOR = 0.37
 """Fraction of the image's mean: 0.02 in the measurement, at a mean of 0.054."""
@@ -28,7 +32,7 @@ class MitsubaRenderer:
 
     Args:
         variant: of Mitsuba; None chooses one by a test in a child process.
-        threads: of a compiled variant; None uses all cores.
+        threads: of a compiled variant and of the denoiser; None uses all cores.
         check: whether to test the variant in a child process first.
 
     Raises:
@@ -51,20 +55,22 @@ class MitsubaRenderer:
             drjit.set_thread_count(threads)
         self.name = f"mitsuba/{chosen}"
         self._mi: Any = mitsuba
-        self._variant = chosen
+        self._variant, self._threads = chosen, threads
 
     def load(self, scene: SimScene) -> MitsubaScene:
         """See `SimRenderer.load`."""
         # Another renderer in this process may have changed the variant.
         self._mi.set_variant(self._variant)
-        return MitsubaScene(scene, self._mi, self._variant)
+        return MitsubaScene(scene, self._mi, self._variant, self._threads)
 
 
 class MitsubaScene:
     """See `LoadedScene`."""
 
-    def __init__(self, scene: SimScene, mi: Any, variant: str) -> None:
-        self._mi, self._variant = mi, variant
+    def __init__(
+        self, scene: SimScene, mi: Any, variant: str, threads: int | None = None
+    ) -> None:
+        self._mi, self._variant, self._threads = mi, variant, threads
         self._scene = scene
         # Surfaces differ between colour and infrared; each tracer is built on first use.
         self._tracers: dict[bool, Any] = {}
@@ -96,11 +102,63 @@ class MitsubaScene:
         options: RenderOptions = DRAFT_INFRARED,
         seed: int = 0,
     ) -> NDArray[np.float32]:
-        """See `LoadedScene.infrared`."""
+        """See `LoadedScene.infrared`.
+
+        Without a denoiser, or a compiled variant, both lights are rendered together, with four
+        times as many paths.
+        """
+        if options.ambient_samples:
+            scalar = self._variant.startswith("scalar")
+            clean = None if scalar else denoiser(self._threads)
+            if clean is not None and projector is not None and ambient > 0:
+                return self._projected(
+                    camera, T_world_cam, projector, options=options, seed=seed
+                ) + self._denoised_ambient(
+                    camera, T_world_cam, clean, ambient=ambient, options=options, seed=seed
+                )
+            many = 4 * options.samples
+            options = replace(options, samples=many, chunk=options.samples, ambient_samples=0)
         chunks = self._radiance(
             camera, T_world_cam, projector, ambient=ambient, options=options, seed=seed, grey=True
         )
         return clipped_mean(chunks)[..., 0]
+
+    def _projected(
+        self,
+        camera: Camera,
+        T_world_cam: SE3,
+        projector: Projector,
+        *,
+        options: RenderOptions,
+        seed: int,
+    ) -> NDArray[np.float32]:
+        """(H, W) light of the projector alone."""
+        options = replace(options, chunk=1)
+        paths = self._radiance(
+            camera, T_world_cam, projector, ambient=0.0, options=options, seed=seed, grey=True
+        )
+        return bounded_mean(paths[..., 0])
+
+    def _denoised_ambient(
+        self,
+        camera: Camera,
+        T_world_cam: SE3,
+        clean: Denoiser,
+        *,
+        ambient: float,
+        options: RenderOptions,
+        seed: int,
+    ) -> NDArray[np.float32]:
+        """(H, W) light of the environment alone, denoised."""
+        options = replace(options, samples=options.ambient_samples, chunk=0)
+        paths = self._radiance(
+            camera, T_world_cam, None, ambient=ambient, options=options, seed=seed, grey=True
+        )
+        albedo, normal = self._tracer(infrared=True).features(
+            camera, T_world_cam, samples=_FEATURE_SAMPLES, seed=seed
+        )
+        light = np.repeat(clipped_mean(paths), 3, axis=-1)
+        return np.asarray(np.maximum(clean(light, albedo, normal).mean(axis=-1), 0), np.float32)
 
     def color(
         self,
@@ -137,6 +195,17 @@ class MitsubaScene:
         check_no_distortion("mitsuba", camera)
         self._mi.set_variant(self._variant)
         return self._tracer(infrared=keywords["grey"]).radiance(camera, *args, **keywords)
+
+
+def bounded_mean(paths: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(H, W) mean of single paths (H, W, n), each at most twice as bright as the brightest dots.
+
+    Dots are sharp: the paths of a pixel at the border of one differ, so that, unlike in
+    `clipped_mean`, a pixel's median bounds nothing. Brighter paths are fireflies, or highlights
+    that saturate in any case.
+    """
+    dots = float(np.quantile(paths.mean(axis=2), _DOT_QUANTILE))
+    return np.asarray(np.minimum(paths, 2 * dots).mean(axis=2), np.float32)
 
 
 def clipped_mean(chunks: NDArray[np.float32]) -> NDArray[np.float32]:
