@@ -67,9 +67,7 @@ class MitsubaRenderer:
 class MitsubaScene:
     """See `LoadedScene`."""
 
-    def __init__(
-        self, scene: SimScene, mi: Any, variant: str, threads: int | None = None
-    ) -> None:
+    def __init__(self, scene: SimScene, mi: Any, variant: str, threads: int | None = None) -> None:
         self._mi, self._variant, self._threads = mi, variant, threads
         self._scene = scene
         # Surfaces differ between colour and infrared; each tracer is built on first use.

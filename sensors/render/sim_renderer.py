@@ -86,12 +86,12 @@ class Quality:
 QUALITIES = {
     "rough": Quality(
         infrared=RenderOptions(samples=4, chunk=1, ambient_samples=2),
-        color=RenderOptions(samples=12, chunk=0)
+        color=RenderOptions(samples=12, chunk=0),
     ),
     "draft": Quality(infrared=DRAFT_INFRARED, color=DRAFT_COLOR),
     "better": Quality(
         infrared=RenderOptions(samples=16, chunk=1, ambient_samples=8),
-        color=RenderOptions(samples=64, chunk=0)
+        color=RenderOptions(samples=64, chunk=0),
     ),
     "fine": Quality(infrared=FINE_INFRARED, color=RenderOptions(samples=256, chunk=0)),
 }

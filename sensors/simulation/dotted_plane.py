@@ -17,6 +17,7 @@ from sensors.pattern import DotPattern
 from sensors.render import infrared_image
 from sensors.specs import SensorSpec
 from sensors.stereo import make_matcher
+from sensors.stereo.disparity_noise import with_noise
 from std_toolkit.errors import ToolkitError
 
 # Samples per pixel along each side.
@@ -85,7 +86,7 @@ def measure_plane(
         spec: sensor with a projector.
         pattern: image that the projector shows.
         plane: the default plane when None.
-        noise: whether the imagers have shot and read noise.
+        noise: whether images and disparity have the sensor's noise.
         seed: of the noise.
         width, height: of the infrared images.
 
@@ -117,14 +118,16 @@ def measure_plane(
         light.append(radiance.reshape(shape).mean(axis=(1, 3)))
         covered.append(np.asarray(inside.reshape(shape).all(axis=(1, 3))))
     response = infrared_image.InfraredResponse(noise=noise)
-    left, right, _ = infrared_image.expose_pair(
-        *light, rng=np.random.default_rng(seed), response=response
-    )
+    rng = np.random.default_rng(seed)
+    left, right, _ = infrared_image.expose_pair(*light, rng=rng, response=response)
     low, high = spec.disparity_range(width, height)
     found = make_matcher("local", min_disparity=low, max_disparity=high, threads=1)
+    disparity = found.match(left, right)
+    if noise:
+        disparity = with_noise(disparity, rng)
     depth = plane.distance_m * normal[2] / (camera.rays() @ normal)
     exact = camera.fx * spec.baseline_m / depth
-    return PlaneView(left, right, found.match(left, right), exact, _both_see(covered[0], exact))
+    return PlaneView(left, right, disparity, exact, _both_see(covered[0], exact))
 
 
 def _pattern_pixels(

@@ -77,7 +77,7 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     materials: MaterialSwitch = "mixed"
     """mixed as in DREDS; fixed: objects keep their original texture; opaque: none is transparent"""
     infrared_noise: bool = True
-    """shot and read noise in infrared"""
+    """the sensor's noise: shot and read noise in infrared, correlated noise of the disparity"""
     depth: DepthInput = "sensor"
     """sensor: stereo; cut: exact depth without transparent and specular objects"""
 

@@ -24,6 +24,7 @@ from sensors.simulation.options import SimulationOptions
 from sensors.simulation.scene_draw import draw_scene, dress_scene, generator
 from sensors.simulation.world_builder import World, build_world
 from sensors.stereo import disparity_to_depth
+from sensors.stereo.disparity_noise import with_noise
 from std_toolkit.geometry.se3 import SE3
 
 # Materials on which an active stereo camera does not measure the surface.
@@ -230,7 +231,7 @@ class Simulator:
             aligned = self._cut(world, exact.depth, exact.mask)
         else:
             with part("matching"):
-                depth_ir = self._measured(left, right)
+                depth_ir = self._measured(left, right, np.random.default_rng([view.seed, 2]))
             with part("alignment"):
                 aligned = align_depth(
                     depth_ir,
@@ -262,10 +263,15 @@ class Simulator:
             self._pattern = seed, self._equipment.pattern(seed)
         return self._pattern[1]
 
-    def _measured(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def _measured(
+        self, left: NDArray[np.uint8], right: NDArray[np.uint8], rng: np.random.Generator
+    ) -> NDArray[np.float32]:
+        disparity = self._matcher.match(left, right)
+        if self.options.infrared_noise:
+            disparity = with_noise(disparity, rng)
         near, far = self._sensor.depth.range_m
         return disparity_to_depth(
-            self._matcher.match(left, right),
+            disparity,
             focal_px=self._infrared_camera.fx,
             baseline_m=self._sensor.baseline_m,
             range_m=(near, far),

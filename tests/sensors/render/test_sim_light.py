@@ -12,7 +12,7 @@ import trimesh
 from sensors.lighting.environment_sources import studio_map
 from sensors.materials.material_draw import draw_material
 from sensors.render import mitsuba_scene as shapes
-from sensors.render.mitsuba_renderer import MitsubaRenderer, clipped_mean
+from sensors.render.mitsuba_renderer import MitsubaRenderer, bounded_mean, clipped_mean
 from sensors.render.sim_renderer import LoadedScene, RenderOptions, SimRenderer
 from sensors.render.sim_scene import Projector, SceneObject, SimScene, SurfaceMesh, TruthCaster
 from sensors.render.smoke import looking_down
@@ -98,6 +98,45 @@ def test_own_tracer_agrees_with_mitsuba_s(mixed, compiled) -> None:
             ratio = float(np.mean(a[mask == i]) / np.mean(b[mask == i]))
             # Light that glass focuses arrives in few bright paths: noise, not another physics.
             assert ratio == pytest.approx(1, abs=0.08 if i == 3 else 0.015), (name, i)
+
+
+@pytest.mark.slow
+def test_dots_and_ambient_light_apart_add_up(mixed, compiled) -> None:
+    """The same light as both together, without the noise of paths and with sharp dots."""
+    pytest.importorskip("pyoidn", reason="the denoiser is not installed")
+    # Dots of two pixels.
+    dots = np.kron(np.random.default_rng(0).random((30, 30)) < 0.2, np.ones((8, 8)))
+    lamp = Projector(dots.astype(np.float32), 80.0, LAMP.T_world_projector, power=0.3)
+    loaded = MitsubaRenderer(variant=compiled, check=False).load(mixed)
+    floor = TruthCaster(mixed).maps(CAMERA, VIEW).mask == 0
+
+    def views(options: RenderOptions, seeds: range) -> np.ndarray:
+        return np.stack(
+            [
+                loaded.infrared(CAMERA, VIEW, lamp, ambient=0.05, options=options, seed=seed)
+                for seed in seeds
+            ]
+        )
+
+    many = views(RenderOptions(samples=256, chunk=0), range(1))[0]
+    apart = views(RenderOptions(samples=4, chunk=1, ambient_samples=4), range(4))
+    together = views(RenderOptions(samples=16, chunk=4), range(4))
+    assert apart.dtype == np.float32 and apart.shape == (4, 48, 64)
+    assert apart[:, floor].mean() == pytest.approx(many[floor].mean(), rel=0.02)
+    noise = [views_of.std(axis=0)[floor].mean() for views_of in (apart, together)]
+    assert noise[0] < 0.5 * noise[1]
+    assert np.corrcoef(apart[0][floor], many[floor])[0, 1] > 0.97
+    assert apart[0][floor].std() == pytest.approx(many[floor].std(), rel=0.05)
+
+
+def test_only_paths_brighter_than_dots_are_bounded() -> None:
+    rng = np.random.default_rng(0)
+    # Edges of dots: the paths of a pixel differ fully.
+    paths = (rng.random((50, 60, 4)) < 0.3).astype(np.float32)
+    np.testing.assert_allclose(bounded_mean(paths), paths.mean(axis=2), rtol=1e-6)
+    spoilt = paths.copy()
+    spoilt[7, 7, 1] = 500
+    assert bounded_mean(spoilt)[7, 7] <= 1.5
 
 
 @pytest.mark.slow
@@ -256,6 +295,7 @@ def test_clipping_removes_single_bright_paths_only() -> None:
         ({"samples": 10, "chunk": 4}, "multiple of the chunk"),
         ({"samples": 0, "chunk": 0}, "samples: must be at least 1"),
         ({"max_depth": 0}, "max_depth"),
+        ({"ambient_samples": -1}, "ambient_samples"),
     ],
 )
 def test_bad_options_are_refused(keywords, message) -> None:

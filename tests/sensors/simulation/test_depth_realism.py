@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sensors.simulation.set_report import ErrorTally
-from sensors.simulation.trial import measurable_pixels
+from sensors.simulation.trial import measurable_pixels, small_holes
 from sensors.specs import load_sensor
 from std_toolkit.geometry.camera import Camera
 
@@ -99,3 +99,39 @@ def test_glass_is_not_measured_and_metal_lies_between(renderer) -> None:
     assert metal["complete %"] < paper["complete %"]
     right = {c: r["complete %"] * (1 - r["off by > 1 cm %"] / 100) for c, r in rows.items()}
     assert right["transparent"] < right["specular"] < right["diffuse"]
+
+
+def test_small_holes_are_counted_by_size() -> None:
+    missing = np.zeros((40, 60), bool)
+    missing[2:6, 2:6] = True
+    missing[20:30, 20:30] = True
+    missing[35, 50] = True
+    found = small_holes(missing)
+    assert found.sum() == 17 and not found[20:30, 20:30].any()
+
+
+def check_random_view(renderer, seed: int, index: int = 0) -> None:
+    """The bounds of real D4xx cameras: holes, completeness and error of the floor."""
+    from sensors.render.sim_renderer import DRAFT_INFRARED
+    from sensors.simulation.options import SimulationOptions
+    from sensors.simulation.simulated_set import parts_cache
+    from sensors.simulation.simulator import Simulator
+    from sensors.simulation.trial import TrialScene, render_view
+
+    world = Simulator(SimulationOptions(views=2), parts_cache=parts_cache()).world(seed, "x")
+    eye = world.T_world_cam[index] @ SPEC.pose_of_color.inverse()
+    trial = TrialScene(world.scene, eye, ())
+    view = render_view(trial, SPEC, WHOLE, renderer, options=DRAFT_INFRARED, seed=seed)
+    share = small_holes((view.depth == 0) & (view.exact > 0)).mean()
+    assert 0.002 <= share <= 0.01
+    floor = clear_of(view.exact) & (view.mask == 0) & (view.exact > 0.5) & (view.exact < 0.9)
+    tally = ErrorTally()
+    tally.add(view.depth[floor], view.exact[floor])
+    assert tally.row()["complete %"] >= 98
+    assert tally.row()["median mm"] <= 1
+
+
+@pytest.mark.slow
+def test_a_random_scene_has_the_holes_of_a_real_camera(renderer) -> None:
+    pytest.importorskip("pyoidn", reason="the denoiser is not installed")
+    check_random_view(renderer, 7)
