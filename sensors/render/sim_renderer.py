@@ -26,10 +26,10 @@ class RenderOptions:
     """Quality of one image.
 
     Attributes:
-        samples: paths per pixel; in infrared with `ambient_samples`, those under the projector alone.
+        samples: paths per pixel; with `ambient_samples`, those under the projector alone.
         ambient_samples: paths per pixel of a separate image under the ambient light alone, which is
-            denoised. It contains no dots, so the denoiser cannot add any. 0 renders both lights
-            together, with noise. Used in infrared.
+            denoised (infrared only). It has no dots for the denoiser to alter. 0 renders both
+            lights together, with noise.
         chunk: number of paths averaged into one estimate of a pixel; estimates far above the median
             of the pixel's are clipped, against fireflies. 0 disables the clipping.
         max_depth: longest path in surfaces.
