@@ -8,7 +8,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from annotator.app import operations
+from annotator.app import operations, pose_checks
 from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.app.tasks import Task
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 PENETRATION_DELAY_S = 0.3
 RESIDUAL_DELAY_S = 0.8
 TABLE_DELAY_S = 1.0
-_KEYS = ("Table", "Penetration", "Residuals", operations.OTHER_RESIDUALS)
+_KEYS = ("Table", "Penetration", "Residuals", operations.OTHER_RESIDUALS, pose_checks.RANKS)
 # Number of images prefetched on each side of the one in the main view.
 FRAMES_AHEAD = 4
 
@@ -141,6 +141,7 @@ def _import_heavy(_: Task) -> None:
     for name in (
         "annotator.session.requests",
         "annotator.session.residuals",
+        "std_toolkit.checks.ranking",
         "std_toolkit.labels.support.table",
         "std_toolkit.labels.auto_refine",
     ):

@@ -25,6 +25,8 @@ from std_toolkit.geometry import SE3
 if TYPE_CHECKING:
     from annotator.app.image_cache import ImageCache
     from annotator.session.residuals import FrameResidual
+    from std_toolkit.checks.ranking import PoseRank
+    from std_toolkit.labels.print import PrintComparison
     from std_toolkit.labels.support.penetration import Penetration
     from std_toolkit.labels.support.plane import TablePlane
 
@@ -53,6 +55,8 @@ class Controller:
         conflict: text on the concurrent changes that the last attempt to save found.
         weak_directions: sentence by object on the direction that its last refinement determined
             least.
+        ranks: ranks among nearby poses by object; removed when the pose changes.
+        prints: print comparison of the last refinement by object; removed when the pose changes.
         table: the plane on which the objects stand, if found.
         table_problem: text on why there is no table.
         penetrations: penetrations between objects or with the table, deepest first.
@@ -79,6 +83,8 @@ class Controller:
         self.dialogs: frozenset[str] = frozenset()
         self.conflict = ""
         self.weak_directions: dict[str, str] = {}
+        self.ranks: dict[str, PoseRank] = {}
+        self.prints: dict[str, PrintComparison] = {}
         self.table: TablePlane | None = None
         self.table_problem = ""
         self.penetrations: tuple[Penetration, ...] = ()
@@ -130,10 +136,12 @@ class Controller:
         # Adding a mesh moves no object; reading the scene again may move all.
         moved = change.objects
         if not moved and change.kind == "reread":
-            moved = (*self.residuals, *self.weak_directions)
+            moved = (*self.residuals, *self.weak_directions, *self.ranks, *self.prints)
         for name in moved:
             self.residuals.pop(name, None)
             self.weak_directions.pop(name, None)
+            self.ranks.pop(name, None)
+            self.prints.pop(name, None)
         self.unmeasured = (self.unmeasured | set(moved)) & names
         self.emit(events.Event("edited", objects=change.objects, text=change.title))
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from annotator.app import operations, questions
+from annotator.app import label_questions, operations, pose_checks, questions
 from annotator.app.action_table import key_rows
 from annotator.app.controller import Controller
 from annotator.app.operations import MeshSize, Unit, measure_mesh
+from annotator.app.verdicts import doubtful_objects
 from annotator.session import ChangeObject, SetSymmetry
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
@@ -44,6 +45,7 @@ class Dialogs:
             "rename": self._rename,
             "note": self._note,
             "symmetry": self._symmetry,
+            pose_checks.DOUBT: self._done_anyway,
             "conflict": self._conflict,
             "shortcuts": self._shortcuts,
             "about": self._about,
@@ -134,13 +136,29 @@ class Dialogs:
         else:
             self._ask(questions.unit_question(path.name, size, react, lambda: react("")))
 
+    def _done_anyway(self) -> None:
+        name = self._c.selected
+        doubts = [] if name is None else doubtful_objects(self._c, [name])
+
+        def react(pressed: str, _: questions.Answers) -> None:
+            if pressed == "done" and self._c.selected == name:
+                self._c.mark("done")
+
+        if doubts:
+            self._ask(label_questions.doubt_question(doubts, react))
+
     # --- the labels -------------------------------------------------------------------------------
+
+    def _doubts(self) -> list[tuple[str, str]]:
+        c = self._c
+        known = {o.name for o in c.session.state.objects if o.placements}
+        return doubtful_objects(c, [n for n in c.residuals if n in known and n in c.ranks])
 
     def _propagate(self) -> None:
         def react(_: str, answers: questions.Answers) -> None:
-            operations.propagate(self._c, questions.propagate_options(answers))
+            operations.propagate(self._c, label_questions.propagate_options(answers))
 
-        self._ask(questions.propagate_question(self._c.session, react))
+        self._ask(label_questions.propagate_question(self._c.session, self._doubts(), react))
 
     def _conflict(self) -> None:
         def react(pressed: str, _: questions.Answers) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from annotator.app import action, operations
+from annotator.app import action, operations, pose_checks
 from annotator.app.view_options import Gizmo
 from annotator.session import ChangeObject, RemoveObject
 from std_toolkit.scene.model import Material
@@ -165,8 +165,8 @@ OBJECT_ACTIONS: tuple[action.Action, ...] = (
         "Object",
         "Done",
         ("D",),
-        "Mark the selected object as done, or as open again.",
-        operations.toggle_done,
+        "Mark the selected object as done, or as open again; asks if it is not known to fit.",
+        pose_checks.toggle_done,
         lambda c: c.selected is not None and c.session.object(c.selected).status == "done",
         action.has_placed,
         group="state",
@@ -272,6 +272,15 @@ ALIGN_ACTIONS: tuple[action.Action, ...] = (
         "Turn the object so that it rests on its nearest side, and drop it onto the table.",
         lambda c: operations.snap(c, "rest"),
         enabled=action.can_compute,
+    ),
+    action.Action(
+        "take_turn",
+        "Align",
+        "Take the turn",
+        ("Y",),
+        "Turn the object to where its print fits better, as the last refinement found.",
+        pose_checks.take_turn,
+        enabled=pose_checks.can_take_turn,
     ),
     action.Action(
         "clicking",

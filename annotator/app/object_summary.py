@@ -8,25 +8,13 @@ from statistics import median
 from typing import TYPE_CHECKING, Literal
 
 from annotator.app.controller import Controller
+from annotator.app.verdicts import DEPTH_MM, EDGE_PX, Grade, edge_grade, graded, object_verdict
 from annotator.session.state import ObjectState, Placement
 
 if TYPE_CHECKING:
     from annotator.session.residuals import FrameResidual
 
 State = Literal["not placed", "placed", "refined", "done"]
-
-Grade = Literal["good", "fair", "poor", "unknown"]
-
-# Contour to image edges, pixels: below the first value the pose is as good as annotation and
-# refinement get; above the second it is visibly wrong.
-EDGE_PX = (1.5, 3.0)
-
-# The same for the depth of a diffuse object, mm: these sensors have errors up to 2 %, which is
-# 14 mm at 0.7 m, so edges are more informative if there are any.
-DEPTH_MM = (15.0, 30.0)
-
-# An edge distance is informative only if it is clearly below the chance level.
-CHANCE_SHARE = 0.6
 
 # A pose from points needs four that do not lie in one line.
 POINTS_FOR_A_POSE = 4
@@ -83,34 +71,17 @@ def is_refined(placement: Placement) -> bool:
     return bool(placement.refinement) and placement.method != "snap"
 
 
-def grade_row(row: FrameResidual) -> Grade:
-    """Return the grade of an object's residuals in one frame."""
-    grades = [g for g in (edge_grade(row), depth_grade(row)) if g is not None]
-    order: list[Grade] = ["poor", "fair", "good"]
-    return min(grades, key=order.index) if grades else "unknown"
-
-
-def edge_grade(row: FrameResidual) -> Grade | None:
-    """Return the grade of the edge residual; None if not measured or at chance level."""
-    if row.edge_px is None:
-        return None
-    if row.edge_chance_px is not None and row.edge_px > CHANCE_SHARE * row.edge_chance_px:
-        return None
-    return _graded(row.edge_px, EDGE_PX)
-
-
-def depth_grade(row: FrameResidual) -> Grade | None:
-    """Return the grade of the depth residual; None if not measured or not trusted."""
-    return None if row.depth_mm is None else _graded(abs(row.depth_mm), DEPTH_MM)
-
-
-def _graded(value: float, limits: tuple[float, float]) -> Grade:
-    return "good" if value <= limits[0] else "fair" if value <= limits[1] else "poor"
-
-
 def _summary(c: Controller, obj: ObjectState) -> ObjectSummary:
     state = work_state(obj)
     badge, grade, sentence = _residual(c.residuals.get(obj.name, ()))
+    verdict = object_verdict(c, obj.name)
+    if verdict.turned:
+        badge = "turned"
+    # A small residual alone is no proof: in clutter every contour is near an edge.
+    if verdict.grade in ("poor", "fair"):
+        grade = verdict.grade
+    elif grade == "good" and verdict.grade == "unknown":
+        grade = "fair"
     parts = [f"{obj.name}: {obj.material} {obj.model}, {state}."]
     if state == "placed":
         parts.append(
@@ -124,6 +95,8 @@ def _summary(c: Controller, obj: ObjectState) -> ObjectSummary:
     if alarm:
         parts.append(f"It runs {alarm}: red in the views.")
     parts.append(sentence)
+    if badge:
+        parts.append(verdict.text)
     explanation = "\n".join(p for p in parts if p)
     return ObjectSummary(
         obj.id,
@@ -158,14 +131,14 @@ def _residual(rows: Sequence[FrameResidual]) -> tuple[str, Grade, str]:
     if edges:
         value = median(edges)
         sentence = f"Contour {value:.1f} px from the image edges, median of {len(edges)} frames."
-        return f"{value:.1f} px", _graded(value, EDGE_PX), sentence
+        return f"{value:.1f} px", graded(value, EDGE_PX), sentence
     if depths:
         value = median(depths)
         sentence = (
             f"Surface {value:.0f} mm from the sensor depth, median of {len(depths)} frames; edges "
             "are not informative here, so check the contour by eye."
         )
-        return f"{value:.0f} mm", _graded(value, DEPTH_MM), sentence
+        return f"{value:.0f} mm", graded(value, DEPTH_MM), sentence
     return "?", "unknown", "Neither edges nor depth are above chance level: check by eye."
 
 
@@ -207,6 +180,10 @@ def next_hint(c: Controller) -> str:
             "to refine."
         )
     row = next(r for r in summarize(c) if r.name == obj.name)
+    if object_verdict(c, obj.name).turned:
+        return f"Another turn of {obj.name} fits the print better: press Y to take it."
+    if row.grade == "poor" and _residual(c.residuals[obj.name])[1] != "poor":
+        return f"{obj.name} is not confirmed: check it in every view, or place it again."
     if row.grade == "poor":
         return f"{obj.name} is {row.badge} off: bring it closer, then press R again."
     if row.alarm:

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from annotator.app import pose_checks
 from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.app.tasks import Task
@@ -25,6 +25,7 @@ from std_toolkit.geometry.mesh import UNITS_IN_M, load_mesh, mesh_extents
 if TYPE_CHECKING:
     from annotator.session.merge import Side
     from annotator.session.requests import Outcome, Request
+    from annotator.session.residuals import FrameResidual
     from std_toolkit.options import PropagateOptions
 
 Unit = Literal["m", "cm", "mm"]
@@ -105,6 +106,9 @@ def perform(
             return
         session.apply(outcome.edit)
         controller.weak_directions.update(outcome.weak_directions)
+        controller.prints.update(outcome.prints)
+        if outcome.prints:
+            controller.emit(Event("verdict", objects=tuple(outcome.prints)))
         for line in outcome.warnings:
             controller.tell(line, "warning")
         if outcome.report:
@@ -144,21 +148,12 @@ def _measure(
     delay: float,
 ) -> None:
     """Measure the residuals of objects, then call `then`."""
-    from annotator.session.residuals import FrameResidual, measure_residuals
-
     snapshot = controller.session.snapshot()
     frames = list(dict.fromkeys(controller.view_frames))
     to_measure = [snapshot.object(n) for n in names]
 
     def work(task: Task) -> dict[int, list[FrameResidual]]:
-        return measure_residuals(
-            snapshot.scene,
-            {o.id: partial(snapshot.pose, o.name) for o in snapshot.state.objects},
-            {o.id: o.material for o in to_measure},
-            {o.id: snapshot.mesh(o.model) for o in snapshot.state.objects if o.placements},
-            frames,
-            cancelled=lambda: task.cancelled,
-        )
+        return pose_checks.measure_objects(snapshot, to_measure, frames, task)
 
     def finish(rows: dict[int, list[FrameResidual]]) -> None:
         now = {o.name: o.placements for o in controller.session.state.objects}
@@ -168,16 +163,11 @@ def _measure(
             controller.unmeasured.discard(obj.name)
         if measured:
             controller.emit(Event("residuals", objects=tuple(o.name for o in measured)))
+        unranked = [o.name for o in to_measure if o.name not in controller.ranks]
+        pose_checks.rank_objects_aside(controller, unranked)
         then(controller)
 
     controller.start_aside(key, work, finish, delay=delay)
-
-
-def toggle_done(controller: Controller) -> None:
-    """Mark the selected object as done, or as open again."""
-    if controller.selected is not None:
-        now = controller.session.object(controller.selected).status
-        controller.mark("open" if now == "done" else "done")
 
 
 def unplace(controller: Controller) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from annotator.app.controller import Controller
-from annotator.app.object_summary import Grade, depth_grade, edge_grade, grade_row
+from annotator.app.verdicts import Grade, depth_grade, edge_grade, object_verdict
 
 if TYPE_CHECKING:
     from annotator.session.residuals import FrameResidual
@@ -58,22 +58,9 @@ def _residual_row(row: FrameResidual) -> ResidualRow:
 
 def verdict(c: Controller) -> str:
     """Return a sentence on whether the selected object fits."""
-    rows = _residuals(c)
     if c.selected is None:
         return "Select an object to see how well it fits."
-    if c.session.pose(c.selected, c.active_frame) is None:
-        return f"{c.selected} has no pose yet."
-    if not rows:
-        return f"Not measured since {c.selected} moved."
-    grades = [grade_row(r) for r in rows if not r.problem]
-    if not grades or all(g == "unknown" for g in grades):
-        return "The residuals in these frames are at chance level: check by eye."
-    worst = [r.frame for r in rows if grade_row(r) == "poor"]
-    if worst:
-        return f"Off in frame {', '.join(map(str, worst))}: check there."
-    if all(edge_grade(r) is None for r in rows):
-        return "The depth agrees, but edges are not informative here: check the contour by eye."
-    return "It fits in every frame where it could be measured."
+    return object_verdict(c, c.selected).text
 
 
 def weak_direction(c: Controller) -> str:

@@ -13,11 +13,9 @@ import msgspec
 from annotator.app.events import Level
 from annotator.app.pose_text import local_minute
 from std_toolkit.errors import ToolkitError
-from std_toolkit.options import PropagateOptions
 
 if TYPE_CHECKING:
     from annotator.app.operations import MeshSize
-    from annotator.session import Session
     from annotator.session.recovery import Recovery
     from std_toolkit.scene import Model, SymmetryModel
 
@@ -335,74 +333,3 @@ def symmetry_words(answers: Answers) -> list[str] | None:
     if chosen == "box":
         return [f"fold:{axis}:2" for axis in _AXES]
     return [f"{chosen}:{answers['count']}" if chosen.startswith("fold:") else chosen]
-
-
-# --- propagating ----------------------------------------------------------------------------------
-
-
-def propagate_question(session: Session, react: Reaction) -> Question:
-    """Ask for the options of propagation; see `propagate_options`."""
-    placed = [o for o in session.state.objects if o.placements]
-    undone = [o.name for o in placed if o.status != "done"]
-    objects = "1 object" if len(placed) == 1 else f"{len(placed)} objects"
-    text = (
-        f"The labels are saved, and the poses of {objects} are carried to "
-        f"{len(session.frames)} frames through the camera poses."
-    )
-    if undone:
-        text += f"\n\nNot marked as done yet: {', '.join(undone)}."
-    refining = ("refine", (True,))
-    return Question(
-        "Save and propagate",
-        react,
-        text=text,
-        fields=(
-            Field(
-                "refine",
-                "Adjust each pose to several frames at once",
-                kind="switch",
-                value=False,
-                tip="Takes minutes; the images decide, not the poses set by hand.",
-            ),
-            Field(
-                "scale",
-                "Estimate the scale of the camera poses as well",
-                kind="switch",
-                value=False,
-                tip="For scenes whose metric scale comes from sensor depth alone. Rewrites "
-                "poses.json, unless its scale is more precise.",
-                when=refining,
-            ),
-            Field(
-                "depth",
-                "Use the sensor depth on raw and diffuse objects",
-                kind="switch",
-                value=True,
-                when=refining,
-            ),
-            Field(
-                "keyframes",
-                "Adjust to",
-                kind="number",
-                value=10,
-                least=2,
-                most=200,
-                unit="frames",
-                when=refining,
-            ),
-        ),
-        buttons=(
-            Button("go", "Save and propagate"),
-            Button("", "Cancel", "Nothing is written."),
-        ),
-    )
-
-
-def propagate_options(answers: Answers) -> PropagateOptions:
-    """Return the selected options."""
-    return PropagateOptions(
-        refine=answers["refine"],
-        refine_scale=answers["scale"],
-        use_depth=answers["depth"],
-        keyframes=answers["keyframes"],
-    )

@@ -58,7 +58,7 @@ _ROLE = Qt.ItemDataRole
 class ObjectPanel(Panel):
     """Object list, material and frequent commands."""
 
-    KINDS = ("edited", "selected", "residuals", "penetration", "saved")
+    KINDS = ("edited", "selected", "residuals", "verdict", "penetration", "saved")
 
     def __init__(self, controller: Controller, commands: Commands) -> None:
         super().__init__(controller)

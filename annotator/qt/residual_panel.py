@@ -7,8 +7,8 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor
 
 from annotator.app.controller import Controller
-from annotator.app.object_summary import CHANCE_SHARE, DEPTH_MM, EDGE_PX
 from annotator.app.panels import ResidualRow, residual_rows, verdict, weak_direction
+from annotator.app.verdicts import CHANCE_SHARE, DEPTH_MM, EDGE_PX
 from annotator.qt import theme
 from annotator.qt.commands import Commands
 from annotator.qt.panel import Panel, label, number_table, tool_button
@@ -20,14 +20,16 @@ _LEGEND = (
     f"{CHANCE_SHARE:.0%} of it are not informative: check by eye there.<br>"
     "<b>Depth</b>: median of the drawn surface minus the sensor's, positive if the object lies "
     f"behind. Sensors have errors up to 2 %, so up to {DEPTH_MM[0]:g} mm may be sensor error. "
-    "Only for raw and diffuse objects: on others sensor depth is wrong."
+    "Only for raw and diffuse objects: on others sensor depth is wrong.<br>"
+    "<b>Nearby poses</b>: 200 poses, moved by up to 30 mm and turned by up to 15 degrees, in up to "
+    "eight frames. A pose fits only if it beats them."
 )
 
 
 class ResidualPanel(Panel):
     """Table with one row per shown frame."""
 
-    KINDS = ("edited", "selected", "residuals")
+    KINDS = ("edited", "selected", "residuals", "verdict")
 
     def __init__(self, controller: Controller, commands: Commands) -> None:
         super().__init__(controller)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from annotator.session.edits import AnyEdit, EnterModel
 from annotator.session.state import Snapshot
@@ -17,6 +17,9 @@ from std_toolkit.io.atomic import scene_lock
 from std_toolkit.labels.label import copy_model
 from std_toolkit.scene import ObjectTable, Scene
 from std_toolkit.scene.document import Document, safe_name
+
+if TYPE_CHECKING:
+    from std_toolkit.labels.print import PrintComparison
 
 Progress = Callable[[float], None]
 
@@ -37,12 +40,14 @@ class Outcome:
         report: lines of text on the result.
         warnings: sentences on what to inspect.
         weak_directions: sentence by object name on the least determined direction of its pose.
+        prints: comparison by object name of its print with near-symmetric turns.
     """
 
     edit: AnyEdit
     report: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     weak_directions: dict[str, str] = field(default_factory=dict)
+    prints: dict[str, PrintComparison] = field(default_factory=dict)
 
 
 class RequestCancelled(ToolkitError):

@@ -89,7 +89,13 @@ class Refine(Request, frozen=True, kw_only=True, tag="refine"):
             report.append(_line(snapshot, refined, poses[refined.object]))
             warnings += [f"{refined.name}: {text}" for text in refined.warnings]
         weak = {r.name: r.weak_direction for r in found.objects.values() if r.weak_direction}
-        return Outcome(SetPoses(changes=changes, label=self.title), report, warnings, weak)
+        prints = {r.name: r.print for r in found.objects.values() if r.print is not None}
+        warnings += [
+            f"{name}: {found.sentence()}; press Y to take that turn"
+            for name, found in prints.items()
+            if found.verdict == "turned"
+        ]
+        return Outcome(SetPoses(changes=changes, label=self.title), report, warnings, weak, prints)
 
     def _lone_frame(self, snapshot: Snapshot) -> int | None:
         """Return the only frame to use if poses hold in one frame only, otherwise None."""

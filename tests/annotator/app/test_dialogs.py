@@ -13,7 +13,8 @@ from scene_on_disk import write_scene
 
 from annotator.app.action_table import ACTIONS
 from annotator.app.dialogs import Dialogs
-from annotator.app.questions import Field, Question, propagate_options, symmetry_words
+from annotator.app.label_questions import propagate_options
+from annotator.app.questions import Field, Question, symmetry_words
 from std_toolkit.errors import ToolkitError
 
 

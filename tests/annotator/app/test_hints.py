@@ -10,7 +10,7 @@ import pytest
 from desk_without_window import Desk
 from scene_on_disk import write_scene
 
-from annotator.app import operations
+from annotator.app import operations, pose_checks
 from annotator.app.object_summary import next_hint
 from annotator.session import AddClick, AddObject, Click, SetPoses
 from annotator.session.edits import ChangeObject
@@ -60,7 +60,7 @@ def test_from_a_box_to_its_label(desk: Desk) -> None:
     assert hint() == "mug is 6.4 px off: bring it closer, then press R again."
     c.residuals["mug"] = [FrameResidual(0, 900, edge_px=0.8, edge_chance_px=12.0)]
     assert "press D if it fits" in hint()
-    operations.toggle_done(c)
+    pose_checks.toggle_done(c)
     assert "Next: box_1" in hint()
     c.apply(SetPoses.one("box_1", 0, POSE, method="typed"))
     c.apply(ChangeObject(object="box_1", status="done"))

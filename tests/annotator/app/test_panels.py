@@ -10,10 +10,17 @@ import pytest
 from desk_without_window import Desk
 from scene_on_disk import write_scene
 
+from annotator.app.action_table import BY_ID
+from annotator.app.dialogs import Dialogs
 from annotator.app.panels import frame_marks, residual_rows, verdict, weak_direction
 from annotator.app.pose_text import PoseFields, RotationForm
+from annotator.app.questions import Question
+from annotator.app.verdicts import object_verdict
 from annotator.session.residuals import FrameResidual
+from std_toolkit.checks.ranking import PoseRank
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3
+from std_toolkit.labels.print import PrintComparison
 from std_toolkit.labels.support.plane import Plane, TablePlane
 
 
@@ -35,7 +42,7 @@ def residual(frame: int, edge: float | None, depth: float | None) -> FrameResidu
     "rows, sentence",
     [
         ([], "Not measured since box_1 moved."),
-        ([residual(0, 0.8, None), residual(1, 1.0, 3.0)], "It fits in every frame"),
+        ([residual(0, 0.8, None), residual(1, 1.0, 3.0)], "being compared with nearby poses"),
         ([residual(0, 0.8, None), residual(1, 9.0, 3.0)], "Off in frame 1: check there."),
         ([residual(0, None, 4.0)], "edges are not informative here"),
         ([residual(0, 19.0, None)], "check by eye"),
@@ -45,6 +52,81 @@ def test_the_verdict_is_one_sentence(desk: Desk, rows: list[FrameResidual], sent
     desk.controller.residuals["box_1"] = rows
     assert sentence in verdict(desk.controller)
     assert len(residual_rows(desk.controller)) == len(rows)
+
+
+GOOD = [residual(0, 0.8, None), residual(1, 1.0, 3.0)]
+
+
+@pytest.mark.parametrize(
+    "rows, rank, grade, words",
+    [
+        (GOOD, PoseRank(200, 200, (0, 1), (0, 1), -0.1, 0.6), "good", "200 of 200 nearby poses"),
+        (GOOD, PoseRank(150, 200, (0, 1), (0, 1), -0.1, 0.6), "poor", "150 of 200"),
+        (GOOD, PoseRank(200, 200, (0, 1), (0, 1), 0.1, 0.6), "poor", "another turn fits as well"),
+        (GOOD, PoseRank(200, 200, (0, 1), (0,), -0.1, 0.6), "poor", "1 of 2 frames tells nothing"),
+        (GOOD, PoseRank(200, 200, (0,), (0,), -0.1, 0.6), "poor", "one frame alone"),
+        (
+            [*GOOD, residual(2, 19.0, None), residual(3, 19.0, None)],
+            PoseRank(200, 200, (0, 1), (0, 1), -0.1, 0.6),
+            "unknown",
+            "2 of 4 shown frames are at chance level",
+        ),
+    ],
+)
+def test_a_pose_fits_only_if_most_frames_and_its_rank_say_so(
+    desk: Desk, rows: list[FrameResidual], rank: PoseRank, grade: str, words: str
+) -> None:
+    c = desk.controller
+    c.residuals["box_1"], c.ranks["box_1"] = rows, rank
+    found = object_verdict(c, "box_1")
+    assert found.grade == grade
+    assert words in found.text
+
+
+def test_a_print_that_fits_better_turned_is_offered_and_taken_as_one_edit(desk: Desk) -> None:
+    c = desk.controller
+    half = SE3(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+    before = c.session.pose("box_1", 0)
+    assert before is not None
+    c.residuals["box_1"], c.ranks["box_1"] = GOOD, PoseRank(200, 200, (0, 1), (0, 1), -0.1, 0.6)
+    assert not BY_ID["take_turn"].enabled(c)
+    c.prints["box_1"] = PrintComparison("turned", half, "turned by 180 deg about z", 0.1, 0.6, 4)
+    assert object_verdict(c, "box_1").turned
+    assert "turned by 180 deg about z fits the print better" in verdict(c)
+    assert BY_ID["take_turn"].enabled(c)
+    BY_ID["take_turn"].run(c)
+    after = c.session.pose("box_1", 0)
+    assert after is not None
+    np.testing.assert_allclose((before.inverse() @ after).R, half.R, atol=1e-9)
+    assert "box_1" not in c.prints
+    c.undo()
+    np.testing.assert_allclose(c.session.pose("box_1", 0).flat(), before.flat(), atol=1e-9)  # type: ignore[union-attr]
+
+
+def test_done_asks_unless_the_pose_fits(desk: Desk) -> None:
+    c = desk.controller
+    asked: list[Question | None] = []
+    dialogs = Dialogs(c, asked.append)
+    c.subscribe(lambda e: dialogs.ask(e.text) if e.kind == "ask" else None)
+    c.residuals["box_1"], c.ranks["box_1"] = GOOD, PoseRank(9, 200, (0, 1), (0, 1), 0.1, 0.6)
+    BY_ID["done"].run(c)
+    question = asked[-1]
+    assert question is not None
+    assert "box_1" in question.text
+    assert "9 of 200" in question.text
+    assert c.session.object("box_1").status == "open"
+    dialogs.answer(question.number, "", {})
+    assert c.session.object("box_1").status == "open"
+    BY_ID["done"].run(c)
+    assert asked[-1] is not None
+    dialogs.answer(asked[-1].number, "done", {})
+    assert c.session.object("box_1").status == "done"
+    BY_ID["done"].run(c)
+    c.residuals["box_1"], c.ranks["box_1"] = GOOD, PoseRank(200, 200, (0, 1), (0, 1), -0.1, 0.6)
+    count = len(asked)
+    BY_ID["done"].run(c)
+    assert c.session.object("box_1").status == "done"
+    assert len(asked) == count
 
 
 def test_a_weak_direction_is_a_sentence(desk: Desk) -> None:

@@ -1,0 +1,125 @@
+"""Verdict on the pose of an object: residuals in the shown frames, rank, and print."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from annotator.app.controller import Controller
+
+if TYPE_CHECKING:
+    from annotator.session.residuals import FrameResidual
+    from std_toolkit.checks.ranking import PoseRank
+    from std_toolkit.labels.print import PrintComparison
+
+Grade = Literal["good", "fair", "poor", "unknown"]
+
+# Contour to image edges, pixels: below the first value the pose is as good as annotation and
+# refinement get; above the second it is visibly wrong.
+EDGE_PX = (1.5, 3.0)
+
+# The same for the depth of a diffuse object, mm: these sensors have errors up to 2 %, which is
+# 14 mm at 0.7 m, so edges are more informative if there are any.
+DEPTH_MM = (15.0, 30.0)
+
+# An edge distance is informative only if it is clearly below the chance level.
+CHANCE_SHARE = 0.6
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a pose fits.
+
+    Attributes:
+        grade: "good": it fits; "unknown": not measured or not measurable.
+        text: reason in sentences.
+        turned: whether another turn fits the print better.
+    """
+
+    grade: Grade
+    text: str
+    turned: bool = False
+
+
+def grade_row(row: FrameResidual) -> Grade:
+    """Return the grade of an object's residuals in one frame."""
+    grades = [g for g in (edge_grade(row), depth_grade(row)) if g is not None]
+    order: list[Grade] = ["poor", "fair", "good"]
+    return min(grades, key=order.index) if grades else "unknown"
+
+
+def edge_grade(row: FrameResidual) -> Grade | None:
+    """Return the grade of the edge residual; None if not measured or at chance level."""
+    if row.edge_px is None:
+        return None
+    if row.edge_chance_px is not None and row.edge_px > CHANCE_SHARE * row.edge_chance_px:
+        return None
+    return graded(row.edge_px, EDGE_PX)
+
+
+def depth_grade(row: FrameResidual) -> Grade | None:
+    """Return the grade of the depth residual; None if not measured or not trusted."""
+    return None if row.depth_mm is None else graded(abs(row.depth_mm), DEPTH_MM)
+
+
+def graded(value: float, limits: tuple[float, float]) -> Grade:
+    return "good" if value <= limits[0] else "fair" if value <= limits[1] else "poor"
+
+
+def object_verdict(c: Controller, name: str) -> Verdict:
+    """Return the verdict on an object from what is known of its current pose."""
+    if c.session.pose(name, c.active_frame) is None:
+        return Verdict("unknown", f"{name} has no pose yet.")
+    print_ = c.prints.get(name)
+    if print_ is not None and print_.verdict == "turned":
+        text = f"Wrong turn: {print_.sentence()}. Press Y to take it."
+        return Verdict("poor", text, turned=True)
+    rows = c.residuals.get(name, ())
+    if not rows:
+        return Verdict("unknown", f"Not measured since {name} moved.")
+    return _measured(rows, c.ranks.get(name), print_)
+
+
+def _measured(
+    rows: Sequence[FrameResidual], rank: PoseRank | None, print_: PrintComparison | None
+) -> Verdict:
+    visible = [r for r in rows if not r.problem]
+    if not visible:
+        return Verdict("unknown", "It is visible in none of these frames.")
+    worst = [r.frame for r in visible if grade_row(r) == "poor"]
+    if worst:
+        return Verdict("poor", f"Off in frame {', '.join(map(str, worst))}: check there.")
+    telling = [r for r in visible if edge_grade(r) is not None]
+    if not telling:
+        if any(depth_grade(r) is not None for r in visible):
+            return Verdict(
+                "unknown",
+                "The depth agrees, but edges are not informative here: check the contour by eye.",
+            )
+        return Verdict(
+            "unknown", "The residuals in these frames are at chance level: check by eye."
+        )
+    if rank is None:
+        return Verdict("unknown", "It is being compared with nearby poses.")
+    said = f"{rank.sentence()[:1].upper()}{rank.sentence()[1:]}."
+    if 2 * len(telling) <= len(visible):
+        silent = len(visible) - len(telling)
+        return Verdict(
+            "unknown",
+            f"{silent} of {len(visible)} shown frames are at chance level: check by eye. {said}",
+        )
+    if not rank.good:
+        return Verdict("poor", f"Not confirmed: other poses fit as well. {said}")
+    if any(grade_row(r) == "fair" for r in visible):
+        return Verdict("fair", f"Close, but not exact. {said}")
+    also = ""
+    if print_ is not None and print_.verdict in ("fits", "ambiguous"):
+        also = f" {print_.sentence()[:1].upper()}{print_.sentence()[1:]}."
+    return Verdict("good", f"It fits. {said}{also}")
+
+
+def doubtful_objects(c: Controller, names: Sequence[str]) -> list[tuple[str, str]]:
+    """Return name and reason of those objects whose verdict is not good."""
+    verdicts = [(name, object_verdict(c, name)) for name in names]
+    return [(name, v.text) for name, v in verdicts if v.grade != "good"]
