@@ -1,4 +1,5 @@
-"""Gates on single frames: camera poses, objects that moved, alignment of depth and colour."""
+"""Gates on single frames: camera poses, objects that moved, share of frames that do not fit,
+alignment of depth and colour."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ _MOST_NAMES = 4
 def fault_gates(
     faults: FrameFaults, summary: SceneSummary, options: CheckOptions
 ) -> list[CheckGate]:
-    """The gates `camera`, `moved` and `alignment`; open if nothing was measured."""
+    """The gates `camera`, `moved`, `unfit` and `alignment`; open if nothing was measured."""
     names = {f.frame: f.name for f in faults.frames}
     measured = any(f.edge_px is not None for o in faults.objects for f in o.frames)
     return [
@@ -40,8 +41,30 @@ def fault_gates(
             "cut the recording where the object moved, or leave the frames out "
             "(`std-curate export --drop-bad-frames`)",
         ),
+        _unfit(faults, options),
         _alignment(summary, options),
     ]
+
+
+def _unfit(faults: FrameFaults, options: CheckOptions) -> CheckGate:
+    worst = max(faults.unfit, key=lambda name: faults.unfit[name], default=None)
+    value = None if worst is None else round(100 * faults.unfit[worst], 1)
+    limit = round(100 * options.max_unfit, 1)
+    status: Literal["pass", "fail", "open"] = "open"
+    if value is not None:
+        status = "fail" if value > limit else "pass"
+    return CheckGate(
+        key="unfit",
+        title="frames in which a label does not fit, worst object",
+        value=value,
+        limit=limit,
+        rule="at most",
+        unit="%",
+        status=status,
+        detail=worst if worst is not None and value else "",
+        advice="look at these frames in the report; leave them out "
+        "(`std-curate export --drop-bad-frames`), or label the parts of the recording apart",
+    )
 
 
 def depth_shift_words(shift_px: Sequence[float]) -> str:

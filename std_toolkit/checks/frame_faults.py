@@ -1,8 +1,9 @@
 """Faults of single frames: a camera pose that is wrong, an object that moved, shifted depth.
 
-A label fits in a frame if its contour is much closer to image edges than by chance, and no clear
-shift contradicts it. An object whose label fits in enough frames is a witness: where it does not
-fit, the camera pose is wrong if most other witnesses do not fit either; otherwise the object moved.
+A label fits in a frame if clearly more of its contour lies on image edges than by chance, about as
+much as in its other frames, and no clear shift contradicts it. An object whose label fits in enough
+frames is a witness: where it does not fit, the camera pose is wrong if most other witnesses do not
+fit either; otherwise the object moved.
 """
 
 from __future__ import annotations
@@ -18,23 +19,23 @@ from std_toolkit.checks.result import FrameCheck, ObjectCheck, ObjectFrameCheck
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 
-# Edge distance divided by that of displaced contours: a label fits below the first limit. It does
-# not fit above the second one, and above a multiple of what is usual for the object.
-_FITS = 0.6
-_OFF = 0.7
-_TIMES_USUAL = 2.0
-# A witness fits in at least this many frames and this share of them, clearly better than chance.
+# Margin: share of the contour on image edges, minus that of displaced contours. A label fits above
+# the first part of the margin that is usual for the object, and does not fit below the second.
+_FITS = 0.55
+_OFF = 0.4
+# A smaller margin is no fit.
+_LEAST_MARGIN = 0.12
+# A witness fits in at least this many frames and this share of them, with this margin.
 _FEWEST_FITS = 2
 _SHARE_OF_FITS = 0.3
-_CLEAR = 0.45
+_CLEAR = 0.25
 # Where a camera pose is wrong, nearly all witnesses do not fit.
 _CAMERA_SHARE = 0.6
 _FEWEST_WITNESSES = 2
-# Frames in a row without a fit, and the part of single frames that may contradict a motion.
+# Frames in a row without a fit: at least this number, and this share of all; a hand in front of an
+# object hides it for a moment. The part of single frames that may contradict a motion.
 _FEWEST_MOVED = 3
-# Reflections displace edges in several frames: such objects need a longer run, and no single
-# frame of theirs is a fault.
-_FEWEST_MOVED_SHINY = 4
+_SHARE_MOVED = 0.06
 _CONTRADICTION = 0.2
 
 
@@ -63,12 +64,15 @@ class FrameFaults:
         objects, frames: the rows with `fault` set.
         camera: ids of the frames with a wrong camera pose.
         moved: objects that moved.
+        unfit: share of the frames in which a witness does not fit, by name; frames with a wrong
+            camera pose do not count.
     """
 
     objects: list[ObjectCheck]
     frames: list[FrameCheck]
     camera: list[int]
     moved: list[Motion]
+    unfit: dict[str, float]
 
 
 def find_frame_faults(
@@ -81,7 +85,7 @@ def find_frame_faults(
         options: limits and the smallest share of a contour near edges.
     """
     states = {o.object: _states(o, options) for o in objects}
-    witnesses = [o for o in objects if _is_witness(o, states[o.object], options)]
+    witnesses = [o for o in objects if _is_witness(o, states[o.object])]
     camera = []
     for row in frames:
         seen = [s for o in witnesses if (s := states[o.object].get(row.frame)) is not None]
@@ -113,42 +117,52 @@ def find_frame_faults(
         [_with_fault(row, camera, options) for row in frames],
         camera,
         moved,
+        {o.name: _unfit(states[o.object], frozenset(camera)) for o in witnesses},
     )
 
 
-def _ratio(row: ObjectFrameCheck, options: CheckOptions) -> float | None:
-    """Edge distance over that by chance; None if the contour has too few edges."""
-    if row.edge_px is None or not row.edge_chance_px:
+def _margin(row: ObjectFrameCheck) -> float | None:
+    """Share of the contour on edges minus chance; None where it was not measured."""
+    if row.on_edges is None or row.on_edges_chance is None:
         return None
-    if (row.edge_support or 0) < options.min_edge_support:
-        return None
-    return row.edge_px / row.edge_chance_px
+    return row.on_edges - row.on_edges_chance
 
 
 def _shift_px(row: ObjectFrameCheck) -> float:
     return hypot(*row.shift_px) if row.shift_px is not None else 0.0
 
 
+def _usual_margin(item: ObjectCheck) -> float:
+    """Margin of the object where its label fits: the median of the better half of the frames."""
+    margins = sorted((m for f in item.frames if (m := _margin(f)) is not None), reverse=True)
+    return float(np.median(margins[: (len(margins) + 1) // 2])) if margins else 0.0
+
+
 def _states(item: ObjectCheck, options: CheckOptions) -> dict[int, bool]:
     """Whether the label fits, by frame id; frames that do not tell are absent."""
-    ratios = {f.frame: (r, f) for f in item.frames if (r := _ratio(f, options)) is not None}
-    good = [r for r, f in ratios.values() if r <= _FITS and _shift_px(f) <= options.max_shift_px]
-    usual = float(np.median(good)) if good else _FITS
+    usual = _usual_margin(item)
     states = {}
-    for frame, (ratio, row) in ratios.items():
-        if _shift_px(row) > options.max_shift_px or ratio > max(_OFF, _TIMES_USUAL * usual):
-            states[frame] = False
-        elif ratio <= _FITS:
-            states[frame] = True
+    for row in item.frames:
+        margin = _margin(row)
+        if margin is None:
+            continue
+        if _shift_px(row) > options.max_shift_px or margin < _OFF * usual:
+            states[row.frame] = False
+        elif margin >= max(_FITS * usual, _LEAST_MARGIN):
+            states[row.frame] = True
     return states
 
 
-def _is_witness(item: ObjectCheck, states: dict[int, bool], options: CheckOptions) -> bool:
-    fitting = [f for f in item.frames if states.get(f.frame)]
-    if len(fitting) < max(_FEWEST_FITS, _SHARE_OF_FITS * len(states)):
-        return False
-    ratios = [r for f in fitting if (r := _ratio(f, options)) is not None]
-    return float(np.median(ratios)) <= _CLEAR
+def _is_witness(item: ObjectCheck, states: dict[int, bool]) -> bool:
+    fits = sum(states.values())
+    return fits >= max(_FEWEST_FITS, _SHARE_OF_FITS * len(states)) and _usual_margin(item) >= _CLEAR
+
+
+def _unfit(states: dict[int, bool], camera: frozenset[int]) -> float:
+    """Share of frames in which a label does not fit; a single frame is no share."""
+    known = [fits for frame, fits in states.items() if frame not in camera]
+    off = known.count(False)
+    return off / len(known) if off > 1 else 0.0
 
 
 def _motion(item: ObjectCheck, states: dict[int, bool], camera: frozenset[int]) -> Motion | None:
@@ -165,7 +179,7 @@ def _motion(item: ObjectCheck, states: dict[int, bool], camera: frozenset[int]) 
         best = max(best, (int(total[end] - total[start]), -start, end))
     start, end = -best[1], best[2]
     inside, outside = gains[start:end], np.concatenate([gains[:start], gains[end:]])
-    fewest = _FEWEST_MOVED if item.material in DIFFUSE_MATERIALS else _FEWEST_MOVED_SHINY
+    fewest = max(_FEWEST_MOVED, _SHARE_MOVED * len(known))
     if len(inside) < fewest or len(outside) < _FEWEST_FITS:
         return None
     if (inside < 0).mean() > _CONTRADICTION or (outside > 0).mean() > _CONTRADICTION:

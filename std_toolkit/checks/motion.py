@@ -128,7 +128,7 @@ class Motion:
         size: size of the object relative to its mesh, minus 1; None if it was not solved.
         size_std: its standard deviation.
         residual_px: robust standard deviation of the edges around the moved contour.
-        gain: mean log likelihood per independent sample gained by the motion.
+        gain: log likelihood of the independent samples gained by the motion.
     """
 
     vector: Array
@@ -141,24 +141,23 @@ class Motion:
     @property
     def translation_mm(self) -> tuple[float, float]:
         """Length of the significant translation and the standard deviation along it, mm."""
-        length, std = _significant(self.vector[:3], self.covariance[:3, :3])
+        length, std = self._significant(slice(3))
         return 1000 * length, 1000 * std
 
     @property
     def rotation_deg(self) -> tuple[float, float]:
         """Angle of the significant rotation and the standard deviation of it, degrees."""
-        length, std = _significant(self.vector[3:], self.covariance[3:, 3:])
+        length, std = self._significant(slice(3, 6))
         return float(np.rad2deg(length)), float(np.rad2deg(std))
 
-    @property
-    def significant(self) -> Array:
-        """(6,) the motion without the parts that are not significant."""
-        return np.concatenate(
-            [
-                _significant_part(self.vector[:3], self.covariance[:3, :3]),
-                _significant_part(self.vector[3:], self.covariance[3:, 3:]),
-            ]
-        )
+    def _significant(self, part: slice) -> tuple[float, float]:
+        """Length of the significant part, and the standard deviation along it.
+
+        The covariance describes the surroundings of the motion alone. Where the edges at the label
+        are nearly as likely, among clutter, they do not show the motion.
+        """
+        vector = self.vector[part] if self.gain >= _SIGNIFICANT_CHI2 / 2 else np.zeros(3)
+        return _significant(vector, self.covariance[part, part])
 
 
 def motion_equations(
@@ -293,7 +292,7 @@ def solve_motion(
         float(xi[6]) if with_size else None,
         float(np.sqrt(covariance[6, 6])) if with_size else None,
         std,
-        (score(xi) - score(zero)) / float(share.sum()),
+        score(xi) - score(zero),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import msgspec
@@ -17,12 +17,15 @@ from std_toolkit.labels.refine_step import load_views, print_surface, scene_obje
 from std_toolkit.scene import Frame, Scene
 
 
-def compare_prints(scene: Scene, frames: Sequence[Frame]) -> dict[int, PrintComparison]:
+def compare_prints(
+    scene: Scene, frames: Sequence[Frame], *, only: Collection[int] | None = None
+) -> dict[int, PrintComparison]:
     """Compare the print of every labelled object with a few of the frames.
 
     Args:
         scene: the scene with its labels.
         frames: registered frames whose images can be read.
+        only: ids of the objects to compare; None compares all.
 
     Returns:
         Comparisons by object id; objects without a label in the world or a readable mesh are
@@ -40,6 +43,8 @@ def compare_prints(scene: Scene, frames: Sequence[Frame]) -> dict[int, PrintComp
     views: dict[int, RefineView] = {}
     found = {}
     for i, obj in objects.items():
+        if only is not None and i not in only:
+            continue
         centre = obj.T_world_obj @ obj.centre
         chosen = large_views(cameras, poses, centre, obj.radius, count=FRAMES)
         for k in chosen:

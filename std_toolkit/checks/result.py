@@ -84,8 +84,12 @@ class ObjectFrameCheck(Document, frozen=True, kw_only=True):
         shift_px: [x, y] from the label to the image.
         depth_mm: median of rendered minus sensor depth.
         depth_unscaled_mm: the same without the bias common to all diffuse objects.
+        on_edges: share of the contour within 1.25 px of an image edge.
+        on_edges_chance: the same for displaced contours.
         motion_mm, motion_deg: significant translation and rotation between the label and the
             image of this frame alone, which determines the distance weakly.
+        motion_std_mm, motion_std_deg: their standard deviations in the direction of the motion,
+            or the largest ones without a significant motion.
         fault: why the label does not fit in this frame, or "".
     """
 
@@ -97,8 +101,12 @@ class ObjectFrameCheck(Document, frozen=True, kw_only=True):
     shift_px: list[float] | None = None
     depth_mm: Number = None
     depth_unscaled_mm: Number = None
+    on_edges: Number = None
+    on_edges_chance: Number = None
     motion_mm: Number = None
     motion_deg: Number = None
+    motion_std_mm: Number = None
+    motion_std_deg: Number = None
     fault: str = ""
 
 
