@@ -29,6 +29,9 @@ FEWEST_POINTS = 16
 FEWEST_FRAMES = 4
 # Chi square with three degrees of freedom that chance exceeds as rarely as three deviations.
 _SIGNIFICANT_CHI2 = 14.16
+# A motion with a smaller gain in log likelihood is not shown: among clutter, the edges at the label
+# are nearly as likely.
+_LEAST_GAIN = 2.0
 # Parts of a significant motion below this number of deviations are left out.
 _CONTRIBUTES = 2.0
 _LARGEST_SAMPLE = 120
@@ -151,12 +154,8 @@ class Motion:
         return float(np.rad2deg(length)), float(np.rad2deg(std))
 
     def _significant(self, part: slice) -> tuple[float, float]:
-        """Length of the significant part, and the standard deviation along it.
-
-        The covariance describes the surroundings of the motion alone. Where the edges at the label
-        are nearly as likely, among clutter, they do not show the motion.
-        """
-        vector = self.vector[part] if self.gain >= _SIGNIFICANT_CHI2 / 2 else np.zeros(3)
+        """Length of the significant part, and the standard deviation along it."""
+        vector = self.vector[part] if self.gain >= _LEAST_GAIN else np.zeros(3)
         return _significant(vector, self.covariance[part, part])
 
 
@@ -223,7 +222,11 @@ def symmetry_motions(symmetry: Symmetry, T_world_obj: SE3, centre: Array) -> Arr
 
 
 def solve_motion(
-    equations: Sequence[MotionEquations], free: Array | None = None, *, with_size: bool = False
+    equations: Sequence[MotionEquations],
+    free: Array | None = None,
+    *,
+    with_size: bool = False,
+    systematic_px: float = 0.0,
 ) -> Motion | None:
     """The motion common to all frames.
 
@@ -231,6 +234,8 @@ def solve_motion(
         equations: one entry per frame.
         free: (N, 6) motions that are left out, from `symmetry_motions`.
         with_size: solve for the size of the object, too.
+        systematic_px: standard deviation of an error that edges of all frames share; it is part of
+            the covariance.
 
     Returns:
         None without equations.
@@ -286,6 +291,10 @@ def solve_motion(
     std = max(1.2 * std, _SMALLEST_STD_PX)
     w = weight.sum(axis=1) / std**2
     covariance = np.linalg.inv((J * w[:, None]).T @ J + prior)
+    # px per metre and per radian.
+    for part in (slice(3), slice(3, 6)):
+        sensitivity = float((J[:, part] ** 2).sum(axis=1).mean())
+        covariance[part, part] += np.eye(3) * systematic_px**2 / max(sensitivity, 1e-9)
     return Motion(
         xi[:6],
         covariance[:6, :6],

@@ -27,7 +27,7 @@ from std_toolkit.scene import Scene
 
 # Motions below these are not worth a warning.
 _NOTED_MM = 2.0
-_NOTED_DEG = 1.5
+_NOTED_DEG = 1.2
 _NOTED_SIZE = 0.015
 _SIZE_DEVIATIONS = 3.0
 _JUDGED_FRACTION = 0.2
@@ -36,6 +36,9 @@ _CLEAR_DEVIATIONS = 3.5
 _CLEAR_MARGIN = 0.2
 # Systematic part of the deviation of a size: reflections and refraction move the edges of contours.
 _SIZE_STD = {"specular": 0.012, "transparent": 0.008}
+# The same for motions, px.
+_SYSTEMATIC_PX = {"specular": 1.0, "transparent": 0.4}
+_OPAQUE_SYSTEMATIC_PX = 0.1
 _OPAQUE_SIZE_STD = 0.004
 _LABELLED = ("propagated", "refined")
 # Motions up to this many limits are put down to the shape of the mesh where its print fits.
@@ -247,7 +250,8 @@ def _with_motion(
     item = msgspec.structs.replace(
         item, frames=[_frame_row(row, rows.get(row.frame), free) for row in item.frames]
     )
-    motion = solve_motion(equations, free)
+    systematic_px = _SYSTEMATIC_PX.get(item.material, _OPAQUE_SYSTEMATIC_PX)
+    motion = solve_motion(equations, free, systematic_px=systematic_px)
     if motion is None:
         return msgspec.structs.replace(item, confirmed=False, confirmed_share=0.0)
     if len(equations) < FEWEST_FRAMES:
@@ -259,7 +263,7 @@ def _with_motion(
             confirmed_share=round(support.frames, 4),
         )
     fields: dict[str, Any] = {}
-    sized = solve_motion(equations, free, with_size=True)
+    sized = solve_motion(equations, free, with_size=True, systematic_px=systematic_px)
     assert sized is not None and sized.size is not None and sized.size_std is not None
     floor = _SIZE_STD.get(item.material, _OPAQUE_SIZE_STD)
     size_std = float(np.hypot(sized.size_std, floor))
