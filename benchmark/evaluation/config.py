@@ -189,12 +189,22 @@ class BopConfig(TaskConfig):
     """CSV files in BOP's format"""
     bop_split: str = "test"
     """folder of the scenes"""
+    sensors: tuple[str, ...] = field(default=(), metadata=_option("sensor"))
+    """of a data set with several, such as photoneo; of each scene the first that it has (those that
+    the BOP Challenge scores)"""
+    errors: tuple[Literal["vsd", "mssd", "mspd"], ...] = ("vsd", "mssd", "mspd")
+    """errors to score; VSD is left out where there is no depth"""
+    symmetry_steps: Count | None = None
+    """samples of a turn about a continuous axis of symmetry: 315 in published figures (the exact
+    minimum)"""
+    vsd_delta_mm: Annotated[float, msgspec.Meta(gt=0)] = 15.0
+    """how far behind the measured depth a surface of VSD counts as visible (ITODD: 5)"""
     out: Path | None = None
     """folder of results (the table is only printed)"""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_lists(self, "results")
+        check_lists(self, "results", "errors")
 
 
 def options_by_method(config: NetworkConfig, methods: Sequence[str]) -> dict[str, MethodOptions]:

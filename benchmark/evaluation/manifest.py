@@ -266,6 +266,11 @@ class BopSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         results, results_sha256: name of the result file, and its SHA-256 hash.
         targets, targets_sha256: number of targets (objects in images), and their SHA-256 hash.
         renderer: renderer of the models for VSD.
+        sensors: chosen sensors of data sets with several.
+        errors: errors that are scored.
+        symmetry_steps: samples of a turn about a continuous axis; None for the exact minimum.
+        vsd_delta_mm: tolerance of visibility in VSD.
+        columns: version of the table; 1 of results without detection.
     """
 
     data: str
@@ -275,6 +280,11 @@ class BopSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     targets: int
     targets_sha256: str
     renderer: str
+    sensors: tuple[str, ...] = ()
+    errors: tuple[str, ...] = ("vsd", "mssd", "mspd")
+    symmetry_steps: int | None = None
+    vsd_delta_mm: float = 15.0
+    columns: int = 1
 
 
 class BopManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -12,11 +12,13 @@ import numpy as np
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.importers.bop_documents import filed_pose
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.foreign_files import csv_rows
 
 _COLUMNS = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
 _MM = 1000.0
+_SAME_TIME_S = 0.001  # as bop_toolkit
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +28,7 @@ class BopEstimate:
     Attributes:
         scene_id, im_id, obj_id: numbers of the scene, the image and the object.
         score: confidence.
-        T_cam_obj: model to camera, metres.
+        T_cam_obj: model to camera, metres; the rotation as filed.
         seconds: that the whole image took; -1 if unknown.
     """
 
@@ -48,7 +50,8 @@ def read_bop_results(path: Path | str) -> list[BopEstimate]:
         The estimates in the order of the file.
 
     Raises:
-        ToolkitError: cannot be read, a field that is none, or times that differ within an image.
+        ToolkitError: cannot be read, a field that is none, a rotation that is more than 5 % off,
+            or times that differ by more than a millisecond within an image.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -77,7 +80,7 @@ def read_bop_results(path: Path | str) -> list[BopEstimate]:
             )
         estimate = _estimate(row, path, number)
         image = (estimate.scene_id, estimate.im_id)
-        if times.setdefault(image, estimate.seconds) != estimate.seconds:
+        if abs(times.setdefault(image, estimate.seconds) - estimate.seconds) > _SAME_TIME_S:
             raise ToolkitError(
                 "the time of an image must be the same in all its lines",
                 path=path,
@@ -124,16 +127,19 @@ def _estimate(row: list[str], path: Path, number: int) -> BopEstimate:
             numbers.append(float(fields[name]))
             if not np.isfinite(numbers[-1]):
                 raise ValueError
-        M = np.eye(4)
         name = "R"
-        M[:3, :3] = np.array([float(x) for x in fields["R"].split()]).reshape(3, 3)
+        R = np.array([float(x) for x in fields["R"].split()]).reshape(3, 3)
         name = "t"
-        M[:3, 3] = np.array([float(x) for x in fields["t"].split()]).reshape(3) / _MM
+        t_mm = np.array([float(x) for x in fields["t"].split()]).reshape(3)
         name = "R or t"
-        T = SE3.from_matrix(M)
+        T = filed_pose(R, t_mm)
     except ToolkitError as error:
         raise ToolkitError(
-            error.problem, path=path, field=f"line {number}, {name}", value=error.value
+            error.problem,
+            path=path,
+            field=f"line {number}, {name}",
+            value=error.value,
+            hint=error.hint,
         ) from error
     except ValueError as error:
         raise ToolkitError(
