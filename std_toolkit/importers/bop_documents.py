@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -175,14 +175,17 @@ def read_bop_scene(folder: Path, sensor: str = "", *, for_import: bool = True) -
             if row.cam_K is not None:
                 _plain_K(row.cam_K)
             _ = row.T_cam_world
-    for im_id, rows in gt.items():
+    for im_id in gt:
         if im_id not in cameras:
             raise ToolkitError("no such image in scene_camera.json", path=gt_path, value=im_id)
-        for i, entry in enumerate(rows):
+    entries = [(im_id, i, row) for im_id, rows in gt.items() for i, row in enumerate(rows)]
+    bad = first_bad_pose(
+        [row.cam_R_m2c for *_, row in entries], [row.cam_t_m2c for *_, row in entries]
+    )
+    for k, (im_id, i, entry) in enumerate(entries):
+        if for_import or k == bad:
             with named(gt_path, f"{im_id}[{i}]"):
-                pose = entry.filed_pose
-                if for_import:
-                    check_in_front(pose, unit_hint="BOP translations are in millimetres")
+                check_in_front(entry.filed_pose, unit_hint="BOP translations are in millimetres")
     return BopScene(folder, cameras, gt)
 
 
@@ -212,10 +215,10 @@ def filed_pose(R: ArrayLike, t_mm: ArrayLike) -> SE3:
         ToolkitError: a number is not finite, the determinant of R is negative, or R is more than
             5 % off a rotation.
     """
-    pose = SE3(np.reshape(R, (3, 3)), np.ravel(t_mm) * MM)
+    pose = unchecked_pose(R, t_mm)
     if not (np.isfinite(pose.R).all() and np.isfinite(pose.t).all()):
         raise ToolkitError("a pose contains a number that is not finite", value=pose.flat())
-    if np.linalg.det(pose.R) <= 0 or deviation(pose.R) > LARGEST_DEVIATION:
+    if first_bad_pose([pose.R], [pose.t]) is not None:
         raise ToolkitError(
             "this is not a rotation matrix",
             value=np.round(pose.R, 6).tolist(),
@@ -224,15 +227,34 @@ def filed_pose(R: ArrayLike, t_mm: ArrayLike) -> SE3:
     return pose
 
 
-def deviation(R: NDArray[np.float64]) -> float:
-    """Largest entry of `R R^T - I`."""
-    return float(np.abs(R @ R.T - np.eye(3)).max())
+def unchecked_pose(R: ArrayLike, t_mm: ArrayLike) -> SE3:
+    """The same of numbers that were checked before."""
+    return SE3(np.reshape(R, (3, 3)), np.ravel(t_mm) * MM)
 
 
-def count_rough(poses: list[SE3]) -> tuple[int, float]:
+def first_bad_pose(R: Sequence[ArrayLike], t: Sequence[ArrayLike]) -> int | None:
+    """Index of the first pose that `filed_pose` refuses; None if it accepts all."""
+    if not R:
+        return None
+    rotations = np.reshape(np.asarray(R, dtype=np.float64), (-1, 3, 3))
+    finite = np.isfinite(np.asarray(t, dtype=np.float64)).all(axis=1)
+    finite &= np.isfinite(rotations).all(axis=(1, 2))
+    safe = np.where(np.reshape(finite, (-1, 1, 1)), rotations, np.eye(3))
+    good = finite & (np.linalg.det(safe) > 0) & (deviations(safe) <= LARGEST_DEVIATION)
+    return None if good.all() else int(np.argmin(good))
+
+
+def deviations(R: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,) largest entries of `R R^T - I` of rotations (N, 3, 3)."""
+    return np.asarray(np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)))
+
+
+def count_rough(poses: Sequence[SE3]) -> tuple[int, float]:
     """How many rotations are off by more than rounding, and the largest deviation."""
-    off = [deviation(T.R) for T in poses]
-    return sum(x > ROTATION_TOLERANCE for x in off), max(off, default=0.0)
+    if not poses:
+        return 0, 0.0
+    off = deviations(np.stack([T.R for T in poses]))
+    return int((off > ROTATION_TOLERANCE).sum()), float(off.max())
 
 
 def _by_id(table: dict[str, Row], path: Path) -> dict[int, Row]:

@@ -219,9 +219,13 @@ class BopRun(FramesRun[BopData, None]):
 def _figures(found: ObjectErrors) -> dict[str, Any]:
     """Columns of the table, see data_spec.md."""
     shares = np.full(3, np.nan) if found.target is None else found_of(found.target)
-    counted = 0 if found.target is None else max(_length(found.target.mssd, found.target.mspd), 0)
+    counted = (
+        0
+        if found.target is None
+        else _length(found.target.vsd, found.target.mssd, found.target.mspd)
+    )
     detections = found.detections
-    lists: dict[str, Any] = {name: None for name in ("scores", "visible", "mssd", "mspd")}
+    lists: dict[str, Any] = dict.fromkeys(("scores", "visible", "mssd", "mspd"))
     scale = {"diameter_m": np.nan, "width": 0}
     if detections is not None:
         lists["scores"] = detections.scores.tolist()
@@ -230,7 +234,11 @@ def _figures(found: ObjectErrors) -> dict[str, Any]:
             errors = getattr(detections, name)
             lists[name] = None if errors is None else errors.ravel().tolist()
         scale = {"diameter_m": detections.diameter_m, "width": detections.width}
-    return {"n_estimates": counted, **dict(zip(FOUND, shares.tolist(), strict=True)), **scale} | lists
+    return {
+        "n_estimates": counted,
+        **dict(zip(FOUND, shares.tolist(), strict=True)),
+        **scale,
+    } | lists
 
 
 def _length(*errors: Any) -> int:

@@ -174,8 +174,7 @@ def summarise(
         ap_mssd=ap[0],
         ap_mspd=ap[1],
         seconds_per_image=seconds_per_image,
-        scores=scores
-        | {f"bop{year}_average_time_per_image": seconds for year in (19, 24)},
+        scores=scores | {f"bop{year}_average_time_per_image": seconds for year in (19, 24)},
         objects=list(objects.values()),
     )
 
@@ -274,9 +273,7 @@ def bop_intervals(table: pd.DataFrame) -> tuple[dict[str, tuple[float, float]], 
     detections = detection_rows(table, unit)
     if any((d.visible >= 0.1).any() for *_, d in detections):
         low, high = detection_intervals(detections).tolist()
-        found |= {
-            name: (low[i], high[i]) for i, name in enumerate(("ap_mssd", "ap_mspd", "ap"))
-        }
+        found |= {name: (low[i], high[i]) for i, name in enumerate(("ap_mssd", "ap_mspd", "ap"))}
     return {k: v for k, v in found.items() if not math.isnan(v[0])}, over
 
 
@@ -300,7 +297,7 @@ def bop_table(results: Sequence[BopResult]) -> str:
         data = f"{Path(r.data).name}, {r.split}"
         lines.append([r.results, data, str(r.targets), *shares, seconds])
     tables = [text_table(heads, lines).terminal()]
-    heads = ("object", "targets", "VSD", "MSSD", "MSPD", "instances", "AP MSSD", "AP MSPD")
+    columns = ("object", "targets", "VSD", "MSSD", "MSPD", "instances", "AP MSSD", "AP MSPD")
     for r in results:
         rows = [
             [
@@ -313,7 +310,7 @@ def bop_table(results: Sequence[BopResult]) -> str:
             for o in r.objects
         ]
         if rows:
-            tables.append(f"{r.results}:\n{text_table(heads, rows).terminal()}")
+            tables.append(f"{r.results}:\n{text_table(columns, rows).terminal()}")
     return "\n\n".join(tables)
 
 

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.metrics.bop.bop_distances import ModelDistances, Project, fisheye624, pinhole
+from benchmark.metrics.bop.bop_distances import Project, fisheye624, pinhole
+from benchmark.metrics.bop.bop_model import BopModel, read_model
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry import SE3, Camera, Symmetry
-from std_toolkit.geometry.mesh import hull_vertices, load_mesh, mesh_diameter
-from std_toolkit.importers import bop_documents, bop_objects, foreign_files
+from std_toolkit.geometry import SE3, Camera
+from std_toolkit.importers import bop_documents, foreign_files
+from std_toolkit.importers.bop_documents import unchecked_pose
 from std_toolkit.io.documents import read_document
 from std_toolkit.io.images import image_size
-from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
 
 _ID = Annotated[int, msgspec.Meta(ge=0, le=999_999)]
 _PICTURES = ("rgb", "gray", "depth")
@@ -43,27 +43,6 @@ class ImageTarget(msgspec.Struct, frozen=True, kw_only=True):
 class _GlobalCamera(msgspec.Struct, frozen=True, kw_only=True):
     width: int
     height: int
-
-
-@dataclass(frozen=True, eq=False)
-class BopModel:
-    """A model in the frame of its BOP file, metres.
-
-    Attributes:
-        path: of the file.
-        diameter_m: largest distance between two vertices.
-        distances: MSSD and MSPD of the model.
-    """
-
-    path: Path
-    diameter_m: float
-    distances: ModelDistances
-    _mesh: Any = field(repr=False)
-
-    @cached_property
-    def mesh(self) -> RenderMesh:
-        """For rendering."""
-        return prepare_mesh(self._mesh)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +93,9 @@ class BopDataset:
         rows = self.scenes[scene_id].gt.get(im_id, [])
         index = [i for i, row in enumerate(rows) if row.obj_id == obj_id]
         shares = self.visible[scene_id].get(im_id, [])
-        return [rows[i].filed_pose for i in index], [shares[i] for i in index]
+        return [unchecked_pose(rows[i].cam_R_m2c, rows[i].cam_t_m2c) for i in index], [
+            shares[i] for i in index
+        ]
 
     def valid(self, target: BopTarget, shares: list[float]) -> NDArray[np.bool_]:
         """Which true poses of a target are to be found: the most visible ones, as many as it says.
@@ -137,7 +118,8 @@ class BopDataset:
     def poses(self) -> list[SE3]:
         """All true poses as filed."""
         scenes = self.scenes.values()
-        return [row.filed_pose for s in scenes for rows in s.gt.values() for row in rows]
+        rows = [row for s in scenes for rows in s.gt.values() for row in rows]
+        return [unchecked_pose(row.cam_R_m2c, row.cam_t_m2c) for row in rows]
 
     def objects(self, scene_id: int, im_id: int) -> list[int]:
         """Numbers of the objects in an image, in order."""
@@ -231,27 +213,4 @@ class BopDataset:
         Raises:
             ToolkitError: the model is missing or damaged.
         """
-        folder = next(
-            (f for f in (self.root / "models_eval", self.root / "models") if f.is_dir()), None
-        )
-        if folder is None:
-            raise ToolkitError("the data set's models are missing", path=self.root / "models")
-        path = folder / f"obj_{obj_id:06d}.ply"
-        mesh = load_mesh(path, unit="mm")
-        info_path = folder / "models_info.json"
-        infos = (
-            read_document(info_path, dict[str, bop_documents.ModelInfo])
-            if info_path.is_file()
-            else {}
-        )
-        info = infos.get(str(obj_id))
-        with bop_documents.named(info_path, str(obj_id)):
-            symmetry: Symmetry = bop_objects.symmetry_of(info, np.zeros(3)).symmetry()
-        given = None if info is None else info.diameter
-        vertices = np.asarray(mesh.vertices, dtype=np.float64)
-        return BopModel(
-            path,
-            mesh_diameter(mesh) if given is None else given * bop_documents.MM,
-            ModelDistances(vertices, hull_vertices(mesh), symmetry, self.symmetry_steps),
-            mesh,
-        )
+        return read_model(self.root, obj_id, symmetry_steps=self.symmetry_steps)

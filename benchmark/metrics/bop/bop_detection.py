@@ -109,12 +109,14 @@ class _Ranked:
 
     Attributes:
         image: (N,) of the estimates.
-        outcomes: (2, 10, N).
+        outcomes: (U, N) the different ones.
+        which: (2, 10) of them, by error and threshold.
         truths: (I,) number of true poses that are to be found, by image.
     """
 
     image: NDArray[np.int64]
     outcomes: NDArray[np.int8]
+    which: NDArray[np.int64]
     truths: Floats
 
     def precision(self, weights: Floats) -> Floats | None:
@@ -132,13 +134,10 @@ class _Ranked:
         recall = right / total
         precision = right / np.maximum(right + wrong, 1e-300)
         # At least this recall, at best this precision.
-        best = np.maximum.accumulate(precision[..., ::-1], axis=-1)[..., ::-1]
-        best = np.concatenate([best, np.zeros((*best.shape[:-1], 1))], axis=-1)
-        found = [
-            [b[np.searchsorted(r, RECALLS)].mean() for r, b in zip(rs, bs, strict=True)]
-            for rs, bs in zip(recall, best, strict=True)
-        ]
-        return np.mean(found, axis=1)
+        best = np.maximum.accumulate(precision[:, ::-1], axis=1)[:, ::-1]
+        best = np.concatenate([best, np.zeros((len(best), 1))], axis=1)
+        found = [b[np.searchsorted(r, RECALLS)].mean() for r, b in zip(recall, best, strict=True)]
+        return np.asarray(np.array(found)[self.which].mean(axis=1))
 
 
 def detection_scores(rows: Iterable[tuple[int, int, Detections]]) -> DetectionScores:
@@ -157,7 +156,7 @@ def detection_scores(rows: Iterable[tuple[int, int, Detections]]) -> DetectionSc
     >>> good, bad = np.full((1, 1), 0.001), np.full((1, 1), 0.2)
     >>> one = Detections(np.array([0.9]), good, good, np.array([1.0]), 0.1, 640)
     >>> other = Detections(np.array([0.5]), bad, bad * 1000, np.array([1.0]), 0.1, 640)
-    >>> round(detection_scores([(0, 1, one), (1, 1, other)]).mssd, 3)  # one of two, then a wrong one
+    >>> round(detection_scores([(0, 1, one), (1, 1, other)]).mssd, 3)  # one of two found
     0.505
     """
     rows = list(rows)
@@ -219,19 +218,23 @@ def detection_intervals(
     return np.asarray(np.quantile(np.array(drawn), ends, axis=0))
 
 
-def _rank(rows: list[tuple[int, int, Detections]], images: list[int]) -> dict[int, _Ranked]:
+def _rank(given: list[tuple[int, int, Detections]], images: list[int]) -> dict[int, _Ranked]:
     place = {image: i for i, image in enumerate(images)}
     by_object: dict[int, list[tuple[int, Detections]]] = defaultdict(list)
-    for image, obj_id, detections in rows:
+    for image, obj_id, detections in given:
         by_object[obj_id].append((place[image], detections))
     ranked = {}
     for obj_id, each in sorted(by_object.items()):
         scores = np.concatenate([d.scores for _, d in each])
-        image = np.concatenate([np.full(len(d.scores), i) for i, d in each]).astype(np.int64)
+        places = np.concatenate([np.full(len(d.scores), i) for i, d in each]).astype(np.int64)
         outcomes = np.concatenate([d.outcomes() for _, d in each], axis=2)
         order = np.argsort(-scores, kind="stable")
         truths = np.zeros(len(images))
         for i, d in each:
             truths[i] += int((d.visible >= TARGET_VISIBLE).sum())
-        ranked[obj_id] = _Ranked(image[order], outcomes[..., order], truths)
+        kinds, thresholds, _ = outcomes.shape
+        rows = outcomes[..., order].reshape(kinds * thresholds, -1 if len(order) else 0)
+        different, which = np.unique(rows, axis=0, return_inverse=True)
+        which = which.reshape(kinds, thresholds)
+        ranked[obj_id] = _Ranked(places[order], different, which, truths)
     return ranked

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, Symmetry
 
 Floats = NDArray[np.float64]
+Ids = NDArray[np.int64]
 
 # Projects points (3, ...) of the camera frame to pixels (2, ...) that may lack a constant offset.
 Project = Callable[[Floats], Floats]
@@ -120,11 +122,15 @@ class ModelDistances:
             # Contiguous by coordinate: several times as fast.
             object.__setattr__(self, name, np.ascontiguousarray(points.T))
 
+    @cached_property
+    def _discrete(self) -> list[SE3]:
+        return self.symmetry.discrete_transforms()
+
     def mssd(self, estimates: Sequence[SE3], truths: Sequence[SE3]) -> Floats:
         """(E, G) maximum symmetry-aware surface distances, metres."""
         found = np.full((len(estimates), len(truths)), np.inf)
         for j, truth in enumerate(truths):
-            for S in self.symmetry.discrete_transforms():
+            for S in self._discrete:
                 R, t = truth.R @ S.R, truth.R @ S.t + truth.t
                 for i, estimate in enumerate(estimates):
                     found[i, j] = min(found[i, j], self._space(estimate, R, t))
@@ -139,34 +145,34 @@ class ModelDistances:
             return float(np.sqrt(np.einsum("ij,ij->j", apart, apart).max()))
         target = estimate.R @ self.hull + estimate.t[:, None]
 
-        def distance(points: Floats, which: Floats) -> Floats:
+        def distance(points: Floats, which: Ids) -> Floats:
             return np.asarray(((points - target[:, which, None]) ** 2).sum(axis=0))
 
         return self._over_turns(self.hull, R, t, distance)
 
-    def mspd(
-        self, estimates: Sequence[SE3], truths: Sequence[SE3], project: Project
-    ) -> Floats:
+    def mspd(self, estimates: Sequence[SE3], truths: Sequence[SE3], project: Project) -> Floats:
         """(E, G) maximum symmetry-aware projection distances, pixels."""
         found = np.full((len(estimates), len(truths)), np.inf)
         if not estimates:
             return found
         seen = [project(_placed(self.vertices, T.R, T.t)) for T in estimates]
         for j, truth in enumerate(truths):
-            for S in self.symmetry.discrete_transforms():
+            for S in self._discrete:
                 R, t = truth.R @ S.R, truth.R @ S.t + truth.t
                 for i, pixels in enumerate(self._pixels(seen, R, t, project)):
                     found[i, j] = min(found[i, j], pixels)
         return found
 
-    def _pixels(self, seen: Sequence[Floats], R: Floats, t: Floats, project: Project) -> list[float]:
+    def _pixels(
+        self, seen: Sequence[Floats], R: Floats, t: Floats, project: Project
+    ) -> list[float]:
         if not self.symmetry.continuous:
             true = project(_placed(self.vertices, R, t))
             return [_largest(one, true) for one in seen]
         found = []
         for one in seen:
 
-            def distance(points: Floats, which: Floats, one: Floats = one) -> Floats:
+            def distance(points: Floats, which: Ids, one: Floats = one) -> Floats:
                 if not np.isfinite(one[0, 0]):
                     return np.full(points.shape[1:], np.inf)
                 return np.asarray(((project(points) - one[:, which, None]) ** 2).sum(axis=0))
@@ -175,7 +181,7 @@ class ModelDistances:
         return found
 
     def _over_turns(
-        self, points: Floats, R: Floats, t: Floats, distance: Callable[[Floats, Floats], Floats]
+        self, points: Floats, R: Floats, t: Floats, distance: Callable[[Floats, Ids], Floats]
     ) -> float:
         """Least of the largest distances over all turns.
 
@@ -214,7 +220,7 @@ def _largest(one: Floats, other: Floats) -> float:
 def _least_turn(
     circle: Floats,
     points: Floats,
-    distance: Callable[[Floats, Floats], Floats],
+    distance: Callable[[Floats, Ids], Floats],
     steps: int | None,
 ) -> float:
     """Least of the largest squared distances over the angles of one axis.
@@ -228,7 +234,7 @@ def _least_turn(
     count = steps or TURN_STEPS
     grid = 2 * np.pi * np.arange(count) / count
 
-    def at(angles: Floats, which: Floats) -> Floats:
+    def at(angles: Floats, which: Ids) -> Floats:
         centre, cosine, sine = circle[:, :, which, None]
         return distance(centre + cosine * np.cos(angles) + sine * np.sin(angles), which)
 
@@ -236,7 +242,11 @@ def _least_turn(
     which = np.unique((_EXTREMES @ points).argmax(axis=1))
     best = np.inf
     for _ in range(_ROUNDS):
-        angle, lowest = _lowest(lambda x, w=which: at(x, w).max(axis=0), grid, steps is None)
+
+        def largest(angles: Floats, which: Ids = which) -> Floats:
+            return np.asarray(at(angles, which).max(axis=0))
+
+        angle, lowest = _lowest(largest, grid, steps is None)
         full = at(np.array([angle]), everything)[:, 0]
         best = min(best, float(full.max()))
         # No angle is better than the best one for some of the vertices.

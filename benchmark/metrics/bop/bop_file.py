@@ -12,7 +12,12 @@ import numpy as np
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.importers.bop_documents import filed_pose
+from std_toolkit.importers.bop_documents import (
+    filed_pose,
+    first_bad_pose,
+    named,
+    unchecked_pose,
+)
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.foreign_files import csv_rows
 
@@ -66,7 +71,8 @@ def read_bop_results(path: Path | str) -> list[BopEstimate]:
             rows = list(csv_rows(file, path))
     except (OSError, UnicodeDecodeError) as error:
         raise ToolkitError(f"cannot read the results: {error}", path=path) from error
-    estimates = []
+    estimates: list[BopEstimate] = []
+    numbers: list[int] = []
     times: dict[tuple[int, int], float] = {}
     for number, row in enumerate(rows, start=1):
         if not row or (number == 1 and row[0].strip() == _COLUMNS[0]):
@@ -88,6 +94,12 @@ def read_bop_results(path: Path | str) -> list[BopEstimate]:
                 value=estimate.seconds,
             )
         estimates.append(estimate)
+        numbers.append(number)
+    poses = [e.T_cam_obj for e in estimates]
+    bad = first_bad_pose([T.R for T in poses], [T.t for T in poses])
+    if bad is not None:
+        with named(path, f"line {numbers[bad]}, R or t"):
+            filed_pose(poses[bad].R, poses[bad].t * _MM)
     return estimates
 
 
@@ -131,16 +143,7 @@ def _estimate(row: list[str], path: Path, number: int) -> BopEstimate:
         R = np.array([float(x) for x in fields["R"].split()]).reshape(3, 3)
         name = "t"
         t_mm = np.array([float(x) for x in fields["t"].split()]).reshape(3)
-        name = "R or t"
-        T = filed_pose(R, t_mm)
-    except ToolkitError as error:
-        raise ToolkitError(
-            error.problem,
-            path=path,
-            field=f"line {number}, {name}",
-            value=error.value,
-            hint=error.hint,
-        ) from error
+        T = unchecked_pose(R, t_mm)
     except ValueError as error:
         raise ToolkitError(
             "is not what BOP's result format has there",

@@ -11,7 +11,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.metrics.bop.bop_dataset import BopDataset, BopImage, BopModel, BopTarget
+from benchmark.metrics.bop.bop_dataset import BopDataset, BopImage, BopTarget
 from benchmark.metrics.bop.bop_detection import (
     Detections,
     DetectionScores,
@@ -20,6 +20,7 @@ from benchmark.metrics.bop.bop_detection import (
 )
 from benchmark.metrics.bop.bop_errors import DELTA_M, TAUS, see, vsd
 from benchmark.metrics.bop.bop_file import BopEstimate
+from benchmark.metrics.bop.bop_model import BopModel
 from benchmark.metrics.bop.bop_recall import BopScores, PoseErrors, average_recalls
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
@@ -82,7 +83,10 @@ class BopScorer:
         most confident of their image."""
         by_image: dict[tuple[int, int], list[BopEstimate]] = defaultdict(list)
         for e in estimates:
-            if e.scene_id not in self.dataset.scenes and not self.dataset.folder(e.scene_id).is_dir():
+            if (
+                e.scene_id not in self.dataset.scenes
+                and not self.dataset.folder(e.scene_id).is_dir()
+            ):
                 known = ", ".join(str(s) for s in sorted(self.dataset.scenes)[:5])
                 raise ToolkitError(
                     "results of a scene that the data set lacks",
@@ -212,9 +216,7 @@ def score_bop(
     )
 
 
-def score_bop_detection(
-    dataset: BopDataset, estimates: Sequence[BopEstimate]
-) -> DetectionScores:
+def score_bop_detection(dataset: BopDataset, estimates: Sequence[BopEstimate]) -> DetectionScores:
     """Mean average precision of detection, as the BOP Challenge 2024 defines it.
 
     Args:
@@ -247,11 +249,11 @@ def _all_errors(
     errors: Sequence[BopError],
 ) -> list[ObjectErrors]:
     scorer = BopScorer(dataset, estimates, renderer=renderer, errors=errors)
-    found = []
+    found: list[ObjectErrors] = []
     for scene_id, im_id in scorer.images:
         image = scorer.image(scene_id, im_id)
-        for obj_id in scorer.objects(scene_id, im_id):
-            found.append(scorer.errors(scene_id, im_id, obj_id, image))
+        objects = scorer.objects(scene_id, im_id)
+        found += [scorer.errors(scene_id, im_id, obj_id, image) for obj_id in objects]
     return found
 
 

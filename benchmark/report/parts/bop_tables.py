@@ -28,12 +28,8 @@ def summary(results: Sequence[BopFigures]) -> str:
 
 def sections(results: Sequence[BopFigures], *, published: bool) -> list[Section]:
     """The table of the files, and the tables of their objects."""
-    found = [
-        Section("bop", "Poses of known objects (BOP)", [_table(results, published=published)])
-    ]
-    objects = [
-        _object_table(r.objects, f"{r.results} on {_data(r)}") for r in results if r.objects
-    ]
+    found = [Section("bop", "Poses of known objects (BOP)", [_table(results, published=published)])]
+    objects = [_object_table(r.objects, f"{r.results} on {_data(r)}") for r in results if r.objects]
     if objects:
         found.append(Section("bop-objects", "Poses of known objects, by object", objects))
     return found

@@ -173,9 +173,7 @@ def test_data_without_depth(
     assert set(scores) == {
         "bop19_average_recall_mssd", "bop19_average_recall_mspd", "bop19_average_time_per_image"
     }  # fmt: skip
-    only = BopRun(
-        data=root, split="test", results=results, out=tmp_path / "one", errors=("mspd",)
-    )
+    only = BopRun(data=root, split="test", results=results, out=tmp_path / "one", errors=("mspd",))
     assert not run_all([only], SERIAL).failed
     assert only.read().ar_mspd == found.ar_mspd and only.read().ap_mssd is None
 

@@ -39,6 +39,11 @@ def loop(number: int, estimate: SE3, truth: SE3, transforms: list[SE3]) -> tuple
     return min(spaces), min(pixels)
 
 
+def both(model: ModelDistances, estimate: SE3, truth: SE3) -> tuple[float, float]:
+    pixels = model.mspd([estimate], [truth], pinhole(CAMERA))
+    return float(model.mssd([estimate], [truth])[0, 0]), float(pixels[0, 0])
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_discrete_symmetries_and_rough_rotations(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -62,10 +67,16 @@ def test_turns_sampled_and_exact(seed: int) -> None:
     sampled = ModelDistances(VERTICES[CAN], HULLS[CAN], BOTH, 45)
     wanted = loop(CAN, estimate, truth, BOTH.transforms(45))
     project = pinhole(CAMERA)
-    found = sampled.mssd([estimate], [truth])[0, 0], sampled.mspd([estimate], [truth], project)[0, 0]
+    found = (
+        sampled.mssd([estimate], [truth])[0, 0],
+        sampled.mspd([estimate], [truth], project)[0, 0],
+    )
     assert found == pytest.approx(wanted, rel=1e-12)
     exact = ModelDistances(VERTICES[CAN], HULLS[CAN], BOTH)
-    space, pixel = exact.mssd([estimate], [truth])[0, 0], exact.mspd([estimate], [truth], project)[0, 0]
+    space, pixel = (
+        exact.mssd([estimate], [truth])[0, 0],
+        exact.mspd([estimate], [truth], project)[0, 0],
+    )
     fine = loop(CAN, estimate, truth, BOTH.transforms(2000))
     assert space <= fine[0] + 1e-12 and pixel <= fine[1] + 1e-9
     assert (space, pixel) == pytest.approx(fine, rel=2e-3)

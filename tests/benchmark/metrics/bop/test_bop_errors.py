@@ -79,7 +79,9 @@ def test_vsd_is_that_of_whole_images(seed: int) -> None:
     drawn = [DRAW.draw(CAMERA, mesh, T, window=window).depth * along for T in (off, true)]
     seen = [d > 0 for d in drawn]
     measured = depth * along
-    visible = [s & ((measured == 0) | (d - measured <= 0.015)) for d, s in zip(drawn, seen, strict=True)]
+    visible = [
+        s & ((measured == 0) | (d - measured <= 0.015)) for d, s in zip(drawn, seen, strict=True)
+    ]
     visible[0] |= visible[1] & seen[0]
     either, both = visible[0] | visible[1], visible[0] & visible[1]
     assert 0 < both.sum() < either.sum()

@@ -116,7 +116,7 @@ def test_rotations_as_filed(tmp_path: Path) -> None:
     gt["4"][0]["cam_R_m2c"] = (1.02 * np.eye(3)).ravel().tolist()
     path.write_text(json.dumps(gt))
     (pose,), _ = open_bop(root).truths(2, 4, CAN)
-    assert (pose.R == 1.02 * np.eye(3)).all()
+    assert (1.02 * np.eye(3) == pose.R).all()
     results = tmp_path / "mine_set-test.csv"
     T = pose.t * 1000
     row = "2,4,1,0.9,{} 0 0 0 {} 0 0 0 1.02,{},-1"
