@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import pickle
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,9 @@ _NAMED = 3  # keys named in an error
 
 SWINDRNET = "SwinDRNet"
 
+# Weights of a file and state of the network to weights with the network's keys.
+Renamed = Callable[[dict[str, Tensor], dict[str, Tensor]], dict[str, Tensor]]
+
 # Keys by which the weights of an architecture are known; the first whose prefixes all occur.
 ARCHITECTURES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("SwinDRNet's pose network", ("backbone_rgb_branch.", "decode_head_nocs.")),
@@ -44,6 +47,8 @@ ARCHITECTURES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("a Swin of transformers", ("embeddings.patch_embeddings.", "encoder.layers.")),
     ("NOCS", ("pyramid.backbone.", "detector.", "coordinate_heads.")),
     ("SGPA", ("structure.weigh.", "heads.assign.")),
+    ("SGPA of its authors", ("prior_enricher.", "psp.feats.", "assignment.")),
+    ("SPD of its authors", ("psp.feats.", "assignment.", "deformation.")),
     ("SPD", ("prior_geometry.", "heads.assign.")),
     ("a ResNet classifier (ImageNet)", ("conv1.weight", "layer4.", "fc.")),
     ("a ResNet", ("layer1.", "layer4.")),
@@ -117,19 +122,28 @@ def read_weights(path: Path) -> dict[str, Tensor]:
     return _without_prefix(_unwrapped(found, path))
 
 
-def load_weights(network: nn.Module, path: Path, ignored: Sequence[str] = ()) -> None:
+def load_weights(
+    network: nn.Module,
+    path: Path,
+    ignored: Sequence[str] = (),
+    renamed: Renamed | None = None,
+) -> None:
     """Read a network's weights from a file.
 
     Args:
         network: gets the tensors of the file themselves: no second copy in memory.
         path: a safetensors file or a checkpoint of torch.
         ignored: keys that the file may have and the network does not need.
+        renamed: turns the weights of the authors' program, if they are such, into the network's.
 
     Raises:
         ToolkitError: the file cannot be read, or is of another architecture: which keys are
             missing, which unknown and which have another shape.
     """
-    state = {name: tensor for name, tensor in read_weights(path).items() if name not in ignored}
+    state = read_weights(path)
+    if renamed is not None:
+        state = renamed(state, network.state_dict())
+    state = {name: tensor for name, tensor in state.items() if name not in ignored}
     check_keys(network.state_dict(), state, path)
     wanted = {name: tensor.dtype for name, tensor in network.state_dict().items()}
     state = {name: tensor.to(wanted[name]) for name, tensor in state.items()}

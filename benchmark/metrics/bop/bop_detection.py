@@ -36,6 +36,12 @@ _WRONG, _RIGHT, _IGNORED = 0, 1, 2
 def most_estimates(data: str) -> int:
     """Number of estimates of an image that count, the most confident ones.
 
+    Args:
+        data: BOP's short name of the data set.
+
+    Returns:
+        The number.
+
     >>> most_estimates("lmo"), most_estimates("xyzibd")
     (100, 200)
     """

@@ -41,6 +41,15 @@ def pinhole(camera: Camera) -> Project:
     """Projection by focal lengths, without lens distortion, relative to the principal point.
 
     Points that are not in front of the camera give infinity.
+
+    Args:
+        camera: its focal lengths are used.
+
+    Returns:
+        The projection.
+
+    >>> pinhole(Camera(64, 48, 60, 60, 31.5, 23.5))(np.array([0.5, 0.25, 1.0])).tolist()
+    [30.0, 15.0]
     """
     fx, fy = camera.fx, camera.fy
 
@@ -65,6 +74,9 @@ def fisheye624(f: tuple[float, float], coefficients: Sequence[float]) -> Project
     Args:
         f: focal lengths, pixels.
         coefficients: k1 ... k6, p1, p2, s1 ... s4.
+
+    Returns:
+        The projection.
 
     Raises:
         ToolkitError: not 12 coefficients.

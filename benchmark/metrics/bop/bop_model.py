@@ -63,8 +63,14 @@ def read_model(root: Path, obj_id: int, *, symmetry_steps: int | None = None) ->
         obj_id: number of the object.
         symmetry_steps: see `ModelDistances`.
 
+    Returns:
+        The model.
+
     Raises:
         ToolkitError: the model is missing or damaged.
+
+    >>> read_model(Path("lmo"), 1).diameter_m  # doctest: +SKIP
+    0.102099
     """
     folder = next((f for f in (root / "models_eval", root / "models") if f.is_dir()), None)
     if folder is None:
@@ -89,8 +95,17 @@ def read_vertices(path: Path) -> NDArray[np.float64]:
 
     Reads nothing else of common files, which is several times as fast as reading the mesh.
 
+    Args:
+        path: of the file.
+
+    Returns:
+        The vertices in the order of the file.
+
     Raises:
         ToolkitError: the file is missing or damaged, or its size implausible.
+
+    >>> read_vertices(Path("lmo/models_eval/obj_000001.ply")).shape  # doctest: +SKIP
+    (5841, 3)
     """
     if not path.is_file():
         raise ToolkitError("mesh file not found", path=path)

@@ -223,6 +223,9 @@ def score_bop_detection(dataset: BopDataset, estimates: Sequence[BopEstimate]) -
         dataset: true poses and models.
         estimates: of a result file; the 100 most confident ones of each image count.
 
+    Returns:
+        The precisions.
+
     Raises:
         ToolkitError: an estimate of a scene that is not there, or damaged data.
 
