@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import pickle
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
@@ -38,6 +40,7 @@ ARCHITECTURES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("SwinDRNet's pose network", ("backbone_rgb_branch.",)),
     ("NLSPN", ("conv1_dep.", "prop_layer.")),
     ("DFNet", ("stem.", "skips.", "downs.", "ups.")),
+    ("DFNet of its authors", ("first.", "dense1s.layers.", "updense4_duc.")),
     ("LIDF", ("color_net.", "termination.", "refinement.")),
     ("ClearGrasp", ("masks.backbone.", "normals.backbone.", "boundaries.backbone.")),
     ("GraspNet", ("levels.", "back.", "approach.", "operation.")),
@@ -109,7 +112,8 @@ def read_weights(path: Path) -> dict[str, Tensor]:
     if path.suffix == ".safetensors":
         return _without_prefix(_read_safetensors(path))
     try:
-        found = torch.load(path, map_location="cpu", weights_only=True)
+        with torch.serialization.safe_globals(_plain_types()):
+            found = torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         raise ToolkitError(
             "not a checkpoint of torch, or one that holds more than tensors, which could run any "
@@ -120,6 +124,15 @@ def read_weights(path: Path) -> dict[str, Tensor]:
     except (RuntimeError, EOFError, ValueError, KeyError) as error:
         raise ToolkitError(f"not a checkpoint of torch: {error}", path=path) from error
     return _without_prefix(_unwrapped(found, path))
+
+
+def _plain_types() -> list[Any]:
+    """Types of plain data that training programs keep beside weights: options and numbers."""
+    scalar = np.dtype(np.float64).type(0).__reduce__()[0]
+    kinds = {type(np.dtype(t)) for t in (np.float32, np.float64, np.int32, np.int64, np.bool_)}
+    # Files name the function by the module of NumPy 1 or of NumPy 2.
+    names = [(scalar, f"numpy.{core}.multiarray.scalar") for core in ("core", "_core")]
+    return [argparse.Namespace, np.dtype, *kinds, *names]
 
 
 def load_weights(
