@@ -126,6 +126,19 @@ class DepthConfig(FrameConfig):
     """keep the restored depth beside the results"""
     speed: bool = True
     """the time that the methods take"""
+    released_loader: Count | None = None
+    """with --protocol paper: frames as the authors' loader gives them in batches of N; ids of EXR
+    masks are truncated, and the last frames that fill no batch are left out"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.released_loader is not None and self.protocols != ("paper",):
+            raise ToolkitError(
+                "is for --protocol paper alone",
+                field="released_loader",
+                value=self.released_loader,
+                hint="run other protocols without it",
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

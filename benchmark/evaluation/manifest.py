@@ -59,11 +59,13 @@ class Setup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
         protocol: the scoring protocol.
         batch_size: frames that are passed to the method together.
         depth_from: folder of the depth that replaces the sensor depth; empty for sensor depth.
+        released_loader: batch size of the authors' loader, if frames are read as it does; else 0.
     """
 
     protocol: str
     batch_size: int
     depth_from: str
+    released_loader: int = 0
 
 
 class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -223,6 +225,7 @@ class PoseSetup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
             empty.
         depth_folder: folder of saved depth; otherwise empty.
         as_input: whether networks also receive that depth instead of raw depth.
+        given_truth: whether the method receives ground truth.
     """
 
     batch_size: int
@@ -232,6 +235,7 @@ class PoseSetup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
     depth_weights_sha256: str
     depth_folder: str
     as_input: bool
+    given_truth: bool = False
 
 
 class PoseManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -185,9 +185,7 @@ class GeometryFeatures(nn.Module):
         carried = channels[-1]
         for level in reversed(range(len(centres))):
             widths = thin((_UP_RELEASED if released else _UP)[level])
-            up = FeaturePropagation(
-                carried + channels[level], widths, squared_weights=not released
-            )
+            up = FeaturePropagation(carried + channels[level], widths, squared_weights=not released)
             self.up.append(up)
             carried = up.outputs
         if released and carried != outputs:
@@ -195,9 +193,7 @@ class GeometryFeatures(nn.Module):
                 f"the last level has {carried} channels", field="geometry", value=outputs
             )
         self.last = (
-            nn.Identity()
-            if released
-            else nn.Sequential(nn.Conv1d(carried, outputs, 1), nn.ReLU())
+            nn.Identity() if released else nn.Sequential(nn.Conv1d(carried, outputs, 1), nn.ReLU())
         )
 
     def forward(self, points: Tensor) -> Tensor:

@@ -55,7 +55,9 @@ class DeformingEstimator:
         self.needs_truth = config.masks == TRUE
         self.device = torch_device(options.device)
         self._narrow = narrow_type(options.precision)
-        self.fit = FitOptions(fit=FitMethod(config.fit), threshold_m=config.threshold_m)
+        self.fit = FitOptions(
+            fit=FitMethod(config.fit), threshold_m=config.threshold_m, last=config.last
+        )
         self.network = network.to(self.device).eval().requires_grad_(False)
         self._run: Any = torch.compile(self.network) if options.compile else self.network
         self._segmenter = None if self.needs_truth else _segmenter(network, options)

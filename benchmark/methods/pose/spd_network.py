@@ -68,6 +68,7 @@ class PriorNetworkConfig:
         mask_preset, mask_weights: of that method; by default the weights that come with it.
         fit: `ransac` with a metric threshold, or `paper`: least squares over all points.
         threshold_m: largest distance of an inlier, metres.
+        last: last fit of `ransac`, see `FitOptions`.
     """
 
     form: Literal["released", "normalised"] = "released"
@@ -91,6 +92,7 @@ class PriorNetworkConfig:
     mask_weights: str | None = None
     fit: Literal["ransac", "paper"] = "ransac"
     threshold_m: float = 0.02
+    last: Literal["tukey", "inliers"] = "tukey"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from benchmark.evaluation.tasks import bop_results, pose_inputs, pose_results
 from benchmark.metrics.significance import holm
-from benchmark.report.leaderboard import MEASURED, SIGNIFICANT
+from benchmark.report.leaderboard import SIGNIFICANT
 from benchmark.report.page import ReportPart, table_files, terminal_text
 from benchmark.report.parts import bop_tables, depth_tables, pose_board, pose_sections
 from std_toolkit.html.page import Block, Bullets, Paragraph, Section
@@ -221,13 +221,11 @@ def _sections(board: pose_board.PoseBoard) -> list[Section]:
 
 
 def _summary(board: pose_board.PoseBoard) -> str:
-    """One sentence on the best method and depth, without true depth."""
+    """One sentence on the best method and depth, without true depth and what is given the truth."""
     found = []
     for split in board.splits:
         rows = board.part(split, pose_board.PROTOCOLS[0], pose_results.ALL)
-        rows = rows[(rows["kind"] == MEASURED) & (rows["depth"] != pose_inputs.TRUE)].dropna(
-            subset=[pose_board.MAIN]
-        )
+        rows = rows[board.contests(rows)].dropna(subset=[pose_board.MAIN])
         if not rows.empty:
             best = rows.loc[rows[pose_board.MAIN].idxmax()]
             found.append(
@@ -237,5 +235,5 @@ def _summary(board: pose_board.PoseBoard) -> str:
                 f"{pose_results.heading(pose_board.MAIN)})"
             )
     if not found:
-        return "Poses were fitted to true depth only."
+        return "All poses were fitted to true depth, or by methods that receive ground truth."
     return "Most poses right: " + "; ".join(found) + "."
