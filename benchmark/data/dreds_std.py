@@ -22,6 +22,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from benchmark.data import loading
 from benchmark.data.frame import BACKGROUND, DepthFrame, Instance, Material
 from benchmark.data.splits import FrameKey, SceneFiles

@@ -88,7 +88,8 @@ class FrameConfig(NetworkConfig):
     """Options of a task over the frames of data sets; every method runs on every split."""
 
     methods: tuple[str, ...] = field(metadata=_option("method"))
-    """names of `std-bench list methods`, package.module:Class, or file.py:Class"""
+    """names of `std-bench list methods`, package.module:Class, file.py:Class, or, for poses,
+    'command:PROGRAM ARGUMENTS'"""
     splits: tuple[str, ...] = field(metadata=_option("split"))
     """names of `std-bench list splits`"""
     data: tuple[str, ...] = field(metadata=_option("data"))
@@ -337,11 +338,16 @@ def _by_method(
 
 
 def plain_label(name: str) -> str:
-    """Return the label of a method or planner given by location, such as `my/file.py:Class`.
+    """Return the label of a method or planner given by location, or as a command.
 
     >>> plain_label("my/file.py:Class")
     'file.py.Class'
+    >>> plain_label("command:docker run megapose")
+    'command.docker'
     """
+    if name.startswith("command:"):
+        words = name.removeprefix("command:").split()
+        return f"command.{Path(words[0]).name}" if words else "command"
     return name.rpartition("/")[2].replace(":", ".")
 
 

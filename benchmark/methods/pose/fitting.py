@@ -182,8 +182,7 @@ def fit_pose(
 def _weighted(
     found: Similarity, c: Floats, p: Floats, threshold_m: float
 ) -> tuple[Similarity, NDArray[np.bool_]]:
-    """The fit whose points are weighted by Tukey's function, and the points with a weight."""
-    reach = threshold_m
+    """The fit whose points are weighted by Tukey's function, and its inliers."""
     for _ in range(_ROUNDS):
         apart = np.linalg.norm(found @ c - p, axis=1)
         near = apart < threshold_m
@@ -200,8 +199,7 @@ def _weighted(
         found = better
         if moved < 1e-9:
             break
-    inliers = np.linalg.norm(found @ c - p, axis=1) < reach
-    return found, inliers
+    return found, np.linalg.norm(found @ c - p, axis=1) < threshold_m
 
 
 def _least_squares(c: Floats, p: Floats) -> FittedPose:
