@@ -62,7 +62,7 @@ def read_bop_results(path: Path | str) -> list[BopEstimate]:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder) / "method_set-test.csv"
     ...     _ = path.write_text("1,3,5,0.9,1 0 0 0 1 0 0 0 1,0 0 700,0.1")
-    ...     read_bop_results(path)[0].T_cam_obj.t.tolist()
+    ...     read_bop_results(path)[0].T_cam_obj.t.round(9).tolist()
     [0.0, 0.0, 0.7]
     """
     path = Path(path)
