@@ -255,9 +255,10 @@ def make_pose_method(name: str, options: MethodOptions | None = None) -> PoseEst
         ToolkitError: no such method, or what the method says of its options and weights.
     """
     if name.startswith(COMMAND):
-        from benchmark.methods.pose.command import CommandMethod
-
-        return CommandMethod(name.removeprefix(COMMAND), options or MethodOptions())
+        given = options or MethodOptions()
+        settings = {**given.settings, "command": name.removeprefix(COMMAND)}
+        options = replace(given, settings=settings)
+        name = "benchmark.methods.pose.command:CommandMethod"
     return make_method(
         pose_methods,
         name,

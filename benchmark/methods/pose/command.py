@@ -44,6 +44,8 @@ class CommandConfig:
     """Settings.
 
     Attributes:
+        command: program and arguments, from the name of the method; `{folder}` is the folder,
+            otherwise it is the last argument.
         data: folder of a BOP data set with models/; its dataset_info.json, as `std-curate export`
             writes it, tells the category of each obj_id. Model frames must be canonical.
         classes: class of obj_id 1, 2, ... in place of dataset_info.json.
@@ -51,6 +53,7 @@ class CommandConfig:
         fit: accepted as of every pose method, without effect: the program fits the poses.
     """
 
+    command: str = ""
     data: str = ""
     classes: tuple[int, ...] = ()
     timeout_s: float = 3600.0
@@ -79,7 +82,6 @@ class CommandMethod:
     """Runs the program once for each batch of frames.
 
     Args:
-        command: program and arguments; `{folder}` is the folder, otherwise it is the last argument.
         options: settings are those of `CommandConfig`.
 
     Raises:
@@ -89,18 +91,18 @@ class CommandMethod:
     input_size: tuple[int, int] | None = None
     needs_truth = False
 
-    def __init__(self, command: str, options: MethodOptions) -> None:
+    def __init__(self, options: MethodOptions) -> None:
+        self.config = configured(CommandConfig(), options.settings)
         try:
-            words = shlex.split(command)
+            words = shlex.split(self.config.command)
         except ValueError as error:
             raise ToolkitError(
-                f"not a command: {error}", field="--method", value=command
+                f"not a command: {error}", field="--method", value=self.config.command
             ) from error
         if not words:
             raise ToolkitError(
                 "needs a program", field="--method", value=COMMAND, hint=f"{COMMAND}docker run ..."
             )
-        self.config = configured(CommandConfig(), options.settings)
         if not self.config.data:
             raise ToolkitError(
                 "a command needs the models of its objects",
