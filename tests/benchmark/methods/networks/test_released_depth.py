@@ -16,7 +16,13 @@ from benchmark.methods.weights import read_weights
 from std_toolkit.errors import ToolkitError
 from tests.benchmark.methods.networks.released import oracle, released_state, waves
 
-SIZES = [(224, 224), (228, 304)]
+# Of an odd size at one level, which is cropped, and not.
+CASES = [
+    ("released", (228, 304)),
+    ("legacy", (224, 224)),
+    pytest.param("released", (224, 224), marks=pytest.mark.long),
+    pytest.param("legacy", (228, 304), marks=pytest.mark.long),
+]
 
 
 def nlspn_checkpoint(path: Path) -> Path:
@@ -38,8 +44,7 @@ def nlspn_checkpoint(path: Path) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("confidence", ["released", "legacy"])
+@pytest.mark.parametrize(("confidence", "size"), CASES)
 @torch.inference_mode()
 def test_nlspn(confidence: str, size: tuple[int, int], tmp_path: Path) -> None:
     h, w = size

@@ -64,7 +64,8 @@ def test_known_answers(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_other_weights_are_named(tmp_path: Path) -> None:
-    torch.save(released_state("spd"), tmp_path / "model_50.pth")
+    few = {k: v for k, v in released_state("spd").items() if v.numel() < 100_000}
+    torch.save(few, tmp_path / "model_50.pth")
     with pytest.raises(ToolkitError, match="another network") as caught:
         method("sgpa", tmp_path / "model_50.pth", tmp_path / "priors.npy")
     assert "SPD of its authors" in str(caught.value.hint)

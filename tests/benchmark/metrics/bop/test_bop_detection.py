@@ -144,6 +144,7 @@ def test_intervals_weigh_images() -> None:
     assert np.isnan(detection_intervals(rows[:1])).all()
 
 
+@pytest.mark.slow
 def test_of_a_data_set(tmp_path: Path) -> None:
     """Two bricks in an image; one hardly shows. Estimates of absent objects do not count."""
     root = write_bop(tmp_path / "set")
@@ -159,6 +160,7 @@ def test_of_a_data_set(tmp_path: Path) -> None:
     assert worse.objects[CAN][0] == pytest.approx(51 / 101 / 2)
 
 
+@pytest.mark.slow
 def test_a_hundred_estimates_of_an_image_count(tmp_path: Path) -> None:
     root = write_bop(tmp_path / "set")
     T = TRUTHS[4][0][1]
