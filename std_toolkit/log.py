@@ -13,12 +13,33 @@ logger = logging.getLogger("std_toolkit")
 
 
 def log_to_stderr(level: int = logging.INFO) -> None:
-    """Print log records of `level` and above to stderr, as the command-line tools do."""
+    """Print log records of `level` and above to stderr, as the command-line tools do.
+
+    A warning is printed once: many steps of a command may read the same file.
+    """
     handler = _StderrHandler()
+    handler.addFilter(_NewWarnings())
     handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
     logger.handlers[:] = [handler]
     logger.setLevel(level)
     logger.propagate = False
+
+
+class _NewWarnings(logging.Filter):
+    """Drops warnings that were printed before."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._printed: set[str] = set()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        if record.levelno != logging.WARNING:
+            return True
+        message = record.getMessage()
+        if message in self._printed:
+            return False
+        self._printed.add(message)
+        return True
 
 
 class _StderrHandler(logging.StreamHandler):

@@ -22,8 +22,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from benchmark.data import loading
-from benchmark.data.frame import DepthFrame, Instance, Material
+from benchmark.data.frame import BACKGROUND, DepthFrame, Instance, Material
 from benchmark.data.splits import FrameKey, SceneFiles
 from benchmark.data.true_poses import KnownBox, model_handle, model_sides
 from std_toolkit.errors import ToolkitError
@@ -131,11 +133,14 @@ class LayoutScenes:
 
     Attributes:
         layout: "dreds" or "std".
+        truncated_ids: read ids of EXR masks as the authors' loader does: truncated, so that many
+            are those of another object, or of none.
     """
 
     name: str
     layout: str
     index: loading.FrameIndex
+    truncated_ids: bool = False
     _cameras: dict[str, SceneCamera] = field(default_factory=dict, repr=False, compare=False)
 
     def __len__(self) -> int:
@@ -156,7 +161,8 @@ class LayoutScenes:
         true_path, mask_path, meta_path = (
             path(what) for what in ("ground-truth depth", "mask", "meta file")
         )
-        true, mask = loading.read_depth_map(true_path), loading.read_id_mask(mask_path)
+        true = loading.read_depth_map(true_path)
+        mask = loading.read_id_mask(mask_path, truncated=self.truncated_ids)
         loading.check_same_size(mask_path, mask, true, "mask")
         size = (true.shape[1], true.shape[0])
         color, raw = loading.NO_COLOR, loading.NO_DEPTH
@@ -172,6 +178,9 @@ class LayoutScenes:
             loading.check_proportions(raw_path, raw, size)
         coord = folder / f"{stem}{NOCS[0]}"
         key = FrameKey(scene.name, stem)
+        instances = tuple(_instance(x) for x in std_objects.read_meta(meta_path, any_class=True))
+        if self.truncated_ids:
+            mask[~np.isin(mask, [i.mask_id for i in instances])] = BACKGROUND
         try:
             return DepthFrame(
                 scene=key.scene,
@@ -181,9 +190,7 @@ class LayoutScenes:
                 depth_true=true,
                 mask=mask,
                 camera=camera.of(stem, size, path=true_path),
-                instances=tuple(
-                    _instance(x) for x in std_objects.read_meta(meta_path, any_class=True)
-                ),
+                instances=instances,
                 nocs=loading.read_coord_picture(coord, mask) if nocs and coord.is_file() else None,
             )
         except ToolkitError as error:

@@ -200,11 +200,15 @@ def read_depth_map(path: Path) -> NDArray[np.float32]:
     return depth
 
 
-def read_id_mask(path: Path) -> NDArray[np.uint8]:
+def read_id_mask(path: Path, *, truncated: bool = False) -> NDArray[np.uint8]:
     """Read instance ids (H, W) uint8 from a PNG, or from an EXR with id/255 in its channel R.
 
     EXR values are rounded. Public loaders truncate, which is wrong by one for every second id in
     half precision.
+
+    Args:
+        path: the file.
+        truncated: truncate EXR values, as public loaders do.
 
     Raises:
         ToolkitError: missing, damaged or not a mask.
@@ -218,7 +222,7 @@ def read_id_mask(path: Path) -> NDArray[np.uint8]:
                 path=path,
                 value=(low / 255, high / 255),
             )
-        return np.rint(values).astype(np.uint8)
+        return (np.floor(values.clip(min=0)) if truncated else np.rint(values)).astype(np.uint8)
     image = read_png(path)
     if image.ndim == 3:
         if not (image == image[..., :1]).all():

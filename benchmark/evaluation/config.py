@@ -88,7 +88,8 @@ class FrameConfig(NetworkConfig):
     """Options of a task over the frames of data sets; every method runs on every split."""
 
     methods: tuple[str, ...] = field(metadata=_option("method"))
-    """names of `std-bench list methods`, package.module:Class, or file.py:Class"""
+    """names of `std-bench list methods`, package.module:Class, file.py:Class, or, for poses,
+    'command:PROGRAM ARGUMENTS'"""
     splits: tuple[str, ...] = field(metadata=_option("split"))
     """names of `std-bench list splits`"""
     data: tuple[str, ...] = field(metadata=_option("data"))
@@ -126,6 +127,19 @@ class DepthConfig(FrameConfig):
     """keep the restored depth beside the results"""
     speed: bool = True
     """the time that the methods take"""
+    released_loader: Count | None = None
+    """with --protocol paper: frames as the authors' loader gives them in batches of N; ids of EXR
+    masks are truncated, and the last frames that fill no batch are left out"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.released_loader is not None and self.protocols != ("paper",):
+            raise ToolkitError(
+                "is for --protocol paper alone",
+                field="released_loader",
+                value=self.released_loader,
+                hint="run other protocols without it",
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,12 +203,22 @@ class BopConfig(TaskConfig):
     """CSV files in BOP's format"""
     bop_split: str = "test"
     """folder of the scenes"""
+    sensors: tuple[str, ...] = field(default=(), metadata=_option("sensor"))
+    """of a data set with several, such as photoneo; of each scene the first that it has (those that
+    the BOP Challenge scores)"""
+    errors: tuple[Literal["vsd", "mssd", "mspd"], ...] = ("vsd", "mssd", "mspd")
+    """errors to score; VSD is left out where there is no depth"""
+    symmetry_steps: Count | None = None
+    """samples of a turn about a continuous axis of symmetry: 315 in published figures (the exact
+    minimum)"""
+    vsd_delta_mm: Annotated[float, msgspec.Meta(gt=0)] = 15.0
+    """how far behind the measured depth a surface of VSD counts as visible (ITODD: 5)"""
     out: Path | None = None
     """folder of results (the table is only printed)"""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_lists(self, "results")
+        check_lists(self, "results", "errors")
 
 
 def options_by_method(config: NetworkConfig, methods: Sequence[str]) -> dict[str, MethodOptions]:
@@ -314,11 +338,16 @@ def _by_method(
 
 
 def plain_label(name: str) -> str:
-    """Return the label of a method or planner given by location, such as `my/file.py:Class`.
+    """Return the label of a method or planner given by location, or as a command.
 
     >>> plain_label("my/file.py:Class")
     'file.py.Class'
+    >>> plain_label("command:docker run megapose")
+    'command.docker'
     """
+    if name.startswith("command:"):
+        words = name.removeprefix("command:").split()
+        return f"command.{Path(words[0]).name}" if words else "command"
     return name.rpartition("/")[2].replace(":", ".")
 
 

@@ -59,11 +59,13 @@ class Setup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
         protocol: the scoring protocol.
         batch_size: frames that are passed to the method together.
         depth_from: folder of the depth that replaces the sensor depth; empty for sensor depth.
+        released_loader: batch size of the authors' loader, if frames are read as it does; else 0.
     """
 
     protocol: str
     batch_size: int
     depth_from: str
+    released_loader: int = 0
 
 
 class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -223,6 +225,7 @@ class PoseSetup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
             empty.
         depth_folder: folder of saved depth; otherwise empty.
         as_input: whether networks also receive that depth instead of raw depth.
+        given_truth: whether the method receives ground truth.
     """
 
     batch_size: int
@@ -232,6 +235,7 @@ class PoseSetup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
     depth_weights_sha256: str
     depth_folder: str
     as_input: bool
+    given_truth: bool = False
 
 
 class PoseManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -266,6 +270,11 @@ class BopSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         results, results_sha256: name of the result file, and its SHA-256 hash.
         targets, targets_sha256: number of targets (objects in images), and their SHA-256 hash.
         renderer: renderer of the models for VSD.
+        sensors: chosen sensors of data sets with several.
+        errors: errors that are scored.
+        symmetry_steps: samples of a turn about a continuous axis; None for the exact minimum.
+        vsd_delta_mm: tolerance of visibility in VSD.
+        columns: version of the table; 1 of results without detection.
     """
 
     data: str
@@ -275,6 +284,11 @@ class BopSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     targets: int
     targets_sha256: str
     renderer: str
+    sensors: tuple[str, ...] = ()
+    errors: tuple[str, ...] = ("vsd", "mssd", "mspd")
+    symmetry_steps: int | None = None
+    vsd_delta_mm: float = 15.0
+    columns: int = 1
 
 
 class BopManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

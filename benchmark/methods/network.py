@@ -181,6 +181,7 @@ def network_of(
     options: registry.MethodOptions,
     *,
     ignored: Sequence[str] = (),
+    renamed: weights.Renamed | None = None,
 ) -> tuple[Config, Network]:
     """The configuration and the network of a method, with its weights.
 
@@ -190,6 +191,7 @@ def network_of(
         make: the network of a configuration.
         options: preset, settings, weights and device.
         ignored: keys that the weights may have and the network does not need.
+        renamed: turns the weights of the authors' program into the network's.
 
     Raises:
         ToolkitError: an unknown setting, no weights or those of another network, no such device.
@@ -197,7 +199,8 @@ def network_of(
     config = registry.configured(registry.preset_of(presets, options.preset), options.settings)
     torch_device(options.device)  # refused before weights are read
     network = make(config)
-    weights.load_weights(network, weights.weights_for(method, options), ignored=ignored)
+    path = weights.weights_for(method, options)
+    weights.load_weights(network, path, ignored=ignored, renamed=renamed)
     return config, network
 
 

@@ -124,7 +124,7 @@ class Estimated:
         prediction: classes, poses, sizes and scores of N objects, in the camera's frame. What the
             method finds and cannot fit a pose to is left out.
         masks: (N, h, w) bool pixels of each object at the size of the view, for pictures; None of
-            methods that have none.
+            methods that have none. A list of masks is converted to an array.
 
     Raises:
         ToolkitError: another number of masks than of objects.
@@ -135,6 +135,11 @@ class Estimated:
 
     def __post_init__(self) -> None:
         n = len(self.prediction.class_ids)
+        if self.masks is not None and not isinstance(self.masks, np.ndarray):
+            masks = list(self.masks)
+            if len({np.shape(mask) for mask in masks}) > 1:
+                raise ToolkitError("must be of one size", field="masks")
+            object.__setattr__(self, "masks", np.array(masks, dtype=bool) if masks else None)
         if self.masks is not None and (self.masks.ndim != 3 or len(self.masks) != n):
             raise ToolkitError(f"must be ({n}, h, w)", field="masks", value=self.masks.shape)
 

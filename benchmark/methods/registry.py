@@ -27,6 +27,8 @@ _FALSITIES = {"false": False, "no": False, "off": False, "0": False}
 
 PUBLISHED, COMPACT = "published", "compact"
 
+COMMAND = "command:"
+
 SHIPPED = Path(__file__).resolve().parent.parent / "weights"
 
 pose_methods: Registry[PoseMethodFactory] = Registry(
@@ -222,6 +224,8 @@ def _value(kind: Any, text: str) -> Any:
 
 def shipped_file(method: str, preset: str) -> Path:
     """Where weights that come with the toolkit would be."""
+    if method.startswith(COMMAND):
+        method = COMMAND  # a command is no name of a file
     return SHIPPED / f"{method}-{preset}.safetensors"
 
 
@@ -245,11 +249,16 @@ PoseMethodFactory = Callable[[MethodOptions], PoseEstimator]
 
 
 def make_pose_method(name: str, options: MethodOptions | None = None) -> PoseEstimator:
-    """A pose method by its name, or by `package.module:Class`.
+    """A pose method by its name, by `package.module:Class`, or as `command:PROGRAM ARGUMENTS`.
 
     Raises:
         ToolkitError: no such method, or what the method says of its options and weights.
     """
+    if name.startswith(COMMAND):
+        given = options or MethodOptions()
+        settings = {**given.settings, "command": name.removeprefix(COMMAND)}
+        options = replace(given, settings=settings)
+        name = "benchmark.methods.pose.command:CommandMethod"
     return make_method(
         pose_methods,
         name,

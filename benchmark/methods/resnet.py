@@ -18,17 +18,27 @@ class BasicBlock(nn.Module):
         inputs, outputs: channels.
         stride: of the first convolution.
         dilation: of both.
+        normalised: whether there is batch normalisation.
     """
 
-    def __init__(self, inputs: int, outputs: int, stride: int = 1, dilation: int = 1) -> None:
+    def __init__(
+        self,
+        inputs: int,
+        outputs: int,
+        stride: int = 1,
+        dilation: int = 1,
+        *,
+        normalised: bool = True,
+    ) -> None:
         super().__init__()
+        norm = nn.BatchNorm2d if normalised else nn.Identity
         self.conv1 = nn.Conv2d(
             inputs, outputs, 3, stride, padding=dilation, dilation=dilation, bias=False
         )
-        self.bn1 = nn.BatchNorm2d(outputs)
+        self.bn1 = norm(outputs)
         self.conv2 = nn.Conv2d(outputs, outputs, 3, padding=dilation, dilation=dilation, bias=False)
-        self.bn2 = nn.BatchNorm2d(outputs)
-        self.downsample = _shortcut(inputs, outputs, stride)
+        self.bn2 = norm(outputs)
+        self.downsample = _shortcut(inputs, outputs, stride, normalised=normalised)
 
     def forward(self, features: Tensor) -> Tensor:
         shortcut = features if self.downsample is None else self.downsample(features)
@@ -65,18 +75,34 @@ class Bottleneck(nn.Module):
         return relu(self.bn3(self.conv3(inner)) + shortcut)
 
 
-def _shortcut(inputs: int, outputs: int, stride: int) -> nn.Module | None:
+def _shortcut(
+    inputs: int, outputs: int, stride: int, *, normalised: bool = True
+) -> nn.Module | None:
     """None where the features pass unchanged."""
     if stride == 1 and inputs == outputs:
         return None
-    return nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs))
+    convolution = nn.Conv2d(inputs, outputs, 1, stride, bias=False)
+    return nn.Sequential(convolution, *([nn.BatchNorm2d(outputs)] if normalised else []))
 
 
 def residual_layer(
-    inputs: int, outputs: int, blocks: int, stride: int = 1, dilation: int = 1
+    inputs: int,
+    outputs: int,
+    blocks: int,
+    stride: int = 1,
+    dilation: int = 1,
+    *,
+    normalised: bool = True,
 ) -> nn.Sequential:
-    """Some blocks in a row, the first of which may change resolution and channels."""
+    """Some blocks in a row, the first of which may change resolution and channels.
+
+    Without batch normalisation, as in DenseFusion, the first block is not dilated.
+    """
+    first = dilation if normalised else 1
     return nn.Sequential(
-        BasicBlock(inputs, outputs, stride, dilation),
-        *(BasicBlock(outputs, outputs, 1, dilation) for _ in range(blocks - 1)),
+        BasicBlock(inputs, outputs, stride, first, normalised=normalised),
+        *(
+            BasicBlock(outputs, outputs, 1, dilation, normalised=normalised)
+            for _ in range(blocks - 1)
+        ),
     )

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import pickle
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
@@ -25,6 +27,9 @@ _NAMED = 3  # keys named in an error
 
 SWINDRNET = "SwinDRNet"
 
+# Weights of a file and state of the network to weights with the network's keys.
+Renamed = Callable[[dict[str, Tensor], dict[str, Tensor]], dict[str, Tensor]]
+
 # Keys by which the weights of an architecture are known; the first whose prefixes all occur.
 ARCHITECTURES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("SwinDRNet's pose network", ("backbone_rgb_branch.", "decode_head_nocs.")),
@@ -35,6 +40,7 @@ ARCHITECTURES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("SwinDRNet's pose network", ("backbone_rgb_branch.",)),
     ("NLSPN", ("conv1_dep.", "prop_layer.")),
     ("DFNet", ("stem.", "skips.", "downs.", "ups.")),
+    ("DFNet of its authors", ("first.", "dense1s.layers.", "updense4_duc.")),
     ("LIDF", ("color_net.", "termination.", "refinement.")),
     ("ClearGrasp", ("masks.backbone.", "normals.backbone.", "boundaries.backbone.")),
     ("GraspNet", ("levels.", "back.", "approach.", "operation.")),
@@ -44,6 +50,8 @@ ARCHITECTURES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("a Swin of transformers", ("embeddings.patch_embeddings.", "encoder.layers.")),
     ("NOCS", ("pyramid.backbone.", "detector.", "coordinate_heads.")),
     ("SGPA", ("structure.weigh.", "heads.assign.")),
+    ("SGPA of its authors", ("prior_enricher.", "psp.feats.", "assignment.")),
+    ("SPD of its authors", ("psp.feats.", "assignment.", "deformation.")),
     ("SPD", ("prior_geometry.", "heads.assign.")),
     ("a ResNet classifier (ImageNet)", ("conv1.weight", "layer4.", "fc.")),
     ("a ResNet", ("layer1.", "layer4.")),
@@ -104,7 +112,8 @@ def read_weights(path: Path) -> dict[str, Tensor]:
     if path.suffix == ".safetensors":
         return _without_prefix(_read_safetensors(path))
     try:
-        found = torch.load(path, map_location="cpu", weights_only=True)
+        with torch.serialization.safe_globals(_plain_types()):
+            found = torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         raise ToolkitError(
             "not a checkpoint of torch, or one that holds more than tensors, which could run any "
@@ -117,19 +126,37 @@ def read_weights(path: Path) -> dict[str, Tensor]:
     return _without_prefix(_unwrapped(found, path))
 
 
-def load_weights(network: nn.Module, path: Path, ignored: Sequence[str] = ()) -> None:
+def _plain_types() -> list[Any]:
+    """Types of plain data that training programs keep beside weights: options and numbers."""
+    scalar = np.dtype(np.float64).type(0).__reduce__()[0]
+    kinds = {type(np.dtype(t)) for t in (np.float32, np.float64, np.int32, np.int64, np.bool_)}
+    # Files name the function by the module of NumPy 1 or of NumPy 2.
+    names = [(scalar, f"numpy.{core}.multiarray.scalar") for core in ("core", "_core")]
+    return [argparse.Namespace, np.dtype, *kinds, *names]
+
+
+def load_weights(
+    network: nn.Module,
+    path: Path,
+    ignored: Sequence[str] = (),
+    renamed: Renamed | None = None,
+) -> None:
     """Read a network's weights from a file.
 
     Args:
         network: gets the tensors of the file themselves: no second copy in memory.
         path: a safetensors file or a checkpoint of torch.
         ignored: keys that the file may have and the network does not need.
+        renamed: turns the weights of the authors' program, if they are such, into the network's.
 
     Raises:
         ToolkitError: the file cannot be read, or is of another architecture: which keys are
             missing, which unknown and which have another shape.
     """
-    state = {name: tensor for name, tensor in read_weights(path).items() if name not in ignored}
+    state = read_weights(path)
+    if renamed is not None:
+        state = renamed(state, network.state_dict())
+    state = {name: tensor for name, tensor in state.items() if name not in ignored}
     check_keys(network.state_dict(), state, path)
     wanted = {name: tensor.dtype for name, tensor in network.state_dict().items()}
     state = {name: tensor.to(wanted[name]) for name, tensor in state.items()}

@@ -19,6 +19,7 @@ import pandas as pd
 from std_toolkit.errors import ToolkitError
 
 _FILE = Path(__file__).with_name("published_results.csv")
+_BOP_FILE = Path(__file__).with_name("published_bop.csv")
 
 # Names of data sets as printed, and of our splits.
 SPLIT_OF = {
@@ -149,3 +150,13 @@ def published_poses() -> pd.DataFrame:
     return pd.DataFrame(
         [dict(zip(keys, key, strict=True)) | figures for key, figures in found.items()]
     )
+
+
+def published_bop() -> pd.DataFrame:
+    """Instance-level poses on data sets of BOP, by method and data set.
+
+    Returns:
+        The columns dataset (BOP's short name), method, source, ar, ar_vsd, ar_mssd, ar_mspd, ap,
+        ap_mssd, ap_mspd (shares) and seconds_per_image; NaN where nothing is printed.
+    """
+    return pd.read_csv(_BOP_FILE)

@@ -173,6 +173,9 @@ class BopExporter:
                 {k: r.extra["gt_info"] for k, r in by_id.items()}
             ),
             f"{folder}/scene_gt_coco.json": bop_metadata.coco_document(target, rows, models),
+            f"{folder}/scene_gt_coco_modal.json": bop_metadata.coco_document(
+                target, rows, models, modal=True
+            ),
             "camera.json": bop_metadata.record_lines(
                 {
                     "cx": camera.cx,

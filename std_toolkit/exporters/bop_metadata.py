@@ -50,8 +50,13 @@ def targets_24(target: Target, rows: list[FrameRow]) -> list[dict[str, int]]:
     return [{"im_id": row.frame.id, "scene_id": number} for row in rows]
 
 
-def coco_document(target: Target, rows: list[FrameRow], models: list[ExportedModel]) -> bytes:
-    """scene_gt_coco.json: modal masks as run lengths, amodal boxes clipped to the image."""
+def coco_document(
+    target: Target, rows: list[FrameRow], models: list[ExportedModel], *, modal: bool = False
+) -> bytes:
+    """scene_gt_coco.json: modal masks as run lengths, amodal boxes clipped to the image.
+
+    With `modal`, scene_gt_coco_modal.json: boxes around the visible part.
+    """
     name = target.scene.info.name
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
@@ -70,7 +75,12 @@ def coco_document(target: Target, rows: list[FrameRow], models: list[ExportedMod
             }
         )
         annotations += [
-            {**a, "id": len(annotations) + k + 1, "image_id": row.frame.id}
+            {
+                **a,
+                **({"bbox": _box_of_runs(**a["segmentation"])} if modal else {}),
+                "id": len(annotations) + k + 1,
+                "image_id": row.frame.id,
+            }
             for k, a in enumerate(row.extra["coco"])
         ]
     document = {
@@ -90,6 +100,26 @@ def coco_document(target: Target, rows: list[FrameRow], models: list[ExportedMod
         "licenses": [],
     }
     return (_dump(document) + "\n").encode()
+
+
+def _box_of_runs(counts: list[int], size: list[int]) -> list[int]:
+    """[x, y, width, height] of the pixels of COCO's run lengths, column by column.
+
+    >>> _box_of_runs([4, 2, 1, 1], [3, 3])  # the rest is empty
+    [1, 1, 2, 2]
+    """
+    height, place = size[0], 0
+    columns, tops, bottoms = [], [], []
+    for i, count in enumerate(counts):
+        if i % 2 and count:
+            first, last = place, place + count - 1
+            columns += [first // height, last // height]
+            over = first // height != last // height
+            tops.append(0 if over else first % height)
+            bottoms.append(height - 1 if over else last % height)
+        place += count
+    x, y = min(columns), min(tops)
+    return [x, y, max(columns) - x + 1, max(bottoms) - y + 1]
 
 
 def dataset_info(target: Target, rows: list[FrameRow], models: list[ExportedModel]) -> bytes:
@@ -141,7 +171,8 @@ def dataset_text(target: Target, rows: list[FrameRow], models: list[ExportedMode
         "",
         "Pixel centres are at integer coordinates in K, masks and depth. The renderer of "
         "bop_toolkit puts them at +0.5 with the same K, so masks that it renders are shifted by "
-        "half a pixel relative to these.",
+        "half a pixel relative to these. For scripts of bop_toolkit that render, such as "
+        "eval_calc_errors.py for VSD, add 0.5 to cx and cy.",
         "",
         f"Occluders besides the labelled objects: {', '.join(policies)} (models: none; sensor: "
         "depth of the frame; fused: geometry fused from many frames). Sensor depth is wrong on "

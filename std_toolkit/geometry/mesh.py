@@ -129,9 +129,14 @@ def mesh_extents(mesh: trimesh.Trimesh) -> NDArray[np.float64]:
 
 def hull_vertices(mesh: trimesh.Trimesh) -> NDArray[np.float64]:
     """(H, 3) vertices of the convex hull; of the outline if the mesh is flat."""
+    return hull_points(mesh.vertices[np.unique(mesh.faces)])
+
+
+def hull_points(points: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(H, 3) those of the points (V, 3) that are on their convex hull, or on their outline."""
     from scipy.spatial import ConvexHull, QhullError
 
-    used = np.asarray(mesh.vertices[np.unique(mesh.faces)], dtype=np.float64)
+    used = np.asarray(points, dtype=np.float64)
     # The hull of a flat mesh (a board, a picture) is in its plane or line.
     _, extent, axes = np.linalg.svd(used - used.mean(axis=0), full_matrices=False)
     rank = int((extent > 1e-9 * extent[0]).sum())
@@ -146,9 +151,13 @@ def hull_vertices(mesh: trimesh.Trimesh) -> NDArray[np.float64]:
 
 def mesh_diameter(mesh: trimesh.Trimesh) -> float:
     """Largest distance between two vertices, metres (BOP's diameter). Exact, by the convex hull."""
+    return hull_diameter(hull_vertices(mesh))
+
+
+def hull_diameter(hull: NDArray[np.float64]) -> float:
+    """Largest distance between two of the points (H, 3) of a convex hull."""
     from scipy.spatial.distance import cdist
 
-    hull = hull_vertices(mesh)
     # In blocks: on a fine sphere mesh every vertex is on the hull, and all pairs exceed the memory.
     blocks = range(0, len(hull), 512)
     return max(float(cdist(hull[i : i + 512], hull[i:]).max()) for i in blocks)

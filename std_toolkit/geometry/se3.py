@@ -171,16 +171,19 @@ class SE3:
         return [float(x) for x in self.matrix().ravel()]
 
 
-def nearest_rotation(R: ArrayLike) -> Array:
+def nearest_rotation(R: ArrayLike, *, tolerance: float = ROTATION_TOLERANCE) -> Array:
     """The rotation nearest to R (3, 3).
 
+    Args:
+        tolerance: largest entry of `R R^T - I`.
+
     Raises:
-        ToolkitError: R is not a rotation to `ROTATION_TOLERANCE` (mirrored, scaled, sheared).
+        ToolkitError: R is not a rotation to the tolerance (mirrored, scaled, sheared).
     """
     M = _numbers(R)
     if M.shape != (3, 3) or not np.isfinite(M).all():
         raise ToolkitError("a rotation needs 3x3 finite numbers", value=M.tolist())
-    if np.linalg.det(M) < 0 or np.abs(M @ M.T - np.eye(3)).max() > ROTATION_TOLERANCE:
+    if np.linalg.det(M) < 0 or np.abs(M @ M.T - np.eye(3)).max() > tolerance:
         raise ToolkitError(
             "this is not a rotation matrix",
             value=np.round(M, 6).tolist(),

@@ -7,7 +7,7 @@ from pathlib import Path
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.importers import bop_objects
-from std_toolkit.importers.bop_documents import BopScene, CameraRow, read_bop_scene
+from std_toolkit.importers.bop_documents import BopScene, CameraRow, count_rough, read_bop_scene
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
 from std_toolkit.io.images import image_size
 from std_toolkit.options import ImportRequest
@@ -68,6 +68,13 @@ class BopImporter:
         notes = list(instances.notes)
         if sidecar is None and instances.objects and request.material is None:
             notes.append("BOP has no materials: objects are imported as diffuse (see --material)")
+        filed = [row.filed_pose for rows in scene.gt.values() for row in rows]
+        rough, largest = count_rough(filed)
+        if rough:
+            notes.append(
+                f"{rough} of {len(filed)} rotations are not exactly orthonormal (by up to "
+                f"{largest:.1e}): imported as the nearest rotation"
+            )
         return Recording(
             source="import:bop",
             cameras=cameras,

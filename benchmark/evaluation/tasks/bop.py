@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
-import pandas as pd
 
 from benchmark.data.splits import FrameKey
 from benchmark.evaluation.config import BopConfig
@@ -23,79 +21,58 @@ from benchmark.evaluation.manifest import (
     BopSetup,
     circumstances,
 )
-from benchmark.evaluation.results import ERROR, INDEX, SCENE, read_table
+from benchmark.evaluation.results import ERROR, INDEX, read_table
+from benchmark.evaluation.tasks.bop_results import (
+    ERRORS,
+    FOLDER,
+    FOUND,
+    BopFigures,
+    bop_table,
+    read_bop_run,
+    summarise,
+)
 from benchmark.metrics.bop import (
     BopDataset,
+    BopError,
     BopScorer,
-    BopTarget,
+    ObjectErrors,
     found_of,
-    mean_recalls,
     open_bop,
     read_bop_results,
     seconds_per_image,
 )
 from benchmark.metrics.bop.bop_dataset import BopImage
-from benchmark.metrics.significance import mean_interval
 from std_toolkit.errors import ToolkitError
-from std_toolkit.html.table import text_table
-from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.importers.bop_documents import count_rough
+from std_toolkit.io.documents import write_document
+from std_toolkit.log import logger
 
-FOLDER, ERRORS = "bop", "errors.parquet"
 RENDERER = "raycast"
-RECALLS = ("vsd", "mssd", "mspd")
-FOUND = tuple(f"found_{name}" for name in RECALLS)
-
-
-class BopResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One result file.
-
-    Attributes:
-        results: name of the file.
-        data, split: folder of the data set, and of its scenes.
-        targets: number of target instances.
-        estimates: number of lines of the file.
-        ar: mean of the three average recalls, 0 to 1.
-        ar_vsd, ar_mssd, ar_mspd: the average recalls, 0 to 1.
-        seconds_per_image: run time of the method; None if the file does not give it.
-    """
-
-    results: str
-    data: str
-    split: str
-    targets: int
-    estimates: int
-    ar: float
-    ar_vsd: float
-    ar_mssd: float
-    ar_mspd: float
-    seconds_per_image: float | None
-
-
-class BopFigures(BopResult, frozen=True, kw_only=True):
-    """A result file with its intervals.
-
-    Attributes:
-        intervals: ends of the 95 % interval by the name of the figure, such as `ar_vsd`; empty
-            with one image, or for results without a table of errors.
-        intervals_over: unit of resampling: "scenes", or "images" if there is one scene.
-    """
-
-    intervals: dict[str, tuple[float, float]] = {}
-    intervals_over: str = ""
+NO_VSD = "no VSD: "  # errors of images that have everything else
+_COLUMNS = 2  # version of the table
 
 
 class BopData:
-    """Images with targets, and the estimates of a result file."""
+    """Images with something to find, and the estimates of a result file."""
 
-    def __init__(self, root: Path, split: str, results: Path) -> None:
-        self.dataset: BopDataset = open_bop(root, split)
-        estimates = read_bop_results(results)
-        self.scorer = BopScorer(self.dataset, estimates, renderer=RENDERER)
-        if not self.scorer.targets:
-            raise ToolkitError("there is no true pose to be found", path=root)
-        self.images: dict[tuple[int, int], list[BopTarget]] = {}
-        for target in self.scorer.targets:
-            self.images.setdefault((target.scene_id, target.im_id), []).append(target)
+    def __init__(self, run: BopRun) -> None:
+        self.dataset: BopDataset = open_bop(
+            run.data, run.split, sensors=run.sensors, symmetry_steps=run.symmetry_steps
+        )
+        self.errors = run.errors
+        if "vsd" in self.errors and not self.dataset.has_depth:
+            self.errors = tuple(e for e in self.errors if e != "vsd")
+        self.estimates = read_bop_results(run.results)
+        self.scorer = BopScorer(
+            self.dataset,
+            self.estimates,
+            renderer=RENDERER,
+            errors=self.errors,
+            delta_m=run.vsd_delta_mm / 1000,
+        )
+        if not self.scorer.images:
+            raise ToolkitError("there is no true pose to be found", path=run.data)
+        self.images = self.scorer.images
 
     def __len__(self) -> int:
         return len(self.images)
@@ -113,6 +90,7 @@ class BopRun(FramesRun[BopData, None]):
         data, split: folder of the data set, and of its scenes.
         results: CSV file in BOP's format.
         out: folder of results.
+        sensors, errors, symmetry_steps, vsd_delta_mm: see `BopConfig`.
     """
 
     manifest_name, table_name, unit = BOP_MANIFEST, ERRORS, "images"
@@ -121,6 +99,10 @@ class BopRun(FramesRun[BopData, None]):
     split: str
     results: Path
     out: Path
+    sensors: tuple[str, ...] = ()
+    errors: tuple[BopError, ...] = ("vsd", "mssd", "mspd")
+    symmetry_steps: int | None = None
+    vsd_delta_mm: float = 15.0
     devices: tuple[str, ...] = ("cpu",)
     batch_size: int = 1
 
@@ -132,14 +114,38 @@ class BopRun(FramesRun[BopData, None]):
     def title(self) -> str:
         return f"{self.results.stem} on {self.data.name}, {self.split}"
 
+    @property
+    def data_key(self) -> object:
+        return self.results, self.data, self.split
+
     def open(self) -> BopData:
-        return BopData(self.data, self.split, self.results)
+        return BopData(self)
+
+    def check(self, data: BopData) -> None:
+        """Say once what is unusual."""
+        if len(data.errors) < len(self.errors):
+            logger.warning("%s: VSD is not scored: the data set has no depth", self.data)
+        for path, poses in (
+            (self.data, data.dataset.poses()),
+            (self.results, [e.T_cam_obj for e in data.estimates]),
+        ):
+            count, largest = count_rough(poses)
+            if count:
+                logger.warning(
+                    "%s: %d of %d rotations are not exactly orthonormal (by up to %.1e); they are "
+                    "used as filed",
+                    path, count, len(poses), largest,
+                )  # fmt: skip
 
     def make(self, device: str) -> None:
         """Create nothing: the poses are in the result file."""
 
     def manifest(self, data: BopData, methods: None) -> BopManifest:  # noqa: ARG002
-        lines = [f"{t.scene_id} {t.im_id} {t.obj_id} {t.inst_count}" for t in data.scorer.targets]
+        lines = [
+            f"{scene} {image} {obj} {data.scorer.count(scene, image, obj)}"
+            for scene, image in data.images
+            for obj in data.scorer.objects(scene, image)
+        ]
         setup = BopSetup(
             data=self.data.resolve().name,
             split=self.split,
@@ -148,11 +154,16 @@ class BopRun(FramesRun[BopData, None]):
             targets=len(lines),
             targets_sha256=hashlib.sha256("\n".join(lines).encode()).hexdigest(),
             renderer=RENDERER,
+            sensors=tuple(dict.fromkeys(s for s in data.dataset.sensors.values() if s)),
+            errors=data.errors,
+            symmetry_steps=self.symmetry_steps,
+            vsd_delta_mm=self.vsd_delta_mm,
+            columns=_COLUMNS,
         )
         return BopManifest(setup=setup, root=str(self.data), **circumstances())
 
     def load(self, data: BopData, index: int) -> BopImage:
-        return data.dataset.image(*list(data.images)[index])
+        return data.scorer.image(*data.images[index])
 
     def rows(
         self,
@@ -160,56 +171,86 @@ class BopRun(FramesRun[BopData, None]):
         methods: None,  # noqa: ARG002
         frames: Sequence[tuple[Base, BopImage | str]],
     ) -> list[dict[str, Any]]:
-        """Return a row for each target; without figures if its image cannot be read."""
-        images, rows = list(data.images.values()), []
+        """Return a row for each object of an image; without figures if it cannot be read."""
+        rows = []
         for base, image in frames:
-            for target in images[base[INDEX]]:
-                found, estimates, error = np.full(3, np.nan), 0, image
-                if not isinstance(image, str):
-                    errors = data.scorer.errors(target, image)
-                    found, estimates, error = found_of(errors), len(errors.mssd), ""
-                estimate = {ERROR: error, "obj_id": target.obj_id, "n_estimates": estimates}
-                figures = dict(zip(FOUND, found.tolist(), strict=True))
-                rows.append(base | estimate | {"n_valid": target.inst_count} | figures)
+            scene, number = data.images[base[INDEX]]
+            for obj_id in data.scorer.objects(scene, number):
+                if isinstance(image, str):
+                    found, error = ObjectErrors(None, None), image
+                else:
+                    found = data.scorer.errors(scene, number, obj_id, image)
+                    # The rest is kept, and VSD is tried again.
+                    no_depth = image.why_no_depth and image.camera is not None
+                    error = f"{NO_VSD}{image.why_no_depth}" if no_depth else ""
+                count = data.scorer.count(scene, number, obj_id)
+                rows.append(
+                    base | {ERROR: error, "obj_id": obj_id, "n_valid": count} | _figures(found)
+                )
         return rows
 
     def after(self) -> None:
         """Write the figures; an error if an image could not be scored."""
         table = read_table(self.folder / ERRORS)
         failed = table[table[ERROR] != ""]
-        if len(failed):
+        unread = failed[~failed[ERROR].str.startswith(NO_VSD)]
+        if len(unread):
             raise ToolkitError(
-                f"{failed[INDEX].nunique()} images could not be scored, the first with: "
-                f"{failed[ERROR].iloc[0]}",
+                f"{unread[INDEX].nunique()} images could not be scored, the first with: "
+                f"{unread[ERROR].iloc[0]}",
                 hint="no figure leaves targets out: repair them, and run the same command again",
             )
         estimates = read_bop_results(self.results)
-        scores = mean_recalls(table[list(FOUND)].to_numpy(), table["n_valid"].tolist())
-        result = BopResult(
+        result = summarise(
+            table,
             results=self.results.stem,
             data=str(self.data),
             split=self.split,
-            targets=scores.targets,
             estimates=len(estimates),
-            ar=scores.ar,
-            ar_vsd=scores.vsd,
-            ar_mssd=scores.mssd,
-            ar_mspd=scores.mspd,
             seconds_per_image=seconds_per_image(estimates),
         )
         write_document(self.folder / BOP_FILE, result)
+        result.write_scores(self.folder)
 
     def read(self) -> BopFigures:
         return read_bop_run(self.folder)
 
 
+def _figures(found: ObjectErrors) -> dict[str, Any]:
+    """Columns of the table, see data_spec.md."""
+    shares = np.full(3, np.nan) if found.target is None else found_of(found.target)
+    counted = (
+        0
+        if found.target is None
+        else _length(found.target.vsd, found.target.mssd, found.target.mspd)
+    )
+    detections = found.detections
+    lists: dict[str, Any] = dict.fromkeys(("scores", "visible", "mssd", "mspd"))
+    scale = {"diameter_m": np.nan, "width": 0}
+    if detections is not None:
+        lists["scores"] = detections.scores.tolist()
+        lists["visible"] = detections.visible.tolist()
+        for name in ("mssd", "mspd"):
+            errors = getattr(detections, name)
+            lists[name] = None if errors is None else errors.ravel().tolist()
+        scale = {"diameter_m": detections.diameter_m, "width": detections.width}
+    return {
+        "n_estimates": counted,
+        **dict(zip(FOUND, shares.tolist(), strict=True)),
+        **scale,
+    } | lists
+
+
+def _length(*errors: Any) -> int:
+    return next((len(e) for e in errors if e is not None), 0)
+
+
 def plan_runs(config: BopConfig) -> list[BopRun]:
     """Return the runs, one for each result file."""
     assert config.out is not None
-    return [
-        BopRun(data=config.data, split=config.bop_split, results=path, out=config.out)
-        for path in config.results
-    ]
+    names = ("data", "sensors", "errors", "symmetry_steps", "vsd_delta_mm", "out")
+    options = {name: getattr(config, name) for name in names}
+    return [BopRun(split=config.bop_split, results=path, **options) for path in config.results]
 
 
 TASK = Task(
@@ -217,56 +258,3 @@ TASK = Task(
     table=lambda results, _: bop_table(results),
     records=lambda results, _: results,
 )
-
-
-def read_bop_run(folder: Path) -> BopFigures:
-    """Read the figures of a result file.
-
-    Raises:
-        ToolkitError: a file is missing or damaged.
-    """
-    figures = msgspec.structs.asdict(read_document(folder / BOP_FILE, BopResult))
-    path = folder / ERRORS
-    intervals, over = bop_intervals(read_table(path)) if path.exists() else ({}, "")
-    return BopFigures(**figures, intervals=intervals, intervals_over=over)
-
-
-def bop_intervals(table: pd.DataFrame) -> tuple[dict[str, tuple[float, float]], str]:
-    """Return the 95 % intervals of the figures, and the unit of resampling.
-
-    Args:
-        table: table of errors. Every target instance has the same weight, as in the figures.
-    """
-    scenes, images = table[SCENE], table[INDEX]
-    groups, over = (scenes, "scenes") if scenes.nunique() > 1 else (images, "images")
-    if groups.nunique() < 2:
-        return {}, ""
-    times = table["n_valid"].to_numpy()
-    shares = table[list(FOUND)].to_numpy() / times[:, None]
-    values = np.column_stack([shares.mean(axis=1), shares])
-    found = mean_interval(np.repeat(values, times, axis=0), np.repeat(groups.to_numpy(), times))
-    names = ("ar", *(f"ar_{name}" for name in RECALLS))
-    ends = zip(found.low.tolist(), found.high.tolist(), strict=True)
-    return dict(zip(names, ends, strict=True)), over
-
-
-def read_bop_figures(folders: Iterable[Path]) -> list[BopFigures]:
-    """Read all figures below some folders of results.
-
-    Raises:
-        ToolkitError: a file is damaged.
-    """
-    paths = sorted(path for folder in folders for path in folder.rglob(BOP_FILE))
-    return [read_bop_run(path.parent) for path in dict.fromkeys(paths)]
-
-
-def bop_table(results: Sequence[BopResult]) -> str:
-    """Format the figures in percent for a terminal."""
-    heads = ("results", "data", "targets", "AR", "VSD", "MSSD", "MSPD", "s/image")
-    lines = []
-    for r in results:
-        shares = [f"{100 * x:.1f}" for x in (r.ar, r.ar_vsd, r.ar_mssd, r.ar_mspd)]
-        seconds = "" if r.seconds_per_image is None else f"{r.seconds_per_image:.2f}"
-        data = f"{Path(r.data).name}, {r.split}"
-        lines.append([r.results, data, str(r.targets), *shares, seconds])
-    return text_table(heads, lines).terminal()

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data import splits
+from benchmark.data.dreds_std import LayoutScenes
 from benchmark.data.frame import DepthFrame
 from benchmark.evaluation.config import DepthConfig, options_by_method
 from benchmark.evaluation.engine import Task
@@ -43,6 +44,8 @@ class Run(FrameRun[Restorer]):
         save_depth: save the restored depth in the format of the data set.
         depth_from: folder of depth saved this way; replaces the sensor depth.
         speed: also time the method.
+        released_loader: batch size of the authors' loader, to read frames as it does; None for all
+            frames with their ids.
     """
 
     manifest_name, table_name = MANIFEST, TABLE
@@ -50,6 +53,7 @@ class Run(FrameRun[Restorer]):
     save_depth: bool = False
     depth_from: Path | None = None
     speed: bool = True
+    released_loader: int | None = None
 
     @property
     def folder(self) -> Path:
@@ -72,10 +76,22 @@ class Run(FrameRun[Restorer]):
 
     def open(self) -> splits.DepthSource:
         source = super().open()
+        if self.released_loader is not None and isinstance(source, LayoutScenes):
+            source = replace(source, truncated_ids=True)
         return source if self.depth_from is None else splits.WithSavedDepth(source, self.depth_from)
 
-    def check(self, data: splits.DepthSource) -> None:  # noqa: ARG002
+    def chosen(self, data: splits.DepthSource) -> list[int]:
+        chosen = super().chosen(data)
+        return chosen[: len(chosen) // (self.released_loader or 1) * (self.released_loader or 1)]
+
+    def check(self, data: splits.DepthSource) -> None:
         get_protocol(self.protocol)
+        if not self.chosen(data):
+            raise ToolkitError(
+                "the split has fewer frames than a batch",
+                field="released_loader",
+                value=self.released_loader,
+            )
 
     def make(self, device: str | None = None) -> Restorer:
         """Create the restorer, on the first of `devices` by default.
@@ -96,6 +112,7 @@ class Run(FrameRun[Restorer]):
             **self.setup(data, methods),
             protocol=self.protocol,
             depth_from="" if self.depth_from is None else str(self.depth_from.resolve()),
+            released_loader=self.released_loader or 0,
         )
         return Manifest(
             label=self.label,
@@ -172,6 +189,7 @@ def plan_runs(config: DepthConfig) -> list[Run]:
             save_depth=config.save_depth,
             depth_from=config.depth_from,
             speed=config.speed,
+            released_loader=config.released_loader,
         )
         for method, split, protocol in product(config.methods, config.splits, config.protocols)
     ]

@@ -94,6 +94,7 @@ class PoseRun(FrameRun[Methods]):
             depth_weights_sha256=weights_digest(self.depth.name, depths.restorer, depth),
             depth_folder="" if folder is None else str(folder.resolve()),
             as_input=self.as_input,
+            given_truth=bool(method.needs_truth),
         )
         return PoseManifest(
             label=self.label,

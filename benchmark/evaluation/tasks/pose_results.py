@@ -109,6 +109,13 @@ class PoseResult(Result[PoseManifest]):
         return f"{', '.join(self.name)} on {self.split}"
 
     @property
+    def given_truth(self) -> bool:
+        """Whether the method receives ground truth, and is a bound and no competitor."""
+        setup = self.manifest.setup
+        known = setup.method == "gt-nocs" or setup.settings.get("masks") == "true"
+        return setup.given_truth or known  # older results do not say
+
+    @property
     def failed(self) -> int:
         """Number of frames that could not be read, or at which the method failed."""
         return int(self.table.loc[self.table[ERROR] != "", INDEX].nunique())

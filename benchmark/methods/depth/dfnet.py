@@ -1,12 +1,14 @@
 """DFNet (Fang et al., RA-L 2022): configuration, network, restorer.
 
-The paper does not state the kernel sizes. The sizes used here give the published number of
-parameters, 1.251 million.
+There are two forms. `paper` is written from the paper, which does not state the kernel sizes; those
+here give the published number of parameters, 1.251 million. `released` is the network of the
+authors' program (TransCG), with its keys: their weights fit and give their answers.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
@@ -25,6 +27,7 @@ from benchmark.methods.network import (
     relative_color,
 )
 from benchmark.methods.registry import MethodOptions
+from std_toolkit.errors import ToolkitError
 
 _LEVELS = 4
 
@@ -36,6 +39,7 @@ class DFNetConfig:
     """DFNet; the defaults are the published network.
 
     Attributes:
+        form: `paper` or `released`, see above.
         channels: between the blocks.
         layers, growth: of a dense block: how many layers, and the channels that each adds.
         near, far: metres; what the sensor measured outside counts as not measured.
@@ -46,6 +50,7 @@ class DFNetConfig:
         input_size: (width, height) of the images.
     """
 
+    form: Literal["paper", "released"] = "paper"
     channels: int = 64
     layers: int = 5
     growth: int = 12
@@ -159,6 +164,117 @@ class DenseLayer(nn.Module):
         return self.parts(features)
 
 
+class ReleasedDFNetwork(nn.Module):
+    """The authors' network, under their keys; `network(color, depth)` to `Prediction`.
+
+    Its stem halves the resolution, convolutions come before normalisation and activation, and a
+    dense block answers with the channels of its last layer.
+
+    Raises:
+        ToolkitError: relative depth, which this form does not have.
+    """
+
+    def __init__(self, config: DFNetConfig) -> None:
+        super().__init__()
+        if config.relative:
+            raise ToolkitError("form released works in metres", field="relative", value=True)
+        self.config = config
+        c, k = config.channels, config.growth
+        self.first = _plain(4, c, stride=2)
+        for level in range(1, _LEVELS + 1):
+            last = level == _LEVELS
+            for skip in ("",) if last else ("s", ""):
+                self.add_module(f"dense{level}{skip}_conv1", _plain(c, c))
+                self.add_module(f"dense{level}{skip}", ReleasedBlock(config))
+                stride = 1 if skip or last else 2
+                self.add_module(f"dense{level}{skip}_conv2", _plain(k, c, stride=stride))
+        for level in range(1, _LEVELS + 1):
+            self.add_module(f"updense{level}_conv", _plain(c if level == 1 else 2 * c, c))
+            self.add_module(f"updense{level}", ReleasedBlock(config))
+            self.add_module(f"updense{level}_duc", _SubPixel(k, c))
+        self.final = nn.Sequential(*_plain(c, c), nn.Conv2d(c, 1, 1))
+
+    def forward(self, color: Tensor, depth: Tensor) -> Prediction:
+        """Restore depth; see `DFNetwork`."""
+        h, w = depth.shape[-2:]
+        color, depth = padded_to(color, 1 << _LEVELS), padded_to(depth, 1 << _LEVELS)
+        depth = believable(depth, self.config)
+        depths = [depth]
+        for _ in range(_LEVELS):
+            depths.append(interpolate(depths[-1], scale_factor=0.5, mode="nearest"))
+        features = precisely(self.first, torch.cat([color, depth], dim=1))
+        kept = []
+        for level in range(1, _LEVELS):
+            kept.append(self._dense(f"dense{level}s", features, depths[level]))
+            features = self._dense(f"dense{level}", features, depths[level])
+        features = self._dense(f"dense{_LEVELS}", features, depths[_LEVELS])
+        for level in range(1, _LEVELS + 1):
+            if level > 1:
+                features = torch.cat([features, kept[_LEVELS - level]], dim=1)
+            name, own = f"updense{level}", depths[_LEVELS + 1 - level]
+            features = self.get_submodule(f"{name}_conv")(features)
+            features = self.get_submodule(name)(torch.cat([features, own], dim=1))
+            features = self.get_submodule(f"{name}_duc")(features)
+        restored = precisely(self.final, features).clamp(min=0)
+        return Prediction(restored[..., :h, :w])
+
+    def _dense(self, name: str, features: Tensor, depth: Tensor) -> Tensor:
+        features = self.get_submodule(f"{name}_conv1")(features)
+        features = self.get_submodule(name)(torch.cat([features, depth], dim=1))
+        return self.get_submodule(f"{name}_conv2")(features)
+
+
+class ReleasedBlock(nn.Module):
+    """Layers that each see all channels before them; the last one's are the answer."""
+
+    def __init__(self, config: DFNetConfig) -> None:
+        super().__init__()
+        k = config.growth
+        self.layers = nn.ModuleList(
+            nn.Sequential(
+                *_plain(config.channels + 1 + i * k, _BOTTLENECK * k, kernel=1),
+                *_plain(_BOTTLENECK * k, k),
+            )
+            for i in range(config.layers)
+        )
+
+    def forward(self, features: Tensor) -> Tensor:
+        added = features
+        for layer in self.layers:
+            added = layer(features)
+            features = torch.cat([features, added], dim=1)
+        return added
+
+
+class _SubPixel(nn.Module):
+    """Twice the resolution: the pixels of each 2x2 cell come from channels."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.layer = _plain(inputs, 4 * outputs)
+        self.shuffle = nn.PixelShuffle(2)
+
+    def forward(self, features: Tensor) -> Tensor:
+        return self.shuffle(self.layer(features))
+
+
+def _plain(inputs: int, outputs: int, *, kernel: int = 3, stride: int = 1) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2),
+        nn.BatchNorm2d(outputs),
+        nn.ReLU(),
+    )
+
+
+def dfnet_of(config: DFNetConfig) -> DFNetwork | ReleasedDFNetwork:
+    """The network of a configuration.
+
+    Raises:
+        ToolkitError: settings that do not go together.
+    """
+    return ReleasedDFNetwork(config) if config.form == "released" else DFNetwork(config)
+
+
 def believable(depth: Tensor, config: DFNetConfig) -> Tensor:
     """(b, 1, h, w) depth with 0 where it is out of range or far from the image's other depths."""
     depth = torch.where((depth >= config.near) & (depth <= config.far), depth, 0.0)
@@ -186,5 +302,5 @@ class DFNet(NetworkRestorer):
     """
 
     def __init__(self, options: MethodOptions) -> None:
-        self.config, network = network_of("dfnet", PRESETS, DFNetwork, options)
+        self.config, network = network_of("dfnet", PRESETS, dfnet_of, options)
         super().__init__(network, options, self.config.input_size)

@@ -1,13 +1,15 @@
 """NLSPN (Park et al., ECCV 2020): configuration, network, restorer.
 
 Non-local spatial propagation: every pixel becomes a weighted mean of pixels at learned offsets.
-Keys and shapes match the published weights. Training can start from ImageNet weights of ResNet-34.
+Keys and shapes match the published weights, and so do the answers of the published preset. Training
+can start from ImageNet weights of ResNet-34.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
@@ -55,6 +57,11 @@ class NLSPNConfig:
             that is sparse and right; the depth of transparent objects is there and wrong.
         relative: whether input and output depth are relative to what the sensor
             measured (`benchmark.methods.network`). The published network works in metres.
+        confidence: where the confidence of a neighbour is sampled, see `Propagation`. Weights of
+            the authors' program need `released`, or `legacy` if they are those of the paper
+            (trained before the program was changed).
+        cropped: whether levels of an odd size are cropped, as in the authors' program; otherwise
+            images are padded to a multiple of 16 pixels.
         input_size: (width, height) of the images. What the network was given on DREDS is not
             published; these are the images of that data set's own network.
     """
@@ -64,13 +71,20 @@ class NLSPNConfig:
     steps: int = 18
     preserve_input: bool = False
     relative: bool = False
+    confidence: Literal["fixed", "released", "legacy"] = "released"
+    cropped: bool = True
     input_size: tuple[int, int] = (224, 224)
 
 
 PRESETS = {
     "published": NLSPNConfig(),
     "compact": NLSPNConfig(
-        channels=24, blocks=(1, 2, 2, 2), relative=True, input_size=COMPACT_SIZE
+        channels=24,
+        blocks=(1, 2, 2, 2),
+        relative=True,
+        confidence="fixed",
+        cropped=False,
+        input_size=COMPACT_SIZE,
     ),
 }
 
@@ -114,7 +128,7 @@ class NLSPNetwork(nn.Module):
         self.gd_dec0 = nn.Sequential(nn.Conv2d(2 * c, NEIGHBOURS, 3, padding=1))
         self.cf_dec1 = _conv(2 * c, c // 2)
         self.cf_dec0 = nn.Sequential(nn.Conv2d(c // 2 + c, 1, 3, padding=1), nn.Sigmoid())
-        self.prop_layer = Propagation(config.steps, config.preserve_input)
+        self.prop_layer = Propagation(config.steps, config.preserve_input, config.confidence)
 
     def forward(self, color: Tensor, depth: Tensor) -> Prediction:
         """Restore depth.
@@ -124,7 +138,8 @@ class NLSPNetwork(nn.Module):
             depth: (b, 1, h, w) metres, 0 where the sensor measured nothing.
         """
         h, w = depth.shape[-2:]
-        color, depth = padded_to(color, _COARSEST), padded_to(depth, _COARSEST)
+        if not self.config.cropped:
+            color, depth = padded_to(color, _COARSEST), padded_to(depth, _COARSEST)
         if self.config.relative:
             seen, measured = relative_color(color), network_depth(depth)
         else:
@@ -144,14 +159,20 @@ class NLSPNetwork(nn.Module):
         level4 = self.conv4(level3)
         level5 = self.conv5(level4)
         up5 = self.dec5(self.conv6(level5))
-        up4 = self.dec4(torch.cat([up5, level5], dim=1))
-        up3 = self.dec3(torch.cat([up4, level4], dim=1))
-        up2 = self.dec2(torch.cat([up3, level3], dim=1))
-        both = torch.cat([up2, level2], dim=1)
+        up4 = self.dec4(_beside(up5, level5))
+        up3 = self.dec3(_beside(up4, level4))
+        up2 = self.dec2(_beside(up3, level3))
+        both = _beside(up2, level2)
         initial = precisely(self.id_dec0, torch.cat([self.id_dec1(both), full], dim=1))
         guidance = self.gd_dec0(torch.cat([self.gd_dec1(both), full], dim=1))
         confidence = self.cf_dec0(torch.cat([self.cf_dec1(both), full], dim=1))
         return initial, guidance, confidence
+
+
+def _beside(larger: Tensor, features: Tensor) -> Tensor:
+    """Both in one; of the first, rows and columns beyond the second are cropped."""
+    h, w = features.shape[-2:]
+    return torch.cat([larger[..., :h, :w], features], dim=1)
 
 
 def _conv(inputs: int, outputs: int, stride: int = 1, *, normalised: bool = True) -> nn.Sequential:
@@ -176,17 +197,28 @@ _AROUND = tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dy, dx) !
 class Propagation(nn.Module):
     """Propagate depth from the neighbours that guidance gives, weighted by their confidence.
 
-    The published program samples confidence at other places than depth: it leaves out where the
-    neighbours lie around the pixel. Here both are sampled at pixel + neighbour + offset.
+    Where a neighbour lies around the pixel, and the offset that was learned for it, add to a place:
+
+    - `fixed`: depth and confidence are sampled at pixel + neighbour + offset.
+    - `released`: confidence is sampled at pixel + offset, as the published program does.
+    - `legacy`: confidence is sampled at pixel + neighbour + offset, and depth at pixel + twice the
+      neighbour + offset: the published program with `--legacy`, which changes its offsets in place.
 
     Args:
         steps: how often.
         preserve_input: put the sensor's depth back before each step, where there is some.
+        confidence: places of the confidence, see above.
     """
 
-    def __init__(self, steps: int, preserve_input: bool) -> None:
+    def __init__(
+        self,
+        steps: int,
+        preserve_input: bool,
+        confidence: Literal["fixed", "released", "legacy"] = "fixed",
+    ) -> None:
         super().__init__()
         self.steps, self.preserve_input = steps, preserve_input
+        self.places = confidence
         self.conv_offset_aff = nn.Conv2d(NEIGHBOURS, 3 * NEIGHBOURS, 3, padding=1)
         nn.init.zeros_(self.conv_offset_aff.weight)
         self.conv_offset_aff.bias = nn.Parameter(torch.zeros(3 * NEIGHBOURS))
@@ -208,8 +240,10 @@ class Propagation(nn.Module):
         # Positions and their interpolation need all digits, whatever the network's precision.
         with torch.autocast(initial.device.type, enabled=False):
             initial, confidence = initial.float(), confidence.float()
-            places = sampling_places(offsets.float())
-            weights = self.weights(affinities.float(), sample(confidence, places.detach()))
+            offsets = offsets.float()
+            places = sampling_places(offsets, 2 if self.places == "legacy" else 1)
+            trusted = sampling_places(offsets.detach(), 0 if self.places == "released" else 1)
+            weights = self.weights(affinities.float(), sample(confidence, trusted))
             own = 1 - weights.sum(dim=1, keepdim=True)
             depth = initial
             for _ in range(self.steps):
@@ -231,12 +265,13 @@ class Propagation(nn.Module):
         return weights / total.clamp(min=1)
 
 
-def sampling_places(offsets: Tensor) -> Tensor:
+def sampling_places(offsets: Tensor, apart: int = 1) -> Tensor:
     """Where each pixel's neighbours lie.
 
     Args:
         offsets: (b, 16, h, w) pixels from their places around the pixel: dy and dx of the first
             neighbour, of the second, and so on.
+        apart: pixels between a pixel and its place for a neighbour beside it.
 
     Returns:
         (b, 8 h, w, 2) x and y as `grid_sample` with aligned corners wants them.
@@ -246,7 +281,7 @@ def sampling_places(offsets: Tensor) -> Tensor:
     around = offsets.new_tensor(_AROUND).reshape(1, NEIGHBOURS, 2, 1, 1)
     y = torch.arange(h, dtype=offsets.dtype, device=offsets.device)[:, None]
     x = torch.arange(w, dtype=offsets.dtype, device=offsets.device)
-    shifts = around + offsets
+    shifts = apart * around + offsets
     rows = (y + shifts[:, :, 0]) * (2 / max(h - 1, 1)) - 1
     columns = (x + shifts[:, :, 1]) * (2 / max(w - 1, 1)) - 1
     return torch.stack([columns, rows], dim=-1).reshape(b, NEIGHBOURS * h, w, 2)

@@ -138,10 +138,13 @@ class SetAbstraction(nn.Module):
         return Abstracted(centres, torch.cat(found, dim=1), index)
 
 
-def interpolated(known: Tensor, features: Tensor, wanted: Tensor) -> Tensor:
+def interpolated(
+    known: Tensor, features: Tensor, wanted: Tensor, *, squared_weights: bool = True
+) -> Tensor:
     """(b, c, m) features at places between the known ones.
 
-    The mean of the three nearest, weighted by the inverse of the squared distance.
+    The mean of the three nearest, weighted by the inverse of the squared distance, or by the
+    inverse of the distance as in SGPA's program.
 
     Args:
         known: (b, n, 3); fewer than three are taken all.
@@ -149,7 +152,7 @@ def interpolated(known: Tensor, features: Tensor, wanted: Tensor) -> Tensor:
         wanted: (b, m, 3).
     """
     squared, index = nearest(known, wanted, min(_NEIGHBOURS, known.shape[1]))
-    weights = 1 / (squared + _LEAST)
+    weights = 1 / ((squared if squared_weights else squared.sqrt()) + _LEAST)
     weights = weights / weights.sum(dim=2, keepdim=True)
     return (at(features, index) * weights[:, None]).sum(dim=3)
 
@@ -161,10 +164,19 @@ class FeaturePropagation(nn.Module):
         inputs: channels of both together.
         widths: of the small network.
         normalised: whether it has batch normalisation.
+        squared_weights: see `interpolated`.
     """
 
-    def __init__(self, inputs: int, widths: Sequence[int], *, normalised: bool = True) -> None:
+    def __init__(
+        self,
+        inputs: int,
+        widths: Sequence[int],
+        *,
+        normalised: bool = True,
+        squared_weights: bool = True,
+    ) -> None:
         super().__init__()
+        self.squared_weights = squared_weights
         self.mlp = SharedMLP(inputs, widths, normalised=normalised)
         self.outputs = self.mlp.outputs
 
@@ -172,7 +184,7 @@ class FeaturePropagation(nn.Module):
         self, known: Tensor, features: Tensor, wanted: Tensor, before: Tensor | None = None
     ) -> Tensor:
         """(b, c, m) at `wanted` (b, m, 3), which had features `before` (b, d, m) or none."""
-        carried = interpolated(known, features, wanted)
+        carried = interpolated(known, features, wanted, squared_weights=self.squared_weights)
         if before is not None:
             carried = torch.cat([carried, before], dim=1)
         return self.mlp(carried)

@@ -76,6 +76,7 @@ class Deformer(nn.Module):
         hidden: widths of the heads.
         categories: how many.
         prior_points: of a prior.
+        prior_hidden: channels before those of the whole prior; those of its points by default.
     """
 
     def __init__(
@@ -87,10 +88,12 @@ class Deformer(nn.Module):
         hidden: Sequence[int],
         categories: int,
         prior_points: int,
+        prior_hidden: int | None = None,
     ) -> None:
         super().__init__()
         self.whole = SharedMLP(local, (local, width), normalised=False)
-        self.prior_whole = SharedMLP(prior_local, (prior_local, width), normalised=False)
+        inner = prior_hidden or prior_local
+        self.prior_whole = SharedMLP(prior_local, (inner, width), normalised=False)
         self.assign = Head(local + 2 * width, hidden, prior_points, categories)
         self.deform = Head(prior_local + 2 * width, hidden, 3, categories)
         # A deformation that begins small: the prior is the best that is known at first.

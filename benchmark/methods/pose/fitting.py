@@ -10,12 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.alignment import ransac_similarity, umeyama
+from std_toolkit.geometry.alignment import Similarity, ransac_similarity, umeyama
 
 Floats = NDArray[np.float64]
 
 # The released evaluation gives up on so few pixels.
 _PAPER_LEAST_POINTS = 4
+
+# Tukey's biweight: 95 % efficient on normal errors. The median length of a normal error in space is
+# 1.538 standard deviations of a coordinate.
+_TUKEY = 4.685
+_MEDIAN_LENGTH = 1.538
+_LEAST_SCALE_M = 1e-4
+_ROUNDS = 20
 
 
 class FitMethod(Enum):
@@ -23,6 +30,8 @@ class FitMethod(Enum):
 
     Attributes:
         RANSAC: points farther than a metric threshold from where the pose puts them do not count.
+            A last fit weights the others, by Tukey's function at the scale of their errors: what
+            two centimetres let pass on a small object is far out there.
         PAPER: least squares over all points. The released code draws samples too, but its threshold
             is the ratio of two mean norms, some metres, which no point exceeds.
     """
@@ -40,6 +49,7 @@ class FitOptions:
         threshold_m: largest distance of an inlier, metres; for RANSAC.
         search_points: the search runs on a choice of so many points, the last fit on all.
         max_iterations: samples drawn at most.
+        last: last fit of RANSAC: weighted (`tukey`), or least squares over all inliers.
         seed: of the choice and the samples.
 
     Raises:
@@ -50,6 +60,7 @@ class FitOptions:
     threshold_m: float = 0.02
     search_points: int = 2000
     max_iterations: int = 500
+    last: Literal["tukey", "inliers"] = "tukey"
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -65,10 +76,12 @@ class FitSettings:
     Attributes:
         fit: `ransac` or `paper`, see `FitMethod`; `std-bench --fit` sets it.
         threshold_m: largest distance of an inlier, metres; for `ransac`.
+        last: last fit of `ransac`: `tukey` or `inliers`, see `FitOptions`.
     """
 
     fit: Literal["ransac", "paper"] = "ransac"
     threshold_m: float = 0.02
+    last: Literal["tukey", "inliers"] = "tukey"
 
     @property
     def fit_options(self) -> FitOptions:
@@ -77,7 +90,7 @@ class FitSettings:
         Raises:
             ToolkitError: a threshold that is not positive.
         """
-        return FitOptions(fit=FitMethod(self.fit), threshold_m=self.threshold_m)
+        return FitOptions(fit=FitMethod(self.fit), threshold_m=self.threshold_m, last=self.last)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +173,33 @@ def fit_pose(
         seed=options.seed,
     )
     inliers = np.linalg.norm(found @ c - p, axis=1) < options.threshold_m
-    return _box(umeyama(c[inliers], p[inliers]).matrix(), c, inliers)
+    found = umeyama(c[inliers], p[inliers])
+    if options.last == "tukey":
+        found, inliers = _weighted(found, c, p, options.threshold_m)
+    return _box(found.matrix(), c, inliers)
+
+
+def _weighted(
+    found: Similarity, c: Floats, p: Floats, threshold_m: float
+) -> tuple[Similarity, NDArray[np.bool_]]:
+    """The fit whose points are weighted by Tukey's function, and its inliers."""
+    for _ in range(_ROUNDS):
+        apart = np.linalg.norm(found @ c - p, axis=1)
+        near = apart < threshold_m
+        if near.sum() < _PAPER_LEAST_POINTS:
+            break
+        scale = max(float(np.median(apart[near])) / _MEDIAN_LENGTH, _LEAST_SCALE_M)
+        reach = min(_TUKEY * scale, threshold_m)
+        weights = np.clip(1 - (apart / reach) ** 2, 0, None) ** 2
+        try:
+            better = umeyama(c, p, weights=weights)
+        except ToolkitError:  # too few are left, or they are on a line
+            break
+        moved = float(np.abs(better.matrix() - found.matrix()).max())
+        found = better
+        if moved < 1e-9:
+            break
+    return found, np.linalg.norm(found @ c - p, axis=1) < threshold_m
 
 
 def _least_squares(c: Floats, p: Floats) -> FittedPose:

@@ -19,6 +19,7 @@ from torch import Tensor, nn
 from benchmark.methods.network import network_of
 from benchmark.methods.pointnet.layers import FeaturePropagation, Scale, SetAbstraction, SharedMLP
 from benchmark.methods.pose import deformation, spd, spd_network
+from benchmark.methods.pose.released_keys import sgpa_state
 from benchmark.methods.registry import MethodOptions
 from std_toolkit.errors import ToolkitError
 
@@ -32,6 +33,8 @@ _DOWN = (
 )
 
 _UP = ((128, 128), (256, 256), (512, 512), (512, 512))
+
+_UP_RELEASED = ((64, 64), (128, 128), (256, 256), (512, 512))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +58,7 @@ class SGPAConfig(spd_network.PriorNetworkConfig):
     neighbours: tuple[int, ...] = (16, 32)
     thickness: int = 1
     structure: int = 256
-    structure_widths: tuple[int, ...] = (128, 256)
+    structure_widths: tuple[int, ...] = (256,)
     heads: int = 4
 
 
@@ -65,6 +68,7 @@ PRESETS = {
     "published": _PUBLISHED,
     "compact": replace(
         _PUBLISHED,
+        form="normalised",
         side=96,
         points=512,
         color_width=32,
@@ -126,6 +130,7 @@ def _geometry(config: SGPAConfig, radii: tuple[float, ...]) -> GeometryFeatures:
         config.neighbours,
         thickness=config.thickness,
         outputs=config.geometry,
+        released=config.form == "released",
     )
 
 
@@ -138,9 +143,10 @@ class GeometryFeatures(nn.Module):
         neighbours: of a centre at the first and the second radius.
         thickness: by what all channels are divided.
         outputs: channels.
+        released: the form of the authors' program, whose channels are those of its last level.
 
     Raises:
-        ToolkitError: levels that do not belong together.
+        ToolkitError: levels that do not belong together, or other channels than the last level's.
     """
 
     def __init__(
@@ -151,6 +157,7 @@ class GeometryFeatures(nn.Module):
         *,
         thickness: int,
         outputs: int,
+        released: bool = False,
     ) -> None:
         super().__init__()
         if not 1 <= len(centres) <= len(_DOWN) or len(radii) != 2 * len(centres):
@@ -177,10 +184,17 @@ class GeometryFeatures(nn.Module):
         self.up = nn.ModuleList()
         carried = channels[-1]
         for level in reversed(range(len(centres))):
-            up = FeaturePropagation(carried + channels[level], thin(_UP[level]))
+            widths = thin((_UP_RELEASED if released else _UP)[level])
+            up = FeaturePropagation(carried + channels[level], widths, squared_weights=not released)
             self.up.append(up)
             carried = up.outputs
-        self.last = nn.Sequential(nn.Conv1d(carried, outputs, 1), nn.ReLU())
+        if released and carried != outputs:
+            raise ToolkitError(
+                f"the last level has {carried} channels", field="geometry", value=outputs
+            )
+        self.last = (
+            nn.Identity() if released else nn.Sequential(nn.Conv1d(carried, outputs, 1), nn.ReLU())
+        )
 
     def forward(self, points: Tensor) -> Tensor:
         places, features = [points], [None]
@@ -266,5 +280,5 @@ class SGPA(spd.DeformingEstimator):
     """
 
     def __init__(self, options: MethodOptions) -> None:
-        _, network = network_of("sgpa", PRESETS, SGPANetwork, options)
+        _, network = network_of("sgpa", PRESETS, SGPANetwork, options, renamed=sgpa_state)
         super().__init__(network, options)

@@ -2,7 +2,10 @@
 
 Colour features are those of DenseFusion in SPD's form: a ResNet with pyramid pooling (Zhao et al.,
 CVPR 2017) of four levels with a quarter of the channels each, and three upsampling steps to the
-resolution of the patch. Training can start from ImageNet weights of ResNet-18.
+resolution of the patch.
+
+Form `released` is that of the authors' program and weights, for SPD and SGPA: its ResNet has no
+batch normalisation. Form `normalised` has it, and can start from ImageNet weights of ResNet-18.
 
 Source: Tian, Ang, Lee, "Shape Prior Deformation for Categorical 6D Object Pose and Size
 Estimation", ECCV 2020.
@@ -12,21 +15,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.functional import interpolate, relu
 
 from benchmark.methods.pointnet.grouping import at
 from benchmark.methods.pointnet.layers import SharedMLP
 from benchmark.methods.pose.deformation import Deformed, Deformer
-from benchmark.methods.pose.priors.prior_file import load_priors
+from benchmark.methods.pose.priors.prior_file import Priors, load_priors
 from benchmark.methods.resnet import residual_layer
 from benchmark.methods.weights import check_keys, read_weights
 from benchmark.metrics.pose.pose_protocol import DREDS_CLASSES
 from std_toolkit.errors import ToolkitError
+from std_toolkit.io.foreign_files import read_npy
 
 _IMAGENET_MEAN, _IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
@@ -40,8 +47,9 @@ class PriorNetworkConfig:
     """What networks that deform a prior share.
 
     Attributes:
-        categories: class 1 and the following, in the order of their numbers.
-        priors: file of priors, or `builtin`.
+        form: `released` or `normalised`, see above.
+        categories: names, in the order of the weights.
+        priors: file of priors, `builtin`, or the authors' .npy file in the order of the categories.
         prior_points: of a prior.
         side: of the patch of colour, pixels; a multiple of 8.
         points: of an object.
@@ -60,8 +68,10 @@ class PriorNetworkConfig:
         mask_preset, mask_weights: of that method; by default the weights that come with it.
         fit: `ransac` with a metric threshold, or `paper`: least squares over all points.
         threshold_m: largest distance of an inlier, metres.
+        last: last fit of `ransac`, see `FitOptions`.
     """
 
+    form: Literal["released", "normalised"] = "released"
     categories: tuple[str, ...] = DREDS_CLASSES[1:]
     priors: str = "builtin"
     prior_points: int = 1024
@@ -82,6 +92,7 @@ class PriorNetworkConfig:
     mask_weights: str | None = None
     fit: Literal["ransac", "paper"] = "ransac"
     threshold_m: float = 0.02
+    last: Literal["tukey", "inliers"] = "tukey"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,6 +106,7 @@ PRESETS = {
     "published": _PUBLISHED,
     "compact": replace(
         _PUBLISHED,
+        form="normalised",
         side=96,
         points=512,
         color_width=32,
@@ -118,7 +130,7 @@ class PriorNetwork(nn.Module):
     def __init__(self, config: PriorNetworkConfig) -> None:
         super().__init__()
         self.config = config
-        points = load_priors(config.priors).of(config.categories)
+        points = _priors_of(config)
         if points.shape[1] != config.prior_points:
             raise ToolkitError(
                 f"the priors have {points.shape[1]} points",
@@ -145,6 +157,7 @@ class PriorNetwork(nn.Module):
             blocks=config.color_blocks,
             decoder=config.color_decoder,
             outputs=config.color,
+            released=config.form == "released",
         )
 
     def deformer(self, local: int, prior_local: int) -> Deformer:
@@ -157,7 +170,25 @@ class PriorNetwork(nn.Module):
             hidden=config.hidden,
             categories=len(config.categories),
             prior_points=config.prior_points,
+            prior_hidden=local if config.form == "released" else None,
         )
+
+
+def _priors_of(config: PriorNetworkConfig) -> NDArray[np.float32]:
+    """(c, p, 3) points."""
+    if not config.priors.endswith(".npy"):
+        return load_priors(config.priors).of(config.categories)
+    path = Path(config.priors)
+    points = read_npy(path)
+    if points.ndim != 3 or points.shape[::2] != (len(config.categories), 3):
+        raise ToolkitError(
+            "must be points (c, p, 3) of the categories",
+            path=path,
+            value=points.shape,
+            hint=f"categories={','.join(config.categories)}",
+        )
+    named = dict(zip(config.categories, points.astype(np.float32), strict=True))
+    return Priors(named).of(config.categories)
 
 
 class SPDNetwork(PriorNetwork):
@@ -199,6 +230,7 @@ class PatchFeatures(nn.Module):
         bins: sides of the pooled grids.
         decoder: channels after pooling and after each doubling but the last, and of the last.
         outputs: channels.
+        released: the form of the authors' program.
     """
 
     mean: Tensor
@@ -212,16 +244,19 @@ class PatchFeatures(nn.Module):
         bins: Sequence[int] = (1, 2, 3, 6),
         decoder: Sequence[int] = (256, 64, 64, 32),
         outputs: int = 64,
+        released: bool = False,
     ) -> None:
         super().__init__()
+        self.aligned = released  # corners in interpolation
+        layer = partial(residual_layer, normalised=not released)
         self.conv1 = nn.Conv2d(3, width, 7, 2, 3, bias=False)
-        self.bn1 = nn.BatchNorm2d(width)
+        self.bn1 = nn.Identity() if released else nn.BatchNorm2d(width)
         self.pool = nn.MaxPool2d(3, 2, 1)
-        self.layer1 = residual_layer(width, width, blocks[0])
-        self.layer2 = residual_layer(width, 2 * width, blocks[1], stride=2)
+        self.layer1 = layer(width, width, blocks[0])
+        self.layer2 = layer(width, 2 * width, blocks[1], stride=2)
         # Dilated instead of strided: an eighth of the resolution is left.
-        self.layer3 = residual_layer(2 * width, 4 * width, blocks[2], dilation=2)
-        self.layer4 = residual_layer(4 * width, 8 * width, blocks[3], dilation=4)
+        self.layer3 = layer(2 * width, 4 * width, blocks[2], dilation=2)
+        self.layer4 = layer(4 * width, 8 * width, blocks[3], dilation=4)
         deep = 8 * width
         self.levels = nn.ModuleList(
             nn.Sequential(
@@ -246,10 +281,14 @@ class PatchFeatures(nn.Module):
         x = self.pool(relu(self.bn1(self.conv1(x))))
         x = self.layer4(self.layer3(self.layer2(self.layer1(x))))
         size = x.shape[-2:]
-        pooled = [interpolate(level(x), size, mode="bilinear") for level in self.levels]
-        x = torch.cat([x, *(relu(p) for p in pooled)], dim=1)
+        enlarged = partial(interpolate, mode="bilinear", align_corners=self.aligned)
+        if self.aligned:
+            pooled = [enlarged(relu(level(x)), size) for level in self.levels]
+        else:
+            pooled = [relu(enlarged(level(x), size)) for level in self.levels]
+        x = torch.cat([x, *pooled], dim=1)
         for up in self.up:
-            x = up(interpolate(x, scale_factor=2.0, mode="bilinear"))
+            x = up(enlarged(x, scale_factor=2.0))
         # The last layer at the pixels that count alone: the same numbers for less work.
         features = at(x.flatten(2), pixels)
         return self.each(self.final(features[..., None])[..., 0])
@@ -263,6 +302,12 @@ def load_imagenet(network: PriorNetwork, path: Path) -> None:
     """
     color = network.get_submodule("color")
     assert isinstance(color, PatchFeatures)
+    if color.aligned:
+        raise ToolkitError(
+            "the form of the authors' program has no batch normalisation",
+            path=path,
+            hint="give --set form=normalised",
+        )
     wanted = {
         key: tensor
         for key, tensor in color.state_dict().items()

@@ -1,9 +1,9 @@
-"""BOP data sets: true poses, cameras, depth, models and targets."""
+"""A BOP data set: true poses, cameras, depth and models."""
 
 from __future__ import annotations
 
-from collections import defaultdict
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated
 
@@ -11,16 +11,17 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.metrics.bop.bop_distances import Project, fisheye624, pinhole
+from benchmark.metrics.bop.bop_model import BopModel, read_model
 from std_toolkit.errors import ToolkitError
-from std_toolkit.exporters.bop_metadata import TARGET_VISIBLE
-from std_toolkit.geometry import SE3, Camera, Symmetry
-from std_toolkit.geometry.mesh import hull_vertices, load_mesh, mesh_diameter
-from std_toolkit.importers import bop_documents, bop_objects, foreign_files
+from std_toolkit.geometry import SE3, Camera
+from std_toolkit.importers import bop_documents, foreign_files
+from std_toolkit.importers.bop_documents import unchecked_pose
 from std_toolkit.io.documents import read_document
 from std_toolkit.io.images import image_size
-from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
 
 _ID = Annotated[int, msgspec.Meta(ge=0, le=999_999)]
+_PICTURES = ("rgb", "gray", "depth")
 
 
 class BopTarget(msgspec.Struct, frozen=True, kw_only=True):
@@ -32,35 +33,35 @@ class BopTarget(msgspec.Struct, frozen=True, kw_only=True):
     inst_count: Annotated[int, msgspec.Meta(ge=1)]
 
 
-class _Visibility(msgspec.Struct, frozen=True, kw_only=True):
-    visib_fract: float
+class ImageTarget(msgspec.Struct, frozen=True, kw_only=True):
+    """An entry of test_targets_bop24.json: an image."""
+
+    scene_id: _ID
+    im_id: _ID
 
 
-@dataclass(frozen=True, eq=False)
-class BopModel:
-    """A model in the frame of its BOP file, metres.
-
-    Attributes:
-        mesh: for rendering.
-        vertices: (V, 3) all of them.
-        hull: (K, 3) those of the hull.
-        diameter_m: largest distance between two of them.
-        symmetry: of the model.
-    """
-
-    mesh: RenderMesh
-    vertices: NDArray[np.float64]
-    hull: NDArray[np.float64]
-    diameter_m: float
-    symmetry: Symmetry
+class _GlobalCamera(msgspec.Struct, frozen=True, kw_only=True):
+    width: int
+    height: int
 
 
 @dataclass(frozen=True, eq=False)
 class BopImage:
-    """An image's camera and depth, metres."""
+    """An image's camera and depth.
 
-    camera: Camera
-    depth: NDArray[np.float32]
+    Attributes:
+        size: (width, height), pixels.
+        project: camera frame to pixels, see `bop_distances`.
+        camera: pinhole camera; None for a fisheye.
+        depth: (H, W) metres; None if it was not asked for or cannot be had.
+        why_no_depth: the error; empty otherwise.
+    """
+
+    size: tuple[int, int]
+    project: Project
+    camera: Camera | None
+    depth: NDArray[np.float32] | None = None
+    why_no_depth: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,58 +71,141 @@ class BopDataset:
     Attributes:
         root: of the data set.
         split: such as "test".
-        targets: what is to be found.
+        sensors: of data sets with several, by scene; empty otherwise.
+        targets: what is to be found, for average recalls.
+        images: scene and image for detection, where all objects count.
         scenes: their documents by number.
         visible: visible shares by scene and image, in the order of scene_gt.json.
+        symmetry_steps: samples of a turn about a continuous axis; None for the exact minimum.
     """
 
     root: Path
     split: str
+    sensors: dict[int, str]
     targets: tuple[BopTarget, ...]
+    images: tuple[tuple[int, int], ...]
     scenes: dict[int, bop_documents.BopScene]
     visible: dict[int, dict[int, list[float]]]
+    symmetry_steps: int | None = None
 
-    def truths(self, target: BopTarget) -> tuple[list[SE3], NDArray[np.bool_]]:
-        """All true poses of a target's object in its image, and which are to be found.
+    def truths(self, scene_id: int, im_id: int, obj_id: int) -> tuple[list[SE3], list[float]]:
+        """All true poses of an object in an image as filed, and their visible shares."""
+        rows = self.scenes[scene_id].gt.get(im_id, [])
+        index = [i for i, row in enumerate(rows) if row.obj_id == obj_id]
+        shares = self.visible[scene_id].get(im_id, [])
+        return [unchecked_pose(rows[i].cam_R_m2c, rows[i].cam_t_m2c) for i in index], [
+            shares[i] for i in index
+        ]
 
-        These are as many as the target says, the most visible ones.
+    def valid(self, target: BopTarget, shares: list[float]) -> NDArray[np.bool_]:
+        """Which true poses of a target are to be found: the most visible ones, as many as it says.
 
         Raises:
             ToolkitError: fewer poses than the target says.
         """
-        rows = self.scenes[target.scene_id].gt.get(target.im_id, [])
-        index = [i for i, row in enumerate(rows) if row.obj_id == target.obj_id]
-        if len(index) < target.inst_count:
+        if len(shares) < target.inst_count:
             raise ToolkitError(
                 "fewer true poses than the targets say",
-                path=self.folder(target.scene_id) / "scene_gt.json",
+                path=self.file(target.scene_id, "gt"),
                 field=f"{target.im_id}, obj_id {target.obj_id}",
-                value=len(index),
+                value=len(shares),
             )
-        shares = self.visible[target.scene_id][target.im_id]
-        order = sorted(range(len(index)), key=lambda k: -shares[index[k]])
-        valid = np.zeros(len(index), dtype=bool)
+        order = sorted(range(len(shares)), key=lambda k: -shares[k])
+        valid = np.zeros(len(shares), dtype=bool)
         valid[order[: target.inst_count]] = True
-        return [rows[i].T_cam_obj for i in index], valid
+        return valid
+
+    def poses(self) -> list[SE3]:
+        """All true poses as filed."""
+        scenes = self.scenes.values()
+        rows = [row for s in scenes for rows in s.gt.values() for row in rows]
+        return [unchecked_pose(row.cam_R_m2c, row.cam_t_m2c) for row in rows]
+
+    def objects(self, scene_id: int, im_id: int) -> list[int]:
+        """Numbers of the objects in an image, in order."""
+        return sorted({row.obj_id for row in self.scenes[scene_id].gt.get(im_id, [])})
 
     def folder(self, scene_id: int) -> Path:
         """Of a scene."""
         return self.root / self.split / f"{scene_id:06d}"
 
-    def image(self, scene_id: int, im_id: int) -> BopImage:
-        """Camera and depth of an image.
+    def file(self, scene_id: int, name: str) -> Path:
+        """A scene's document, such as scene_gt.json."""
+        return bop_documents.scene_file(self.folder(scene_id), name, self.sensors[scene_id])
+
+    def pictures(self, scene_id: int, kind: str) -> Path:
+        """A scene's folder of pictures, such as depth/ or depth_photoneo/."""
+        folder, sensor = self.folder(scene_id), self.sensors[scene_id]
+        named = folder / (f"{kind}_{sensor}" if sensor else kind)
+        # Where each modality is a sensor of its own (HOT3D), its folder has the sensor's name.
+        return folder / sensor if kind == sensor and not named.is_dir() else named
+
+    @cached_property
+    def has_depth(self) -> bool:
+        """Whether any scene has depth and a pinhole camera: without, there is no VSD."""
+        return any(
+            self.pictures(number, "depth").is_dir()
+            and not any(row.fisheye for row in scene.cameras.values())
+            for number, scene in self.scenes.items()
+        )
+
+    def image(self, scene_id: int, im_id: int, *, depth: bool = True) -> BopImage:
+        """Camera of an image, and its depth.
+
+        Args:
+            depth: read it; what is wrong with it is in the result.
 
         Raises:
-            ToolkitError: no such image, or no readable depth of it.
+            ToolkitError: no such image, or no way to know its size.
         """
-        path = self.folder(scene_id) / "depth" / f"{im_id:06d}.png"
         row = self.scenes[scene_id].cameras.get(im_id)
-        if row is None or not path.is_file():
-            raise ToolkitError("VSD needs the image's depth", path=path)
-        size = image_size(path)
-        depth = foreign_files.read_foreign_depth(path, size=size).values.astype(np.float32)
+        if row is None:
+            path = self.file(scene_id, "camera")
+            raise ToolkitError("no such image", path=path, value=im_id)
         fx, fy, cx, cy = row.intrinsics
-        return BopImage(Camera(*size, fx, fy, cx, cy), depth * np.float32(row.depth_scale_m))
+        size = self._size(scene_id, im_id, row)
+        if row.fisheye:
+            return BopImage(size, fisheye624((fx, fy), row.fisheye), None, None, "fisheye camera")
+        camera = Camera(*size, fx, fy, cx, cy)
+        if not depth:
+            return BopImage(size, pinhole(camera), camera)
+        try:
+            values = self._depth(scene_id, im_id, size) * np.float32(row.depth_scale_m)
+        except ToolkitError as error:
+            return BopImage(size, pinhole(camera), camera, None, str(error))
+        return BopImage(size, pinhole(camera), camera, values)
+
+    def _size(self, scene_id: int, im_id: int, row: bop_documents.CameraRow) -> tuple[int, int]:
+        model = row.cam_model
+        if model is not None and model.image_width and model.image_height:
+            return model.image_width, model.image_height
+        sensor = self.sensors[scene_id]
+        for kind in (*_PICTURES, sensor):
+            for suffix in (".png", ".jpg"):
+                path = self.pictures(scene_id, kind) / f"{im_id:06d}{suffix}"
+                if path.is_file():
+                    return image_size(path)
+        named = self.root / f"camera_{sensor}.json"
+        path = named if sensor and named.is_file() else self.root / "camera.json"
+        if not path.is_file():
+            folders = (self.pictures(scene_id, kind) for kind in _PICTURES)
+            other = next((p for f in folders for p in sorted(f.glob("*.[jp][pn]g"))), None)
+            if other is not None:
+                return image_size(other)
+            raise ToolkitError(
+                "cannot tell the size of the image",
+                path=self.folder(scene_id),
+                field=str(im_id),
+                hint="an image in rgb/, gray/ or depth/, or camera.json of the data set gives it",
+            )
+        camera = read_document(path, _GlobalCamera)
+        return camera.width, camera.height
+
+    def _depth(self, scene_id: int, im_id: int, size: tuple[int, int]) -> NDArray[np.float32]:
+        path = self.pictures(scene_id, "depth") / f"{im_id:06d}.png"
+        if not path.is_file():
+            raise ToolkitError("VSD needs the image's depth", path=path)
+        return foreign_files.read_foreign_depth(path, size=size).values.astype(np.float32)
 
     def model(self, obj_id: int) -> BopModel:
         """A model, from models_eval/ where there is one, else models/.
@@ -129,87 +213,4 @@ class BopDataset:
         Raises:
             ToolkitError: the model is missing or damaged.
         """
-        folder = next(
-            (f for f in (self.root / "models_eval", self.root / "models") if f.is_dir()), None
-        )
-        if folder is None:
-            raise ToolkitError("the data set's models are missing", path=self.root / "models")
-        mesh = load_mesh(folder / f"obj_{obj_id:06d}.ply", unit="mm")
-        info_path = folder / "models_info.json"
-        infos = (
-            read_document(info_path, dict[str, bop_documents.ModelInfo])
-            if info_path.is_file()
-            else {}
-        )
-        info = infos.get(str(obj_id))
-        with bop_documents.named(info_path, str(obj_id)):
-            symmetry = bop_objects.symmetry_of(info, np.zeros(3)).symmetry()
-        given = None if info is None else info.diameter
-        return BopModel(
-            prepare_mesh(mesh),
-            np.asarray(mesh.vertices, dtype=np.float64),
-            hull_vertices(mesh),
-            mesh_diameter(mesh) if given is None else given * bop_documents.MM,
-            symmetry,
-        )
-
-
-def open_bop(root: Path | str, split: str = "test") -> BopDataset:
-    """Open a split of a data set in BOP's layout.
-
-    Args:
-        root: of the data set.
-        split: folder of the scenes.
-
-    Returns:
-        The data set. Targets are those of test_targets_bop19.json where it is there, else all
-        instances of which a tenth is visible.
-
-    Raises:
-        ToolkitError: documents are missing, break the format, or do not belong together.
-
-    >>> open_bop("/nowhere")
-    Traceback (most recent call last):
-    std_toolkit.errors.ToolkitError: /nowhere/test: no scenes of a BOP data set here
-    """
-    root = Path(root)
-    folders = sorted(p.parent for p in (root / split).glob("*/scene_gt.json"))
-    folders = [f for f in folders if f.name.isdigit()]
-    if not folders:
-        raise ToolkitError("no scenes of a BOP data set here", path=root / split)
-    scenes = {int(f.name): bop_documents.read_bop_scene(f) for f in folders}
-    visible = {number: _visibility(scene) for number, scene in scenes.items()}
-    path = root / "test_targets_bop19.json"
-    if split == "test" and path.is_file():
-        targets = read_document(path, list[BopTarget])
-        for target in targets:
-            if target.scene_id not in scenes:
-                raise ToolkitError("no such scene", path=path, value=target.scene_id)
-    else:
-        targets = _all_visible(scenes, visible)
-    return BopDataset(root, split, tuple(targets), scenes, visible)
-
-
-def _visibility(scene: bop_documents.BopScene) -> dict[int, list[float]]:
-    path = scene.folder / "scene_gt_info.json"
-    infos = read_document(path, dict[str, list[_Visibility]])
-    shares = {int(k): [row.visib_fract for row in rows] for k, rows in infos.items()}
-    for im_id, rows in scene.gt.items():
-        if len(shares.get(im_id, [])) != len(rows):
-            raise ToolkitError("does not match scene_gt.json", path=path, field=str(im_id))
-    return shares
-
-
-def _all_visible(
-    scenes: dict[int, bop_documents.BopScene], visible: dict[int, dict[int, list[float]]]
-) -> list[BopTarget]:
-    counts: dict[tuple[int, int, int], int] = defaultdict(int)
-    for number, scene in scenes.items():
-        for im_id, rows in scene.gt.items():
-            for row, share in zip(rows, visible[number][im_id], strict=True):
-                if share >= TARGET_VISIBLE:
-                    counts[number, im_id, row.obj_id] += 1
-    return [
-        BopTarget(scene_id=s, im_id=i, obj_id=o, inst_count=n)
-        for (s, i, o), n in sorted(counts.items())
-    ]
+        return read_model(self.root, obj_id, symmetry_steps=self.symmetry_steps)

@@ -1,6 +1,6 @@
-"""BOP's pose errors: VSD and MSPD.
+"""BOP's pose errors: VSD, and MSPD of single poses.
 
-Source: T. Hodan et al., "BOP Challenge 2020", equations 1 and 2, with the 2019 definition of
+Source: T. Hodan et al., "BOP Challenge 2020", equations 1, 2 and 4, with the 2019 definition of
 visibility: where the sensor has no measurement, the object counts as visible.
 """
 
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.metrics.bop.bop_distances import ModelDistances, pinhole
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, Symmetry
 from std_toolkit.rendering.mesh import RenderMesh
@@ -28,11 +29,6 @@ DELTA_M = 0.015
 TAUS = tuple(round(0.05 * k, 2) for k in range(1, 11))
 
 Floats = NDArray[np.float64]
-
-# BOP: what a step leaves out is at most 1 % of the object's extent.
-TURN_STEPS = 315
-
-_POINTS_AT_ONCE = 300_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,22 +163,19 @@ def mspd(
     camera: Camera,
     symmetry: Symmetry | None = None,
     *,
-    steps: int = TURN_STEPS,
+    steps: int | None = None,
 ) -> float:
     """Maximum symmetry-aware projection distance, pixels.
 
-    Source: T. Hodan et al., "BOP Challenge 2020", equation 4.
-
     Args:
         estimate, truth: T_cam_obj of both.
-        vertices: (V, 3) of the mesh, object frame, metres. All of them: unlike distances in space,
-            distances of projections need not be largest on the hull.
+        vertices: (V, 3) of the mesh, object frame, metres.
         camera: projects them, without lens distortion, as BOP does.
         symmetry: of the object; none means the identity alone.
-        steps: samples of a full turn for continuous symmetries.
+        steps: samples of a full turn about a continuous axis; None for the exact minimum.
 
     Returns:
-        The distance; infinity where a pose puts a vertex at or behind the camera's plane.
+        The distance; infinity if a vertex is not in front of the camera.
 
     Raises:
         ToolkitError: vertices of another shape.
@@ -193,29 +186,5 @@ def mspd(
     5.0
     """
     points = np.asarray(vertices, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3 or not len(points):
-        raise ToolkitError("must be (V, 3)", field="vertices", value=points.shape)
-    seen = _project(camera, (estimate @ points)[None])
-    if seen is None:
-        return float("inf")
-    transforms = [truth @ S for S in (symmetry or Symmetry()).transforms(steps)]
-    best = np.inf
-    at_once = max(1, _POINTS_AT_ONCE // len(points))
-    for begin in range(0, len(transforms), at_once):
-        some = transforms[begin : begin + at_once]
-        R, t = np.stack([T.R for T in some]), np.stack([T.t for T in some])
-        true = _project(camera, points @ R.transpose(0, 2, 1) + t[:, None])
-        if true is None:
-            return float("inf")
-        squared = ((true - seen) ** 2).sum(axis=2).max(axis=1)
-        best = min(best, float(np.sqrt(squared.min())))
-    return best
-
-
-def _project(camera: Camera, points: Floats) -> Floats | None:
-    """(S, V, 2) pixels, or None if a point is not in front."""
-    z = points[..., 2:]
-    if not (z > 0).all():
-        return None
-    focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
-    return points[..., :2] / z * focal + centre
+    model = ModelDistances(points, points, symmetry or Symmetry(), steps)
+    return float(model.mspd([estimate], [truth], pinhole(camera))[0, 0])

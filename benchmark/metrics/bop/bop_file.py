@@ -12,11 +12,18 @@ import numpy as np
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.importers.bop_documents import (
+    filed_pose,
+    first_bad_pose,
+    named,
+    unchecked_pose,
+)
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.foreign_files import csv_rows
 
 _COLUMNS = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
 _MM = 1000.0
+_SAME_TIME_S = 0.001  # as bop_toolkit
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +33,7 @@ class BopEstimate:
     Attributes:
         scene_id, im_id, obj_id: numbers of the scene, the image and the object.
         score: confidence.
-        T_cam_obj: model to camera, metres.
+        T_cam_obj: model to camera, metres; the rotation as filed.
         seconds: that the whole image took; -1 if unknown.
     """
 
@@ -48,13 +55,14 @@ def read_bop_results(path: Path | str) -> list[BopEstimate]:
         The estimates in the order of the file.
 
     Raises:
-        ToolkitError: cannot be read, a field that is none, or times that differ within an image.
+        ToolkitError: cannot be read, a field that is none, a rotation that is more than 5 % off,
+            or times that differ by more than a millisecond within an image.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder) / "method_set-test.csv"
     ...     _ = path.write_text("1,3,5,0.9,1 0 0 0 1 0 0 0 1,0 0 700,0.1")
-    ...     read_bop_results(path)[0].T_cam_obj.t.tolist()
+    ...     read_bop_results(path)[0].T_cam_obj.t.round(9).tolist()
     [0.0, 0.0, 0.7]
     """
     path = Path(path)
@@ -63,7 +71,8 @@ def read_bop_results(path: Path | str) -> list[BopEstimate]:
             rows = list(csv_rows(file, path))
     except (OSError, UnicodeDecodeError) as error:
         raise ToolkitError(f"cannot read the results: {error}", path=path) from error
-    estimates = []
+    estimates: list[BopEstimate] = []
+    numbers: list[int] = []
     times: dict[tuple[int, int], float] = {}
     for number, row in enumerate(rows, start=1):
         if not row or (number == 1 and row[0].strip() == _COLUMNS[0]):
@@ -77,7 +86,7 @@ def read_bop_results(path: Path | str) -> list[BopEstimate]:
             )
         estimate = _estimate(row, path, number)
         image = (estimate.scene_id, estimate.im_id)
-        if times.setdefault(image, estimate.seconds) != estimate.seconds:
+        if abs(times.setdefault(image, estimate.seconds) - estimate.seconds) > _SAME_TIME_S:
             raise ToolkitError(
                 "the time of an image must be the same in all its lines",
                 path=path,
@@ -85,6 +94,12 @@ def read_bop_results(path: Path | str) -> list[BopEstimate]:
                 value=estimate.seconds,
             )
         estimates.append(estimate)
+        numbers.append(number)
+    poses = [e.T_cam_obj for e in estimates]
+    bad = first_bad_pose([T.R for T in poses], [T.t for T in poses])
+    if bad is not None:
+        with named(path, f"line {numbers[bad]}, R or t"):
+            filed_pose(poses[bad].R, poses[bad].t * _MM)
     return estimates
 
 
@@ -124,17 +139,11 @@ def _estimate(row: list[str], path: Path, number: int) -> BopEstimate:
             numbers.append(float(fields[name]))
             if not np.isfinite(numbers[-1]):
                 raise ValueError
-        M = np.eye(4)
         name = "R"
-        M[:3, :3] = np.array([float(x) for x in fields["R"].split()]).reshape(3, 3)
+        R = np.array([float(x) for x in fields["R"].split()]).reshape(3, 3)
         name = "t"
-        M[:3, 3] = np.array([float(x) for x in fields["t"].split()]).reshape(3) / _MM
-        name = "R or t"
-        T = SE3.from_matrix(M)
-    except ToolkitError as error:
-        raise ToolkitError(
-            error.problem, path=path, field=f"line {number}, {name}", value=error.value
-        ) from error
+        t_mm = np.array([float(x) for x in fields["t"].split()]).reshape(3)
+        T = unchecked_pose(R, t_mm)
     except ValueError as error:
         raise ToolkitError(
             "is not what BOP's result format has there",

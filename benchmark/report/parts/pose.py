@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmark.evaluation.tasks import bop, pose_inputs, pose_results
+from benchmark.evaluation.tasks import bop_results, pose_inputs, pose_results
 from benchmark.metrics.significance import holm
-from benchmark.report.leaderboard import MEASURED, SIGNIFICANT
+from benchmark.report.leaderboard import SIGNIFICANT
 from benchmark.report.page import ReportPart, table_files, terminal_text
-from benchmark.report.parts import depth_tables, pose_board, pose_sections
+from benchmark.report.parts import bop_tables, depth_tables, pose_board, pose_sections
 from std_toolkit.html.page import Block, Bullets, Paragraph, Section
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table, number
 
@@ -181,19 +181,18 @@ def pose_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart:
     )
 
 
-def bop_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart:  # noqa: ARG001
-    """Instance-level poses; see `ReportTask`. There are no published figures for these data sets.
+def bop_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart:
+    """Instance-level poses; see `ReportTask`.
 
     Raises:
         ToolkitError: a file is damaged.
     """
-    results = bop.read_bop_figures(folders)
-    best = max(results, key=lambda r: r.ar)
+    results = bop_results.read_bop_figures(folders)
     return ReportPart(
         title="Pose of known objects",
-        summary=f"Highest AR: {best.results}, {100 * best.ar:.1f} % on {_data(best)}.",
-        sections=[Section("bop", "Poses of known objects (BOP)", [_bop_table(results)])],
-        terminal=bop.bop_table(results),
+        summary=bop_tables.summary(results),
+        sections=bop_tables.sections(results, published=published),
+        terminal=bop_results.bop_table(results),
     )
 
 
@@ -222,13 +221,11 @@ def _sections(board: pose_board.PoseBoard) -> list[Section]:
 
 
 def _summary(board: pose_board.PoseBoard) -> str:
-    """One sentence on the best method and depth, without true depth."""
+    """One sentence on the best method and depth, without true depth and what is given the truth."""
     found = []
     for split in board.splits:
         rows = board.part(split, pose_board.PROTOCOLS[0], pose_results.ALL)
-        rows = rows[(rows["kind"] == MEASURED) & (rows["depth"] != pose_inputs.TRUE)].dropna(
-            subset=[pose_board.MAIN]
-        )
+        rows = rows[board.contests(rows)].dropna(subset=[pose_board.MAIN])
         if not rows.empty:
             best = rows.loc[rows[pose_board.MAIN].idxmax()]
             found.append(
@@ -238,35 +235,5 @@ def _summary(board: pose_board.PoseBoard) -> str:
                 f"{pose_results.heading(pose_board.MAIN)})"
             )
     if not found:
-        return "Poses were fitted to true depth only."
+        return "All poses were fitted to true depth, or by methods that receive ground truth."
     return "Most poses right: " + "; ".join(found) + "."
-
-
-def _bop_table(results: Sequence[bop.BopFigures]) -> Table:
-    columns = [
-        Column(heading="results", numeric=False),
-        Column(heading="data", numeric=False),
-        Column(heading="targets", digits=0),
-        Column(heading="estimates", digits=0),
-        *(
-            Column(heading=h, unit="%", factor=100, lower_is_better=False)
-            for h in ("AR", "VSD", "MSSD", "MSPD")
-        ),
-        Column(heading="time", unit="s/image", digits=2, lower_is_better=True),
-    ]
-    rows = []
-    for r in sorted(results, key=lambda r: -r.ar):
-        names = ("targets", "estimates", "ar", "ar_vsd", "ar_mssd", "ar_mspd", "seconds_per_image")
-        cells = [
-            c.cell(getattr(r, n), interval=r.intervals.get(n, (math.nan, math.nan)), missing=NONE)
-            for c, n in zip(columns[2:], names, strict=True)
-        ]
-        rows.append(Row([Cell(text=r.results), Cell(text=_data(r)), *cells]))
-    notes = ["Average recalls as the BOP Challenge defines them; AR is the mean of the three."]
-    drawn = sorted({r.intervals_over for r in results if r.intervals_over})
-    notes += [f"Brackets: 95 % intervals over {' or '.join(drawn)}."] if drawn else []
-    return Table(columns=columns, rows=rows, notes=notes, sortable=True)
-
-
-def _data(result: bop.BopFigures) -> str:
-    return f"{Path(result.data).resolve().name}, {result.split}"

@@ -192,6 +192,14 @@ class PoseBoard:
         mine = [r for r in self.results if r.split == split]
         return max(r.manifest.setup.frames - r.missing for r in mine)
 
+    def contests(self, rows: pd.DataFrame) -> list[bool]:
+        """Return whether each row of `part` competes: it is measured, without true depth, and by
+        a method that receives no ground truth."""
+        bounds = {(r.split, *r.name) for r in self.results if r.given_truth or r.name[1] == TRUE}
+        names = rows[["split", "method", "depth", "fit"]].itertuples(index=False, name=None)
+        measured = rows["kind"] == MEASURED
+        return [bool(m) and n not in bounds for m, n in zip(measured, names, strict=True)]
+
     def part(self, split: str, protocol: str, subset: str) -> pd.DataFrame:
         """Return the rows of one table."""
         rows = self.rows

@@ -41,20 +41,20 @@ def pose_tables(board: PoseBoard, split: str, protocol: str) -> list[Table]:
             continue
         title = f"{pose_title(board, split, protocol)}, {depth_tables.OBJECTS[subset]}, poses right"
         scenes = int(measured["scenes"].max())
-        notes = [f"Bold: best, true depth aside. {depth_tables.interval_note(scenes)}"]
+        notes = [f"Bold: best without any ground truth. {depth_tables.interval_note(scenes)}"]
         if protocol != PAPERS_PROTOCOL and (rows["kind"] == PUBLISHED).any():
             notes.append(_CAUTION)
-        contest = measured[measured["depth"] != pose_inputs.TRUE]
-        best = contest[[c.name for c in FIGURES]].max()
-        made = [_row(row, best) for row in rows.to_dict("records")]
+        contests = board.contests(rows)
+        best = rows[contests][[c.name for c in FIGURES]].max()
+        pairs = zip(rows.to_dict("records"), contests, strict=True)
+        made = [_row(row, best, contends=contends) for row, contends in pairs]
         columns = [*_RUN, *_COUNTS, *FIGURES]
         tables.append(Table(columns=columns, rows=made, title=title, notes=notes, sortable=True))
     return tables
 
 
-def _row(row: dict[str, object], best: pd.Series) -> Row:
+def _row(row: dict[str, object], best: pd.Series, *, contends: bool) -> Row:
     published = row["kind"] == PUBLISHED
-    contends = not published and row["depth"] != pose_inputs.TRUE
     note = f"published; {depth_tables.source_of(row)}" if published else ""
     cells = [Cell(text=str(row["method"]), note=note)]
     cells += [Cell(text=str(row[name])) for name in ("depth", "fit")]

@@ -18,12 +18,20 @@ from benchmark.cli.bench import main
 from benchmark.evaluation.engine import run_all
 from benchmark.evaluation.manifest import BOP_FILE, BOP_MANIFEST
 from benchmark.evaluation.results import FAILURES, PARTS
-from benchmark.evaluation.tasks.bop import ERRORS, BopRun, bop_intervals, read_bop_run
+from benchmark.evaluation.tasks.bop import BopRun
+from benchmark.evaluation.tasks.bop_results import (
+    ERRORS,
+    SCORES_19,
+    SCORES_24,
+    bop_intervals,
+    read_bop_run,
+)
 from benchmark.metrics.bop import (
     BopEstimate,
     open_bop,
     read_bop_results,
     score_bop,
+    score_bop_detection,
     write_bop_results,
 )
 from benchmark.report.page import make_parts
@@ -67,13 +75,30 @@ def test_figures_are_those_of_the_metric(root: Path, results: Path, tmp_path: Pa
     run = run_of(root, results, tmp_path)
     assert not run_all([run], SERIAL).failed
     scores = score_bop(open_bop(root), read_bop_results(results))
+    detected = score_bop_detection(open_bop(root), read_bop_results(results))
     kept = json.loads((run.folder / BOP_FILE).read_text())
-    assert 0 < scores.ar < 1
+    assert 0 < scores.ar < 1 and 0 < detected.map < 1
+    names = {
+        "bop19_average_recall": scores.ar, "bop19_average_recall_vsd": scores.vsd,
+        "bop19_average_recall_mssd": scores.mssd, "bop19_average_recall_mspd": scores.mspd,
+        "bop19_average_time_per_image": 0.5, "bop24_average_time_per_image": 0.5,
+        "bop24_mAP": detected.map, "bop24_mAP_mssd": detected.mssd,
+        "bop24_mAP_mspd": detected.mspd,
+    }  # fmt: skip
+    assert kept.pop("scores") == names
+    objects = {o["obj_id"]: o for o in kept.pop("objects")}
+    assert [objects[k]["targets"] for k in (1, 5)] == [2, 1]
+    weighted = sum(o["targets"] * o["ar_mssd"] for o in objects.values()) / 3
+    assert weighted == pytest.approx(scores.mssd)
+    assert np.mean([o["ap_mspd"] for o in objects.values()]) == pytest.approx(detected.mspd)
     assert kept == {
         "results": "mine_set-test", "data": str(root), "split": "test", "targets": 3,
         "estimates": 4, "ar": scores.ar, "ar_vsd": scores.vsd, "ar_mssd": scores.mssd,
-        "ar_mspd": scores.mspd, "seconds_per_image": 0.5,
+        "ar_mspd": scores.mspd, "ap": detected.map, "ap_mssd": detected.mssd,
+        "ap_mspd": detected.mspd, "seconds_per_image": 0.5,
     }  # fmt: skip
+    written = [json.loads((run.folder / f"scores_bop{y}.json").read_text()) for y in (19, 24)]
+    assert written[0] | written[1] == names
     table = pd.read_parquet(run.folder / ERRORS)
     assert table[["index", "scene", "frame", "obj_id", "n_valid"]].to_numpy().tolist() == [
         [0, "000002", "000003", 1, 1],
@@ -113,11 +138,51 @@ def test_serial_parallel_and_killed_runs_give_the_same_bytes(
     assert bytes_of(runs[0]) == bytes_of(runs[1]) == bytes_of(runs[2])
 
 
-def test_no_figures_with_an_image_left_out(results: Path, tmp_path: Path) -> None:
+def test_missing_depth_stops_only_vsd(results: Path, tmp_path: Path) -> None:
     root = write_bop(tmp_path / "set")
     depth = root / "test" / "000002" / "depth" / "000004.png"
     content = depth.read_bytes()
     depth.unlink()
+    run, whole = run_of(root, results, tmp_path / "out"), run_of(root, results, tmp_path / "whole")
+    report = run_all([run], SERIAL)
+    # It is listed, and the exit status will be 1; everything else is scored.
+    assert report.failed_frames == 1 and report.finished and not report.failed
+    found = run.read()
+    assert found.ar is None and found.ar_vsd is None and "ar_vsd" not in found.intervals
+    assert pd.read_csv(run.folder / FAILURES, dtype=str)["frame"].tolist() == ["000004"]
+    depth.write_bytes(content)
+    assert not run_all([run], SERIAL).failed_frames
+    run_all([whole], SERIAL)
+    assert bytes_of(run) == bytes_of(whole)
+    for name in ("ar_mssd", "ar_mspd", "ap_mssd", "ap_mspd"):
+        assert getattr(found, name) == getattr(whole.read(), name) is not None
+
+
+def test_data_without_depth(
+    results: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    root = write_bop(tmp_path / "set")
+    folder = root / "test" / "000002"
+    (folder / "depth").rename(folder / "rgb")  # the size of the images is still needed
+    run = run_of(root, results, tmp_path / "out")
+    assert not run_all([run], SERIAL).failed_frames
+    assert [r.message for r in caplog.records if "VSD is not scored" in r.message] != []
+    found = run.read()
+    assert found.ar is None and 0 < (found.ar_mssd or 0) < 1
+    scores = json.loads((run.folder / "scores_bop19.json").read_text())
+    assert set(scores) == {
+        "bop19_average_recall_mssd", "bop19_average_recall_mspd", "bop19_average_time_per_image"
+    }  # fmt: skip
+    only = BopRun(data=root, split="test", results=results, out=tmp_path / "one", errors=("mspd",))
+    assert not run_all([only], SERIAL).failed
+    assert only.read().ar_mspd == found.ar_mspd and only.read().ap_mssd is None
+
+
+def test_no_figures_with_an_image_left_out(results: Path, tmp_path: Path) -> None:
+    root = write_bop(tmp_path / "set")
+    depth = root / "test" / "000002" / "depth" / "000004.png"
+    content = depth.read_bytes()
+    depth.write_bytes(b"no picture")  # and no other one tells the size
     run = run_of(root, results, tmp_path / "out")
     report = run_all([run], SERIAL)
     assert report.failed_frames == 1 and not report.finished
@@ -135,7 +200,7 @@ def test_a_folder_of_an_older_version_goes_on(root: Path, results: Path, tmp_pat
     run = run_of(root, results, tmp_path)
     assert not run_all([run], SERIAL).failed
     figures = (run.folder / BOP_FILE).read_bytes()
-    for name in (BOP_MANIFEST, ERRORS, FAILURES):
+    for name in (BOP_MANIFEST, ERRORS, FAILURES, SCORES_19, SCORES_24):
         (run.folder / name).unlink()
     (run.folder / PARTS).rmdir()
     old = read_bop_run(run.folder)
@@ -165,7 +230,11 @@ def test_intervals_draw_scenes_or_images(
     # One scene of two images: all found in one, with two targets, and nothing in the other.
     assert row["ar"] == pytest.approx(2 / 3)
     assert row["intervals_over"] == "images"
-    assert row["intervals"] == {k: [0, 1] for k in ("ar", "ar_vsd", "ar_mssd", "ar_mspd")}
+    assert {k: v for k, v in row["intervals"].items() if k.startswith("ar")} == {
+        k: [0, 1] for k in ("ar", "ar_vsd", "ar_mssd", "ar_mspd")
+    }
+    # Both cans, or one and then nothing; the brick is in one image alone.
+    assert row["intervals"]["ap"] == [0, 1]
     (part,) = make_parts([tmp_path / "out"])
     text = part.sections[0].blocks[0].markdown()
     assert "66.7 [0.0, 100.0]" in text and "95 % intervals over images" in text

@@ -73,8 +73,10 @@ WORLD_POSES = {
     4: SE3(so3_exp([1.4, -0.2, 0.1]), np.array([0.03, 0.02, 0.6])),
     7: SE3(so3_exp([0.3, 1.2, -0.5]), np.array([0.12, -0.02, 0.72])),
 }
-MODELS_OF = {1: "brick", 4: "can", 7: "mug"}
-MATERIALS = {1: "diffuse", 4: "transparent", 7: "specular"}
+# Number 9 is for scenes with two bricks.
+MODELS_OF = {1: "brick", 4: "can", 7: "mug", 9: "brick"}
+NAMES = {1: "the_brick", 4: "the_can", 7: "the_mug", 9: "another_brick"}
+MATERIALS = {1: "diffuse", 4: "transparent", 7: "specular", 9: "diffuse"}
 
 
 def make_scene(
@@ -156,7 +158,7 @@ def make_scene(
         ObjectTable(
             models=models,
             objects=[
-                Object(id=i, name=f"the_{MODELS_OF[i]}", model=MODELS_OF[i], material=MATERIALS[i])
+                Object(id=i, name=NAMES[i], model=MODELS_OF[i], material=MATERIALS[i])
                 for i in sorted(world_poses)
             ],
         ),

@@ -300,6 +300,15 @@ def test_coco_boxes_count_pixels_and_are_clipped(exported):
         assert a["area"] == np.count_nonzero(bits)
         assert (exported.folder / images[im_id]["file_name"]).is_file()
     assert len({a["id"] for a in coco["annotations"]}) == len(coco["annotations"])
+    modal = exported.document("scene_gt_coco_modal")
+    hidden = 0
+    for a, m in zip(coco["annotations"], modal["annotations"], strict=True):
+        x, y, w, h = bbox(exported.mask("mask_visib", a["image_id"], a["category_id"] - 1))
+        assert m == {**a, "bbox": [x, y, w + 1, h + 1]}
+        hidden += m["bbox"] != a["bbox"]
+    assert hidden and {k: v for k, v in modal.items() if k != "annotations"} == {
+        k: v for k, v in coco.items() if k != "annotations"
+    }
 
 
 def test_depth_beyond_16_bits_is_dropped_and_not_clipped(tmp_path):

@@ -26,7 +26,13 @@ from benchmark.methods.depth.lidf.features import (
     spread,
     surroundings,
 )
-from benchmark.methods.depth.lidf.refinement import Features, Head, OffsetHead, Refinement
+from benchmark.methods.depth.lidf.refinement import (
+    Features,
+    Head,
+    OffsetHead,
+    Refinement,
+    leaky_clip,
+)
 from benchmark.methods.depth.lidf.voxels import (
     PRESETS,
     Grid,
@@ -210,7 +216,7 @@ class LIDFNetwork(nn.Module):
         self, rays: Rays, voxelized: _Voxelized, distance: Tensor | None
     ) -> Terminations:
         pairs, features = self._features(rays, voxelized)
-        logits = self.termination(features)
+        logits = self._scores(features)
         count = len(rays.pixel)
         chances = log_softmax_of_groups(logits, pairs.ray, count)
         chosen = first_largest_of_groups(logits.detach(), pairs.ray, count)
@@ -222,6 +228,11 @@ class LIDFNetwork(nn.Module):
         points = points_on(rays.direction, pairs, offset, self.diagonal)
         return Terminations(rays, pairs, chances, offset, points, chosen, true)
 
+    def _scores(self, features: Features) -> Tensor:
+        """(p,) scores of voxels along the rays."""
+        scores = self.termination(features)
+        return leaky_clip(scores) if self.config.clipped else scores
+
     def _distances_by_parts(
         self, rays: Rays, voxelized: _Voxelized, images: Tensor, follow: Tensor | None
     ) -> Tensor:
@@ -230,7 +241,7 @@ class LIDFNetwork(nn.Module):
         for begin in range(0, len(rays.pixel), self.config.rays_at_once):
             part = rays.chosen(slice(begin, begin + self.config.rays_at_once))
             pairs, features = self._features(part, voxelized)
-            logits = self.termination(features)
+            logits = self._scores(features)
             chosen = first_largest_of_groups(logits, pairs.ray, len(part.pixel))
             distance = self._distance(part, images, follow)
             if distance is not None:

@@ -26,6 +26,8 @@ class LIDFConfig:
         mask: what is believed. `objects` drops the measurements on transparent and specular
             objects, which the method must be told, as in the published evaluation; `holes`
             believes all measurements.
+        clipped: whether the scores by which a ray chooses its voxel are clipped to [0, 1], leakily,
+            before the softmax. The authors' program does this; the paper does not mention it.
         refine: whether the second stage follows the first.
         channels: of the first level of the network for colour.
         blocks: of its four levels; those of ResNet-34.
@@ -49,6 +51,7 @@ class LIDFConfig:
 
     predict: Literal["all", "missing"] = "all"
     mask: Literal["objects", "holes"] = "objects"
+    clipped: bool = False
     refine: bool = True
     channels: int = 64
     blocks: tuple[int, int, int, int] = (3, 4, 6, 3)

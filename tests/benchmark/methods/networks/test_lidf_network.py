@@ -10,7 +10,9 @@ import torch
 from lidf_scenes import SETTINGS, TINY, pixel_rays_of, scene, tiny
 from network_cases import CASES, SIDE, views, weights_of
 
+from benchmark.methods.depth.lidf.features import log_softmax_of_groups
 from benchmark.methods.depth.lidf.lidf import LIDF, LIDFNetwork
+from benchmark.methods.depth.lidf.refinement import leaky_clip
 from benchmark.methods.depth.lidf.voxels import PRESETS
 from benchmark.methods.network import parameter_count
 from benchmark.methods.protocol import View
@@ -310,3 +312,22 @@ def test_four_frames_are_learned():
     before, after = ((d - truth)[inputs[4]].abs().mean() for d in (found.initial, found.depth))
     assert before < 0.1 * (inputs[1] - truth)[inputs[4]].abs().mean()
     assert after < 0.9 * before
+
+
+def test_clipped_scores_are_those_of_the_published_program():
+    """Before the softmax, scores beyond [0, 1] lose 99 % of what they exceed it by."""
+    inputs, _ = scene(1)
+    plain, clipped = tiny().eval(), tiny(config=replace(TINY, clipped=True)).eval()
+    with torch.no_grad():
+        for network in (plain, clipped):
+            network.termination.last.weight.mul_(200)
+    seen = []
+    plain.termination.register_forward_hook(lambda *args: seen.append(args[2]))
+    clipped.termination.register_forward_hook(lambda *args: seen.append(args[2]))
+    with torch.inference_mode():
+        one, other = plain(*inputs, learns=1), clipped(*inputs, learns=1)
+    assert torch.equal(seen[0], seen[1]) and (seen[0].max() > 1.5 or seen[0].min() < -0.5)
+    pairs, count = one.terminations.pairs, len(one.terminations.rays.pixel)
+    expected = log_softmax_of_groups(leaky_clip(seen[0]), pairs.ray, count)
+    torch.testing.assert_close(other.terminations.log_probability, expected)
+    assert not torch.allclose(one.terminations.log_probability, expected)

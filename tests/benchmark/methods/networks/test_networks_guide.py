@@ -65,7 +65,7 @@ def test_compact_networks_work_at_the_size_of_the_main_tables(text: str, name: s
 
 def test_settings_are_fields_with_those_defaults(text: str) -> None:
     rows = re.findall(r"^\| `(\w+)\.(\w+)` \| `([^`]*)` \|", text, re.M)
-    assert len(rows) == 10 and {name for name, _, _ in rows} == set(NETWORKS)
+    assert len(rows) == 12 and {name for name, _, _ in rows} == set(NETWORKS)
     for name, setting, default in rows:
         config = presets(name)["published"]
         assert setting in {field.name for field in fields(config)}

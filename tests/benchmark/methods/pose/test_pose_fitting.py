@@ -71,9 +71,22 @@ def test_the_threshold_is_in_metres() -> None:
     """The same object three times as far and large: 2 cm is 2 cm."""
     c, points, _ = seen(1, share=0.3)
     assert fit_pose(3 * c, 3 * points, FitOptions(threshold_m=0.06)).inliers.mean() < 0.8
-    wide = fit_pose(c, points, FitOptions(threshold_m=3.0))
+    wide = fit_pose(c, points, FitOptions(threshold_m=3.0, last="inliers"))
     assert wide.inliers.all()
     np.testing.assert_allclose(wide.RT, fit_pose(c, points, PAPER).RT, atol=1e-9)
+
+
+def test_the_last_fit_has_the_scale_of_the_errors() -> None:
+    """On a small object 2 cm accept the table behind it; the weighted fit does not."""
+    rng = np.random.default_rng(4)
+    c = rng.uniform(-0.3, 0.3, (600, 3))
+    points = 0.05 * c + np.array([0.0, 0.0, 0.5]) + rng.normal(0, 2e-4, c.shape)
+    points[:150, 2] += 0.012  # as seen through glass
+    errors = []
+    for last in ("inliers", "tukey"):
+        RT = fit_pose(c, points, FitOptions(last=last)).RT
+        errors.append(1000 * np.linalg.norm(RT[:3, 3] - [0, 0, 0.5]))
+    assert errors[0] > 1 and errors[1] < 0.1
 
 
 def test_it_is_the_same_each_time() -> None:

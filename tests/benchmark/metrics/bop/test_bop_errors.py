@@ -11,6 +11,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Symmetry, so3_exp
 from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
 from std_toolkit.rendering.raycast import RaycastRenderer
+from std_toolkit.rendering.renderer import image_window
 
 # A square of 0.2 m that faces the camera.
 CORNERS = np.array([[-0.1, -0.1, 0], [0.1, -0.1, 0], [0.1, 0.1, 0], [-0.1, 0.1, 0]])
@@ -62,6 +63,33 @@ def test_missing_depth_counts_as_visible() -> None:
     hidden = see(DRAW, CAMERA, SQUARE, true, depth)
     assert not hidden.visible.any()
     assert (vsd(hidden, hidden, 0.2) == 1).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_vsd_is_that_of_whole_images(seed: int) -> None:
+    """The definition, pixel by pixel over the image, on rendered bricks behind an occluder."""
+    rng = np.random.default_rng(seed)
+    mesh, window = prepare_mesh(MESHES[BRICK]), image_window(CAMERA)
+    true = SE3(so3_exp(rng.normal(0, 1, 3)), np.array([0.02, -0.01, 0.6]))
+    off = SE3(true.R @ so3_exp(rng.normal(0, 0.2, 3)), true.t + rng.normal(0, 0.01, 3))
+    depth = np.where(DRAW.draw(CAMERA, mesh, true, window=window).depth > 0, 0.55, 1.1)
+    depth[:, 170:] = 0.4  # something in front
+    depth[100:115, 120:150] = 0  # and no reading
+    along = np.linalg.norm(CAMERA.rays(), axis=2)
+    drawn = [DRAW.draw(CAMERA, mesh, T, window=window).depth * along for T in (off, true)]
+    seen = [d > 0 for d in drawn]
+    measured = depth * along
+    visible = [
+        s & ((measured == 0) | (d - measured <= 0.015)) for d, s in zip(drawn, seen, strict=True)
+    ]
+    visible[0] |= visible[1] & seen[0]
+    either, both = visible[0] | visible[1], visible[0] & visible[1]
+    assert 0 < both.sum() < either.sum()
+    taus = 0.05 * np.arange(1, 11)
+    apart = np.abs(drawn[0] - drawn[1]) / 0.18
+    wanted = [((apart >= tau) & both | either & ~both).sum() / either.sum() for tau in taus]
+    found = vsd(*(see(DRAW, CAMERA, mesh, T, depth) for T in (off, true)), 0.18)
+    assert found == pytest.approx(wanted, abs=1e-12)
 
 
 def test_out_of_the_image() -> None:
