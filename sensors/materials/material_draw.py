@@ -42,9 +42,12 @@ class Glass(material_library.Document, frozen=True, kw_only=True):
 
     ior: float
     roughness: material_library.Share
-    see_through: material_library.Share
-    gloss: material_library.Share
-    gloss_roughness: material_library.Share
+    transmission: material_library.Share
+    bend: material_library.Share = 1.0
+    waves_deg: float = 0.0
+    wave_m: float = 0.02
+    haze: material_library.Share = 0.0
+    gloss_roughness: material_library.Share = 0.0
 
 
 class DrawnMaterial(material_library.Document, frozen=True, kw_only=True):
@@ -185,8 +188,11 @@ def _draw_glass(rng: np.random.Generator, chosen: material_library.GlassMaterial
         glass=Glass(
             ior=_uniform(rng, chosen.ior),
             roughness=_uniform(rng, chosen.roughness),
-            see_through=_uniform(rng, chosen.see_through),
-            gloss=_uniform(rng, chosen.gloss),
+            transmission=_uniform(rng, chosen.transmission),
+            bend=_uniform(rng, chosen.bend),
+            waves_deg=_uniform(rng, chosen.waves_deg),
+            wave_m=_uniform(rng, chosen.wave_m),
+            haze=_uniform(rng, chosen.haze),
             gloss_roughness=_uniform(rng, chosen.gloss_roughness),
         ),
     )

@@ -80,15 +80,15 @@ class MitsubaScene:
 
     def _make_tracer(self, *, infrared: bool) -> Any:
         mi, scene = self._mi, self._scene
-        loaded = mitsuba_scene.build(mi, scene, infrared=infrared)
+        shapes, meshes = mitsuba_scene.build(mi, scene, infrared=infrared)
         if self._variant.startswith("scalar"):
             from sensors.render.builtin_tracer import BuiltinTracer
 
-            return BuiltinTracer(loaded.everything, mitsuba_scene.environment(mi, scene))
+            return BuiltinTracer(shapes.everything, mitsuba_scene.environment(mi, scene))
         from sensors.render.path_tracer import PathTracer
         from sensors.render.sky import Sky
 
-        return PathTracer(loaded, Sky(scene.environment, scene.environment_rotation_rad))
+        return PathTracer(shapes, meshes, Sky(scene.environment, scene.environment_rotation_rad))
 
     def infrared(
         self,

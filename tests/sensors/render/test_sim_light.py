@@ -65,7 +65,7 @@ def test_own_tracer_agrees_with_mitsuba_s(mixed, compiled) -> None:
     own = MitsubaRenderer(variant=compiled, check=False).load(mixed)
     others = {
         name: BuiltinTracer(
-            shapes.build(mi, mixed, infrared=name == "infrared").everything,
+            shapes.build(mi, mixed, infrared=name == "infrared")[0].everything,
             shapes.environment(mi, mixed),
         )
         for name in ("color", "infrared")
