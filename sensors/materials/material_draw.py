@@ -198,6 +198,32 @@ def _draw_glass(rng: np.random.Generator, chosen: material_library.GlassMaterial
     )
 
 
+LIQUIDS: dict[str, tuple[material_library.Color, float, float]] = {
+    "water": ((0.97, 0.99, 0.99), 0.98, 0.0),
+    "tea": ((0.6, 0.25, 0.08), 0.9, 0.01),
+    "juice": ((0.85, 0.45, 0.1), 0.35, 0.25),
+    "syrup": ((0.7, 0.1, 0.12), 0.85, 0.01),
+}
+"""Tint, transmission and haze of clear liquids, chosen by eye; milk is opaque."""
+
+
+def draw_liquid(rng: np.random.Generator) -> DrawnMaterial:
+    """Draw a liquid, half of them water; consumes two numbers."""
+    name = "water" if rng.random() < 0.5 else ("tea", "juice", "syrup", "milk")[rng.integers(4)]
+    if name == "milk":
+        return DrawnMaterial(
+            name=name, material_class="diffuse", color=(0.8, 0.78, 0.72), own_share=0.0
+        )
+    tint, transmission, haze = LIQUIDS[name]
+    return DrawnMaterial(
+        name=name,
+        material_class="transparent",
+        color=tint,
+        own_share=0.0,
+        glass=Glass(ior=1.33, roughness=0.0, transmission=transmission, haze=haze),
+    )
+
+
 def _uniform(rng: np.random.Generator, bounds: material_library.Range) -> float:
     return float(rng.uniform(*bounds))
 

@@ -11,18 +11,24 @@ from typing import Literal
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from sensors.assets import Asset, AssetSource, draw_diagonal
 from sensors.lighting.environment import EnvironmentMap
 from sensors.lighting.environment_sources import EnvironmentSource
 from sensors.lighting.light_draw import FloorDraw, LightingDraw, draw_floor, draw_lighting
-from sensors.materials.material_draw import DrawnMaterial, draw_material, draw_material_class
+from sensors.materials.material_draw import (
+    DrawnMaterial,
+    draw_liquid,
+    draw_material,
+    draw_material_class,
+)
 from sensors.materials.material_library import MATERIAL_CLASSES, MaterialClass
 from sensors.simulation.options import MaterialSwitch, SimulationOptions
 from std_toolkit.errors import ToolkitError
 
 Aspect = Literal[
-    "objects", "sizes", "materials", "light", "floor", "drop", "views", "noise", "pattern"
+    "objects", "sizes", "materials", "light", "floor", "drop", "views", "noise", "pattern", "parts"
 ]
 ASPECTS: tuple[Aspect, ...] = (
     "objects",
@@ -34,6 +40,7 @@ ASPECTS: tuple[Aspect, ...] = (
     "views",
     "noise",
     "pattern",
+    "parts",
 )
 # Materials that objects may have.
 _CLASSES: dict[MaterialSwitch, tuple[MaterialClass, ...]] = {
@@ -46,6 +53,10 @@ ALWAYS = ("bottle", "bowl", "mug")
 SOMETIMES = ("camera", "can", "car", "aeroplane")
 SOMETIMES_COUNT = (1, 4)
 DISTRACTOR_COUNT = (1, 3)
+# Parts of glass objects that are not glass.
+OPAQUE_PARTS = ("cap", "label", "print")
+# Share of the closed transparent bottles that contain a liquid, and its level.
+FILLED_SHARE, FILL = 0.35, (0.15, 0.95)
 
 
 class ObjectDraw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -57,6 +68,10 @@ class ObjectDraw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         category: of the asset.
         diagonal_m: of its bounding box, metres.
         material: its surface.
+        parts: materials of the parts of a transparent object that have their own.
+        fill: height of a liquid in a closed transparent object, as a fraction of the height that
+            the object has as it lies; 0: empty.
+        liquid: the liquid.
     """
 
     instance: int
@@ -64,6 +79,9 @@ class ObjectDraw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     category: str
     diagonal_m: float
     material: DrawnMaterial
+    parts: dict[str, DrawnMaterial] = {}
+    fill: float = 0.0
+    liquid: DrawnMaterial | None = None
 
 
 class SceneDraw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -135,22 +153,23 @@ def dress_scene(
         ToolkitError: the sources lack a requested item.
     """
     sizes, looks = generator(seed, "sizes"), generator(seed, "materials")
+    parts = generator(seed, "parts")
     objects = []
     for instance, asset in enumerate(chosen, start=1):
         # A seed per object: one more random number in a material changes no other object.
         rng = np.random.default_rng(int(looks.integers(2**63)))
+        own = np.random.default_rng(int(parts.integers(2**63)))
         material_class = draw_material_class(
             rng, dressed_as or asset.category, allowed=_CLASSES[options.materials]
         )
-        objects.append(
-            ObjectDraw(
-                instance=instance,
-                asset=asset.id,
-                category=asset.category,
-                diagonal_m=draw_diagonal(sizes, asset),
-                material=draw_material(rng, material_class, textured=asset.texture is not None),
-            )
+        drawn = ObjectDraw(
+            instance=instance,
+            asset=asset.id,
+            category=asset.category,
+            diagonal_m=draw_diagonal(sizes, asset),
+            material=draw_material(rng, material_class, textured=asset.texture is not None),
         )
+        objects.append(drawn if drawn.material.glass is None else with_parts(own, drawn, asset))
     rng = generator(seed, "light")
     environment = environments.draw(rng)
     light = [draw_lighting(rng, environment.name) for _ in range(options.views)]
@@ -160,6 +179,29 @@ def dress_scene(
         seed=seed, objects=objects, floor=floor, light=light, pattern_seed=pattern_seed
     )
     return draw, environment
+
+
+def with_parts(rng: np.random.Generator, drawn: ObjectDraw, asset: Asset) -> ObjectDraw:
+    """Materials of a glass object's caps, labels and prints, and its liquid.
+
+    Args:
+        rng: consumed.
+        drawn: a transparent object.
+        asset: of it.
+    """
+    names = () if asset.face_parts is None else np.unique(asset.face_parts)
+    parts = {
+        str(name): draw_material(rng, "diffuse", name="paper_printed")
+        if name == "label"
+        else draw_material(rng, "raw")
+        for name in names
+        if name in OPAQUE_PARTS
+    }
+    if asset.cavity is None or rng.random() >= FILLED_SHARE:
+        return replace(drawn, parts=parts)
+    return replace(
+        drawn, parts=parts, fill=float(rng.uniform(*FILL)), liquid=draw_liquid(rng)
+    )
 
 
 def draw_categories(

@@ -6,7 +6,7 @@ An asset's own look becomes one texture and one pair of coordinates per vertex.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -115,10 +115,12 @@ def build_world(
             **(parameters or {}),
         },
     )
+    liquids = [_liquid(*row) for row in rows]
     scene = SimScene(
         (_floor(draw.floor), *(_object(*row) for row in rows)),
         environment,
         draw.light[0].rotation_rad,
+        tuple(liquid for liquid in liquids if liquid is not None),
     )
     return World(draw, record, scene, tuple(camera_poses(draw.seed, options)))
 
@@ -144,7 +146,33 @@ def _object(obj: ObjectDraw, asset: Asset, pose: SE3) -> SceneObject:
         mesh, texture = SurfaceMesh(mesh.vertices, mesh.faces), None
         color = (float(mean[0]), float(mean[1]), float(mean[2]))
         return SceneObject(obj.instance, mesh, pose, obj.material, color=color)
-    return SceneObject(obj.instance, mesh, pose, obj.material, texture=texture)
+    whole = SceneObject(obj.instance, mesh, pose, obj.material, texture=texture)
+    if not obj.parts or asset.face_parts is None:
+        return whole
+    numbers = np.zeros(len(mesh.faces), np.int64)
+    for number, name in enumerate(obj.parts, start=1):
+        numbers[asset.face_parts == name] = number
+    return replace(whole, face_parts=numbers, part_materials=tuple(obj.parts.values()))
+
+
+def _liquid(obj: ObjectDraw, asset: Asset, pose: SE3) -> SceneObject | None:
+    """The liquid in an object at rest, with a level surface; None if it is empty."""
+    if obj.liquid is None or asset.cavity is None:
+        return None
+    from manifold3d import Manifold, Mesh64
+
+    inside = pose @ (np.asarray(asset.cavity.vertices) * obj.diagonal_m)
+    low, high = inside[:, 2].min(), inside[:, 2].max()
+    faces = np.asarray(asset.cavity.faces, np.uint64)
+    level = float(low + obj.fill * (high - low))
+    part = Manifold(Mesh64(np.ascontiguousarray(inside), faces)).trim_by_plane([0, 0, -1], -level)
+    mesh = part.to_mesh64()
+    if len(mesh.tri_verts) == 0:
+        return None
+    surface = SurfaceMesh(
+        np.asarray(mesh.vert_properties[:, :3]), np.asarray(mesh.tri_verts, np.int64)
+    )
+    return SceneObject(obj.instance, surface, SE3.identity(), obj.liquid)
 
 
 def _floor(drawn: FloorDraw) -> SceneObject:
