@@ -26,6 +26,17 @@ from sensors.render.sim_scene import SceneObject, SimScene, SurfaceMesh
 _SMOOTHEST = 2e-3
 """Smallest roughness; a perfect mirror would need another kind of code."""
 
+_VALUES = (
+    "metallic",
+    "roughness",
+    "spec_tint",
+    "anisotropic",
+    "sheen",
+    "sheen_tint",
+    "clearcoat",
+    "clearcoat_gloss",
+)
+
 LARGEST = 1024
 
 
@@ -93,38 +104,49 @@ def _mesh(mi: Any, item: SceneObject, name: str, infrared: bool) -> Any:
         props=properties,
     )
     parameters = mi.traverse(mesh)
-    # Mitsuba's v runs along the rows of an image, ours upwards.
-    uv = look.uv.reshape(-1, 2) * np.array([1, -1]) + np.array([0, 1])
     parameters["vertex_positions"] = np.ascontiguousarray(corners, np.float32).ravel()
     parameters["vertex_normals"] = np.ascontiguousarray(normals, np.float32).ravel()
-    parameters["vertex_texcoords"] = np.ascontiguousarray(uv, np.float32).ravel()
+    parameters["vertex_texcoords"] = _texcoords(look)
     parameters["faces"] = np.arange(count, dtype=np.uint32)
     parameters.update()
     return mesh
 
 
+def repaint(mi: Any, mesh: Any, item: SceneObject, *, infrared: bool) -> None:
+    """Give a mesh of `build` another opaque material, without new code for a kernel."""
+    look = appearance(item)
+    if infrared:
+        look = infrared_appearance(look, item.material)
+    parameters = mi.traverse(mesh)
+    parameters["vertex_texcoords"] = _texcoords(look)
+    for name, value in opaque_values(item.material).items():
+        key = f"bsdf.brdf_0.{name}"
+        parameters[key if key in parameters else f"{key}.value"] = value
+    image = mi.Bitmap(np.ascontiguousarray(look.image))
+    texture = mi.load_dict({"type": "bitmap", "bitmap": image})
+    parameters["bsdf.brdf_0.base_color.data"] = mi.traverse(texture)["data"]
+    parameters.update()
+
+
+def _texcoords(look: Appearance) -> NDArray[np.float32]:
+    # Mitsuba's v runs along the rows of an image, ours upwards.
+    uv = look.uv.reshape(-1, 2) * np.array([1, -1]) + np.array([0, 1])
+    return np.ascontiguousarray(uv, np.float32).ravel()
+
+
+def opaque_values(material: DrawnMaterial) -> dict[str, float]:
+    """Parameters of Mitsuba's BSDF. A value of exactly 0 would create another kind of code."""
+    values = {name: max(float(getattr(material, name)), 1e-3) for name in _VALUES}
+    return {**values, "specular": float(np.clip(material.specular, 1e-3, 0.999))}
+
+
 def _scattering(mi: Any, material: DrawnMaterial, image: np.ndarray) -> dict[str, Any]:
     glass = material.glass
     if glass is None:
-        # A value of exactly 0 would omit a component and create another kind of code.
-        values = {
-            name: max(float(getattr(material, name)), 1e-3)
-            for name in (
-                "metallic",
-                "roughness",
-                "spec_tint",
-                "anisotropic",
-                "sheen",
-                "sheen_tint",
-                "clearcoat",
-                "clearcoat_gloss",
-            )
-        }
         opaque = {
             "type": "principled",
             "base_color": _bitmap(mi, image),
-            "specular": float(np.clip(material.specular, 1e-3, 0.999)),
-            **values,
+            **opaque_values(material),
         }
         return {"type": "twosided", "surface": opaque}
     if mi.variant().startswith("scalar"):

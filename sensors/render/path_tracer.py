@@ -83,7 +83,7 @@ class PathTracer:
         meshes: Sequence[tuple[Any, sim_scene.SceneObject]],
         sky: Sky,
     ) -> None:
-        self._shapes, self._sky = shapes, sky
+        self._shapes, self.sky = shapes, sky
         self._glass = glass.Table([m for m, _ in meshes], [_glass_of(item) for _, item in meshes])
         self._far = _data(4 * shapes.everything.bbox().bounding_sphere().radius + 1)
         self._sampler = mi.load_dict({"type": "multijitter"})
@@ -92,7 +92,7 @@ class PathTracer:
     def radiance(
         self,
         camera: Camera,
-        T_world_cam: SE3,
+        T_world_cam: SE3 | Sequence[SE3],
         projector: sim_scene.Projector | None,
         *,
         ambient: float,
@@ -100,7 +100,10 @@ class PathTracer:
         seed: int,
         grey: bool,
     ) -> NDArray[np.float32]:
-        """(H, W, n, c) float32: mean of every chunk of every pixel; c is 1 where `grey`."""
+        """(N H, W, n, c) float32: mean of every chunk of every pixel; c is 1 where `grey`.
+
+        The images of N cameras are one below the other, rendered in one launch.
+        """
         # Without ambient light, dots at the same places in every pixel are less noisy.
         regular = projector is not None and ambient == 0
         ray, count = self._rays(camera, T_world_cam, options.samples, seed, regular=regular)
@@ -110,7 +113,7 @@ class PathTracer:
         light = _trace(
             self._shapes,
             self._glass,
-            self._sky if ambient > 0 else None,
+            self.sky if ambient > 0 else None,
             self._far,
             self._sampler,
             ray,
@@ -125,20 +128,23 @@ class PathTracer:
         dr.eval(*parts)  # together: separately, every sum would run the whole kernel
         sums = [dr.block_sum(part, chunk) for part in parts]
         dr.eval(*sums)
-        shape = (camera.height, camera.width, count // chunk)
+        shape = (-1, camera.width, count // chunk)
         means = [np.array(s).reshape(shape) / np.float32(chunk) for s in sums]
         return np.stack(means, axis=-1)
 
     def features(
-        self, camera: Camera, T_world_cam: SE3, *, samples: int, seed: int
+        self, camera: Camera, T_world_cam: SE3 | Sequence[SE3], *, samples: int, seed: int
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Albedo and world-frame normal of the first surface, (H, W, 3) float32 each."""
+        """Albedo and world-frame normal of what is seen, (N H, W, 3) float32 each.
+
+        The albedo is that of the first surface behind glass, the normal that of the glass.
+        """
         ray, count = self._rays(camera, T_world_cam, samples, seed)
         albedo, normal = _features(self._shapes, self._glass, ray)
         dr.eval(albedo, normal)
         sums = [dr.block_sum(v, count) for v in (*albedo, *normal)]
         dr.eval(*sums)
-        shape = (camera.height, camera.width)
+        shape = (-1, camera.width)
         maps = np.stack([np.array(s).reshape(shape) for s in sums], axis=-1) / np.float32(count)
         return np.ascontiguousarray(maps[..., :3]), np.ascontiguousarray(maps[..., 3:])
 
@@ -156,9 +162,16 @@ class PathTracer:
         return np.array(z).reshape(shape), np.array(n).T.reshape(*shape, 3)
 
     def _rays(
-        self, camera: Camera, T: SE3, samples: int, seed: int, *, regular: bool = False
+        self,
+        camera: Camera,
+        T: SE3 | Sequence[SE3],
+        samples: int,
+        seed: int,
+        *,
+        regular: bool = False,
     ) -> tuple[Any, int]:
-        total = camera.width * camera.height * samples
+        eyes = [T] if isinstance(T, SE3) else list(T)
+        total = len(eyes) * camera.width * camera.height * samples
         group = self._group(samples)
         self._sampler.set_sample_count(group)
         self._sampler.set_samples_per_wavefront(group)
@@ -173,9 +186,14 @@ class PathTracer:
             side = dr.opaque(mi.UInt32, across)
             at = mi.Point2f(mi.Float(cell % side), mi.Float(cell // side))
             jitter = (at + 0.5) / mi.Float(side)
+        height = dr.opaque(mi.UInt32, camera.height)
+        eye = row // height
         x = mi.Float(pixel - row * width) + jitter.x - 0.5
-        y = mi.Float(row) + jitter.y - 0.5
-        return _camera_rays(camera, T, x, y), samples
+        y = mi.Float(row - eye * height) + jitter.y - 0.5
+        ray = _camera_rays(camera, eyes[0], x, y)
+        for i, other in enumerate(eyes[1:], start=1):
+            ray = dr.select(eye == i, _camera_rays(camera, other, x, y), ray)
+        return ray, samples
 
     def _group(self, samples: int) -> int:
         """Largest divisor of the samples that the sampler can stratify directly (16 of 32)."""
@@ -240,7 +258,7 @@ def _glass_of(item: sim_scene.SceneObject) -> glass.GlassSurface | None:
 
 @dr.syntax
 def _features(shapes, table, ray_in):  # type: ignore[no-untyped-def]
-    """Albedo and normal of the first surface that is not glass."""
+    """Albedo of the first surface that is not glass, and the normal of the first one."""
     ray = mi.Ray3f(ray_in)
     albedo, normal = mi.Spectrum(1), mi.Normal3f(0)
     todo = mi.Bool(True)
@@ -251,7 +269,7 @@ def _features(shapes, table, ray_in):  # type: ignore[no-untyped-def]
         face = table.at(si.shape, hit)
         found = hit & ~face.clear
         albedo[found] = si.bsdf(ray).eval_diffuse_reflectance(si, found)
-        normal[hit & (found | (crossed == 0))] = si.sh_frame.n
+        normal[hit & (crossed == 0)] = si.sh_frame.n
         # Choice 1: always transmitted.
         onward, _, _ = glass.crossed(face, si, ray.d, mi.Float(1), mi.Point2f(0), dots=False)
         ray = si.spawn_ray(onward)

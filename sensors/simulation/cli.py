@@ -36,7 +36,7 @@ def run(options: RunCommand) -> int:
         replace(options.options, split="test" if options.split == "test" else "train"),
         seeds,
         split=options.split,
-        layouts=tuple(dict.fromkeys(options.layout)) or ("dreds",),
+        layouts=tuple(dict.fromkeys(options.layout)),
         cache=options.cache,
         jobs=options.jobs,
     )
@@ -71,7 +71,9 @@ def preview(options: PreviewCommand) -> None:
             f"{obj.instance_id:3d}  {obj.category:10s} {1000 * obj.scale_m:4.0f} mm  "
             f"{obj.material_class:12s} {drawn.material.name}"
         )
-    print(f"floor: {world.draw.floor.material.name}; light: {world.scene.environment.name}")
+    for index, (floor, light) in enumerate(zip(world.draw.floors, world.draw.light, strict=True)):
+        print(f"view {index}: floor {floor.material.name}, light {light.environment}")
+    print(f"surroundings: {world.draw.setting.kind}")
     print(options.out)
 
 
