@@ -195,10 +195,7 @@ def crossed(
     total = sin2 >= 1
     beyond = dr.safe_sqrt(1 - sin2)
     reflectance = dr.select(total, 1, fresnel(dr.select(enters, inside, beyond), face.ior))
-    if dots:
-        chance = dr.select(reflectance < WEAK, 0, reflectance)
-    else:
-        chance = reflectance
+    chance = dr.select(reflectance < WEAK, 0, reflectance) if dots else reflectance
     mirror = choice < chance
     kept = 1 - face.haze
     weight = dr.select(

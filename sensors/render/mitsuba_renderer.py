@@ -96,9 +96,7 @@ class MitsubaScene:
 
         return PathTracer(shapes, meshes, Sky(scene.environment, scene.environment_rotation_rad))
 
-    def change(
-        self, environment: EnvironmentMap, rotation_rad: float, floor: SceneObject
-    ) -> None:
+    def change(self, environment: EnvironmentMap, rotation_rad: float, floor: SceneObject) -> None:
         """See `LoadedScene.change`."""
         was = self._scene
         self._mi.set_variant(self._variant)

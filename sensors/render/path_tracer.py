@@ -351,9 +351,7 @@ def _trace(  # type: ignore[no-untyped-def]
             light[asks_beam] += (
                 throughput
                 * value
-                * _unblocked(
-                    shapes.opaque, shapes.glass, table, si, beam.frame.origin, asks_beam
-                )
+                * _unblocked(shapes.opaque, shapes.glass, table, si, beam.frame.origin, asks_beam)
             )
         opaque = going & ~face.clear
         scattered, last = mi.Bool(False), mi.Bool(False)

@@ -130,9 +130,7 @@ class ColorLight:
 class LoadedScene(Protocol):
     """A loaded scene, ready to be rendered from any number of views."""
 
-    def change(
-        self, environment: EnvironmentMap, rotation_rad: float, floor: SceneObject
-    ) -> None:
+    def change(self, environment: EnvironmentMap, rotation_rad: float, floor: SceneObject) -> None:
         """Change the light and the material of the scene's first object, its floor.
 
         Args:

@@ -36,8 +36,18 @@ from sensors.simulation.options import Factor, MaterialSwitch, SimulationOptions
 from std_toolkit.errors import ToolkitError
 
 Aspect = Literal[
-    "objects", "sizes", "materials", "light", "floor", "drop", "views", "noise", "pattern", "parts",
-    "color", "setting",
+    "objects",
+    "sizes",
+    "materials",
+    "light",
+    "floor",
+    "drop",
+    "views",
+    "noise",
+    "pattern",
+    "parts",
+    "color",
+    "setting",
 ]
 ASPECTS: tuple[Aspect, ...] = (
     "objects",
@@ -257,9 +267,7 @@ def with_parts(rng: np.random.Generator, drawn: ObjectDraw, asset: Asset) -> Obj
     }
     if asset.cavity is None or rng.random() >= FILLED_SHARE:
         return replace(drawn, parts=parts)
-    return replace(
-        drawn, parts=parts, fill=float(rng.uniform(*FILL)), liquid=draw_liquid(rng)
-    )
+    return replace(drawn, parts=parts, fill=float(rng.uniform(*FILL)), liquid=draw_liquid(rng))
 
 
 def draw_categories(
@@ -288,15 +296,16 @@ def draw_categories(
     low, high = SOMETIMES_COUNT
     count = min(int(rng.integers(low, high + 1)), len(others))
     picked = [others[int(i)] for i in np.sort(rng.permutation(len(others))[:count])]
-    spare = [c for c in known if c not in (*ALWAYS, *SOMETIMES)] or [OTHER]
+    own = [c for c in known if c not in (*ALWAYS, *SOMETIMES)]
+    spare = own or [OTHER]
     low, high = DISTRACTOR_COUNT
     extra = int(rng.integers(low, high + 1))
     distractors = [spare[int(i)] for i in rng.integers(len(spare), size=extra)]
     found = [*always, *picked, *distractors]
-    # A source of few categories: more objects of them, and more distractors.
+    # A source of few categories: more objects of them too.
     more = options.min_objects - len(found)
     if more > 0:
-        choice = [*named, *spare]
+        choice = own or [*named, OTHER]
         found += [choice[int(i)] for i in rng.integers(len(choice), size=more)]
     return found[: options.max_objects]
 

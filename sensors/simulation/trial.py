@@ -135,9 +135,8 @@ def vessels(
         np.array([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]]), np.array([[0, 1, 2], [0, 2, 3]])
     )
     drawn = draw_floor(rng).material if floor is None else draw_material(rng, "diffuse", name=floor)
-    objects = [
-        sim_scene.SceneObject(0, ground, SE3.identity(), msgspec.structs.replace(drawn, own_share=0))
-    ]
+    drawn = msgspec.structs.replace(drawn, own_share=0)
+    objects = [sim_scene.SceneObject(0, ground, SE3.identity(), drawn)]
     # Assets have y up, the world z.
     turn = np.eye(3) if lying else np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     up = 2 if lying else 1
