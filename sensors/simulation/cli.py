@@ -10,7 +10,7 @@ from std_toolkit.cli.command import Command, Program, print_json
 from std_toolkit.cli.command_options import words_of
 
 if TYPE_CHECKING:
-    from sensors.simulation.options import PreviewCommand, RunCommand, StatsCommand
+    from sensors.simulation.options import AssetsCommand, PreviewCommand, RunCommand, StatsCommand
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -91,6 +91,19 @@ def stats(options: StatsCommand) -> None:
         write_bytes_atomic(options.csv, statistics.depth.to_csv().encode())
 
 
+def assets(options: AssetsCommand) -> None:
+    """List or download free environment maps and floors."""
+    from sensors.assets.downloads import fetch, load_list
+
+    found = load_list(options.list_file)
+    if options.action == "list":
+        for item in found:
+            print(f"{item.folder:13s} {item.name:36s} {item.bytes / 1e6:6.1f} MB  {item.licence}")
+        return
+    made = fetch(options.out, found)
+    print(f"{made} files downloaded, {len(found) - made} were there; in {options.out}")
+
+
 def _with_preset(words: list[str]) -> list[str]:
     """The options of the requested preset, followed by the given ones."""
     start = next((i for i, w in enumerate(words) if w not in ("--quiet", "--debug")), len(words))
@@ -123,6 +136,7 @@ PROGRAM = Program(
     commands=(
         _command("run", "simulate scenes (also without the word: std-sim --out DIR ...)"),
         _command("preview", "make one scene and show it as a contact sheet"),
+        _command("assets", "list or download free environment maps and floors"),
         _command("stats", "categories, materials, and completeness and error of the raw depth"),
     ),
     default="run",

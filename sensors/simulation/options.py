@@ -187,3 +187,15 @@ class StatsCommand:
     """write the depth table to this file"""
     json: bool = False
     """print JSON"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssetsCommand:
+    """List or download free (CC0) environment maps and floors. Nothing else downloads anything."""
+
+    action: Literal["list", "fetch"]
+    """list: print names, sizes and licences; fetch: download what is not there yet"""
+    out: Path = field(default=Path("assets"), metadata={"option": "out"})
+    """folder, which gets sub-folders for --environments and --floors"""
+    list_file: Path | None = None
+    """another list of files with checksums"""

@@ -45,9 +45,7 @@ def test_other_materials_leave_everything_else_as_it_was(materials: str) -> None
     plain = drawn(2)
     switched = drawn(2, msgspec.structs.replace(OPTIONS, materials=materials))
     assert [
-        msgspec.structs.replace(
-            o, material=p.material, parts=p.parts, fill=p.fill, liquid=p.liquid
-        )
+        msgspec.structs.replace(o, material=p.material, parts=p.parts, fill=p.fill, liquid=p.liquid)
         for o, p in zip(switched.objects, plain.objects, strict=True)
     ] == plain.objects
     assert (switched.floors, switched.light) == (plain.floors, plain.light)
