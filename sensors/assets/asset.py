@@ -44,6 +44,8 @@ class Asset:
             (they may leave [0, 1] where the texture repeats), or None.
         texture: (H, W, 3) uint8 RGB image for `corner_uv`, first row at v = 1, or None.
         diagonal_m: bounding-box diagonal of the real object in metres, if the source knows it.
+        face_parts: (F,) name of the part that each face belongs to, or None: one part, "body".
+        cavity: closed surface of what the object can contain, if it is a closed vessel.
 
     Raises:
         ToolkitError: a mesh without faces or outside the canonical frame, or arrays of wrong shape.
@@ -57,6 +59,8 @@ class Asset:
     corner_uv: NDArray[np.float32] | None = None
     texture: NDArray[np.uint8] | None = None
     diagonal_m: float | None = None
+    face_parts: NDArray[np.str_] | None = None
+    cavity: trimesh.Trimesh | None = None
 
     def __post_init__(self) -> None:
         check_name(self.id, field="id")
@@ -74,6 +78,7 @@ class Asset:
         for name, array, shape in (
             ("face_colors", self.face_colors, (count, 3)),
             ("corner_uv", self.corner_uv, (count, 3, 2)),
+            ("face_parts", self.face_parts, (count,)),
         ):
             if array is not None and array.shape != shape:
                 raise ToolkitError(

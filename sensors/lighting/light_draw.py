@@ -6,6 +6,7 @@ The floor's material is drawn from the library, or has an image from a user's fo
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -125,3 +126,58 @@ def draw_floor(
     # A floor has a texture of its own only if it has an image.
     material = msgspec.structs.replace(material, texture=texture, own_share=share)
     return FloorDraw(material=material, image=image, image_tile_m=tile)
+
+
+SettingKind = Literal["plane", "table", "room"]
+
+SETTING_SHARES: dict[SettingKind, float] = {"plane": 0.4, "table": 0.4, "room": 0.2}
+
+# Half sides of a table top: beyond where objects come to rest.
+TABLE_HALF_M = (0.36, 0.7)
+
+TABLE_HEIGHT_M = (0.4, 0.9)
+
+# Beyond all cameras.
+WALL_AWAY_M = (1.3, 3.5)
+
+
+class SettingDraw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What surrounds the objects.
+
+    Attributes:
+        kind: plane: an endless floor; table: a table top with edges, above a ground and with walls
+            metres away; room: a floor with walls.
+        half_m: half sides of the table top.
+        height_m: of the table top above the ground.
+        turn_rad: rotation of table and walls about the vertical axis.
+        walls_m: distances of the walls from the middle.
+        ground, wall: their surfaces.
+    """
+
+    kind: SettingKind = "plane"
+    half_m: tuple[float, float] = (0.5, 0.5)
+    height_m: float = 0.75
+    turn_rad: float = 0.0
+    walls_m: tuple[float, ...] = ()
+    ground: FloorDraw | None = None
+    wall: FloorDraw | None = None
+
+
+def draw_setting(
+    rng: np.random.Generator, *, folder: Path | str | None = None, split: Split = "train"
+) -> SettingDraw:
+    """Draw what surrounds the objects; arguments as of `draw_floor`."""
+    kinds = list(SETTING_SHARES)
+    kind = kinds[int(rng.choice(len(kinds), p=list(SETTING_SHARES.values())))]
+    if kind == "plane":
+        return SettingDraw()
+    count = int(rng.integers(1, 4))
+    return SettingDraw(
+        kind=kind,
+        half_m=(float(rng.uniform(*TABLE_HALF_M)), float(rng.uniform(*TABLE_HALF_M))),
+        height_m=float(rng.uniform(*TABLE_HEIGHT_M)) if kind == "table" else 0.0,
+        turn_rad=float(rng.uniform(0, 2 * np.pi)),
+        walls_m=tuple(float(d) for d in rng.uniform(*WALL_AWAY_M, count)),
+        ground=draw_floor(rng, folder=folder, split=split) if kind == "table" else None,
+        wall=draw_floor(rng, folder=folder, split=split),
+    )

@@ -42,9 +42,12 @@ class Glass(material_library.Document, frozen=True, kw_only=True):
 
     ior: float
     roughness: material_library.Share
-    see_through: material_library.Share
-    gloss: material_library.Share
-    gloss_roughness: material_library.Share
+    transmission: material_library.Share
+    bend: material_library.Share = 1.0
+    waves_deg: float = 0.0
+    wave_m: float = 0.02
+    haze: material_library.Share = 0.0
+    gloss_roughness: material_library.Share = 0.0
 
 
 class DrawnMaterial(material_library.Document, frozen=True, kw_only=True):
@@ -185,10 +188,39 @@ def _draw_glass(rng: np.random.Generator, chosen: material_library.GlassMaterial
         glass=Glass(
             ior=_uniform(rng, chosen.ior),
             roughness=_uniform(rng, chosen.roughness),
-            see_through=_uniform(rng, chosen.see_through),
-            gloss=_uniform(rng, chosen.gloss),
+            transmission=_uniform(rng, chosen.transmission),
+            bend=_uniform(rng, chosen.bend),
+            waves_deg=_uniform(rng, chosen.waves_deg),
+            wave_m=_uniform(rng, chosen.wave_m),
+            haze=_uniform(rng, chosen.haze),
             gloss_roughness=_uniform(rng, chosen.gloss_roughness),
         ),
+    )
+
+
+LIQUIDS: dict[str, tuple[material_library.Color, float, float]] = {
+    "water": ((0.97, 0.99, 0.99), 0.98, 0.0),
+    "tea": ((0.6, 0.25, 0.08), 0.9, 0.01),
+    "juice": ((0.85, 0.45, 0.1), 0.35, 0.25),
+    "syrup": ((0.7, 0.1, 0.12), 0.85, 0.01),
+}
+"""Tint, transmission and haze of clear liquids, chosen by eye; milk is opaque."""
+
+
+def draw_liquid(rng: np.random.Generator) -> DrawnMaterial:
+    """Draw a liquid, half of them water; consumes two numbers."""
+    name = "water" if rng.random() < 0.5 else ("tea", "juice", "syrup", "milk")[rng.integers(4)]
+    if name == "milk":
+        return DrawnMaterial(
+            name=name, material_class="diffuse", color=(0.8, 0.78, 0.72), own_share=0.0
+        )
+    tint, transmission, haze = LIQUIDS[name]
+    return DrawnMaterial(
+        name=name,
+        material_class="transparent",
+        color=tint,
+        own_share=0.0,
+        glass=Glass(ior=1.33, roughness=0.0, transmission=transmission, haze=haze),
     )
 
 

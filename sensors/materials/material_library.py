@@ -135,31 +135,42 @@ class OpaqueMaterial(Document, frozen=True, kw_only=True):
 
 
 class GlassMaterial(Document, frozen=True, kw_only=True):
-    """A transparent material: a mixture of a refracting, a straight-through and a glossy part.
+    """A transparent material. `sensors.render.glass` has its optics.
 
     Attributes:
-        ior: range of the index of refraction.
+        ior: range of the index of refraction, which sets the reflections.
         roughness: range of the roughness of the refracting surface, 0..1.
-        see_through: range of the fraction of light that passes a surface without refraction. In a
-            path tracer only this fraction of a point projector's light reaches surfaces behind it.
-        gloss: range of the strength of the glossy coat, 0..1.
-        gloss_roughness: range of the coat's roughness, 0..1.
-        tint: two corners of the box of linear RGB transmittances.
+        transmission: range of the fraction of light that passes the two walls of a hollow object,
+            its reflections apart. A face passes the fourth root.
+        bend: range of the share of the refraction that a wall as thick as the mesh's has; 1 for
+            glass, near 0 for sheets of plastic, through which light passes straight.
+        waves_deg: range of the deviation of light by each face, in degrees; walls are wrinkled,
+            dented and of uneven thickness.
+        wave_m: range of the distance between two wrinkles, metres.
+        haze: range of the fraction of light that each face scatters evenly, 0..0.5.
+        gloss_roughness: range of the roughness of the highlights of lamps, 0..1.
+        tint: two corners of the box of linear RGB transmittances of a hollow object.
     """
 
     name: str
     family: str
     ior: Range
     roughness: Range
-    see_through: Range
-    gloss: Range
+    transmission: Range
+    bend: Range
+    waves_deg: Range
+    wave_m: Range
+    haze: Range
     gloss_roughness: Range
     tint: tuple[Color, Color]
 
     def __post_init__(self) -> None:
         _check_range(self.ior, "ior", 1.01, 3.0)
-        for name in ("roughness", "see_through", "gloss", "gloss_roughness"):
+        for name in ("roughness", "transmission", "bend", "gloss_roughness"):
             _check_range(getattr(self, name), name, 0.0, 1.0)
+        _check_range(self.waves_deg, "waves_deg", 0.0, 20.0)
+        _check_range(self.wave_m, "wave_m", 1e-3, 1.0)
+        _check_range(self.haze, "haze", 0.0, 0.5)
         _check_box(self.tint, "tint")
 
 

@@ -14,6 +14,11 @@ every file; the records are outside the folders that loaders search. Details of 
   background 1, NOCS pictures have B = 1 - z;
 - the quaternions of the meta lines are those of the inverse rotation, camera to object;
 - `_depth_120` is the exact depth of everything, table and floor included.
+
+DREDS-CatNovel, whose objects are of categories that no network was trained on, differs: its scenes
+lie in OUT/DREDS-CatNovel/<scene>, the exact depth is `_depth_0`, there are neither NOCS pictures
+nor meshes, and a meta line is the mask id, the class and the material. The records are in
+OUT/parameters/novel.
 """
 
 from __future__ import annotations
@@ -41,6 +46,8 @@ Split = Literal["train", "val", "test"]
 _CAD_FOLDERS: dict[str, str] = {"train": "syn_train", "val": "syn_train", "test": "syn_test"}
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
 DATA_SET = "DREDS-CatKnown"
+NOVEL_SET = "DREDS-CatNovel"
+NOVEL = "novel"
 SUFFIXES = (
     "_color.png",
     "_ir_l.png",
@@ -72,12 +79,13 @@ MOST_FRAMES = 10_000
 class DredsWriter:
     """Writes the frames of one scene; see `dreds_scene`."""
 
-    def __init__(self, folder: Path, received: ReceivedFrames) -> None:
+    def __init__(self, folder: Path, received: ReceivedFrames, *, novel: bool = False) -> None:
         self._folder = folder
         self._received = received
+        self._novel = novel
 
     def add(self, frame: simulated_frame.SimulatedFrame) -> None:
-        """Write the nine files of a frame. Frames may come in any order.
+        """Write the files of a frame. Frames may come in any order.
 
         Raises:
             ToolkitError: the frame does not belong to the scene, or the disk is full.
@@ -95,17 +103,18 @@ class DredsWriter:
         images.write_png(path("_ir_r.png"), frame.infrared_right)
         raw = np.where(frame.depth_aligned > 0, frame.depth_aligned, NO_MEASUREMENT)
         _write_equal(path("_simDepthImage.exr"), raw)
-        _write_equal(path("_depth_120.exr"), frame.depth_exact)
+        _write_equal(path("_depth_0.exr" if self._novel else "_depth_120.exr"), frame.depth_exact)
         _write_equal(path("_mask.exr"), mask_values(frame.mask))
-        images.write_png(path("_coord.png"), nocs_picture(frame.nocs, frame.mask))
+        if not self._novel:
+            images.write_png(path("_coord.png"), nocs_picture(frame.nocs, frame.mask))
         _write_channels(path("_normal.exr"), frame.normals)
-        meta = meta_text(self._received.scene, frame)
+        meta = meta_text(self._received.scene, frame, short=self._novel)
         atomic.write_bytes_atomic(path("_meta.txt"), meta.encode("ascii"))
 
 
 @contextmanager
 def dreds_scene(
-    out: Path, scene: simulated_frame.SimulatedScene, *, split: Split
+    out: Path, scene: simulated_frame.SimulatedScene, *, split: Split, novel: bool = False
 ) -> Iterator[DredsWriter]:
     """A writer of a scene, which appears in the data set when the block ends without an error.
 
@@ -115,6 +124,7 @@ def dreds_scene(
         out: top of the data set.
             scene: properties shared by all frames.
             split: part of the data set that it belongs to.
+            novel: write DREDS-CatNovel, which is not split.
 
         Raises:
             ToolkitError: the scene exists, exceeds the limits of the layout, a mesh of the same
@@ -129,13 +139,13 @@ def dreds_scene(
         if count > most:
             raise ToolkitError(f"the DREDS layout holds at most {most} {what}", value=count)
     received = ReceivedFrames(scene)
-    target = scene_folder(out, split, scene.name)
-    record = record_path(out, split, scene.name)
+    target = novel_folder(out, scene.name) if novel else scene_folder(out, split, scene.name)
+    record = record_path(out, NOVEL if novel else split, scene.name)
     try:
         with staged_folder(out, target.relative_to(out).as_posix()) as folder:
-            yield DredsWriter(folder, received)
+            yield DredsWriter(folder, received, novel=novel)
             received.require_all()
-            for item in scene.objects:
+            for item in () if novel else scene.objects:
                 _write_model(out, f"cad_model/{_CAD_FOLDERS[split]}/{_cad_name(item)}", item)
             documents.write_document(record, scene_record(received))
     except BaseException:
@@ -149,8 +159,13 @@ def scene_folder(out: Path, split: Split, name: str) -> Path:
     return out / DATA_SET / split / name
 
 
-def record_path(out: Path, split: Split, name: str) -> Path:
-    """Path of the record of a scene."""
+def novel_folder(out: Path, name: str) -> Path:
+    """Folder of a scene of DREDS-CatNovel; it exists exactly when the scene is complete."""
+    return out / NOVEL_SET / name
+
+
+def record_path(out: Path, split: str, name: str) -> Path:
+    """Path of the record of a scene; `split` is "novel" for those of DREDS-CatNovel."""
     return out / "parameters" / split / f"{name}.json"
 
 
@@ -181,16 +196,25 @@ def nocs_picture(nocs: simulated_frame.Map, mask: simulated_frame.Image8) -> sim
     return picture
 
 
-def meta_text(scene: simulated_frame.SimulatedScene, frame: simulated_frame.SimulatedFrame) -> str:
+def meta_text(
+    scene: simulated_frame.SimulatedScene,
+    frame: simulated_frame.SimulatedFrame,
+    *,
+    short: bool = False,
+) -> str:
     """A line of 13 fields, each followed by a space, for every object in the view.
 
-    mask id, class, synset, instance, diagonal in metres, material, quaternion w x y z of the
-    rotation from camera to object, origin of the object in the camera frame in metres.
+    In the short form there are three: mask id, class 0, material. In full: mask id, class, synset,
+    instance, diagonal in metres, material, quaternion w x y z of the rotation from camera to
+    object, origin of the object in the camera frame in metres.
     """
     T_cam_world = frame.T_world_cam.inverse()
     lines = []
     for item in scene.objects:
         if item.instance_id in frame.hidden:
+            continue
+        if short:
+            lines.append(f"{item.instance_id} 0 {MATERIAL_IDS[item.material_class]} \n")
             continue
         T_cam_obj = T_cam_world @ item.T_world_obj
         q = SE3(T_cam_obj.R.T, np.zeros(3)).quat()

@@ -24,6 +24,8 @@ class SettleOptions:
 
     Attributes:
         half_width_m: half the side of the square that they fall on, centred at the origin.
+        spread_m: half the side of the square that their middles start above; None: all of the
+            square. In a small one they fall on each other: clutter, and stacks.
         tilt: largest initial rotation from upright about each horizontal axis, radians.
         longest_s: limit of the simulated time to come to rest, seconds per attempt.
         attempts: number of drops, each from another start, before giving up.
@@ -31,6 +33,7 @@ class SettleOptions:
     """
 
     half_width_m: float = 0.3
+    spread_m: float | None = None
     tilt: float = np.pi / 4
     longest_s: float = 6.0
     attempts: int = 8
@@ -121,6 +124,8 @@ def _start(
     for obj in objects:
         radius = obj.diagonal_m / 2
         room = max(options.half_width_m - radius, 0.0)
+        if options.spread_m is not None:
+            room = min(room, options.spread_m)
         x, y = rng.uniform(-room, room, 2)
         a, b = rng.uniform(-options.tilt, options.tilt, 2)
         turn = rng.uniform(-np.pi, np.pi)

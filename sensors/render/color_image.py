@@ -10,6 +10,8 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any
 
+import cv2
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -56,11 +58,62 @@ def denoise(light: ColorLight, *, threads: int | None = None) -> NDArray[np.floa
     return clean(light.radiance, light.albedo, light.normal)
 
 
+class ColorResponse(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Settings of the colour camera in one frame; the defaults are those of a good picture.
+
+    Attributes:
+        exposure_ev: deviation from the automatic exposure, in stops.
+        red_gain, blue_gain: errors of the white balance, relative to green.
+        gain: factor on the noise.
+        blur_share: length of the motion blur as a fraction of the image's width.
+        blur_rad: its direction, from the image's x axis.
+    """
+
+    exposure_ev: float = 0.0
+    red_gain: float = 1.0
+    blue_gain: float = 1.0
+    gain: float = 1.0
+    blur_share: float = 0.0
+    blur_rad: float = 0.0
+
+
+EXPOSURE_EV = 1.5
+
+BLURRED_SHARE, LONGEST_BLUR = 0.3, 8 / 640
+
+
+def draw_response(rng: np.random.Generator) -> ColorResponse:
+    """Random settings; consumes seven numbers."""
+    off, spread, red, blue, gain, blurred, angle = rng.random(7)
+    # Most automatic exposures are nearly right.
+    ev = EXPOSURE_EV * (2 * spread - 1) * (1.0 if off < 0.4 else 0.3)
+    blur = blurred / BLURRED_SHARE if blurred < BLURRED_SHARE else 0.0
+    return ColorResponse(
+        exposure_ev=float(ev),
+        red_gain=float(0.85 + 0.3 * red),
+        blue_gain=float(0.85 + 0.3 * blue),
+        gain=float(4**gain),
+        blur_share=float(LONGEST_BLUR * blur),
+        blur_rad=float(np.pi * angle),
+    )
+
+
+def _moved(radiance: Image, length_px: float, angle: float) -> Image:
+    """Light smeared along a line."""
+    size = 2 * int(np.ceil(length_px / 2)) + 1
+    at = np.linspace(-length_px / 2, length_px / 2, 4 * size)
+    kernel = np.zeros((size, size), np.float32)
+    x, y = (np.rint(at * f(angle)).astype(int) + size // 2 for f in (np.cos, np.sin))
+    np.add.at(kernel, (y, x), 1 / len(at))
+    return np.asarray(cv2.filter2D(radiance, -1, kernel, borderType=cv2.BORDER_REFLECT), np.float32)
+
+
 def develop(
     radiance: NDArray[np.floating],
     *,
     rng: np.random.Generator | None = None,
     exposure: float | None = None,
+    response: ColorResponse | None = None,
 ) -> tuple[NDArray[np.uint8], float]:
     """8-bit sRGB image of linear radiance.
 
@@ -68,6 +121,7 @@ def develop(
         radiance: (H, W, 3).
         rng: generator of the camera noise; None adds none.
         exposure: factor on the radiance; None exposes for middle grey.
+        response: deviations from a good picture; None: there are none.
 
     Returns:
         (H, W, 3) uint8 image and the exposure used.
@@ -77,11 +131,16 @@ def develop(
         middle = float(np.exp(np.log(level + 1e-4).mean()))
         bright = float(np.quantile(level, 1 - BRIGHT_SHARE))
         exposure = min(MIDDLE_GREY / max(middle, 1e-6), BRIGHTEST / max(bright, 1e-6))
+    response = response or ColorResponse()
+    exposure *= 2**response.exposure_ev
     x = np.maximum(np.asarray(radiance, np.float32) * np.float32(exposure), 0)
+    x = x * np.array([response.red_gain, 1.0, response.blue_gain], np.float32)
+    if response.blur_share * x.shape[1] >= 1:
+        x = _moved(x, response.blur_share * x.shape[1], response.blur_rad)
     # Highlights roll off instead of clipping at once.
     x = np.where(x > 0.6, 0.6 + 0.4 * (1 - np.exp(-(x - 0.6) / 0.4)), x)
     if rng is not None:
-        x = x + NOISE * rng.standard_normal(x.shape, np.float32) * np.sqrt(x + 0.05)
+        x = x + response.gain * NOISE * rng.standard_normal(x.shape, np.float32) * np.sqrt(x + 0.05)
     return to_srgb(x), float(exposure)
 
 

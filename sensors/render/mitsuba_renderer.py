@@ -17,6 +17,10 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.rendering.renderer import check_no_distortion
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from sensors.lighting.environment import EnvironmentMap
+    from sensors.render.sim_scene import SceneObject
     from std_toolkit.geometry import SE3, Camera
 
 _FEATURE_SAMPLES = 4
@@ -72,6 +76,7 @@ class MitsubaScene:
         self._scene = scene
         # Surfaces differ between colour and infrared; each tracer is built on first use.
         self._tracers: dict[bool, Any] = {}
+        self._floors: dict[bool, Any] = {}
 
     def _tracer(self, *, infrared: bool) -> Any:
         if infrared not in self._tracers:
@@ -80,15 +85,65 @@ class MitsubaScene:
 
     def _make_tracer(self, *, infrared: bool) -> Any:
         mi, scene = self._mi, self._scene
-        loaded = mitsuba_scene.build(mi, scene, infrared=infrared)
+        shapes, meshes = mitsuba_scene.build(mi, scene, infrared=infrared)
+        self._floors[infrared] = meshes[0][0]
         if self._variant.startswith("scalar"):
             from sensors.render.builtin_tracer import BuiltinTracer
 
-            return BuiltinTracer(loaded.everything, mitsuba_scene.environment(mi, scene))
+            return BuiltinTracer(shapes.everything, mitsuba_scene.environment(mi, scene))
         from sensors.render.path_tracer import PathTracer
         from sensors.render.sky import Sky
 
-        return PathTracer(loaded, Sky(scene.environment, scene.environment_rotation_rad))
+        return PathTracer(shapes, meshes, Sky(scene.environment, scene.environment_rotation_rad))
+
+    def change(self, environment: EnvironmentMap, rotation_rad: float, floor: SceneObject) -> None:
+        """See `LoadedScene.change`."""
+        was = self._scene
+        self._mi.set_variant(self._variant)
+        self._scene = replace(
+            was,
+            objects=(floor, *was.objects[1:]),
+            environment=environment,
+            environment_rotation_rad=rotation_rad,
+        )
+        if self._variant.startswith("scalar"):
+            self._tracers.clear()
+            return
+        from sensors.render.sky import Sky
+
+        relit = environment is not was.environment or rotation_rad != was.environment_rotation_rad
+        for infrared, tracer in self._tracers.items():
+            if relit:
+                tracer.sky = Sky(environment, rotation_rad)
+            if floor is not was.objects[0]:
+                mesh = self._floors[infrared]
+                mitsuba_scene.repaint(self._mi, mesh, floor, infrared=infrared)
+
+    def infrared_pair(
+        self,
+        camera: Camera,
+        T_world_cams: tuple[SE3, SE3],
+        projector: Projector | None,
+        *,
+        ambient: float,
+        options: RenderOptions = DRAFT_INFRARED,
+        seed: int = 0,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """See `LoadedScene.infrared_pair`; one launch where the variant is compiled."""
+        scalar = self._variant.startswith("scalar")
+        clean = None if scalar else denoiser(self._threads)
+        if not (options.ambient_samples and clean and projector is not None and ambient > 0):
+            left, right = (
+                self.infrared(
+                    camera, T, projector, ambient=ambient, options=options, seed=2 * seed + eye
+                )
+                for eye, T in enumerate(T_world_cams)
+            )
+            return left, right
+        light = self._both_lights(
+            camera, T_world_cams, projector, clean, ambient=ambient, options=options, seed=seed
+        )
+        return light[0], light[1]
 
     def infrared(
         self,
@@ -109,11 +164,15 @@ class MitsubaScene:
             scalar = self._variant.startswith("scalar")
             clean = None if scalar else denoiser(self._threads)
             if clean is not None and projector is not None and ambient > 0:
-                return self._projected(
-                    camera, T_world_cam, projector, options=options, seed=seed
-                ) + self._denoised_ambient(
-                    camera, T_world_cam, clean, ambient=ambient, options=options, seed=seed
-                )
+                return self._both_lights(
+                    camera,
+                    (T_world_cam,),
+                    projector,
+                    clean,
+                    ambient=ambient,
+                    options=options,
+                    seed=seed,
+                )[0]
             many = 4 * options.samples
             options = replace(options, samples=many, chunk=options.samples, ambient_samples=0)
         chunks = self._radiance(
@@ -121,42 +180,37 @@ class MitsubaScene:
         )
         return clipped_mean(chunks)[..., 0]
 
-    def _projected(
+    def _both_lights(
         self,
         camera: Camera,
-        T_world_cam: SE3,
+        T_world_cams: Sequence[SE3],
         projector: Projector,
-        *,
-        options: RenderOptions,
-        seed: int,
-    ) -> NDArray[np.float32]:
-        """(H, W) light of the projector alone."""
-        options = replace(options, chunk=1)
-        paths = self._radiance(
-            camera, T_world_cam, projector, ambient=0.0, options=options, seed=seed, grey=True
-        )
-        return bounded_mean(paths[..., 0])
-
-    def _denoised_ambient(
-        self,
-        camera: Camera,
-        T_world_cam: SE3,
         clean: Denoiser,
         *,
         ambient: float,
         options: RenderOptions,
         seed: int,
     ) -> NDArray[np.float32]:
-        """(H, W) light of the environment alone, denoised."""
-        options = replace(options, samples=options.ambient_samples, chunk=0)
+        """(N, H, W) the projector's light, and the environment's, denoised."""
+        views = len(T_world_cams)
+        dots = replace(options, chunk=1)
         paths = self._radiance(
-            camera, T_world_cam, None, ambient=ambient, options=options, seed=seed, grey=True
+            camera, T_world_cams, projector, ambient=0.0, options=dots, seed=seed, grey=True
+        )
+        projected = np.stack([bounded_mean(p[..., 0]) for p in np.split(paths, views)])
+        rest = replace(options, samples=options.ambient_samples, chunk=0)
+        paths = self._radiance(
+            camera, T_world_cams, None, ambient=ambient, options=rest, seed=seed, grey=True
         )
         albedo, normal = self._tracer(infrared=True).features(
-            camera, T_world_cam, samples=_FEATURE_SAMPLES, seed=seed
+            camera, T_world_cams, samples=_FEATURE_SAMPLES, seed=seed
         )
-        light = np.repeat(clipped_mean(paths), 3, axis=-1)
-        return np.asarray(np.maximum(clean(light, albedo, normal).mean(axis=-1), 0), np.float32)
+        # Both views as one image, side by side, would mix at the border: one after the other.
+        parts = [
+            clean(np.repeat(clipped_mean(p), 3, axis=-1), a, n).mean(axis=-1)
+            for p, a, n in zip(*(np.split(x, views) for x in (paths, albedo, normal)), strict=True)
+        ]
+        return np.asarray(projected + np.maximum(np.stack(parts), 0), np.float32)
 
     def color(
         self,

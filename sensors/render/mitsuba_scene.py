@@ -1,7 +1,8 @@
 """A scene in Mitsuba's form: meshes, scattering, textures, the environment.
 
-There are only two kinds of surface code, one opaque and one of glass, with every number a
-parameter: Mitsuba compiles a kernel per kind, and scenes of any materials share it.
+There is only one kind of opaque surface code, with every number a parameter: Mitsuba compiles a
+kernel per kind, and scenes of any materials share it. Glass is the path tracer's (`render.glass`);
+the variant without a compiler gets a mixture of Mitsuba's own that comes near.
 
 The material and the object's own texture are mixed once into one base-colour image, so that a
 renderer needs a single texture per object. In infrared the same image has other grey levels: dyes
@@ -23,11 +24,20 @@ from sensors.materials.textures import make_texture, to_linear, to_srgb
 from sensors.render.sim_scene import SceneObject, SimScene, SurfaceMesh
 
 _SMOOTHEST = 2e-3
+"""Smallest roughness; a perfect mirror would need another kind of code."""
+
+_VALUES = (
+    "metallic",
+    "roughness",
+    "spec_tint",
+    "anisotropic",
+    "sheen",
+    "sheen_tint",
+    "clearcoat",
+    "clearcoat_gloss",
+)
 
 LARGEST = 1024
-
-
-"""Smallest roughness; a perfect mirror would need another kind of code."""
 
 
 @dataclass(eq=False)
@@ -45,15 +55,23 @@ class Shapes:
     glass: Any
 
 
-def build(mi: Any, scene: SimScene, *, infrared: bool = False) -> Shapes:
-    """The surfaces, in colour or in infrared, for the active variant of the module `mi`."""
-    meshes = [_mesh(mi, item, f"object{i}", infrared) for i, item in enumerate(scene.objects)]
-    clear = [item.material.glass is not None for item in scene.objects]
-    return Shapes(
+def build(
+    mi: Any, scene: SimScene, *, infrared: bool = False
+) -> tuple[Shapes, list[tuple[Any, SceneObject]]]:
+    """The surfaces, in colour or in infrared, for the active variant of the module `mi`.
+
+    Returns:
+        Mitsuba's scenes, and each mesh with the object or the part of one that it is.
+    """
+    items = [part for item in (*scene.objects, *scene.contents) for part in item.surfaces()]
+    meshes = [_mesh(mi, item, f"object{i}", infrared) for i, item in enumerate(items)]
+    clear = [item.material.glass is not None for item in items]
+    shapes = Shapes(
         _group(mi, meshes),
         _group(mi, [m for m, c in zip(meshes, clear, strict=True) if not c]),
         _group(mi, [m for m, c in zip(meshes, clear, strict=True) if c]),
     )
+    return shapes, list(zip(meshes, items, strict=True))
 
 
 def _group(mi: Any, meshes: list[Any]) -> Any:
@@ -86,63 +104,67 @@ def _mesh(mi: Any, item: SceneObject, name: str, infrared: bool) -> Any:
         props=properties,
     )
     parameters = mi.traverse(mesh)
-    # Mitsuba's v runs along the rows of an image, ours upwards.
-    uv = look.uv.reshape(-1, 2) * np.array([1, -1]) + np.array([0, 1])
     parameters["vertex_positions"] = np.ascontiguousarray(corners, np.float32).ravel()
     parameters["vertex_normals"] = np.ascontiguousarray(normals, np.float32).ravel()
-    parameters["vertex_texcoords"] = np.ascontiguousarray(uv, np.float32).ravel()
+    parameters["vertex_texcoords"] = _texcoords(look)
     parameters["faces"] = np.arange(count, dtype=np.uint32)
     parameters.update()
     return mesh
 
 
+def repaint(mi: Any, mesh: Any, item: SceneObject, *, infrared: bool) -> None:
+    """Give a mesh of `build` another opaque material, without new code for a kernel."""
+    look = appearance(item)
+    if infrared:
+        look = infrared_appearance(look, item.material)
+    parameters = mi.traverse(mesh)
+    parameters["vertex_texcoords"] = _texcoords(look)
+    for name, value in opaque_values(item.material).items():
+        key = f"bsdf.brdf_0.{name}"
+        parameters[key if key in parameters else f"{key}.value"] = value
+    image = mi.Bitmap(np.ascontiguousarray(look.image))
+    texture = mi.load_dict({"type": "bitmap", "bitmap": image})
+    parameters["bsdf.brdf_0.base_color.data"] = mi.traverse(texture)["data"]
+    parameters.update()
+
+
+def _texcoords(look: Appearance) -> NDArray[np.float32]:
+    # Mitsuba's v runs along the rows of an image, ours upwards.
+    uv = look.uv.reshape(-1, 2) * np.array([1, -1]) + np.array([0, 1])
+    return np.ascontiguousarray(uv, np.float32).ravel()
+
+
+def opaque_values(material: DrawnMaterial) -> dict[str, float]:
+    """Parameters of Mitsuba's BSDF. A value of exactly 0 would create another kind of code."""
+    values = {name: max(float(getattr(material, name)), 1e-3) for name in _VALUES}
+    return {**values, "specular": float(np.clip(material.specular, 1e-3, 0.999))}
+
+
 def _scattering(mi: Any, material: DrawnMaterial, image: np.ndarray) -> dict[str, Any]:
     glass = material.glass
     if glass is None:
-        # A value of exactly 0 would omit a component and create another kind of code.
-        values = {
-            name: max(float(getattr(material, name)), 1e-3)
-            for name in (
-                "metallic",
-                "roughness",
-                "spec_tint",
-                "anisotropic",
-                "sheen",
-                "sheen_tint",
-                "clearcoat",
-                "clearcoat_gloss",
-            )
-        }
         opaque = {
             "type": "principled",
             "base_color": _bitmap(mi, image),
-            "specular": float(np.clip(material.specular, 1e-3, 0.999)),
-            **values,
+            **opaque_values(material),
         }
         return {"type": "twosided", "surface": opaque}
-    # Light through the mask is not refracted; only so can the projector reach surfaces behind.
-    tint = {"type": "rgb", "value": list(material.color)}
-    return {
-        "type": "mask",
-        "opacity": 1.0 - glass.see_through,
-        "surface": {
-            "type": "blendbsdf",
-            "weight": glass.gloss,
-            "refracting": {
+    if mi.variant().startswith("scalar"):
+        # Light through the mask is not refracted; only so can the projector reach surfaces behind.
+        facing = ((glass.ior - 1) / (glass.ior + 1)) ** 2
+        passed = glass.transmission**0.25 * (1 - facing)
+        return {
+            "type": "mask",
+            "opacity": 1.0 - passed,
+            "surface": {
                 "type": "roughdielectric",
                 "distribution": "ggx",
                 "alpha": max(glass.roughness**2, _SMOOTHEST),
                 "int_ior": glass.ior,
-                "specular_transmittance": tint,
+                "specular_transmittance": {"type": "rgb", "value": list(material.color)},
             },
-            "glossy": {
-                "type": "roughconductor",
-                "distribution": "ggx",
-                "material": "none",
-                "alpha": max(glass.gloss_roughness**2, _SMOOTHEST),
-            },
-        },
-    }
+        }
+    return {"type": "null"}
 
 
 def _bitmap(mi: Any, image: np.ndarray) -> dict[str, Any]:

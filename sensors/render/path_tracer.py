@@ -1,8 +1,8 @@
 """Path tracing in one wavefront, for the compiled variants of Mitsuba.
 
 Mitsuba's own integrators support films and volumes; this one handles surfaces only. Shadow rays
-pass straight through the see-through fraction of glass, so that the projector's light reaches the
-surfaces behind it. Cameras are passed as data, so that no view triggers a compilation. The samples
+pass straight through glass (`render.glass`), so that the projector's light reaches the surfaces
+behind it. Cameras are passed as data, so that no view triggers a compilation. The samples
 of a pixel are contiguous, so that sums need no atomic operation and an image is reproducible to the
 bit.
 
@@ -11,6 +11,7 @@ Import only after a variant has been set.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +20,7 @@ import mitsuba
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.render import mitsuba_scene, sim_renderer, sim_scene
+from sensors.render import glass, mitsuba_scene, sim_renderer, sim_scene
 from sensors.render.sky import Sky
 from std_toolkit.geometry import SE3, Camera
 
@@ -72,11 +73,18 @@ class PathTracer:
 
     Args:
         shapes: surfaces of the active variant.
+        meshes: the meshes among them, with what they are made of.
         sky: its environment.
     """
 
-    def __init__(self, shapes: mitsuba_scene.Shapes, sky: Sky) -> None:
-        self._shapes, self._sky = shapes, sky
+    def __init__(
+        self,
+        shapes: mitsuba_scene.Shapes,
+        meshes: Sequence[tuple[Any, sim_scene.SceneObject]],
+        sky: Sky,
+    ) -> None:
+        self._shapes, self.sky = shapes, sky
+        self._glass = glass.Table([m for m, _ in meshes], [_glass_of(item) for _, item in meshes])
         self._far = _data(4 * shapes.everything.bbox().bounding_sphere().radius + 1)
         self._sampler = mi.load_dict({"type": "multijitter"})
         self._patterns: dict[int, tuple[sim_scene.Projector, Any]] = {}
@@ -84,7 +92,7 @@ class PathTracer:
     def radiance(
         self,
         camera: Camera,
-        T_world_cam: SE3,
+        T_world_cam: SE3 | Sequence[SE3],
         projector: sim_scene.Projector | None,
         *,
         ambient: float,
@@ -92,7 +100,10 @@ class PathTracer:
         seed: int,
         grey: bool,
     ) -> NDArray[np.float32]:
-        """(H, W, n, c) float32: mean of every chunk of every pixel; c is 1 where `grey`."""
+        """(N H, W, n, c) float32: mean of every chunk of every pixel; c is 1 where `grey`.
+
+        The images of N cameras are one below the other, rendered in one launch.
+        """
         # Without ambient light, dots at the same places in every pixel are less noisy.
         regular = projector is not None and ambient == 0
         ray, count = self._rays(camera, T_world_cam, options.samples, seed, regular=regular)
@@ -101,7 +112,8 @@ class PathTracer:
         beam = None if projector is None else self._beam(projector, weight)
         light = _trace(
             self._shapes,
-            self._sky,
+            self._glass,
+            self.sky if ambient > 0 else None,
             self._far,
             self._sampler,
             ray,
@@ -116,27 +128,23 @@ class PathTracer:
         dr.eval(*parts)  # together: separately, every sum would run the whole kernel
         sums = [dr.block_sum(part, chunk) for part in parts]
         dr.eval(*sums)
-        shape = (camera.height, camera.width, count // chunk)
+        shape = (-1, camera.width, count // chunk)
         means = [np.array(s).reshape(shape) / np.float32(chunk) for s in sums]
         return np.stack(means, axis=-1)
 
     def features(
-        self, camera: Camera, T_world_cam: SE3, *, samples: int, seed: int
+        self, camera: Camera, T_world_cam: SE3 | Sequence[SE3], *, samples: int, seed: int
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Albedo and world-frame normal of the first surface, (H, W, 3) float32 each."""
+        """Albedo and world-frame normal of what is seen, (N H, W, 3) float32 each.
+
+        The albedo is that of the first surface behind glass, the normal that of the glass.
+        """
         ray, count = self._rays(camera, T_world_cam, samples, seed)
-        si = self._shapes.everything.ray_intersect(ray)
-        bsdf = si.bsdf(ray)
-        hit = si.is_valid()
-        albedo = bsdf.eval_diffuse_reflectance(si, hit)
-        clear = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null)
-        # Surfaces seen through glass, and the sky, keep their own detail.
-        albedo = dr.select(hit & ~clear, albedo, mi.Spectrum(1))
-        normal = dr.select(hit, si.sh_frame.n, mi.Normal3f(0))
+        albedo, normal = _features(self._shapes, self._glass, ray)
         dr.eval(albedo, normal)
         sums = [dr.block_sum(v, count) for v in (*albedo, *normal)]
         dr.eval(*sums)
-        shape = (camera.height, camera.width)
+        shape = (-1, camera.width)
         maps = np.stack([np.array(s).reshape(shape) for s in sums], axis=-1) / np.float32(count)
         return np.ascontiguousarray(maps[..., :3]), np.ascontiguousarray(maps[..., 3:])
 
@@ -154,9 +162,16 @@ class PathTracer:
         return np.array(z).reshape(shape), np.array(n).T.reshape(*shape, 3)
 
     def _rays(
-        self, camera: Camera, T: SE3, samples: int, seed: int, *, regular: bool = False
+        self,
+        camera: Camera,
+        T: SE3 | Sequence[SE3],
+        samples: int,
+        seed: int,
+        *,
+        regular: bool = False,
     ) -> tuple[Any, int]:
-        total = camera.width * camera.height * samples
+        eyes = [T] if isinstance(T, SE3) else list(T)
+        total = len(eyes) * camera.width * camera.height * samples
         group = self._group(samples)
         self._sampler.set_sample_count(group)
         self._sampler.set_samples_per_wavefront(group)
@@ -171,9 +186,14 @@ class PathTracer:
             side = dr.opaque(mi.UInt32, across)
             at = mi.Point2f(mi.Float(cell % side), mi.Float(cell // side))
             jitter = (at + 0.5) / mi.Float(side)
+        height = dr.opaque(mi.UInt32, camera.height)
+        eye = row // height
         x = mi.Float(pixel - row * width) + jitter.x - 0.5
-        y = mi.Float(row) + jitter.y - 0.5
-        return _camera_rays(camera, T, x, y), samples
+        y = mi.Float(row - eye * height) + jitter.y - 0.5
+        ray = _camera_rays(camera, eyes[0], x, y)
+        for i, other in enumerate(eyes[1:], start=1):
+            ray = dr.select(eye == i, _camera_rays(camera, other, x, y), ray)
+        return ray, samples
 
     def _group(self, samples: int) -> int:
         """Largest divisor of the samples that the sampler can stratify directly (16 of 32)."""
@@ -223,37 +243,72 @@ def _projected(beam: _Beam, si: Any, active: Any) -> tuple[Any, Any]:
     return -away * dr.rsqrt(squared), irradiance
 
 
+def _glass_of(item: sim_scene.SceneObject) -> glass.GlassSurface | None:
+    material = item.material.glass
+    if material is None:
+        return None
+    mesh = item.mesh.prepared
+    corners = mesh.vertices[mesh.faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(cross, axis=1).sum() / 2
+    volume = abs(np.einsum("ij,ij->i", corners[:, 0], cross).sum()) / 6
+    solid = 2 * volume / max(area, 1e-12) > glass.THICK_SHARE * mesh.diagonal
+    return glass.GlassSurface(material, item.material.color, bool(solid), item.instance_id)
+
+
 @dr.syntax
-def _unblocked(opaque, glass, si, target, active):  # type: ignore[no-untyped-def]
+def _features(shapes, table, ray_in):  # type: ignore[no-untyped-def]
+    """Albedo of the first surface that is not glass, and the normal of the first one."""
+    ray = mi.Ray3f(ray_in)
+    albedo, normal = mi.Spectrum(1), mi.Normal3f(0)
+    todo = mi.Bool(True)
+    crossed = mi.UInt32(0)
+    while dr.hint(todo, label="features"):
+        si = shapes.everything.ray_intersect(ray, mi.RayFlags.All, crossed == 0, todo)
+        hit = todo & si.is_valid()
+        face = table.at(si.shape, hit)
+        found = hit & ~face.clear
+        albedo[found] = si.bsdf(ray).eval_diffuse_reflectance(si, found)
+        normal[hit & (crossed == 0)] = si.sh_frame.n
+        # Choice 1: always transmitted.
+        onward, _, _ = glass.crossed(face, si, ray.d, mi.Float(1), mi.Point2f(0), dots=False)
+        ray = si.spawn_ray(onward)
+        crossed += 1
+        todo = face.clear & (crossed < _MOST_CROSSINGS)
+    return albedo, normal
+
+
+@dr.syntax
+def _unblocked(opaque, clear, table, si, target, active):  # type: ignore[no-untyped-def]
     """Fraction of light that passes from `target` to a surface, straight through glass."""
     ray = si.spawn_ray_to(target)
     share = dr.select(active, mi.Spectrum(1), mi.Spectrum(0))
     if dr.hint(opaque is not None, mode="scalar"):
         share[active & opaque.ray_test(ray, active)] = 0
-    if dr.hint(glass is not None, mode="scalar"):
+    if dr.hint(clear is not None, mode="scalar"):
         todo = active & (share.x > 0)
         crossed = mi.UInt32(0)
         while dr.hint(todo, label="through glass"):
-            met = glass.ray_intersect_preliminary(ray, False, todo)
+            met = clear.ray_intersect_preliminary(ray, False, todo)
             hit = todo & met.is_valid()
             between = met.compute_surface_interaction(ray, mi.RayFlags.Minimal, hit)
-            share[hit] *= between.bsdf().eval_null_transmission(between, hit)
+            face = table.at(between.shape, hit)
+            share[hit] *= glass.straight(face, dr.dot(between.n, ray.d))
             crossed += 1
-            todo = hit & (dr.max(share) > 0) & (crossed < _MOST_CROSSINGS)
+            todo = hit & (dr.max(share) > 1e-3) & (crossed < _MOST_CROSSINGS)
             ray[todo] = between.spawn_ray_to(target)
     return share
 
 
 @dr.syntax
 def _trace(  # type: ignore[no-untyped-def]
-    shapes, sky, far, sampler, ray_in, beam, ambient, max_depth, diffuse_bounces, roulette_depth
+    shapes, table, sky, far, sampler, ray_in, beam, ambient, max_depth, diffuse_bounces, roulette
 ):
-    """Radiance along rays; depths and the existence of a beam are compile-time constants."""
+    """Radiance along rays; depths and the existence of beam and sky are compile-time constants."""
     context = mi.BSDFContext()
     ray = mi.Ray3f(ray_in)
     throughput = mi.Spectrum(1)
     light = mi.Spectrum(0)
-    eta = mi.Float(1)
     depth, diffuse = mi.UInt32(0), mi.UInt32(0)
     # Density of the last direction, for multiple importance sampling with the sky.
     last_pdf = mi.Float(dr.inf)
@@ -261,61 +316,96 @@ def _trace(  # type: ignore[no-untyped-def]
     last_share = mi.Float(1)
     while dr.hint(active, label="path"):
         si = shapes.everything.ray_intersect(ray, mi.RayFlags.All, depth == 0, active)
-        # Only the sky emits light: rays that leave the scene add its radiance.
-        left = active & ~si.is_valid()
-        other = sky.density(ray.d, left & dr.isfinite(last_pdf)) * last_share
-        share = dr.select(dr.isfinite(last_pdf), last_pdf / (last_pdf + other), 1)
-        light[left] += throughput * sky.radiance(ray.d, left) * (share * ambient)
+        if dr.hint(sky is not None, mode="scalar"):
+            # Only the sky emits light: rays that leave the scene add its radiance.
+            left = active & ~si.is_valid()
+            other = sky.density(ray.d, left & dr.isfinite(last_pdf)) * last_share
+            share = dr.select(dr.isfinite(last_pdf), last_pdf / (last_pdf + other), 1)
+            light[left] += throughput * sky.radiance(ray.d, left) * (share * ambient)
 
         going = active & si.is_valid() & (depth + 1 < max_depth)
+        face = table.at(si.shape, going)
         bsdf = si.bsdf(ray)
-        smooth = going & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-        point = sampler.next_2d(smooth)
-        asks_sky, sky_share = mi.Bool(smooth), mi.Float(1)
+        smooth = going & ~face.clear & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+        # Haze and highlights on glass; once a path was scattered, they hardly matter.
+        hazy = face.clear & (diffuse == 0)
+        asks_sky, sky_share = smooth | hazy, mi.Float(1)
         if dr.hint(beam is not None, mode="scalar"):
             # Directly visible surfaces sample both lights, indirectly visible ones sample one of
             # them: this choice causes most of the noise.
-            both = depth == 0
-            choice = sampler.next_1d(smooth)
-            asks_beam = smooth & (both | (choice < beam.chance))
-            asks_sky = smooth & (both | (choice >= beam.chance))
-            sky_share = dr.select(both, 1, 1 - beam.chance)
+            asks_beam = smooth | hazy
+            chance = mi.Float(1)
+            if dr.hint(sky is not None, mode="scalar"):
+                both = diffuse == 0
+                choice = sampler.next_1d(smooth)
+                asks_beam &= both | (choice < beam.chance)
+                asks_sky &= both | (choice >= beam.chance)
+                sky_share = dr.select(both, 1, 1 - beam.chance)
+                chance = dr.select(both, 1, beam.chance)
             to_beam, irradiance = _projected(beam, si, asks_beam)
             asks_beam &= irradiance > 0
-            value = bsdf.eval(context, si, si.to_local(to_beam), asks_beam)
+            value = bsdf.eval(context, si, si.to_local(to_beam), asks_beam & ~face.clear)
+            value[face.clear] = mi.Spectrum(glass.scattered(face, si, ray.d, to_beam))
             asks_beam &= dr.max(value) > 0
-            value *= irradiance / dr.select(both, 1, beam.chance)
+            value *= irradiance / chance
             light[asks_beam] += (
                 throughput
                 * value
-                * _unblocked(shapes.opaque, shapes.glass, si, beam.frame.origin, asks_beam)
+                * _unblocked(shapes.opaque, shapes.glass, table, si, beam.frame.origin, asks_beam)
             )
-        towards, sky_pdf, arriving = sky.draw(point, asks_sky)
-        sky_pdf *= sky_share
-        arriving *= ambient / sky_pdf
-        value, pdf, sample, weight = bsdf.eval_pdf_sample(
-            context, si, si.to_local(towards), sampler.next_1d(going), sampler.next_2d(going), going
-        )
-        asks_sky &= dr.max(value * arriving) > 0
-        scattered = going & mi.has_flag(sample.sampled_type, mi.BSDFFlags.DiffuseReflection)
-        diffuse[scattered] += 1
-        last = diffuse >= diffuse_bounces
-        share = dr.select(last, 1, sky_pdf / (sky_pdf + pdf))
-        arriving *= _unblocked(shapes.opaque, shapes.glass, si, si.p + towards * far, asks_sky)
-        light[asks_sky] += throughput * value * arriving * share
+        opaque = going & ~face.clear
+        scattered, last = mi.Bool(False), mi.Bool(False)
+        if dr.hint(sky is not None, mode="scalar"):
+            towards, sky_pdf, arriving = sky.draw(sampler.next_2d(asks_sky), asks_sky)
+            sky_pdf *= sky_share
+            arriving *= ambient / sky_pdf
+            value, pdf, sample, weight = bsdf.eval_pdf_sample(
+                context,
+                si,
+                si.to_local(towards),
+                sampler.next_1d(going),
+                sampler.next_2d(going),
+                opaque,
+            )
+            value[face.clear] = mi.Spectrum(
+                face.haze * dr.inv_pi * dr.abs(dr.dot(si.sh_frame.n, towards))
+            )
+            asks_sky &= dr.max(value * arriving) > 0
+            scattered = opaque & mi.has_flag(sample.sampled_type, mi.BSDFFlags.DiffuseReflection)
+            diffuse[scattered] += 1
+            last = diffuse >= diffuse_bounces
+            share = dr.select(last | face.clear, 1, sky_pdf / (sky_pdf + pdf))
+            arriving *= _unblocked(
+                shapes.opaque, shapes.glass, table, si, si.p + towards * far, asks_sky
+            )
+            light[asks_sky] += throughput * value * arriving * share
+        else:
+            sample, weight = bsdf.sample(
+                context, si, sampler.next_1d(going), sampler.next_2d(going), opaque
+            )
+            scattered = opaque & mi.has_flag(sample.sampled_type, mi.BSDFFlags.DiffuseReflection)
+            diffuse[scattered] += 1
+            last = diffuse >= diffuse_bounces
 
-        ray = si.spawn_ray(si.to_world(sample.wo))
-        throughput *= weight
-        eta *= sample.eta
-        # Light that continues straight was sampled at the last change of direction.
-        bent = going & ~mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
+        onward, kept, mirrored = glass.crossed(
+            face,
+            si,
+            ray.d,
+            sampler.next_1d(face.clear),
+            sampler.next_2d(face.clear),
+            dots=sky is None,
+        )
+        ray = si.spawn_ray(dr.select(face.clear, onward, si.to_world(sample.wo)))
+        throughput *= dr.select(face.clear, kept, weight)
+        # Light that is transmitted counts as going straight, as it was sampled at the last surface.
         delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
-        last_pdf[bent] = dr.select(delta, dr.inf, sample.pdf)
-        last_share[bent] = sky_share
+        last_pdf[opaque] = dr.select(delta, dr.inf, sample.pdf)
+        last_pdf[face.clear & mirrored] = dr.inf
+        last_share[opaque] = sky_share
         depth[going] += 1
         brightest = dr.max(throughput)
-        survival = dr.minimum(brightest * dr.square(eta), 0.95)
-        tested = depth >= roulette_depth
+        survival = dr.minimum(brightest, 0.95)
+        tested = (depth >= roulette) & ~face.clear
         alive = sampler.next_1d(going) < survival
         throughput[tested] *= dr.rcp(survival)
         active = going & ~last & (brightest > 0) & (~tested | alive)

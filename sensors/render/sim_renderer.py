@@ -17,7 +17,8 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.plugins import Registry
 
 if TYPE_CHECKING:
-    from sensors.render.sim_scene import Projector, SimScene
+    from sensors.lighting.environment import EnvironmentMap
+    from sensors.render.sim_scene import Projector, SceneObject, SimScene
     from std_toolkit.geometry import SE3, Camera
 
 
@@ -128,6 +129,29 @@ class ColorLight:
 @runtime_checkable
 class LoadedScene(Protocol):
     """A loaded scene, ready to be rendered from any number of views."""
+
+    def change(self, environment: EnvironmentMap, rotation_rad: float, floor: SceneObject) -> None:
+        """Change the light and the material of the scene's first object, its floor.
+
+        Args:
+            environment: environment light of the following views.
+            rotation_rad: of it about the world's z axis.
+            floor: the first object with its new material; its mesh stays.
+        """
+        ...
+
+    def infrared_pair(
+        self,
+        camera: Camera,
+        T_world_cams: tuple[SE3, SE3],
+        projector: Projector | None,
+        *,
+        ambient: float,
+        options: RenderOptions = DRAFT_INFRARED,
+        seed: int = 0,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """`infrared` of two cameras, with different paths: equal noise would match as texture."""
+        ...
 
     def infrared(
         self,

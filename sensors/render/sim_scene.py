@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -63,6 +63,9 @@ class SceneObject:
         texture: (h, w, 3) uint8 sRGB image on `mesh.uv`, or None.
         color: the object's own linear RGB without a texture.
         texture_tile_m: for a texture without `mesh.uv`: extent of one repetition in metres.
+        face_parts: (F,) number of the part that each face belongs to, 0 for the body; None: there
+            are no other parts.
+        part_materials: of the parts 1, 2, ...: caps and labels of glass bottles, for example.
     """
 
     instance_id: int
@@ -72,6 +75,8 @@ class SceneObject:
     texture: NDArray[np.uint8] | None = None
     color: tuple[float, float, float] = (0.5, 0.5, 0.5)
     texture_tile_m: float = 1.0
+    face_parts: NDArray[np.integer] | None = None
+    part_materials: tuple[DrawnMaterial, ...] = ()
 
     def __post_init__(self) -> None:
         if not 0 <= self.instance_id <= 254:
@@ -81,6 +86,31 @@ class SceneObject:
             raise ToolkitError(
                 "a texture is an (h, w, 3) image of uint8", field="texture", value=t.shape
             )
+        parts = self.face_parts
+        if parts is not None and (
+            parts.shape != (len(self.mesh.faces),) or parts.max() > len(self.part_materials)
+        ):
+            raise ToolkitError(
+                "needs one number per face, and a material of each",
+                field="face_parts",
+                value=parts.shape,
+            )
+
+    def surfaces(self) -> list[SceneObject]:
+        """The object divided by its parts, each of one material."""
+        if self.face_parts is None:
+            return [self]
+        materials = (self.material, *self.part_materials)
+        return [
+            replace(
+                self,
+                mesh=replace(self.mesh, faces=self.mesh.faces[self.face_parts == i]),
+                material=materials[i],
+                face_parts=None,
+                part_materials=(),
+            )
+            for i in np.unique(self.face_parts)
+        ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,11 +121,14 @@ class SimScene:
         objects: with distinct ids above 0.
         environment: environment light.
         environment_rotation_rad: rotation of it about the world's z axis.
+        contents: surfaces inside closed objects, liquids for example: seen through glass, but in
+            no exact map.
     """
 
     objects: tuple[SceneObject, ...]
     environment: EnvironmentMap
     environment_rotation_rad: float = 0.0
+    contents: tuple[SceneObject, ...] = ()
 
     def __post_init__(self) -> None:
         ids = [o.instance_id for o in self.objects if o.instance_id]

@@ -10,7 +10,7 @@ from std_toolkit.cli.command import Command, Program, print_json
 from std_toolkit.cli.command_options import words_of
 
 if TYPE_CHECKING:
-    from sensors.simulation.options import PreviewCommand, RunCommand, StatsCommand
+    from sensors.simulation.options import AssetsCommand, PreviewCommand, RunCommand, StatsCommand
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -36,7 +36,7 @@ def run(options: RunCommand) -> int:
         replace(options.options, split="test" if options.split == "test" else "train"),
         seeds,
         split=options.split,
-        layouts=tuple(dict.fromkeys(options.layout)) or ("dreds",),
+        layouts=tuple(dict.fromkeys(options.layout)),
         cache=options.cache,
         jobs=options.jobs,
     )
@@ -71,7 +71,9 @@ def preview(options: PreviewCommand) -> None:
             f"{obj.instance_id:3d}  {obj.category:10s} {1000 * obj.scale_m:4.0f} mm  "
             f"{obj.material_class:12s} {drawn.material.name}"
         )
-    print(f"floor: {world.draw.floor.material.name}; light: {world.scene.environment.name}")
+    for index, (floor, light) in enumerate(zip(world.draw.floors, world.draw.light, strict=True)):
+        print(f"view {index}: floor {floor.material.name}, light {light.environment}")
+    print(f"surroundings: {world.draw.setting.kind}")
     print(options.out)
 
 
@@ -87,6 +89,19 @@ def stats(options: StatsCommand) -> None:
         print(statistics)
     if options.csv is not None:
         write_bytes_atomic(options.csv, statistics.depth.to_csv().encode())
+
+
+def assets(options: AssetsCommand) -> None:
+    """List or download free environment maps and floors."""
+    from sensors.assets.downloads import fetch, load_list
+
+    found = load_list(options.list_file)
+    if options.action == "list":
+        for item in found:
+            print(f"{item.folder:13s} {item.name:36s} {item.bytes / 1e6:6.1f} MB  {item.licence}")
+        return
+    made = fetch(options.out, found)
+    print(f"{made} files downloaded, {len(found) - made} were there; in {options.out}")
 
 
 def _with_preset(words: list[str]) -> list[str]:
@@ -121,6 +136,7 @@ PROGRAM = Program(
     commands=(
         _command("run", "simulate scenes (also without the word: std-sim --out DIR ...)"),
         _command("preview", "make one scene and show it as a contact sheet"),
+        _command("assets", "list or download free environment maps and floors"),
         _command("stats", "categories, materials, and completeness and error of the raw depth"),
     ),
     default="run",

@@ -13,9 +13,11 @@ from std_toolkit.jobs.options import JobOptions
 
 Count = Annotated[int, msgspec.Meta(ge=1)]
 
-Layout = Literal["dreds", "scene"]
+Layout = Literal["dreds", "novel", "scene"]
 
 ViewOrder = Literal["random", "arc", "spiral"]
+
+Factor = Literal["objects", "materials", "lighting", "background", "camera"]
 
 DepthInput = Literal["sensor", "cut"]
 
@@ -76,6 +78,9 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     """stereo matcher: local, sgbm, dreds or a plug-in"""
     materials: MaterialSwitch = "mixed"
     """mixed as in DREDS; fixed: objects keep their original texture; opaque: none is transparent"""
+    fix: tuple[Factor, ...] = ()
+    """what all scenes and views share, for ablations: objects (their shapes, sizes and poses; the
+    letter O of the DREDS paper), materials (M), lighting (L), background (B), camera (C)"""
     infrared_noise: bool = True
     """the sensor's noise: shot and read noise in infrared, correlated noise of the disparity"""
     depth: DepthInput = "sensor"
@@ -98,6 +103,8 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
             raise ToolkitError(
                 "the angle of a pattern needs the pattern's image", field="pattern_fov_deg"
             )
+        if len(set(self.fix)) < len(self.fix):
+            raise ToolkitError("names something twice", field="fix", value=self.fix)
         if self.max_objects > 20:
             raise ToolkitError(
                 "the DREDS layout supports at most 20 objects",
@@ -152,8 +159,8 @@ class RunCommand(SceneOptions):
     """make this share of the scenes only, spread evenly: an ablation of the amount of data"""
     split: Literal["train", "val", "test"] = "train"
     """part of the data set; validation scenes are made of the training shapes and light"""
-    layout: tuple[Layout, ...] = field(default=(), metadata={"repeat": True})
-    """dreds: DREDS-CatKnown (default); scene: toolkit scenes; give both for both"""
+    layout: tuple[Layout, ...] = ("dreds",)
+    """dreds: DREDS-CatKnown; novel: DREDS-CatNovel; scene: toolkit scenes; several are possible"""
     cache: Path | None = None
     """folder that keeps convex parts (~/.cache/std-toolkit)"""
     jobs: JobOptions = field(default_factory=JobOptions)
@@ -180,3 +187,15 @@ class StatsCommand:
     """write the depth table to this file"""
     json: bool = False
     """print JSON"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssetsCommand:
+    """List or download free (CC0) environment maps and floors. Nothing else downloads anything."""
+
+    action: Literal["list", "fetch"]
+    """list: print names, sizes and licences; fetch: download what is not there yet"""
+    out: Path = field(default=Path("assets"), metadata={"option": "out"})
+    """folder, which gets sub-folders for --environments and --floors"""
+    list_file: Path | None = None
+    """another list of files with checksums"""

@@ -11,18 +11,43 @@ from typing import Literal
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
-from sensors.assets import Asset, AssetSource, draw_diagonal
+from sensors.assets import Asset, AssetSource, SourceOptions, draw_diagonal, open_source
 from sensors.lighting.environment import EnvironmentMap
 from sensors.lighting.environment_sources import EnvironmentSource
-from sensors.lighting.light_draw import FloorDraw, LightingDraw, draw_floor, draw_lighting
-from sensors.materials.material_draw import DrawnMaterial, draw_material, draw_material_class
+from sensors.lighting.light_draw import (
+    FloorDraw,
+    LightingDraw,
+    SettingDraw,
+    draw_floor,
+    draw_lighting,
+    draw_setting,
+)
+from sensors.materials.material_draw import (
+    DrawnMaterial,
+    draw_liquid,
+    draw_material,
+    draw_material_class,
+)
 from sensors.materials.material_library import MATERIAL_CLASSES, MaterialClass
-from sensors.simulation.options import MaterialSwitch, SimulationOptions
+from sensors.render.color_image import ColorResponse, draw_response
+from sensors.simulation.options import Factor, MaterialSwitch, SimulationOptions
 from std_toolkit.errors import ToolkitError
 
 Aspect = Literal[
-    "objects", "sizes", "materials", "light", "floor", "drop", "views", "noise", "pattern"
+    "objects",
+    "sizes",
+    "materials",
+    "light",
+    "floor",
+    "drop",
+    "views",
+    "noise",
+    "pattern",
+    "parts",
+    "color",
+    "setting",
 ]
 ASPECTS: tuple[Aspect, ...] = (
     "objects",
@@ -34,7 +59,18 @@ ASPECTS: tuple[Aspect, ...] = (
     "views",
     "noise",
     "pattern",
+    "parts",
+    "color",
+    "setting",
 )
+FACTORS: dict[Factor, tuple[Aspect, ...]] = {
+    "objects": ("objects", "sizes", "drop"),
+    "materials": ("materials", "parts"),
+    "lighting": ("light",),
+    "background": ("floor", "setting"),
+    "camera": ("views", "color"),
+}
+"""Aspects that are the same in all scenes of a set where the option `fix` names them."""
 # Materials that objects may have.
 _CLASSES: dict[MaterialSwitch, tuple[MaterialClass, ...]] = {
     "mixed": MATERIAL_CLASSES,
@@ -45,7 +81,14 @@ _CLASSES: dict[MaterialSwitch, tuple[MaterialClass, ...]] = {
 ALWAYS = ("bottle", "bowl", "mug")
 SOMETIMES = ("camera", "can", "car", "aeroplane")
 SOMETIMES_COUNT = (1, 4)
+OTHER = "other"
 DISTRACTOR_COUNT = (1, 3)
+# Share of the scenes whose objects fall on each other, and the half side of where they start.
+PILED_SHARE, PILE_M = 0.3, (0.04, 0.12)
+# Parts of glass objects that are not glass.
+OPAQUE_PARTS = ("cap", "label", "print")
+# Share of the closed transparent bottles that contain a liquid, and its level.
+FILLED_SHARE, FILL = 0.35, (0.15, 0.95)
 
 
 class ObjectDraw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -57,6 +100,10 @@ class ObjectDraw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         category: of the asset.
         diagonal_m: of its bounding box, metres.
         material: its surface.
+        parts: materials of the parts of a transparent object that have their own.
+        fill: height of a liquid in a closed transparent object, as a fraction of the height that
+            the object has as it lies; 0: empty.
+        liquid: the liquid.
     """
 
     instance: int
@@ -64,6 +111,9 @@ class ObjectDraw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     category: str
     diagonal_m: float
     material: DrawnMaterial
+    parts: dict[str, DrawnMaterial] = {}
+    fill: float = 0.0
+    liquid: DrawnMaterial | None = None
 
 
 class SceneDraw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -72,26 +122,42 @@ class SceneDraw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     Attributes:
         seed: of the scene.
         objects: in the order of their instances.
-        floor: the material of the floor.
+        floors: the floor in each view.
         light: of each view.
         pattern_seed: of the projector's dots; units of one sensor differ.
+        color: settings of the colour camera in each view; empty: those of a good picture.
+        setting: surroundings.
+        spread_m: the objects start above a square of this half side, and fall on each other where
+            it is small; None: above the whole floor.
     """
 
     seed: int
     objects: list[ObjectDraw]
-    floor: FloorDraw
+    floors: list[FloorDraw]
     light: list[LightingDraw]
     pattern_seed: int = 0
+    color: list[ColorResponse] = []
+    setting: SettingDraw = SettingDraw()
+    spread_m: float | None = None
 
 
-def generator(seed: int, aspect: Aspect) -> np.random.Generator:
+def generator(
+    seed: int, aspect: Aspect, options: SimulationOptions | None = None
+) -> np.random.Generator:
     """Random generator of one aspect of one scene.
+
+    Args:
+        seed: of the scene.
+        aspect: what is drawn.
+        options: their `fix` may give all scenes the same one.
 
     Raises:
         ToolkitError: a negative seed.
     """
     if seed < 0:
         raise ToolkitError("must not be negative", field="seed", value=seed)
+    if options is not None and any(aspect in FACTORS[factor] for factor in options.fix):
+        seed = 0
     return np.random.default_rng([seed, ASPECTS.index(aspect)])
 
 
@@ -100,18 +166,18 @@ def draw_scene(
     options: SimulationOptions,
     assets: AssetSource,
     environments: EnvironmentSource,
-) -> tuple[SceneDraw, list[Asset], EnvironmentMap]:
+) -> tuple[SceneDraw, list[Asset], list[EnvironmentMap]]:
     """Draw a scene.
 
     Returns:
-        The draw, the assets in the order of the objects, and the scene's environment map.
+        The draw, the assets in the order of the objects, and the environment map of each view.
 
     Raises:
         ToolkitError: the sources lack a requested item.
     """
-    chosen = _draw_assets(generator(seed, "objects"), options, assets)
-    draw, environment = dress_scene(seed, options, chosen, environments)
-    return draw, chosen, environment
+    chosen = _draw_assets(generator(seed, "objects", options), options, assets)
+    draw, maps = dress_scene(seed, options, chosen, environments)
+    return draw, chosen, maps
 
 
 def dress_scene(
@@ -121,7 +187,7 @@ def dress_scene(
     environments: EnvironmentSource,
     *,
     dressed_as: str | None = None,
-) -> tuple[SceneDraw, EnvironmentMap]:
+) -> tuple[SceneDraw, list[EnvironmentMap]]:
     """Draw sizes and materials of given objects, floor and light.
 
     Args:
@@ -134,32 +200,74 @@ def dress_scene(
     Raises:
         ToolkitError: the sources lack a requested item.
     """
-    sizes, looks = generator(seed, "sizes"), generator(seed, "materials")
+    sizes, looks = (generator(seed, a, options) for a in ("sizes", "materials"))
+    parts = generator(seed, "parts", options)
     objects = []
     for instance, asset in enumerate(chosen, start=1):
         # A seed per object: one more random number in a material changes no other object.
         rng = np.random.default_rng(int(looks.integers(2**63)))
+        own = np.random.default_rng(int(parts.integers(2**63)))
         material_class = draw_material_class(
             rng, dressed_as or asset.category, allowed=_CLASSES[options.materials]
         )
-        objects.append(
-            ObjectDraw(
-                instance=instance,
-                asset=asset.id,
-                category=asset.category,
-                diagonal_m=draw_diagonal(sizes, asset),
-                material=draw_material(rng, material_class, textured=asset.texture is not None),
-            )
+        drawn = ObjectDraw(
+            instance=instance,
+            asset=asset.id,
+            category=asset.category,
+            diagonal_m=draw_diagonal(sizes, asset),
+            material=draw_material(rng, material_class, textured=asset.texture is not None),
         )
-    rng = generator(seed, "light")
-    environment = environments.draw(rng)
-    light = [draw_lighting(rng, environment.name) for _ in range(options.views)]
-    floor = draw_floor(generator(seed, "floor"), folder=options.floors, split=options.split)
-    pattern_seed = int(generator(seed, "pattern").integers(2**31))
+        objects.append(drawn if drawn.material.glass is None else with_parts(own, drawn, asset))
+    # Views along a path are a recording: only its camera moves.
+    still = options.order != "random"
+    views = options.views
+    rng = generator(seed, "light", options)
+    once = still or "lighting" in options.fix
+    maps = [environments.draw(rng) for _ in range(1 if once else views)]
+    light = [draw_lighting(rng, maps[i % len(maps)].name) for i in range(views)]
+    if once:
+        maps, light = maps * views, light[:1] * views
+    rng = generator(seed, "floor", options)
+    count = 1 if still or "background" in options.fix else views
+    floors = [draw_floor(rng, folder=options.floors, split=options.split) for _ in range(count)]
+    rng = generator(seed, "color", options)
+    color = [] if still else [draw_response(rng) for _ in range(views)]
+    rng = generator(seed, "setting", options)
+    setting = draw_setting(rng, folder=options.floors, split=options.split)
+    rng = np.random.default_rng(int(generator(seed, "drop", options).integers(2**31)) + 1)
+    piled = rng.random() < PILED_SHARE
     draw = SceneDraw(
-        seed=seed, objects=objects, floor=floor, light=light, pattern_seed=pattern_seed
+        seed=seed,
+        objects=objects,
+        floors=floors * (views // count),
+        light=light,
+        pattern_seed=int(generator(seed, "pattern").integers(2**31)),
+        color=color,
+        setting=setting if options.scenes_from == "drop" else SettingDraw(),
+        spread_m=float(rng.uniform(*PILE_M)) if piled else None,
     )
-    return draw, environment
+    return draw, maps
+
+
+def with_parts(rng: np.random.Generator, drawn: ObjectDraw, asset: Asset) -> ObjectDraw:
+    """Materials of a glass object's caps, labels and prints, and its liquid.
+
+    Args:
+        rng: consumed.
+        drawn: a transparent object.
+        asset: of it.
+    """
+    names = () if asset.face_parts is None else np.unique(asset.face_parts)
+    parts = {
+        str(name): draw_material(rng, "diffuse", name="paper_printed")
+        if name == "label"
+        else draw_material(rng, "raw")
+        for name in names
+        if name in OPAQUE_PARTS
+    }
+    if asset.cavity is None or rng.random() >= FILLED_SHARE:
+        return replace(drawn, parts=parts)
+    return replace(drawn, parts=parts, fill=float(rng.uniform(*FILL)), liquid=draw_liquid(rng))
 
 
 def draw_categories(
@@ -171,7 +279,8 @@ def draw_categories(
         rng: consumed.
         options: limits of the number of objects.
         known: categories of the asset source; missing ones are left out, and from a source with
-            other categories any of them are drawn.
+            other categories any of them are drawn. Where none is left for distractors, the
+            category "other" is.
 
     Raises:
         ToolkitError: there is no category.
@@ -187,16 +296,27 @@ def draw_categories(
     low, high = SOMETIMES_COUNT
     count = min(int(rng.integers(low, high + 1)), len(others))
     picked = [others[int(i)] for i in np.sort(rng.permutation(len(others))[:count])]
-    spare = [c for c in known if c not in (*ALWAYS, *SOMETIMES)]
+    own = [c for c in known if c not in (*ALWAYS, *SOMETIMES)]
+    spare = own or [OTHER]
     low, high = DISTRACTOR_COUNT
     extra = int(rng.integers(low, high + 1))
-    extra = max(extra, options.min_objects - len(always) - count)
-    distractors = [spare[int(i)] for i in rng.integers(len(spare), size=extra)] if spare else []
-    return [*always, *picked, *distractors][: options.max_objects]
+    distractors = [spare[int(i)] for i in rng.integers(len(spare), size=extra)]
+    found = [*always, *picked, *distractors]
+    # A source of few categories: more objects of them too.
+    more = options.min_objects - len(found)
+    if more > 0:
+        choice = own or [*named, OTHER]
+        found += [choice[int(i)] for i in rng.integers(len(choice), size=more)]
+    return found[: options.max_objects]
 
 
 def _draw_assets(
     rng: np.random.Generator, options: SimulationOptions, source: AssetSource
 ) -> list[Asset]:
-    categories = draw_categories(rng, options, tuple(source.categories()))
-    return [source.sample(rng, category) for category in categories]
+    known = tuple(source.categories())
+    # Distractors of a source without any are procedural.
+    own = open_source("procedural", SourceOptions(split=options.split))
+    return [
+        (source if category in known else own).sample(rng, category)
+        for category in draw_categories(rng, options, known)
+    ]

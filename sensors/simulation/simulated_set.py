@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from sensors.output.dreds import SPLITS, Split, dreds_scene, scene_folder
+from sensors.output.dreds import SPLITS, Split, dreds_scene, novel_folder, scene_folder
 from sensors.output.toolkit_scene import toolkit_scene
 from sensors.render.sim_renderer import SIM_RENDERERS, quality_of
 from sensors.simulation.equipment import Equipment
@@ -25,10 +25,10 @@ from std_toolkit.jobs import JobOptions, JobReport, run_jobs
 from std_toolkit.log import logger
 from std_toolkit.scene.document import Document
 
-LAYOUTS: tuple[Layout, ...] = ("dreds", "scene")
+LAYOUTS: tuple[Layout, ...] = ("dreds", "novel", "scene")
 SET_FILE = "simulation.json"
 # Measured on 640x360 frames; textures that compress worse need more.
-BYTES_PER_PIXEL = {"dreds": 18.0, "scene": 16.0}
+BYTES_PER_PIXEL = {"dreds": 18.0, "novel": 16.0, "scene": 16.0}
 # Always left free: a full disk harms other programs.
 SPARE_BYTES = 500e6
 
@@ -76,7 +76,7 @@ def simulate_set(
         options: must be those of the existing scenes of the set.
         seeds: of the scenes, which are named after them.
         split: part of the data set in the DREDS layout.
-        layouts: "dreds" and "scene" (toolkit scenes in OUT/scenes).
+        layouts: "dreds", "novel" (DREDS-CatNovel) and "scene" (toolkit scenes in OUT/scenes).
         renderer: plug-in.
         cache: folder of the objects' convex parts, shared by all sets; default: the user's cache.
         jobs: where it runs.
@@ -143,8 +143,10 @@ def _simulate_scene(
         writers: list[Any] = []
         if "scene" in pending:
             writers.append(stack.enter_context(toolkit_scene(out / "scenes" / name, world.record)))
-        if "dreds" in pending:
-            writers.append(stack.enter_context(dreds_scene(out, world.record, split=split)))
+        for layout in ("dreds", "novel"):
+            if layout in pending:
+                writer = dreds_scene(out, world.record, split=split, novel=layout == "novel")
+                writers.append(stack.enter_context(writer))
         for frame in simulator.frames(world):
             with simulator.stopwatch.part("write"):
                 for writer in writers:
@@ -162,6 +164,7 @@ def _missing(out: Path, seed: int, split: Split, layouts: Sequence[Layout]) -> l
     name = scene_name(seed)
     there = {
         "dreds": scene_folder(out, split, name).is_dir(),
+        "novel": novel_folder(out, name).is_dir(),
         "scene": (out / "scenes" / name).is_dir(),
     }
     return [layout for layout in layouts if not there[layout]]

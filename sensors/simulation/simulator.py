@@ -118,21 +118,21 @@ class Simulator:
             poses: Sequence[SE3] | None = None
             parameters: dict[str, Any] = {"renderer": self._renderer.name}
             if self._arrangements is None:
-                draw, assets, environment = draw_scene(
+                draw, assets, maps = draw_scene(
                     seed, self.options, self._assets, self._environments
                 )
             else:
                 found = self._arrangements.of_seed(seed, cache=self._parts_cache)
                 assets, poses = found.assets, found.poses
                 parameters["graspnet_scene"] = found.scene
-                draw, environment = dress_scene(
+                draw, maps = dress_scene(
                     seed, self.options, assets, self._environments, dressed_as=DRESSED_AS
                 )
             return build_world(
                 name,
                 draw,
                 assets,
-                environment,
+                maps,
                 self.options,
                 sensor=self._sensor.name,
                 poses=poses,
@@ -174,7 +174,9 @@ class Simulator:
         seed: int,
     ) -> _Seen:
         """Render a view: the only step that uses the renderer."""
-        light = world.draw.light[index]
+        light, look = world.draw.light[index], world.looks[index]
+        with self.stopwatch.part("load"):
+            loaded.change(look.environment, look.rotation_rad, look.floor)
         T_world_ir = T_world_cam @ self._sensor.pose_of_color.inverse()
         projector = None
         pattern = self._pattern_of(world.draw.pattern_seed)
@@ -187,17 +189,13 @@ class Simulator:
             )
         T_left_right = SE3(np.eye(3), np.array([self._sensor.baseline_m, 0.0, 0.0]))
         with self.stopwatch.part("infrared"):
-            # Different paths for the two cameras: equal noise would be matched as texture.
-            left, right = (
-                loaded.infrared(
-                    self._infrared_camera,
-                    T,
-                    projector,
-                    ambient=light.infrared_strength,
-                    options=self._quality.infrared,
-                    seed=2 * seed + eye,
-                )
-                for eye, T in enumerate((T_world_ir, T_world_ir @ T_left_right))
+            left, right = loaded.infrared_pair(
+                self._infrared_camera,
+                (T_world_ir, T_world_ir @ T_left_right),
+                projector,
+                ambient=light.infrared_strength,
+                options=self._quality.infrared,
+                seed=seed,
             )
         with self.stopwatch.part("colour"):
             color = loaded.color(
@@ -225,7 +223,12 @@ class Simulator:
         with part("denoise"):
             clean = color_image.denoise(view.color, threads=self._threads)
         with part("images"):
-            color, _ = color_image.develop(clean, rng=np.random.default_rng([view.seed, 1]))
+            responses = world.draw.color
+            color, _ = color_image.develop(
+                clean,
+                rng=np.random.default_rng([view.seed, 1]),
+                response=responses[view.index] if responses else None,
+            )
         if self.options.depth == "cut":
             depth_ir = self._cut(world, exact_ir.depth, exact_ir.mask)
             aligned = self._cut(world, exact.depth, exact.mask)

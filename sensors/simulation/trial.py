@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -108,12 +109,24 @@ def tiles(camera: Camera, seed: int, *, material_class: MaterialClass = "diffuse
     )
 
 
-def vessels(materials: Sequence[tuple[MaterialClass, str, str]], seed: int) -> TrialScene:
-    """Upright vessels in two rows on a floor, 0.6 m from the camera.
+def vessels(
+    materials: Sequence[tuple[MaterialClass, str, str]],
+    seed: int,
+    *,
+    floor: str | None = None,
+    lying: bool = False,
+    distance_m: float = DISTANCE_M,
+    elevation_deg: float = _ELEVATION_DEG,
+) -> TrialScene:
+    """Vessels in two rows on a floor.
 
     Args:
         materials: class and name of each vessel's material, and its category.
         seed: of shapes, sizes, floor and jitter.
+        floor: name of the floor's material; None: a random one.
+        lying: on their sides instead of upright.
+        distance_m: of the camera from their middle.
+        elevation_deg: of the camera.
     """
     rng = np.random.default_rng([seed, 1])
     source = open_source("procedural")
@@ -121,25 +134,28 @@ def vessels(materials: Sequence[tuple[MaterialClass, str, str]], seed: int) -> T
     ground = sim_scene.SurfaceMesh(
         np.array([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]]), np.array([[0, 1, 2], [0, 2, 3]])
     )
-    objects = [sim_scene.SceneObject(0, ground, SE3.identity(), draw_floor(rng).material)]
+    drawn = draw_floor(rng).material if floor is None else draw_material(rng, "diffuse", name=floor)
+    drawn = msgspec.structs.replace(drawn, own_share=0)
+    objects = [sim_scene.SceneObject(0, ground, SE3.identity(), drawn)]
     # Assets have y up, the world z.
-    upright = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    turn = np.eye(3) if lying else np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    up = 2 if lying else 1
     rows = int(np.ceil(len(materials) / _COLUMNS))
     for i, (material_class, name, category) in enumerate(materials):
         asset = source.sample(rng, category)
         vertices = asset.vertices * draw_diagonal(rng, asset)
         place = np.array([i % _COLUMNS, i // _COLUMNS]) - (np.array([_COLUMNS, rows]) - 1) / 2
-        at = np.array([*(place * _SPACING_M), -float(vertices[:, 1].min())])
+        at = np.array([*(place * _SPACING_M), -float(vertices[:, up].min())])
         objects.append(
             sim_scene.SceneObject(
                 i + 1,
                 sim_scene.SurfaceMesh(vertices, asset.faces),
-                SE3(upright, at),
+                SE3(turn, at),
                 draw_material(rng, material_class, name=name),
                 color=_own_color(rng),
             )
         )
-    away = SE3.exp([0, 0, 0, np.deg2rad(90 - _ELEVATION_DEG), 0, 0]) @ _above(DISTANCE_M)
+    away = SE3.exp([0, 0, 0, np.deg2rad(90 - elevation_deg), 0, 0]) @ _above(distance_m)
     T_world_ir = SE3(np.eye(3), np.array([0, 0, 0.05])) @ away
     scene = sim_scene.SimScene(
         tuple(objects), StudioSource().draw(rng), float(rng.uniform(0, 2 * np.pi))
@@ -224,6 +240,68 @@ STEP_PX = 1.5
 """Difference in disparity between two surfaces within a window."""
 
 _OCCLUDED_PX = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClearShares:
+    """What a camera measures where something transparent is.
+
+    Attributes:
+        pixels: counted: those with the background at least `GAP_M` behind the surface.
+        missing: fraction without depth.
+        background: fraction of the measured ones that show what lies behind: nearer to it than to
+            the surface by 3 to 7, or within `GAP_M` of it.
+        surface: fraction of the measured ones within 10 mm of the surface.
+        median_mm: median error of the measured ones.
+        brightness: mean of the infrared image over that of a ring around; NaN if unknown.
+    """
+
+    pixels: int
+    missing: float
+    background: float
+    surface: float
+    median_mm: float
+    brightness: float = float("nan")
+
+
+GAP_M = 0.015
+
+
+def clear_shares(
+    depth: NDArray[np.floating],
+    surface: NDArray[np.floating],
+    background: NDArray[np.floating],
+    mask: NDArray[np.bool_],
+    *,
+    infrared: NDArray[np.uint8] | None = None,
+) -> ClearShares:
+    """Compare a depth map with the two surfaces that a clear object offers.
+
+    Args:
+        depth: (h, w) measured, metres, 0 = none.
+        surface: (h, w) true depth of the object.
+        background: (h, w) true depth without the object.
+        mask: (h, w) bool, the object.
+        infrared: (h, w) image of the same camera.
+    """
+    gap = background - surface
+    counted = mask & (surface > 0) & (gap > GAP_M)
+    seen = counted & (depth > 0)
+    z, near, far = depth[seen], surface[seen], background[seen]
+    behind = (z - near > 0.7 * (far - near)) & (z - far < GAP_M)
+    brightness = float("nan")
+    if infrared is not None and mask.any():
+        inside = mask.astype(np.uint8)
+        ring = cv2.dilate(inside, np.ones((41, 41))) > cv2.dilate(inside, np.ones((11, 11)))
+        brightness = float(infrared[mask].mean() / max(infrared[ring].mean(), 1))
+    return ClearShares(
+        pixels=int(counted.sum()),
+        missing=1 - float(seen.sum() / max(counted.sum(), 1)),
+        background=float(behind.mean()) if behind.size else 0.0,
+        surface=float((abs(z - near) < 0.01).mean()) if behind.size else 0.0,
+        median_mm=float(np.median(abs(z - near)) * 1000) if behind.size else float("nan"),
+        brightness=brightness,
+    )
 
 
 def small_holes(missing: NDArray[np.bool_], *, largest: int = 80) -> NDArray[np.bool_]:

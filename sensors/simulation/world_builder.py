@@ -6,33 +6,54 @@ An asset's own look becomes one texture and one pair of coordinates per vertex.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sensors.assets import Asset
 from sensors.lighting.environment import EnvironmentMap
-from sensors.lighting.light_draw import FloorDraw
+from sensors.lighting.light_draw import FloorDraw, SettingDraw
 from sensors.materials.textures import to_linear
 from sensors.output.simulated_frame import SimulatedObject, SimulatedScene
 from sensors.physics import PhysicalObject, convex_parts, settle
+from sensors.physics.settle import SettleOptions
 from sensors.render.sim_scene import SceneObject, SimScene, SurfaceMesh
 from sensors.simulation.options import SimulationOptions
 from sensors.simulation.scene_draw import ObjectDraw, SceneDraw, generator
 from sensors.viewpoints.camera_path import TrajectoryOptions, smooth_trajectory
 from sensors.viewpoints.views import ViewpointOptions, random_viewpoints
-from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry.se3 import SE3, so3_exp
 from std_toolkit.io.images import read_color
 
 # Half the side of the floor: every downward ray of every viewpoint hits it.
 FLOOR_HALF_M = 15.0
 
+TABLE_THICK_M, WALL_HEIGHT_M = 0.03, 2.2
+
+# Share of the views from the side, where there are table edges or walls.
+LOW_SHARE = 0.35
+
 # Texels per colour of a palette: several, so that filtering does not mix neighbours.
 _SWATCH = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """Light and floor of a view.
+
+    Attributes:
+        environment: environment light.
+        rotation_rad: of it about the world's z axis.
+        floor: the object 0 of the scene.
+    """
+
+    environment: EnvironmentMap
+    rotation_rad: float
+    floor: SceneObject
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,21 +63,23 @@ class World:
     Attributes:
         draw: the random choices from the seed.
         record: objects with their poses, for the writers.
-        scene: the same with floor and light, for the renderer.
+        scene: the same with the floor and the light of the first view, for the renderer.
         T_world_cam: of the colour camera in every frame.
+        looks: floor and light of every view.
     """
 
     draw: SceneDraw
     record: SimulatedScene
     scene: SimScene
     T_world_cam: tuple[SE3, ...]
+    looks: tuple[Look, ...]
 
 
 def build_world(
     name: str,
     draw: SceneDraw,
     assets: list[Asset],
-    environment: EnvironmentMap,
+    maps: Sequence[EnvironmentMap],
     options: SimulationOptions,
     *,
     sensor: str,
@@ -70,7 +93,7 @@ def build_world(
         name: of the scene.
         draw: contents of the scene.
         assets: of its objects, in their order.
-        environment: its light.
+        maps: environment map of each view.
         options: of the data set.
         sensor: name of the sensor, for the record.
         poses: T_world_obj of objects already at rest; None drops them.
@@ -86,7 +109,8 @@ def build_world(
             PhysicalObject(asset, obj.diagonal_m, convex_parts(asset, parts_cache))
             for asset, obj in zip(assets, draw.objects, strict=True)
         ]
-        settled = settle(falling, int(generator(draw.seed, "drop").integers(2**31)))
+        start = int(generator(draw.seed, "drop", options).integers(2**31))
+        settled = settle(falling, start, SettleOptions(spread_m=draw.spread_m))
         poses, drops = settled.poses, settled.attempts
     rows = list(zip(draw.objects, assets, poses, strict=True))
     record = SimulatedScene(
@@ -115,19 +139,31 @@ def build_world(
             **(parameters or {}),
         },
     )
-    scene = SimScene(
-        (_floor(draw.floor), *(_object(*row) for row in rows)),
-        environment,
-        draw.light[0].rotation_rad,
+    liquids = [_liquid(*row) for row in rows]
+    ground, around = _surroundings(draw)
+    floors = {id(floor): _floor(floor, ground) for floor in draw.floors}
+    looks = tuple(
+        Look(m, light.rotation_rad, floors[id(floor)])
+        for m, light, floor in zip(maps, draw.light, draw.floors, strict=True)
     )
-    return World(draw, record, scene, tuple(camera_poses(draw.seed, options)))
+    scene = SimScene(
+        (looks[0].floor, *around, *(_object(*row) for row in rows)),
+        looks[0].environment,
+        looks[0].rotation_rad,
+        tuple(liquid for liquid in liquids if liquid is not None),
+    )
+    poses_of_views = tuple(camera_poses(draw.seed, options, draw.setting))
+    return World(draw, record, scene, poses_of_views, looks)
 
 
-def camera_poses(seed: int, options: SimulationOptions) -> list[SE3]:
-    """T_world_cam of every frame."""
-    number = int(generator(seed, "views").integers(2**31))
+def camera_poses(
+    seed: int, options: SimulationOptions, setting: SettingDraw | None = None
+) -> list[SE3]:
+    """T_world_cam of every frame; from the side too where there is something to see."""
+    number = int(generator(seed, "views", options).integers(2**31))
     if options.order == "random":
-        views = random_viewpoints(number, ViewpointOptions(count=options.views))
+        low = LOW_SHARE if setting is not None and setting.kind != "plane" else 0.0
+        views = random_viewpoints(number, ViewpointOptions(count=options.views, low_share=low))
         return [view.T_world_cam for view in views]
     return smooth_trajectory(
         number,
@@ -144,13 +180,72 @@ def _object(obj: ObjectDraw, asset: Asset, pose: SE3) -> SceneObject:
         mesh, texture = SurfaceMesh(mesh.vertices, mesh.faces), None
         color = (float(mean[0]), float(mean[1]), float(mean[2]))
         return SceneObject(obj.instance, mesh, pose, obj.material, color=color)
-    return SceneObject(obj.instance, mesh, pose, obj.material, texture=texture)
+    whole = SceneObject(obj.instance, mesh, pose, obj.material, texture=texture)
+    if not obj.parts or asset.face_parts is None:
+        return whole
+    numbers = np.zeros(len(mesh.faces), np.int64)
+    for number, name in enumerate(obj.parts, start=1):
+        numbers[asset.face_parts == name] = number
+    return replace(whole, face_parts=numbers, part_materials=tuple(obj.parts.values()))
 
 
-def _floor(drawn: FloorDraw) -> SceneObject:
-    h = FLOOR_HALF_M
-    corners = np.array([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]])
-    mesh = SurfaceMesh(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+def _liquid(obj: ObjectDraw, asset: Asset, pose: SE3) -> SceneObject | None:
+    """The liquid in an object at rest, with a level surface; None if it is empty."""
+    if obj.liquid is None or asset.cavity is None:
+        return None
+    from manifold3d import Manifold, Mesh64
+
+    inside = pose @ (np.asarray(asset.cavity.vertices) * obj.diagonal_m)
+    low, high = inside[:, 2].min(), inside[:, 2].max()
+    faces = np.asarray(asset.cavity.faces, np.uint64)
+    level = float(low + obj.fill * (high - low))
+    part = Manifold(Mesh64(np.ascontiguousarray(inside), faces)).trim_by_plane([0, 0, -1], -level)
+    mesh = part.to_mesh64()
+    if len(mesh.tri_verts) == 0:
+        return None
+    surface = SurfaceMesh(
+        np.asarray(mesh.vert_properties[:, :3]), np.asarray(mesh.tri_verts, np.int64)
+    )
+    return SceneObject(obj.instance, surface, SE3.identity(), obj.liquid)
+
+
+def _surroundings(draw: SceneDraw) -> tuple[SurfaceMesh, list[SceneObject]]:
+    """The mesh of the floor or table top, and further surfaces."""
+    setting, h = draw.setting, FLOOR_HALF_M
+    ground = _rectangle([-h, -h, 0], [2 * h, 0, 0], [0, 2 * h, 0])
+    if setting.kind == "plane":
+        return ground, []
+    turn = so3_exp([0, 0, setting.turn_rad])
+    found: list[SceneObject] = []
+    if setting.kind == "table":
+        a, b = setting.half_m
+        corners = np.array([[x, y] for y in (-b, b) for x in (-a, a)])
+        top = np.concatenate(
+            [np.column_stack([corners, np.full(4, z)]) for z in (0.0, -TABLE_THICK_M)]
+        )
+        sides = [[0, 4, 5, 1], [1, 5, 7, 3], [3, 7, 6, 2], [2, 6, 4, 0], [0, 1, 3, 2], [4, 6, 7, 5]]
+        faces = [f for s in sides for f in ([s[0], s[1], s[2]], [s[0], s[2], s[3]])]
+        ground = SurfaceMesh(top @ turn.T, np.array(faces))
+    low = -setting.height_m
+    if setting.ground is not None:
+        below = _rectangle([-h, -h, low], [2 * h, 0, 0], [0, 2 * h, 0])
+        found.append(_floor(setting.ground, below))
+    assert setting.wall is not None
+    for i, away in enumerate(setting.walls_m):
+        side = turn @ so3_exp([0, 0, i * np.pi / 2])
+        wall = _rectangle(
+            side @ [away, -h, low], side @ [0.0, 2 * h, 0.0], [0.0, 0.0, WALL_HEIGHT_M]
+        )
+        found.append(_floor(setting.wall, wall))
+    return ground, found
+
+
+def _rectangle(corner: ArrayLike, across: ArrayLike, up: ArrayLike) -> SurfaceMesh:
+    a, u, v = (np.asarray(x, np.float64) for x in (corner, across, up))
+    return SurfaceMesh(np.array([a, a + u, a + u + v, a + v]), np.array([[0, 1, 2], [0, 2, 3]]))
+
+
+def _floor(drawn: FloorDraw, mesh: SurfaceMesh) -> SceneObject:
     texture = None if drawn.image is None else read_color(drawn.image)
     return SceneObject(
         0,

@@ -161,12 +161,15 @@ class _Recorder:
         draw = SceneDraw(
             seed=options.seed,
             objects=objects,
-            floor=FloorDraw(
-                # A printed cloth: structure from motion needs texture.
-                material=msgspec.structs.replace(cloth, texture=None, own_share=1.0),
-                image=str(_write_floor(out / "floor.png", options.seed)),
-                image_tile_m=FLOOR_TILE_M,
-            ),
+            floors=[
+                FloorDraw(
+                    # A printed cloth: structure from motion needs texture.
+                    material=msgspec.structs.replace(cloth, texture=None, own_share=1.0),
+                    image=str(_write_floor(out / "floor.png", options.seed)),
+                    image_tile_m=FLOOR_TILE_M,
+                )
+            ]
+            * options.frames,
             # The light is constant during a recording.
             light=[draw_lighting(rng, environment.name)] * options.frames,
             pattern_seed=options.seed,
@@ -179,7 +182,13 @@ class _Recorder:
             falling, options.seed, SettleOptions(half_width_m=HALF_WIDTH_M, tilt=TILT_RAD)
         )
         world = build_world(
-            out.name, draw, assets, environment, settings, sensor="d415", poses=settled.poses
+            out.name,
+            draw,
+            assets,
+            [environment] * options.frames,
+            settings,
+            sensor="d415",
+            poses=settled.poses,
         )
         way = TrajectoryOptions(frames=options.frames, sweep_deg=options.sweep_deg)
         self.world = replace(world, T_world_cam=tuple(smooth_trajectory(options.seed, way)))
@@ -196,7 +205,9 @@ class _Recorder:
                 draw,
                 seed=draw.seed * 100_000 + frames.start,
                 light=draw.light[frames.start : frames.stop],
+                floors=draw.floors[frames.start : frames.stop],
             ),
+            looks=self.world.looks[frames.start : frames.stop],
             T_world_cam=self.world.T_world_cam[frames.start : frames.stop],
         )
         for frame in self.simulator.frames(part):

@@ -18,6 +18,8 @@ _STREAM = 0x71E35
 
 WORLD_UP = (0.0, 0.0, 1.0)
 
+_LOW_DISTANCE_M = 0.6
+
 # Smallest sine of the angle between the line of sight and the up vector that defines a roll.
 _LEAST_ANGLE = 1e-6
 
@@ -37,6 +39,8 @@ class ViewpointOptions:
             drawn from +-`sideways`, at most 0.7. 0.6 keeps the elevation above 31.9 degrees.
         target_m: point around which the cameras look.
         jitter_m: largest offset of the point looked at from the target along each axis.
+        low_share: share of the viewpoints that look from the side, from `low_deg` above the
+            horizon and at least 0.6 m away. DREDS has none.
         up_x, up_y: ranges of the horizontal components of the up vector (x, y, 1), which roll the
             image.
     """
@@ -46,6 +50,8 @@ class ViewpointOptions:
     sideways: float = 0.6
     target_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     jitter_m: float = 0.05
+    low_share: float = 0.0
+    low_deg: Range = (8.0, 30.0)
     up_x: Range = (-0.18, 0.18)
     up_y: Range = (-0.18, 0.18)
 
@@ -127,6 +133,14 @@ def _draw(rng: np.random.Generator, options: ViewpointOptions) -> Viewpoint:
     outward = np.array([x, y, np.sqrt(1 - x * x - y * y)])
     target = np.array(options.target_m) + rng.uniform(-options.jitter_m, options.jitter_m, 3)
     up = np.array([rng.uniform(*options.up_x), rng.uniform(*options.up_y), 1.0])
+    if rng.random() < options.low_share:
+        elevation = np.deg2rad(rng.uniform(*options.low_deg))
+        distance = max(distance, _LOW_DISTANCE_M)
+        around = np.arctan2(outward[1], outward[0])
+        flat = np.cos(elevation)
+        outward = np.array([flat * np.cos(around), flat * np.sin(around), np.sin(elevation)])
+        # Above the floor, whatever the jitter.
+        target[2] = max(target[2], 0.0)
     if np.linalg.norm(np.cross(outward, up)) < 1e-3:
         up[0] += 1.0  # along the line of sight it would define no roll
     return Viewpoint(look_at(target + distance * outward, target, up=up), target, up)

@@ -15,6 +15,7 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -37,6 +38,9 @@ from std_toolkit.jobs.options import (
 from std_toolkit.log import logger
 
 Call = Callable[[Any], Outcome[Any]]
+
+_LINE_S = 5.0
+"""Where there is no terminal for a progress bar, at least this time lies between two lines."""
 
 
 @dataclass
@@ -117,9 +121,22 @@ def run_jobs(
         # Closed at once when interrupted: the traceback would keep the workers alive.
         closing(engine(call, items, options)) as stream,
     ):
+        began = told = time.monotonic()
         for index, outcome in stream:
             outcomes[index] = outcome
             bar.update()
+            now = time.monotonic()
+            if options.progress and bar.disable and now - told >= _LINE_S:
+                told = now
+                left = (now - began) / len(outcomes) * (len(items) - len(outcomes))
+                logger.info(
+                    "%s: %s done, %d of %d, about %s left",
+                    name,
+                    keys[index],
+                    len(outcomes),
+                    len(items),
+                    _duration(left),
+                )
     report: JobReport[Result] = JobReport(name)
     for index, item_key in enumerate(keys):
         outcome = outcomes[index]
@@ -129,6 +146,13 @@ def run_jobs(
         else:
             report.results[item_key] = outcome.result  # type: ignore[assignment]
     return report
+
+
+def _duration(seconds: float) -> str:
+    minutes = round(seconds / 60)
+    if minutes < 1:
+        return f"{seconds:.0f} s"
+    return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min"
 
 
 class _Guarded(Generic[Item, Result]):

@@ -19,11 +19,15 @@ Array = NDArray[np.float64]
 
 BOTTLE_PLANS = ("bordeaux", "longneck", "soda", "sports", "milk", "lotion", "flask", "squeeze")
 
+_GAP = 0.02
+
 CAN_PLANS = ("drink", "sleek", "food", "flat", "spray")
 
 
 def bottle(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     """A bottle about 20 units high, open at the neck or closed by a cap."""
+    from manifold3d import JoinType
+
     plan = BOTTLE_PLANS[int(rng.integers(len(BOTTLE_PLANS)))]
     h = 20.0
     r, neck, shoulder, neck_base = _proportions(plan, rng)
@@ -32,7 +36,8 @@ def bottle(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     profile = solids.smooth_profile(keys, samples=44)
     profile = np.concatenate([[(0.86 * r, 0.0)], profile[1:]])
     opening = neck - wall
-    section = solids.vessel(profile, wall, base=float(rng.uniform(0.4, 0.8)))
+    base = float(rng.uniform(0.4, 0.8))
+    section = solids.vessel(profile, wall, base=base)
     # A ring below the mouth, which on real bottles holds a cap or a crown cork.
     lip, at = neck * rng.uniform(1.1, 1.22), h - rng.uniform(0.5, 0.9)
     for side in (-1, 1):
@@ -45,12 +50,20 @@ def bottle(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
             paint(
                 solids.turned(_cap(plan, rng, h, neck, lip)),
                 solids.one_of(rng, solids.WHITE, solids.vivid(rng)),
+                "cap",
             )
         )
+        # A gap, so that no face of the contents coincides with one of the glass.
+        room = solids.outline_of_turn(profile[profile[:, 1] <= neck_base * h])
+        room = room.offset(-wall - _GAP, JoinType.Round, 2.0, 32)
+        room = room ^ solids.rectangle((-99, base + _GAP), (99, h))
+        paint.cavity = solids.turned(solids.rounded(room, 0.3 * base))
     label = _label(profile, shoulder * h, rng)
     if label is not None:
         parts.append(
-            paint(solids.turned(label), solids.one_of(rng, solids.WHITE, solids.vivid(rng)))
+            paint(
+                solids.turned(label), solids.one_of(rng, solids.WHITE, solids.vivid(rng)), "label"
+            )
         )
     made = parts[0]
     for part in parts[1:]:

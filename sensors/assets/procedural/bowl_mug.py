@@ -60,7 +60,7 @@ def mug(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
             inner = solids.outline_of_turn(ring - np.array([0.2 * wall, 0]))
             strip = solids.outline_of_turn(ring + np.array([0.03, 0])) - inner
             made = made + paint(
-                solids.turned(strip), solids.one_of(rng, solids.vivid(rng), solids.WHITE)
+                solids.turned(strip), solids.one_of(rng, solids.vivid(rng), solids.WHITE), "print"
             )
     if plan in ("cup", "barrel") and rng.uniform() < 0.8:
         foot = 0.8 * float(profile[0, 0])

@@ -103,13 +103,19 @@ def make(category: str, seed: int) -> Asset:
     rng = np.random.default_rng([EDITION, CATEGORIES.index(category), seed])
     paint = Paint()
     body, is_turned = _body(category, rng, paint)
-    vertices, faces, colors = paint.mesh(body)
-    vertices, _ = canonical_frame(vertices, faces)
+    vertices, faces, colors, parts = paint.mesh(body)
+    middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    vertices, diagonal = canonical_frame(vertices, faces)
+    cavity = None
+    if paint.cavity is not None:
+        room = paint.cavity.to_mesh64()
+        inside = (np.asarray(room.vert_properties[:, :3]) - middle) / diagonal
+        cavity = trimesh.Trimesh(inside, np.asarray(room.tri_verts, np.int64), process=False)
     places, corners, kept = welded(vertices, faces)
     # Rounding merges corners of slivers, which are then dropped. Parts that touch in an edge stay
     # separate: if welded, four faces would share that edge.
     if trimesh.Trimesh(places, corners, process=False).is_watertight:
-        vertices, faces, colors = places, corners, colors[kept]
+        vertices, faces, colors, parts = places, corners, colors[kept], parts[kept]
     wrap = wrapped_uv if category in (*_TURNED, "mug") else box_uv
     return Asset(
         id=f"{category}-p{EDITION}-{seed:06d}",
@@ -118,6 +124,8 @@ def make(category: str, seed: int) -> Asset:
         symmetry=TURN_Y if is_turned else Symmetry(),
         face_colors=colors,
         corner_uv=wrap(vertices, faces),
+        face_parts=parts,
+        cavity=cavity,
     )
 
 

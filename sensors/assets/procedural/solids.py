@@ -43,21 +43,37 @@ Array = NDArray[np.float64]
 
 LATHE_SECTIONS = 80
 
+BODY = "body"
+"""Name of the part that has the object's material."""
+
 
 class Paint:
-    """Keeps the colour of every part through unions and differences."""
+    """Keeps the colour of every part through unions and differences.
+
+    Attributes:
+        cavity: what a closed vessel can contain, in the coordinates of its parts; None: nothing.
+    """
 
     def __init__(self) -> None:
         self._colors: dict[int, Rgb] = {}
+        self._names: dict[int, str] = {}
+        self.cavity: Manifold | None = None
 
-    def __call__(self, solid: Manifold, color: Rgb) -> Manifold:
-        """The solid as a part with a colour. Cutting with it leaves its colour on the cut."""
+    def __call__(self, solid: Manifold, color: Rgb, name: str = BODY) -> Manifold:
+        """The solid as a part with a colour. Cutting with it leaves its colour on the cut.
+
+        Args:
+            name: of the part; "cap", "label" and "print" are opaque on glass objects.
+        """
         part = solid.as_original()
         self._colors[part.original_id()] = color
+        self._names[part.original_id()] = name
         return part
 
-    def mesh(self, body: Manifold) -> tuple[Array, NDArray[np.int64], NDArray[np.uint8]]:
-        """Vertices (V, 3), faces (F, 3) and their colours (F, 3) of a finished body.
+    def mesh(
+        self, body: Manifold
+    ) -> tuple[Array, NDArray[np.int64], NDArray[np.uint8], NDArray[np.str_]]:
+        """Vertices (V, 3), faces (F, 3), their colours (F, 3) and parts (F,) of a finished body.
 
         Slivers left by cuts are removed, and large flat faces are divided until there are some
         thousands of faces.
@@ -81,10 +97,12 @@ class Paint:
         mesh = solid.to_mesh64()
         faces = np.asarray(mesh.tri_verts, dtype=np.int64)
         colors = np.empty((len(faces), 3), dtype=np.uint8)
+        names = np.empty(len(faces), dtype="U8")
         starts = np.asarray(mesh.run_index, dtype=np.int64) // 3
         for k, original in enumerate(mesh.run_original_id):
             colors[starts[k] : starts[k + 1]] = self._colors.get(int(original), _BARE)
-        return np.asarray(mesh.vert_properties[:, :3], dtype=np.float64), faces, colors
+            names[starts[k] : starts[k + 1]] = self._names.get(int(original), BODY)
+        return np.asarray(mesh.vert_properties[:, :3], dtype=np.float64), faces, colors, names
 
 
 def hsv(hue: float, saturation: float, value: float) -> Rgb:

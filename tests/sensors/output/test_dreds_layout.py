@@ -419,3 +419,19 @@ def test_what_the_layout_cannot_hold_is_refused(scene, frames, tmp_path) -> None
     bent = replace(frames[0].color_camera, distortion=(0.1, 0.0, 0.0, 0.0))
     with pytest.raises(ToolkitError, match="pinhole"):
         write(tmp_path / "set", scene, [replace(frames[0], color_camera=bent)])
+
+
+def test_novel_scenes_have_the_layout_of_catnovel(scene, frames, tmp_path: Path) -> None:
+    """No split, no NOCS, no meshes, short meta lines."""
+    with dreds_scene(tmp_path, scene, split="test", novel=True) as writer:
+        for frame in frames:
+            writer.add(frame)
+    folder = tmp_path / "DREDS-CatNovel" / scene.name
+    assert len(list(folder.glob("*_depth_0.exr"))) == scene.frames
+    assert not list(folder.glob("*_coord.png")) and not (tmp_path / "cad_model").exists()
+    rows = (folder / "0000_meta.txt").read_text().splitlines()
+    assert {len(row.split()) for row in rows} == {3}
+    assert [row.mask_id for row in read_meta(folder / "0000_meta.txt")] == [
+        o.instance_id for o in scene.objects if o.instance_id not in frames[0].hidden
+    ]
+    assert (tmp_path / "parameters/novel" / f"{scene.name}.json").is_file()

@@ -130,5 +130,5 @@ def test_damaged_arrays_are_told(tmp_path: Path) -> None:
     with pytest.raises(ToolkitError, match="not a rotation"):
         GraspNetScenes(tmp_path).placed(42, image=IMAGE)
     file.write_bytes(b"nothing")
-    with pytest.raises(ToolkitError, match="not an array"):
+    with pytest.raises(ToolkitError, match="not a numpy array"):
         GraspNetScenes(tmp_path).placed(42, image=IMAGE)

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from sensors.lighting.environment_sources import studio_map
-from sensors.materials.material_draw import draw_material
+from sensors.materials.material_draw import Glass, draw_material
 from sensors.render import mitsuba_scene as shapes
 from sensors.render.mitsuba_renderer import MitsubaRenderer, bounded_mean, clipped_mean
 from sensors.render.sim_renderer import LoadedScene, RenderOptions, SimRenderer
@@ -57,7 +57,8 @@ def test_the_renderer_keeps_the_protocol(mixed, variant, loaded) -> None:
 
 @pytest.mark.slow
 def test_own_tracer_agrees_with_mitsuba_s(mixed, compiled) -> None:
-    """Another integrator, sensor, environment and projector, the same light."""
+    """Another integrator, sensor, environment and projector, the same light; without glass."""
+    mixed = SimScene(mixed.objects[:3], mixed.environment, mixed.environment_rotation_rad)
     import mitsuba as mi
 
     from sensors.render.builtin_tracer import BuiltinTracer
@@ -65,7 +66,7 @@ def test_own_tracer_agrees_with_mitsuba_s(mixed, compiled) -> None:
     own = MitsubaRenderer(variant=compiled, check=False).load(mixed)
     others = {
         name: BuiltinTracer(
-            shapes.build(mi, mixed, infrared=name == "infrared").everything,
+            shapes.build(mi, mixed, infrared=name == "infrared")[0].everything,
             shapes.environment(mi, mixed),
         )
         for name in ("color", "infrared")
@@ -94,10 +95,9 @@ def test_own_tracer_agrees_with_mitsuba_s(mixed, compiled) -> None:
     mask = TruthCaster(mixed).maps(CAMERA, VIEW).mask
     for name, (a, b) in pairs.items():
         assert np.asarray(a).size == b.size
-        for i in range(4):
+        for i in range(3):
             ratio = float(np.mean(a[mask == i]) / np.mean(b[mask == i]))
-            # Light that glass focuses arrives in few bright paths: noise, not another physics.
-            assert ratio == pytest.approx(1, abs=0.08 if i == 3 else 0.015), (name, i)
+            assert ratio == pytest.approx(1, abs=0.015), (name, i)
 
 
 @pytest.mark.slow
@@ -173,9 +173,7 @@ def test_a_matt_floor_returns_the_sky_s_light_by_its_albedo(square, variant, whi
 
 
 @pytest.mark.slow
-def test_the_projector_passes_straight_through_the_see_through_share(
-    square, chalk, variant, white_sky
-) -> None:
+def test_the_projector_passes_straight_through_a_pane(square, chalk, variant, white_sky) -> None:
     """A pane between projector and floor, outside the camera's view of the spot behind it."""
     glass = draw_material(np.random.default_rng(1), "transparent")
     assert glass.glass is not None
@@ -197,7 +195,7 @@ def test_the_projector_passes_straight_through_the_see_through_share(
         objects = [floor]
         if share is not None:
             mixed = msgspec.structs.replace(
-                glass, glass=msgspec.structs.replace(glass.glass, see_through=share)
+                glass, glass=Glass(ior=1.5, roughness=0.0, transmission=share)
             )
             T = SE3(np.eye(3), np.array([0.0, 0.0, 0.9]))
             objects.append(SceneObject(1, pane, T, mixed))
@@ -206,9 +204,10 @@ def test_the_projector_passes_straight_through_the_see_through_share(
         )
         image = loaded.infrared(camera, view, lamp, ambient=0.0, options=options)
         spot[share] = float(image[12:20, 12:20].mean())
-    # Two surfaces; what the floor scatters up and the pane sends back adds a little.
-    assert spot[0.3] / spot[None] == pytest.approx(0.3**2, abs=0.02)
-    assert spot[0.8] / spot[None] == pytest.approx(0.8**2, abs=0.02)
+    # Two of four faces, each reflecting 4 %; what the pane sends back down adds a little.
+    for share in (0.3, 0.8):
+        expected = share**0.5 * 0.96**2
+        assert spot[share] / spot[None] == pytest.approx(expected, abs=0.02)
 
 
 def test_dots_are_sharp_on_chalk_and_missing_on_metal(square, chalk, variant, white_sky) -> None:

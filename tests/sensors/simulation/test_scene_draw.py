@@ -45,10 +45,10 @@ def test_other_materials_leave_everything_else_as_it_was(materials: str) -> None
     plain = drawn(2)
     switched = drawn(2, msgspec.structs.replace(OPTIONS, materials=materials))
     assert [
-        msgspec.structs.replace(o, material=p.material)
+        msgspec.structs.replace(o, material=p.material, parts=p.parts, fill=p.fill, liquid=p.liquid)
         for o, p in zip(switched.objects, plain.objects, strict=True)
     ] == plain.objects
-    assert (switched.floor, switched.light) == (plain.floor, plain.light)
+    assert (switched.floors, switched.light) == (plain.floors, plain.light)
     classes = {o.material.material_class for o in switched.objects}
     assert classes <= ({"raw"} if materials == "fixed" else {"raw", "diffuse", "specular"})
 
@@ -71,7 +71,8 @@ def test_sources_with_other_categories_serve_as_well() -> None:
     assert set(categories) == {"drill", "clamp"}
     assert 6 <= len(categories) <= 10
     only_mugs = draw_categories(np.random.default_rng(0), OPTIONS, ("mug",))
-    assert only_mugs == ["mug"]
+    assert set(only_mugs) == {"mug", "other"}
+    assert len(only_mugs) == OPTIONS.min_objects
 
 
 @pytest.mark.slow
@@ -100,3 +101,39 @@ def test_the_command_line_offers_what_there_is() -> None:
     """The names of choices are apart from them, so that help loads nothing."""
     assert set(get_args(PresetName)) == set(PRESETS)
     assert set(get_args(QualityName)) == set(QUALITIES)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("factor", "fields"),
+    [
+        ("materials", ("objects",)),
+        ("lighting", ("light",)),
+        ("background", ("floors", "setting")),
+        ("camera", ("color",)),
+    ],
+)
+def test_a_factor_can_be_fixed_alone(factor: str, fields: tuple[str, ...]) -> None:
+    options = msgspec.structs.replace(OPTIONS, fix=(factor,), views=3)
+    free = msgspec.structs.replace(OPTIONS, views=3)
+    one, other = drawn(5, options), drawn(6, options)
+    for name in ("light", "floors", "setting", "color"):
+        if name in fields:
+            assert getattr(one, name) == getattr(other, name)
+        else:
+            assert getattr(one, name) == getattr(drawn(5, free), name)
+    assert [o.asset for o in one.objects] == [o.asset for o in drawn(5, free).objects]
+    if factor == "lighting":
+        assert len({x.rotation_rad for x in one.light}) == 1
+
+
+def test_light_and_floor_differ_between_views() -> None:
+    scene = drawn(3, msgspec.structs.replace(OPTIONS, views=6))
+    assert len({x.rotation_rad for x in scene.light}) == 6
+    assert len({x.environment for x in scene.light}) > 3
+    assert len({f.material.name for f in scene.floors}) > 3
+    assert all(abs(c.exposure_ev) <= 1.5 for c in scene.color)
+    # A recording along a path has one light, one floor, and plain pictures.
+    film = drawn(3, msgspec.structs.replace(OPTIONS, views=6, order="arc"))
+    assert len({x.rotation_rad for x in film.light}) == 1
+    assert len({f.material.name for f in film.floors}) == 1 and film.color == []

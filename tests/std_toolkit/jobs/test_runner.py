@@ -237,3 +237,16 @@ def _alive(process: int) -> bool:
     except OSError:
         return False
     return state != "Z"
+
+
+def test_lines_tell_the_time_left_without_a_terminal(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    from std_toolkit.jobs import runner
+
+    monkeypatch.setattr(runner, "_LINE_S", 0.0)
+    monkeypatch.setattr(runner.logger, "propagate", True)
+    with caplog.at_level("INFO", logger=runner.logger.name):
+        run_jobs(len, ["a", "bc"], name="count", options=JobOptions(workers=1))
+    lines = [r.getMessage() for r in caplog.records if "left" in r.getMessage()]
+    assert lines[-1].startswith("count: ") and "2 of 2, about 0 s left" in lines[-1]
