@@ -338,6 +338,7 @@ class _Run:
             explained,
             found.views,
             settled=found.converged,
+            print_note=found.print_sentence(obj.centre),
         )
 
     def _refined(
@@ -353,11 +354,13 @@ class _Run:
         views: int,
         *,
         settled: bool = True,
+        print_note: str = "",
     ) -> RefinedPose:
         seen = replace(self._problem.objects[i], T_world_obj=pose)
         warnings = [
             *self._notes.get(i, []),
             *([] if settled else [refine_inputs.NOT_CONVERGED]),
+            *([print_note] if print_note else []),
             *refine_inputs.quality_warnings(
                 self._problem, seen, covariance, edge_rms_px, depth_m, explained
             ),

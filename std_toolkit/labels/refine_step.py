@@ -134,6 +134,8 @@ def refine_labels(
             continue
         if not found.converged:
             logger.warning("%s: the refinement did not converge; check its label", found.name)
+        if found.print_beside is not None:
+            logger.warning("%s: %s", found.name, found.print_sentence(by_id[i].centre))
         at_end = replace(by_id[i], T_world_obj=found.T_world_obj)
         around = [
             replace(o, T_world_obj=x.T_world_obj)
