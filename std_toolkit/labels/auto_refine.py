@@ -285,10 +285,11 @@ class _Run:
         """Judge the print at each refined pose."""
         poses = {i: found.pose for i, found in self.found.items()}
         objects = self._problem.placed(poses)
+        views = [*self._problem.views, *self._problem.print_views]
         for done, (i, found) in enumerate(self.found.items()):
             self._report(_COMPARED + (1 - _COMPARED) * done / len(self.found))
             others = [o for k, o in objects.items() if k != i]
-            judged = judge_print(self._problem.views, objects[i], others)
+            judged = judge_print(views, objects[i], others)
             warnings = found.warnings
             if judged.verdict == "turned":
                 warnings += (judged.sentence(),)
