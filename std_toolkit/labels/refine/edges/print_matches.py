@@ -150,7 +150,7 @@ def follow_prints(
             trusted = [i for i in trusted if i not in wrong]
             continue
         beside = {
-            i: start.poses[i].inverse() @ state.poses[i]
+            i: start.in_scale_of(state).poses[i].inverse() @ state.poses[i]
             for i in {i for i, _ in matches}
             if _leaves_contour(i, by_contour.measured, with_prints.measured)
         }
