@@ -9,9 +9,9 @@ from a start by hand. The PnP is independent of the refinement's matches: the te
 at several turns and sizes in every n-th frame, all SIFT features are matched with those of the
 photo, and one pose is fitted to all matches with a Cauchy loss.
 
-The bottle is of another print run than the mesh: the PnP floats above the table. The poses that only
-the matches on the front, on the back, or of every second frame determine show how well such a print
-defines a pose.
+The bottle is of another print run than the mesh: the PnP floats above the table. Poses from the
+matches on the front, on the back, or of every second frame alone show how well such a print defines
+a pose.
 """
 
 from __future__ import annotations
@@ -197,7 +197,7 @@ def main() -> None:
         parts |= {f"half {h}": dict(list(matches.items())[h::2]) for h in (0, 1)}
         for name, part in parts.items():
             mm, deg = apart(fit(views, part, pnp), pnp, centre)
-            print(f"  {name}: {_count(part)} matches, {mm:.1f} mm {deg:.1f} deg")
+            print(f"  {name}: {_count(part)} matches, {mm:.1f} mm {deg:.1f} deg", flush=True)
         table = find_table(scene, objects=[])
         assert table is not None
 
