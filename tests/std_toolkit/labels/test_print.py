@@ -281,6 +281,22 @@ def test_a_print_elsewhere_than_on_the_mesh_is_not_followed() -> None:
 
 
 @pytest.mark.slow
+def test_the_print_of_a_mesh_of_another_size_is_followed() -> None:
+    """Its contour fits worse then, but by itself it leads further away."""
+    mesh = box_mesh(printed_picture(7))
+    views = photos(mesh, POSE, seed=7)
+    longer = mesh.copy()
+    longer.vertices *= np.array([1.03, 1, 1])
+    ends = [
+        refine_poses(views, [box_object(longer, POSE)], RefineOptions(use_prints=use)).objects[0]
+        for use in (False, True)
+    ]
+    assert ends[1].print_beside is None
+    shifts = [np.linalg.norm(x.T_world_obj.t - POSE.t) for x in ends]
+    assert shifts[1] < shifts[0]
+
+
+@pytest.mark.slow
 def test_refinement_follows_the_print() -> None:
     mesh = box_mesh(printed_picture(5))
     views = photos(mesh, POSE, seed=3)
