@@ -285,10 +285,11 @@ class _Run:
         """Judge the print at each refined pose."""
         poses = {i: found.pose for i, found in self.found.items()}
         objects = self._problem.placed(poses)
+        views = [*self._problem.views, *self._problem.print_views]
         for done, (i, found) in enumerate(self.found.items()):
             self._report(_COMPARED + (1 - _COMPARED) * done / len(self.found))
             others = [o for k, o in objects.items() if k != i]
-            judged = judge_print(self._problem.views, objects[i], others)
+            judged = judge_print(views, objects[i], others)
             warnings = found.warnings
             if judged.verdict == "turned":
                 warnings += (judged.sentence(),)
@@ -338,6 +339,7 @@ class _Run:
             explained,
             found.views,
             settled=found.converged,
+            print_note=found.print_sentence(obj.centre),
         )
 
     def _refined(
@@ -353,11 +355,13 @@ class _Run:
         views: int,
         *,
         settled: bool = True,
+        print_note: str = "",
     ) -> RefinedPose:
         seen = replace(self._problem.objects[i], T_world_obj=pose)
         warnings = [
             *self._notes.get(i, []),
             *([] if settled else [refine_inputs.NOT_CONVERGED]),
+            *([print_note] if print_note else []),
             *refine_inputs.quality_warnings(
                 self._problem, seen, covariance, edge_rms_px, depth_m, explained
             ),

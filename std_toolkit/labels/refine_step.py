@@ -113,16 +113,18 @@ def refine_labels(
         for i in sorted(everything)
     ]
     printed = {i: start[i] for i, o in zip(sorted(everything), objects, strict=True) if o.print}
+    print_views = load_print_views(scene, printed, [v.frame for v in views])
     result = refine_poses(
         views,
         objects,
         problem.RefineOptions(use_depth=use_depth, refine_scale=refine_scale),
-        print_views=load_print_views(scene, printed, [v.frame for v in views]),
+        print_views=print_views,
     )
     _report(result)
     by_id = dict(zip(sorted(everything), objects, strict=True))
     at_scale = [
-        replace(v, T_world_cam=SE3(v.T_world_cam.R, v.T_world_cam.t * result.scale)) for v in views
+        replace(v, T_world_cam=SE3(v.T_world_cam.R, v.T_world_cam.t * result.scale))
+        for v in [*views, *print_views]
     ]
     refined = dict(labels)
     coupling = {}
@@ -134,6 +136,8 @@ def refine_labels(
             continue
         if not found.converged:
             logger.warning("%s: the refinement did not converge; check its label", found.name)
+        if found.print_beside is not None:
+            logger.warning("%s: %s", found.name, found.print_sentence(by_id[i].centre))
         at_end = replace(by_id[i], T_world_obj=found.T_world_obj)
         around = [
             replace(o, T_world_obj=x.T_world_obj)

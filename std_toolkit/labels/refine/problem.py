@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry import Camera, Symmetry, undistort_image
+from std_toolkit.geometry import Camera, Symmetry, rotation_angle, undistort_image
 from std_toolkit.geometry.se3 import SE3, skew
 from std_toolkit.labels.refine.object_surface import ObjectSurface, surface_of
 from std_toolkit.rendering.texture import SurfaceColors, TexturedSurface
@@ -186,6 +186,8 @@ class RefinedObject:
         converged: the last step was small and enough edges agree with the contour.
         scale_coupling: (6,) change of the pose (right perturbation) that fits best per unit of
             change of the log scale of the camera positions; zeros if it was not refined.
+        print_beside: where the print lies relative to its place on the mesh, T_obj_print, if it
+            contradicts the contour and was not followed.
     """
 
     name: str
@@ -197,6 +199,22 @@ class RefinedObject:
     views: int
     converged: bool
     scale_coupling: NDArray[np.float64] = field(default_factory=lambda: np.zeros(6))
+    print_beside: SE3 | None = None
+
+    def print_sentence(self, centre: NDArray[np.floating]) -> str:
+        """One sentence on a print that was not followed; "" if there is none.
+
+        Args:
+            centre: (3,) of the object, mesh frame.
+        """
+        if self.print_beside is None:
+            return ""
+        away = 1000 * float(np.linalg.norm(self.print_beside @ centre - centre))
+        turn = np.rad2deg(rotation_angle(self.print_beside.R))
+        return (
+            f"its print lies {away:.1f} mm and {turn:.1f} deg beside that of the mesh (another "
+            "print run?), so the contour was followed"
+        )
 
 
 @dataclass(frozen=True, eq=False)

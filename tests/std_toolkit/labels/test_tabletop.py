@@ -10,7 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
-from std_toolkit.geometry.se3 import SE3
+from std_toolkit.checks.prints import compare_prints
+from std_toolkit.geometry import rotation_error
+from std_toolkit.geometry.se3 import SE3, so3_exp
+from std_toolkit.labels.alternatives import NearSymmetry
+from std_toolkit.labels.auto_refine import refine_objects
 from std_toolkit.labels.label import add_model, add_object, set_pose
 from std_toolkit.labels.pnp import solve_pnp
 from std_toolkit.labels.propagate import propagate_labels
@@ -21,7 +25,7 @@ from std_toolkit.labels.refine_step import load_views, scene_object
 from std_toolkit.labels.support.table import find_table
 from std_toolkit.options import PoseOptions, PropagateOptions
 from std_toolkit.poses.pose_step import estimate_poses
-from std_toolkit.scene import Scene
+from std_toolkit.scene import Labels, Scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.real]
 FIXTURE = Path(__file__).resolve().parents[2] / "data" / "mustard_tabletop.json"
@@ -135,3 +139,65 @@ def test_the_bottle_annotated_in_one_frame_keeps_its_contour(tabletop, test_data
     assert len(medians) >= 15
     assert np.median(medians) <= 2.0
     assert np.percentile(medians, 80) <= 2.0
+
+
+@pytest.fixture(scope="module")
+def bottle(tabletop: Scene, test_data: Path) -> tuple[Scene, int, SE3]:
+    """A copy of the recording with the bottle, its id, and its pose annotated in one frame."""
+    root = tabletop.root.with_name("bottle")
+    scene = Scene.open(shutil.copytree(tabletop.root, root, symlinks=True))
+    # Labels of other tests would hide the bottle.
+    scene.save_labels(Labels())
+    known = json.loads(FIXTURE.read_text())
+    mesh = test_data / "ycb_meshes" / known["mesh"] / "textured.obj"
+    model = add_model(scene, mesh, category="bottle", model_id="mustard_bottle")
+    thing = add_object(scene, "squeezed", model=model.id)
+    first = next(f for f in scene.frames if f.name == known["first"])
+    T_world_cam = scene.T_world_cam(first.id)
+    assert T_world_cam is not None
+    return scene, thing.id, T_world_cam @ SE3.from_matrix(known["views"][first.name])
+
+
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("starts", [1, pytest.param(10, marks=pytest.mark.long)])
+def test_the_bottle_stands_on_the_table_from_any_start(bottle, starts):
+    """Its print sits 5 mm higher than on the mesh, so a pose that follows it would float."""
+    scene, thing, by_hand = bottle
+    mesh = scene.mesh(scene.objects.object(thing).model)
+    vertices = np.asarray(mesh.vertices)
+    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    table = find_table(scene, objects=[])
+    assert table is not None
+    rng = np.random.default_rng(0)
+    ends = []
+    for _ in range(starts):
+        shift, turn = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+        R = so3_exp(np.deg2rad(10) * turn)
+        off = SE3(R, centre - R @ centre + 0.015 * shift)
+        found = refine_objects(scene, {thing: by_hand @ off}).objects[thing]
+        ends.append(found.pose)
+        assert abs(table.plane.signed_distance(found.pose @ vertices).min()) < 0.002
+        assert np.linalg.norm(found.pose @ centre - ends[0] @ centre) < 0.001
+        assert np.rad2deg(rotation_error(found.pose, ends[0])) < 1.5
+        assert found.print is not None
+        assert found.print.verdict == "fits"
+        assert any("beside that of the mesh" in w for w in found.warnings)
+
+
+def test_the_half_turn_of_the_bottle_is_refused(bottle):
+    scene, thing, by_hand = bottle
+    mesh = scene.mesh(scene.objects.object(thing).model)
+    (half,) = NearSymmetry(np.asarray(mesh.vertices), np.asarray(mesh.faces)).turns
+    found = refine_objects(scene, {thing: by_hand @ half.turn}).objects[thing]
+    assert found.print is not None
+    assert found.print.verdict == "turned"
+    assert found.print.turn is not None
+    turned = found.pose @ found.print.turn
+    assert np.rad2deg(rotation_error(turned, by_hand)) < 10
+    assert "turned by 180 deg about z fits the print better" in found.warnings
+    # The check compares with other frames.
+    for pose, verdict in ((found.pose, "turned"), (turned, "fits")):
+        set_pose(scene, "squeezed", 112, scene.T_world_cam(112).inverse() @ pose)
+        propagate_labels(scene)
+        compared = compare_prints(scene, scene.registered_frames())
+        assert compared[thing].verdict == verdict

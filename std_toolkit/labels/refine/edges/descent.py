@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,12 +50,15 @@ class Descent:
         scale: image scale of the last level.
         step_mm: largest motion of an object's surface in the last step.
         scale_step: change of the log scale in the last step.
+        beside: by object index, where its print lies relative to its place on the mesh, for
+            prints that contradict the contour and were not followed.
     """
 
     measured: Measurements
     scale: float
     step_mm: float
     scale_step: float = 0.0
+    beside: Mapping[int, SE3] = field(default_factory=dict)
 
 
 def descend(

@@ -79,6 +79,21 @@ class PoseState:
     log_scale: float = 0.0
     depth_factor: float = 1.0
 
+    def copy(self) -> PoseState:
+        """The same unknowns, independent of later steps."""
+        return PoseState(list(self.poses), self.log_scale, self.depth_factor)
+
+    def in_scale_of(self, other: PoseState) -> PoseState:
+        """The same poses where the world has the scale of another state."""
+        factor = float(np.exp(other.log_scale - self.log_scale))
+        poses = [SE3(T.R, factor * T.t) for T in self.poses]
+        return PoseState(poses, other.log_scale, self.depth_factor)
+
+    def set(self, other: PoseState) -> None:
+        """Take over the unknowns of another state."""
+        self.poses[:] = other.poses
+        self.log_scale, self.depth_factor = other.log_scale, other.depth_factor
+
     def camera_pose(self, view: RefineView) -> SE3:
         """T_world_cam in the current scale."""
         T = view.T_world_cam

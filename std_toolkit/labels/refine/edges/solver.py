@@ -143,6 +143,7 @@ def _result(
                 covariance[6 * i : 6 * i + 6, system.SCALE] / covariance[system.SCALE, system.SCALE]
                 if options.refine_scale
                 else np.zeros(6),
+                descent.beside.get(i),
             )
         )
     scale_std = float(np.sqrt(covariance[system.SCALE, system.SCALE]))
