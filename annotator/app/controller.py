@@ -10,6 +10,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from annotator.app import events, tasks, view_options
 from annotator.session import (
     ChangeObject,
@@ -290,6 +293,41 @@ class Controller:
                 axes=self.axes,
                 shift_mm=[self.step * s for s in shift],
                 turn_deg=[self.step * s for s in turn],
+            )
+        )
+
+    def T_cam_of(self, frame: int, frame_name: str) -> SE3 | None:
+        """Transform of "world" or "camera 12" to the camera of a frame; None if unknown."""
+        if frame_name == f"camera {frame}":
+            return SE3.identity()
+        T_world_cam = self.session.T_world_cam(frame)
+        if T_world_cam is None or frame_name == "world":
+            return None if T_world_cam is None else T_world_cam.inverse()
+        T_world_other = self.session.T_world_cam(int(frame_name.split()[-1]))
+        return None if T_world_other is None else T_world_cam.inverse() @ T_world_other
+
+    def up(self, frame: int) -> NDArray[np.float64]:
+        """Up direction (3,) in the camera of a frame: the table's normal, or up in its image."""
+        T_cam_plane = None if self.table is None else self.T_cam_of(frame, self.table.plane.frame)
+        if self.table is None or T_cam_plane is None:
+            return np.array([0.0, -1.0, 0.0])
+        return np.asarray(T_cam_plane.R @ self.table.plane.normal)
+
+    def yaw(self, steps: float) -> None:
+        """Turn the selected object about the table's normal; positive: its near side to the right.
+
+        The axes of the mesh do not matter.
+        """
+        if self.selected is None:
+            self.tell("Select an object first.", "warning")
+            return
+        turn = steps * self.step * self.up(self.active_frame)
+        self.apply(
+            Move(
+                object=self.selected,
+                frame=self.active_frame,
+                axes="camera",
+                turn_deg=[float(x) for x in turn],
             )
         )
 

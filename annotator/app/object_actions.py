@@ -29,6 +29,20 @@ def _step(
     )
 
 
+def _yaw(way: str, sign: int, key: str) -> action.Action:
+    return action.Action(
+        f"yaw_{way}",
+        "Object",
+        f"Turn {way} on the table",
+        (key,),
+        f"One step about the table's normal: the near side of the object moves to the {way}.",
+        lambda c: c.yaw(sign),
+        enabled=action.has_placed,
+        repeats=True,
+        group="Step",
+    )
+
+
 def _next_gizmo(c: Controller) -> None:
     order = list(Gizmo)
     c.set_tool(gizmo=order[(order.index(c.gizmo) + 1) % len(order)])
@@ -99,13 +113,17 @@ OBJECT_ACTIONS: tuple[action.Action, ...] = (
     _step("down", "Move down", ("Down",), "One step along y.", shift=(0, 1, 0)),
     _step("away", "Move away", ("PgUp",), "One step along z: farther away.", shift=(0, 0, 1)),
     _step("nearer", "Move nearer", ("PgDown",), "One step along -z: nearer.", shift=(0, 0, -1)),
-    _step("turn_y_minus", "Turn about -y", ("Shift+Left",), "One step about -y.", turn=(0, -1, 0)),
-    _step("turn_y", "Turn about y", ("Shift+Right",), "One step about y.", turn=(0, 1, 0)),
+    _yaw("left", -1, "Shift+Left"),
+    _yaw("right", 1, "Shift+Right"),
     _step("turn_x", "Turn about x", ("Shift+Up",), "One step about x.", turn=(1, 0, 0)),
     _step("turn_x_minus", "Turn about -x", ("Shift+Down",), "One step about -x.", turn=(-1, 0, 0)),
     _step("turn_z", "Turn about z", ("Shift+PgUp",), "One step about z.", turn=(0, 0, 1)),
     _step(
         "turn_z_minus", "Turn about -z", ("Shift+PgDown",), "One step about -z.", turn=(0, 0, -1)
+    ),
+    _step("turn_y", "Turn about y", ("Ctrl+Shift+Right",), "One step about y.", turn=(0, 1, 0)),
+    _step(
+        "turn_y_minus", "Turn about -y", ("Ctrl+Shift+Left",), "One step about -y.", turn=(0, -1, 0)
     ),
     _set_step(10.0, "coarse", "7"),
     _set_step(1.0, "middle", "8"),

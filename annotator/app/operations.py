@@ -163,7 +163,8 @@ def _measure(
             controller.unmeasured.discard(obj.name)
         if measured:
             controller.emit(Event("residuals", objects=tuple(o.name for o in measured)))
-        unranked = [o.name for o in to_measure if o.name not in controller.ranks]
+        # Objects that moved or were removed meanwhile are not ranked.
+        unranked = [o.name for o in measured if o.name not in controller.ranks]
         pose_checks.rank_objects_aside(controller, unranked)
         then(controller)
 

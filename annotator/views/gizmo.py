@@ -31,8 +31,8 @@ __all__ = ["ARROW_START", "AXIS_COLORS", "HOVERED", "draw_gizmo"]
 
 Array = NDArray[np.float64]
 
-# Fractions of the gizmo's size: start of the arrows, disc, outermost ring.
-ARROW_START, DISC, VIEW_RING = 0.26, 0.16, 1.22
+# Fractions of the gizmo's size: start of the arrows, disc, the two outermost rings.
+ARROW_START, DISC, YAW_RING, VIEW_RING = 0.26, 0.16, 1.1, 1.22
 
 # An arrow foreshortened below this fraction points at the eye and cannot be dragged.
 SHORTEST_ARROW = 0.3
@@ -51,6 +51,8 @@ AXIS_COLORS: tuple[Color, ...] = (
     (0.25, 0.56, 1.00, 1.0),
 )
 
+YAW: Color = (0.10, 0.88, 0.85, 1.0)
+
 NEUTRAL: Color = (0.96, 0.96, 0.96, 0.95)
 
 HOVERED: Color = (1.0, 0.83, 0.20, 1.0)
@@ -65,6 +67,7 @@ class Part(StrEnum):
     DEPTH = "depth"  # along an axis that points at the eye
     DISC = "disc"  # parallel to the image
     RING = "ring"  # about an axis
+    YAW = "yaw"  # about the table's normal
     VIEW_RING = "view_ring"  # about the line of sight
 
 
@@ -85,12 +88,14 @@ class GizmoFrame:
         centre: (3,) centre of rotation, eye coordinates, metres.
         axes: (3, 3) unit vectors in its columns, eye coordinates.
         size_px: length of an arrow across the line of sight.
+        up: (3,) the table's normal, eye coordinates.
     """
 
     camera: ScreenCamera
     centre: Array
     axes: Array
     size_px: float
+    up: Array
 
     @property
     def length_m(self) -> float:
@@ -115,9 +120,10 @@ class GizmoFrame:
                 Handle(Part.DEPTH if self._points_at_eye(i) else Part.ARROW, i) for i in range(3)
             ]
             arrows.sort(key=lambda h: float(self.axes[2, h.axis]), reverse=True)
-            return [*arrows, Handle(Part.DISC)]
+            return [Handle(Part.YAW), *arrows, Handle(Part.DISC)]
         if gizmo is Gizmo.TURN:
-            return [Handle(Part.VIEW_RING), *(Handle(Part.RING, i) for i in range(3))]
+            rings = [Handle(Part.RING, i) for i in range(3)]
+            return [Handle(Part.VIEW_RING), Handle(Part.YAW), *rings]
         return []
 
     def line(self, handle: Handle) -> Array:
@@ -138,7 +144,7 @@ class GizmoFrame:
     def in_front(self, handle: Handle) -> NDArray[np.bool_]:
         """Return (N,) whether points of `line` are on the near side of the object."""
         line = self.line(handle)
-        if handle.part is not Part.RING:
+        if handle.part not in (Part.RING, Part.YAW):
             return np.ones(len(line), bool)
         axis, radius = self._ring(handle)
         out = _circle_directions(axis) * radius * self.length_m
@@ -157,7 +163,7 @@ class GizmoFrame:
                 distance = float(np.linalg.norm(point - self.middle)) - DISC * self.size_px
                 distance = max(distance, 0.0)
             else:
-                closed = handle.part in (Part.RING, Part.VIEW_RING)
+                closed = handle.part in (Part.RING, Part.YAW, Part.VIEW_RING)
                 distance = _distance(line, point, self.in_front(handle), closed=closed)
             if distance <= best:
                 best, found = distance, handle
@@ -191,6 +197,8 @@ class GizmoFrame:
         """Return the axis of a ring and its radius as a fraction of the gizmo's size."""
         if handle.part is Part.VIEW_RING:
             return self.sight, VIEW_RING
+        if handle.part is Part.YAW:
+            return self.up, YAW_RING
         return self.axes[:, handle.axis], 1.0
 
     def _circle(self, axis: Array, radius: float) -> Array:
@@ -238,6 +246,7 @@ def draw_gizmo(
         if only is not None and handle != only:
             continue
         color = NEUTRAL if handle.axis < 0 else AXIS_COLORS[handle.axis]
+        color = YAW if handle.part is Part.YAW else color
         lit = handle in (hovered, only)
         _draw_handle(
             strokes, frame, handle, HOVERED if lit else color, scale * (1.35 if lit else 1.0)

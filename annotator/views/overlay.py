@@ -78,7 +78,7 @@ class OverlaidView(viewpoint.Viewpoint, ABC):
         axes = T_eye_obj.R if controller.axes == "object" else self.T_eye_cam.R
         largest = LARGEST_GIZMO_PX * self.pixel_ratio
         size = float(np.clip(GIZMO_SHARE * min(self.size), SMALLEST_GIZMO_PX, largest))
-        return gizmo.GizmoFrame(self.screen, centre, axes, size)
+        return gizmo.GizmoFrame(self.screen, centre, axes, size, self.up())
 
 
 def draw_overlay(strokes: triangles.Strokes, captions: layers.Captions, view: OverlaidView) -> None:

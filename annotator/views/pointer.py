@@ -26,7 +26,7 @@ from annotator.views.interaction import (
     marker_at,
     pick_point,
 )
-from std_toolkit.geometry import SE3
+from std_toolkit.geometry import SE3, so3_exp
 
 __all__ = ["Pointer", "interactor_of"]
 
@@ -307,7 +307,7 @@ class Pointer:
         if self._gesture is not None:
             return
         if self._interactor.GetControlKey() or self._interactor.GetShiftKey():
-            self._wheel_depth(notches)
+            self._wheel_object(notches)
             return
         at = self.at()
         view = self.view
@@ -318,19 +318,25 @@ class Pointer:
             view.eye.zoom(ZOOM_STEP**notches, at, view.camera, view.size)
         self._motion.moved(view)
 
-    def _wheel_depth(self, notches: int) -> None:
-        """Move the selected object along the viewing ray of its centre; up is away."""
+    def _wheel_object(self, notches: int) -> None:
+        """Move the selected object by one step: with Shift about the table's normal, else in depth.
+
+        Up turns its near side to the right, or moves it away along the viewing ray of its centre.
+        """
         controller, view, name = self.controller, self.view, self.controller.selected
         pose = view.T_eye_obj(name) if name is not None else None
         solid = view.solid(name) if name is not None else None
         if name is None or pose is None or solid is None or not controller.session.writable:
             return
         controller.activate_view(view.slot)
-        step = controller.step / 1000 * (0.1 if self._interactor.GetShiftKey() else 1.0)
         centre = pose @ solid.shape.centre
-        sight = centre / np.linalg.norm(centre)
-        shifted = SE3(pose.R, pose.t + notches * step * sight)
-        controller.drag_to(name, view.frame, view.T_eye_cam.inverse() @ shifted)
+        if self._interactor.GetShiftKey():
+            R = so3_exp(notches * np.deg2rad(controller.step) * view.up())
+            change = SE3(R, centre - R @ centre)
+        else:
+            sight = centre / np.linalg.norm(centre)
+            change = SE3(np.eye(3), notches * controller.step / 1000 * sight)
+        controller.drag_to(name, view.frame, view.T_eye_cam.inverse() @ change @ pose)
         self._wheel_turn += 1
         turn = self._wheel_turn
         self._later(WHEEL_PAUSE_S, lambda: self.end_wheel(turn))

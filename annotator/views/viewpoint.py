@@ -177,21 +177,12 @@ class Viewpoint:
 
     def T_eye_of(self, frame_name: str) -> SE3 | None:
         """Return the transform of "world" or "camera 12" to eye coordinates; None if unknown."""
-        if frame_name == "world":
-            return self.T_eye_world
-        if frame_name == f"camera {self.frame}":
-            return self.T_eye_cam
-        T_eye_world = self.T_eye_world
-        T_world_cam = self.controller.session.T_world_cam(int(frame_name.split()[-1]))
-        return None if T_eye_world is None or T_world_cam is None else T_eye_world @ T_world_cam
+        T_cam = self.controller.T_cam_of(self.frame, frame_name)
+        return None if T_cam is None else self.T_eye_cam @ T_cam
 
     def up(self) -> Array:
         """Up direction (3,), eye coordinates: the table normal, or up in the frame's image."""
-        table = self.controller.table
-        T_eye_plane = None if table is None else self.T_eye_of(table.plane.frame)
-        if table is not None and T_eye_plane is not None:
-            return T_eye_plane.R @ table.plane.normal
-        return self.T_eye_cam.R @ np.array([0.0, -1.0, 0.0])
+        return self.T_eye_cam.R @ self.controller.up(self.frame)
 
     def settle_reference(self) -> None:
         """Reset the eye to the camera if its reference frame no longer exists.

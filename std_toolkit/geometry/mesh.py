@@ -39,6 +39,9 @@ _RIM = 1.1
 
 _ROUNDS = 8
 
+# Pairs of points whose distances are computed at once, 256 KiB.
+_PAIRS = 1 << 15
+
 
 def load_mesh(path: Path | str, *, unit: str = "m") -> trimesh.Trimesh:
     """Read a mesh as one `trimesh.Trimesh`, vertices in metres, vertex order kept.
@@ -150,17 +153,66 @@ def hull_points(points: NDArray[np.floating]) -> NDArray[np.float64]:
 
 
 def mesh_diameter(mesh: trimesh.Trimesh) -> float:
-    """Largest distance between two vertices, metres (BOP's diameter). Exact, by the convex hull."""
-    return hull_diameter(hull_vertices(mesh))
+    """Largest distance between two vertices that faces use, metres (BOP's diameter); exact.
+
+    Directions of space are divided into ever smaller cones. In each, only the vertices that are
+    extreme enough to be the ends of a longer segment than the longest one known are kept.
+    """
+    return largest_distance(np.asarray(mesh.vertices[np.unique(mesh.faces)], dtype=np.float64))
 
 
-def hull_diameter(hull: NDArray[np.float64]) -> float:
-    """Largest distance between two of the points (H, 3) of a convex hull."""
+def largest_distance(points: Array) -> float:
+    """Largest distance between two of the points (N, 3); exact."""
+    best, at = 0.0, points[0]
+    for _ in range(_ROUNDS):  # from a point to the farthest one, and again
+        distance = np.linalg.norm(points - at, axis=1)
+        best, at = max(best, float(distance.max())), points[distance.argmax()]
+    rounding = 1e-14 * float(np.abs(points).max())
+    cones = [(triangle, points, points) for triangle in _half_of_all_directions()]
+    while cones:
+        triangle, above, below = cones.pop()
+        axis = triangle.sum(axis=0)
+        axis /= np.linalg.norm(axis)
+        high, low = above @ axis, below @ axis
+        # Along the axis, a segment in the cone is at least this fraction of its length. The ends
+        # of one that is longer than `best` are within `slack` of the extremes.
+        fraction = float((triangle @ axis).min())
+        slack = float(high.max() - low.min()) - best * fraction + rounding
+        if slack < 0:
+            continue
+        above, below = above[high >= high.max() - slack], below[low <= low.min() + slack]
+        if len(above) * len(below) > _PAIRS and fraction < 1 - 1e-9:
+            a, b, c = triangle
+            ab, bc, ca = (m / np.linalg.norm(m) for m in (a + b, b + c, c + a))
+            cones += [
+                (np.stack(corners), above, below)
+                for corners in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
+            ]
+        else:
+            best = max(best, _largest_between(above, below))
+    return best
+
+
+def _largest_between(first: Array, second: Array) -> float:
+    """Largest distance between a point of each set; equal points count once."""
     from scipy.spatial.distance import cdist
 
-    # In blocks: on a fine sphere mesh every vertex is on the hull, and all pairs exceed the memory.
-    blocks = range(0, len(hull), 512)
-    return max(float(cdist(hull[i : i + 512], hull[i:]).max()) for i in blocks)
+    if len(first) * len(second) > _PAIRS:
+        first, second = np.unique(first, axis=0), np.unique(second, axis=0)
+    rows = max(1, _PAIRS // len(second))
+    parts = range(0, len(first), rows)
+    return max(float(cdist(first[i : i + rows], second).max()) for i in parts)
+
+
+def _half_of_all_directions() -> Array:
+    """(10, 3, 3) unit corners of the faces of an icosahedron, one of each pair of opposite ones."""
+    import trimesh
+
+    solid = trimesh.creation.icosahedron()
+    corners = np.asarray(solid.vertices[solid.faces], dtype=np.float64)
+    middles = corners.sum(axis=1)
+    half: Array = corners[middles @ [0.9, 0.4, 0.15] > 0]
+    return half
 
 
 def nocs_frame(mesh: trimesh.Trimesh) -> tuple[NDArray[np.float64], float]:

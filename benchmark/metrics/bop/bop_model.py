@@ -15,8 +15,8 @@ from std_toolkit.geometry import Symmetry
 from std_toolkit.geometry.mesh import (
     LARGEST_EXTENT_M,
     SMALLEST_EXTENT_M,
-    hull_diameter,
     hull_points,
+    largest_distance,
     load_mesh,
 )
 from std_toolkit.importers import bop_documents, bop_objects
@@ -86,7 +86,7 @@ def read_model(root: Path, obj_id: int, *, symmetry_steps: int | None = None) ->
     vertices = read_vertices(path)
     hull = hull_points(vertices)
     given = None if info is None else info.diameter
-    diameter = hull_diameter(hull) if given is None else given * bop_documents.MM
+    diameter = largest_distance(hull) if given is None else given * bop_documents.MM
     return BopModel(path, diameter, ModelDistances(vertices, hull, symmetry, symmetry_steps))
 
 

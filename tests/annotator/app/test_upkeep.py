@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from desk_without_window import Desk
 from scene_on_disk import camera_pose, camera_poses, write_scene
 
+from annotator.app import pose_checks
 from annotator.app.background_updates import BackgroundUpdates
 from annotator.app.object_summary import summarize
-from annotator.session import AddObject, Move, PoseChange, SetPoses
+from annotator.session import AddObject, Move, PoseChange, RemoveObject, SetPoses
 from std_toolkit.geometry import SE3
 from std_toolkit.scene import Scene
 
@@ -60,6 +63,28 @@ def test_another_object_does_not_take_them_away(desk: Desk, upkeep: BackgroundUp
     desk.wait(lambda: measured(desk))
     desk.controller.apply(AddObject(object="box_2", model="box"))
     assert measured(desk)
+
+
+@pytest.mark.slow
+def test_an_object_that_is_removed_meanwhile_raises_no_error(
+    desk: Desk, upkeep: BackgroundUpdates, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measure = pose_checks.measure_objects
+    removed = threading.Event()
+
+    def slowly(*args: Any) -> Any:
+        rows = measure(*args)
+        assert removed.wait(30)
+        return rows
+
+    desk.wait(lambda: measured(desk))
+    monkeypatch.setattr(pose_checks, "measure_objects", slowly)
+    desk.controller.nudge(shift=(1, 0, 0))
+    desk.rest(1.2)  # until it is being measured
+    desk.controller.apply(RemoveObject(object="box_1"))
+    removed.set()
+    desk.rest(0.5)
+    assert desk.messages == []
 
 
 @pytest.mark.slow

@@ -143,7 +143,7 @@ def test_numbers_that_are_not_finite(refuse: Refuse, number: str) -> None:
 
 @pytest.mark.parametrize(
     ("frame", "names"),
-    [(7, "no pose can be set"), (-1, "frame"), (0.5, "frame"), ("0", "frame"), (2**60, "frame")],
+    [(7, "no such frame"), (-1, "frame"), (0.5, "frame"), ("0.png", "frame"), (2**60, "frame")],
 )
 def test_frames_that_are_not_there(refuse: Refuse, frame: Any, names: str) -> None:
     refuse([set_pose(GOOD, frame=frame), SAVE], names=names)

@@ -39,8 +39,13 @@ def _click_points(bench: Bench, wanted: SE3) -> int:
         x, y = view.screen.project(pose @ point)
         clicks = bench.session.object("box_1").clicks.get(0, [])
         crosses = view.screen_of_recorded(np.array([[c.u, c.v] for c in clicks]).reshape(-1, 2))
-        if len(crosses) and np.linalg.norm(crosses - [x, y], axis=1).min() < 15:
-            continue  # a press there would take the cross
+        # A press near a cross would take it, on the mesh and in the image.
+        spots = [
+            (x, y),
+            view.screen_of_recorded(view.recorded_camera.project(wanted @ point[None])),
+        ]
+        if len(crosses) and any(np.linalg.norm(crosses - s, axis=1).min() < 15 for s in spots):
+            continue
         bench.click(QPoint(int(x), int(y)))
         assert bench.controller.pending_point is not None
         hit = np.array(bench.controller.pending_point)

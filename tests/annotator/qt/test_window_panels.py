@@ -14,6 +14,7 @@ from PySide6.QtCore import Qt
 from annotator.app import operations
 from annotator.app.object_summary import summarize
 from annotator.session.residuals import FrameResidual
+from std_toolkit.checks.ranking import PoseRank
 
 
 @pytest.mark.parametrize("alone", [True, False])
@@ -38,13 +39,15 @@ def test_depth_alone_is_not_called_a_fit(bench: Bench) -> None:
     ]
     panel.refresh()
     assert "check the contour by eye" in panel.summary.text()
-    assert "fits in every" not in panel.summary.text()
+    assert "It fits" not in panel.summary.text()
     row = summarize(c)[0]
     assert row.badge == "11 mm"
     assert "check the contour by eye" in row.explanation
     c.residuals["box_1"][0] = FrameResidual(0, 900, edge_px=0.6, edge_chance_px=4.0, depth_mm=-2.0)
+    c.residuals["box_1"][1] = FrameResidual(1, 900, edge_px=0.7, edge_chance_px=4.0)
+    c.ranks["box_1"] = PoseRank(200, 200, (0, 1), (0, 1), -0.1, 0.6)
     panel.refresh()
-    assert "fits in every" in panel.summary.text()
+    assert "It fits" in panel.summary.text()
 
 
 def test_without_an_object_there_is_no_material(bench: Bench) -> None:

@@ -27,6 +27,7 @@ def test_saved_labels_are_there_when_the_scene_is_opened_again(
     assert bench.space.status.saved.text() == "saved"
     bench.press(Key.Key_Right)
     bench.press("d")
+    bench.qtbot.waitUntil(lambda: bench.session.object("box_1").status == "done", timeout=30_000)
     bench.qtbot.waitUntil(lambda: "not saved" in bench.space.status.saved.text())
     assert bench.shell.isWindowModified()
     bench.press("s", CONTROL)

@@ -30,7 +30,7 @@ steps = st.tuples(st.floats(-60, 60), st.floats(-60, 60)).map(np.array)
 
 
 def gizmo(centre: NDArray[np.float64], axes: NDArray[np.float64]) -> GizmoFrame:
-    return GizmoFrame(CAMERA, centre, axes, 90.0)
+    return GizmoFrame(CAMERA, centre, axes, 90.0, np.array([0.0, -1.0, 0.0]))
 
 
 def moved(frame: GizmoFrame, T: SE3) -> NDArray[np.float64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -153,6 +154,45 @@ def test_the_diameter_of_a_finely_meshed_ball_needs_little_memory() -> None:
     """All 10,242 vertices lie on the hull: their 10^8 distances at once are 0.8 GB."""
     ball = trimesh.creation.icosphere(subdivisions=5, radius=0.05)
     assert mesh_diameter(ball) == pytest.approx(0.1, abs=1e-4)
+
+
+def _shape(kind: str) -> np.ndarray:
+    """Points of which few or all are at the ends of a longest segment, or nearly."""
+    rng = np.random.default_rng(1)
+    unit = rng.normal(size=(3000, 3))
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    shapes = {
+        "sphere": unit,
+        "nearly a sphere": unit * [1, 1, 0.9999],
+        "repeated": np.repeat(unit[:6], 700, axis=0),
+        "cube": rng.choice([-1.0, 1.0], size=(2000, 3)),
+        "far away": 1e-3 * unit + [1000, -400, 70],
+        "rims": np.stack([unit[:, 0], unit[:, 1], 0.5 * np.sign(unit[:, 2])], axis=1),
+        "disc": unit * [1, 1, 0],
+    }
+    return 0.1 * shapes[kind]
+
+
+@pytest.mark.parametrize(
+    "kind", ["sphere", "nearly a sphere", "repeated", "cube", "far away", "rims", "disc"]
+)
+def test_the_diameter_is_exact_whatever_the_shape(kind: str) -> None:
+    points = _shape(kind)
+    faces = np.arange(len(points) // 3 * 3).reshape(-1, 3)
+    used = points[np.unique(faces)]
+    exact = max(np.linalg.norm(used - p, axis=1).max() for p in used)
+    mesh = trimesh.Trimesh(points, faces, process=False)
+    assert mesh_diameter(mesh) == pytest.approx(exact, rel=1e-14)
+
+
+@pytest.mark.slow
+def test_the_diameter_of_a_large_mesh_takes_seconds() -> None:
+    """All 163,842 vertices are on the hull and nearly every one ends a longest segment: their
+    10^10 distances would take minutes."""
+    ball = trimesh.creation.icosphere(subdivisions=7, radius=0.05)
+    start = time.process_time()
+    assert mesh_diameter(ball) == pytest.approx(0.1, rel=1e-12)
+    assert time.process_time() - start < 10
 
 
 def test_flat_and_straight_meshes_have_an_outline() -> None:
