@@ -16,7 +16,8 @@ import torch
 from safetensors.torch import save
 
 from benchmark.methods.registry import grasp_planners, pose_methods, restorers
-from benchmark.methods.weights import read_weights, sha256_of
+from benchmark.methods.registry import sha256_of
+from benchmark.methods.weights import read_weights
 from benchmark.training.config import CONFIG
 from benchmark.training.run_files import BEST, SCORES
 from benchmark.training.run_note import RUN_NOTE, PartNote, RunNote
