@@ -184,10 +184,15 @@ def answers_one_by_one(
 
 def restore_views(restorer: Restorer, views: Mapping[int, View]) -> dict[int, Restored | str]:
     """Return restored depth by index, or error lines; see `answers_one_by_one`."""
-    return answers_one_by_one(restorer.restore, _check_restored, views)
+    return answers_one_by_one(restorer.restore, check_restored, views)
 
 
-def _check_restored(view: View, answer: Restored) -> None:
+def check_restored(view: View, answer: Restored) -> None:
+    """Refuse an answer of another type or shape.
+
+    Raises:
+        ToolkitError: what is wrong.
+    """
     if not isinstance(answer, Restored):
         raise ToolkitError("the method must give Restored(depth)", value=type(answer).__name__)
     if answer.depth.shape != view.depth.shape:

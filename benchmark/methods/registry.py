@@ -252,16 +252,16 @@ def shipped_weights(method: str, preset: str) -> Path:
 
 
 def shipped_graphs(method: str, preset: str) -> dict[tuple[int, int], Path]:
-    """The ONNX graphs that come with the toolkit, by the (width, height) that they work at.
+    """The ONNX graphs that come with the toolkit, by the (width, height) that they work at, the smallest first.
 
     They hold no weights: they refer to those of `shipped_file` beside them.
     """
     stem = f"{method}-{preset}-"
     found = {}
-    for path in sorted(SHIPPED.glob(f"{stem}*.onnx")):
+    for path in SHIPPED.glob(f"{stem}*.onnx"):
         width, _, height = path.stem.removeprefix(stem).partition("x")
         found[int(width), int(height)] = path
-    return found
+    return dict(sorted(found.items()))
 
 
 def sha256_of(path: Path) -> str:
