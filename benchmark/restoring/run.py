@@ -70,6 +70,8 @@ def restore_recordings(options: RestoreOptions) -> RestoreReport:
         ToolkitError: a recording or the method cannot be used, or the folder of results belongs to
             other options or another process. A frame that fails is in the report.
     """
+    # Workers on other machines have other working folders.
+    options = _absolute(options)
     recordings = open_recordings(options.sources, options.images, options.out)
     # Made once here, so that a wrong option is reported once and before anything is written.
     restorer = Restorer.of(options.choice, device=options.device, backend=options.backend)
@@ -130,6 +132,30 @@ def _restorer(choice: tuple[Any, ...]) -> Restorer:
         method, device, backend = choice
         _kept[key] = Restorer.of(method, device=device, backend=backend)
     return _kept[key]
+
+
+def _absolute(options: RestoreOptions) -> RestoreOptions:
+    choice, images = options.choice, options.images
+    file, colon, name = choice.method.rpartition(":")
+    of_file = bool(colon) and file.endswith(".py")
+    return replace(
+        options,
+        sources=tuple(source.absolute() for source in options.sources),
+        out=options.out.absolute(),
+        choice=replace(
+            choice,
+            method=f"{Path(file).absolute()}:{name}" if of_file else choice.method,
+            weights=choice.weights and choice.weights.absolute(),
+        ),
+        images=replace(
+            images,
+            **{
+                kind: str(Path(where).absolute())
+                for kind in ("color", "depth")
+                if (where := getattr(images, kind)) is not None
+            },
+        ),
+    )
 
 
 def _setup(options: RestoreOptions, restorer: Restorer) -> RestoreSetup:
