@@ -31,7 +31,6 @@ import numpy as np
 REPOSITORY = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(REPOSITORY))
 
-from benchmark.data.frame import resize_nearest  # noqa: E402
 from benchmark.restoring.onnx_export import made_up_views  # noqa: E402
 from std_toolkit.io.images import write_color, write_depth_png16  # noqa: E402
 
@@ -75,7 +74,9 @@ def run(command: list[str]) -> tuple[float, float]:
 
 
 def speed(frames: int, workers: int, sizes: list[str]) -> None:
-    print(f"{'network at':>12} {'start [s]':>10} {'frames/s':>9} {'CPU [ms]':>9} {'of 2 cores':>11}")
+    print(
+        f"{'network at':>12} {'start [s]':>10} {'frames/s':>9} {'CPU [ms]':>9} {'of 2 cores':>11}"
+    )
     with tempfile.TemporaryDirectory() as place:
         root = Path(place)
         few = max(workers, frames // 10)
@@ -177,7 +178,7 @@ def memory(count: int, workers: int) -> None:
             while program.poll() is None:
                 time.sleep(1)
                 folder = root / "out/frames"
-                done = len(os.listdir(folder)) if folder.is_dir() else 0
+                done = sum(1 for _ in folder.iterdir()) if folder.is_dir() else 0
                 if done >= reached + step or (reached == 0 and done >= 50):
                     reached = done
                     print(f"{done:8d} {pss_mib(program.pid):8.1f}", flush=True)

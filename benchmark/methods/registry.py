@@ -252,7 +252,7 @@ def shipped_weights(method: str, preset: str) -> Path:
 
 
 def shipped_graphs(method: str, preset: str) -> dict[tuple[int, int], Path]:
-    """The ONNX graphs that come with the toolkit, by the (width, height) that they work at, the smallest first.
+    """The ONNX graphs that come with the toolkit, by (width, height), the smallest first.
 
     They hold no weights: they refer to those of `shipped_file` beside them.
     """

@@ -12,7 +12,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from benchmark.methods.registry import MethodOptions, sha256_of, shipped_weights
+from benchmark.methods.registry import MethodOptions, shipped_weights
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
 

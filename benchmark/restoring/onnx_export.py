@@ -102,8 +102,11 @@ def _exported(method: str, options: MethodOptions) -> tuple[Any, Any, dict[str, 
     from benchmark.methods.network import NetworkRestorer
 
     restorer = make_restorer(method, options)
-    plain = isinstance(restorer, NetworkRestorer) and restorer.takes_color_and_depth
-    if not plain or restorer.input_size is None:
+    if (
+        not isinstance(restorer, NetworkRestorer)
+        or not restorer.takes_color_and_depth
+        or restorer.input_size is None
+    ):
         raise ToolkitError(
             "has no network of colour and depth of a fixed size, which alone can be exported",
             field="--method",

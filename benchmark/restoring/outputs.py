@@ -201,9 +201,7 @@ def write_frame(
     return record
 
 
-def point_cloud(
-    color: NDArray[np.uint8], depth: NDArray[np.float32], camera: Camera
-) -> bytes:
+def point_cloud(color: NDArray[np.uint8], depth: NDArray[np.float32], camera: Camera) -> bytes:
     """A binary PLY of the pixels with depth: camera frame, metres, RGB."""
     there = depth > 0
     table = np.empty(int(there.sum()), _POINT)

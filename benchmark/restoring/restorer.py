@@ -119,7 +119,9 @@ class Restorer:
         return cls(made, options)
 
     @classmethod
-    def of(cls, choice: MethodChoice, *, device: str = "cpu", backend: Backend = "auto") -> Restorer:
+    def of(
+        cls, choice: MethodChoice, *, device: str = "cpu", backend: Backend = "auto"
+    ) -> Restorer:
         """Load what the options of a command choose; see `load`."""
         return cls.load(
             choice.method,

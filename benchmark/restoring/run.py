@@ -149,11 +149,8 @@ def _absolute(options: RestoreOptions) -> RestoreOptions:
         ),
         images=replace(
             images,
-            **{
-                kind: str(Path(where).absolute())
-                for kind in ("color", "depth")
-                if (where := getattr(images, kind)) is not None
-            },
+            color=images.color and str(Path(images.color).absolute()),
+            depth=images.depth and str(Path(images.depth).absolute()),
         ),
     )
 

@@ -68,7 +68,8 @@ class OnnxNetwork:
         color, depth = view.color, view.depth
         size = (depth.shape[1], depth.shape[0])
         if size != self.input_size:
-            color, depth = (resize_nearest(image, self.input_size) for image in (color, depth))
+            color = resize_nearest(color, self.input_size)
+            depth = resize_nearest(depth, self.input_size)
         depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0)
         images = (color.transpose(2, 0, 1).astype(np.float32) / np.float32(255), depth[None])
         outputs = self._session.run(
