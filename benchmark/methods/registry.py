@@ -258,7 +258,8 @@ def shipped_graphs(method: str, preset: str) -> dict[tuple[int, int], Path]:
     """
     stem = f"{method}-{preset}-"
     found = {}
-    for path in SHIPPED.glob(f"{stem}*.onnx"):
+    # The name may be that of a user's file, and no pattern.
+    for path in (path for path in SHIPPED.glob("*.onnx") if path.name.startswith(stem)):
         width, _, height = path.stem.removeprefix(stem).partition("x")
         found[int(width), int(height)] = path
     return dict(sorted(found.items()))

@@ -173,12 +173,14 @@ def write_frame(
     if paths.exr:
         unit = 1.0
         write_exr(paths.depth, {"Y": depth})
+        changed = depth != sensor
     else:
         unit = frame.unit if frame.is_png else _DEFAULT_UNIT
         # A wall beyond what the numbers can hold is no depth.
-        depth = np.where(depth <= _LARGEST * unit, depth, np.float32(0))
+        numbers = np.rint(np.where(depth <= _LARGEST * unit, depth, 0) / unit)
+        depth = (numbers * unit).astype(np.float32)
         write_depth_png16(paths.depth, depth, scale=unit)
-    changed = depth != sensor
+        changed = numbers != np.rint(sensor / unit)
     write_png(paths.changed, changed.astype(np.uint8) * np.uint8(255))
     if restored.confidence is not None:
         write_png(paths.confidence, np.rint(255 * restored.confidence).astype(np.uint8))
