@@ -154,7 +154,8 @@ class Restorer:
 
         Raises:
             ToolkitError: arrays of another type or shape, depth that is not aligned or not in
-                metres, a matrix that does not fit the images, or an invalid answer of the method.
+                metres, depth without any measurement, a matrix that does not fit the images, or an
+                invalid answer of the method.
         """
         color, sensor = _checked(color, depth)
         return self.restore_view(color, sensor, _camera(K, sensor.shape))
@@ -162,7 +163,16 @@ class Restorer:
     def restore_view(
         self, color: NDArray[np.uint8], sensor: NDArray[np.float32], camera: Camera
     ) -> RestoredFrame:
-        """`restore` of arrays that are known to be good: 0 where nothing was measured."""
+        """`restore` of arrays that are known to be good: 0 where nothing was measured.
+
+        Raises:
+            ToolkitError: no pixel is measured, or an invalid answer of the method.
+        """
+        if not (sensor > 0).any():
+            raise ToolkitError(
+                "the sensor measured nothing, so that nobody knows how far away anything is",
+                field="depth",
+            )
         view = sensor_view(color, sensor, camera, self.method.input_size)
         answers = self.method.restore([view])
         if len(answers) != 1:

@@ -7,8 +7,9 @@
         -r camera_info:=/camera/camera/color/camera_info
 
 It subscribes to `color` (rgb8 or bgr8), `depth` (16UC1 in millimetres or 32FC1 in metres, aligned
-to colour) and `camera_info`, and publishes `restored/depth` (32FC1, metres) and `restored/confidence`
-(32FC1) with the stamp and frame of the depth image. It drops frames while it is busy.
+to colour) and `camera_info`, and publishes `restored/depth` (32FC1, metres) and
+`restored/confidence` (32FC1) with the stamp and frame of the depth image. It drops frames while it
+is busy.
 
 The tests compile this file and try its conversions; they have no ROS 2 to run the node with.
 """

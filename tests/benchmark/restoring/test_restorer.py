@@ -48,6 +48,7 @@ def test_what_is_not_measured_may_be_written_in_any_way():
         ({"depth": np.uint16(1000 * sensor_depth())}, "depth: must be floating-point metres"),
         ({"depth": sensor_depth()[:36]}, "align depth to colour"),
         ({"depth": 1000 * sensor_depth()}, "millimetres?"),
+        ({"depth": 0 * sensor_depth()}, "the sensor measured nothing"),
         ({"K": np.eye(4)}, "K: must be a (3, 3)"),
         ({"K": (96, 96, 640, 360)}, "cx"),
         ({"K": "K"}, "K: must be a (3, 3)"),
