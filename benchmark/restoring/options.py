@@ -35,9 +35,10 @@ class MethodChoice:
 class RestoreOptions:
     """Restore the depth of recordings at the camera's own size.
 
-    SOURCES are folders: a scene of std-curate, a folder with color/ and depth/, or a data set that
-    `std-curate import` reads; or recordings of librealsense (.bag, .db3). Without SOURCES, give
-    images: --color and --depth, each one image, a folder or a quoted pattern.
+    SOURCES are folders: a scene of std-curate, a folder with color/ and depth/,
+    or a data set that `std-curate import` reads; or recordings of librealsense
+    (.bag, .db3). Without SOURCES, give images: --color and --depth, each one
+    image, a folder or a quoted pattern.
     """
 
     sources: tuple[Path, ...] = field(default=(), metadata={"option": ""})
@@ -79,8 +80,9 @@ class RestoreOptions:
 class ExportOptions:
     """Write a network as one ONNX file and compare it with torch.
 
-    The file runs without torch: `std-restore ... --weights FILE.onnx`, `std-bench --method onnx
-    --weights FILE.onnx`, or any other program that reads ONNX.
+    The file runs without torch: `std-restore ... --weights FILE.onnx`,
+    `std-bench --method onnx --weights FILE.onnx`, or another program that reads
+    ONNX.
     """
 
     out: Path = field(metadata={"option": "onnx"})
