@@ -9,6 +9,7 @@ Source: "External Data" and "Intermediate Representation", onnx.ai.
 from __future__ import annotations
 
 import json
+import logging
 import struct
 import warnings
 from collections.abc import Sequence
@@ -114,6 +115,8 @@ def _exported(method: str, options: MethodOptions) -> tuple[Any, Any, dict[str, 
         )
     network = _with_tuple(restorer.plain_network())
     width, height = restorer.input_size
+    # It warns of every package that it could use and does not need.
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     example = (torch.rand(1, 3, height, width), torch.rand(1, 1, height, width) + 0.5)
     try:
         # Attention in its plain form: that of a processor has another layout in memory.
