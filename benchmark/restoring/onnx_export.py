@@ -96,6 +96,7 @@ _TYPES = {"F16": np.float16, "F32": np.float32, "I64": np.int64}
 def _exported(method: str, options: MethodOptions) -> tuple[Any, Any, dict[str, np.ndarray]]:
     """The restorer, its graph without weights, and the weights that the graph uses by name."""
     import onnx
+    import onnxruntime  # noqa: F401 - needed at the end; missed before minutes of work
     import torch
     from onnxscript import optimizer
     from torch.nn.attention import SDPBackend, sdpa_kernel
