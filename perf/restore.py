@@ -173,17 +173,18 @@ def memory(count: int, workers: int) -> None:
         make_frames(root / "all", count, SMALL)
         command = words(root / "all", root / "out", SMALL, "--workers", str(workers))
         with subprocess.Popen(command, cwd=REPOSITORY, stdout=subprocess.DEVNULL) as program:
-            reached, step, used = 0, max(1, count // 10), 0.0
+            reached, step, most = 0, max(1, count // 10), 0.0
             print(f"{'frames':>8} {'MiB':>8}")
             while program.poll() is None:
                 time.sleep(1)
                 folder = root / "out/frames"
                 done = sum(1 for _ in folder.iterdir()) if folder.is_dir() else 0
-                used = pss_mib(program.pid) or used
+                used = pss_mib(program.pid)
+                most = max(most, used)
                 if done >= reached + step or (reached == 0 and done >= 50):
                     reached = done
                     print(f"{done:8d} {used:8.1f}", flush=True)
-            print(f"{count:8d} {used:8.1f} (last)")
+            print(f"{'most':>8} {most:8.1f}")
             if program.returncode != 0:
                 sys.exit(program.returncode)
 
