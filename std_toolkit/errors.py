@@ -71,6 +71,45 @@ class ToolkitError(Exception):
         return (_rebuild, (type(self), self.problem, self.path, self.field, self.value, self.hint))
 
 
+# Module that is imported, and the extra of this distribution that brings it.
+EXTRAS: dict[str, str] = {
+    "PySide6": "gui",
+    "aiohttp": "web",
+    "coacd": "sim",
+    "kornia": "train",
+    "manifold3d": "sim",
+    "mitsuba": "sim",
+    "mujoco": "sim",
+    "numba": "sim",
+    "onnx": "train",
+    "onnxruntime": "restore",
+    "onnxscript": "train",
+    "pyoidn": "sim",
+    "pyrealsense2": "realsense",
+    "pytorch_lightning": "train",
+    "pyvista": "gui",
+    "pyvistaqt": "gui",
+    "ray": "cluster",
+    "safetensors": "train",
+    "tensorboard": "train",
+    "torch": "train",
+    "trame": "web",
+    "vtk": "gui",
+}
+
+
+def missing_extra(error: BaseException) -> ToolkitError | None:
+    """The error to report for the import of a module that an extra brings; None for any other."""
+    if not isinstance(error, ModuleNotFoundError):
+        return None
+    module = (error.name or "").partition(".")[0]
+    if module not in EXTRAS:
+        return None
+    return ToolkitError(
+        f"{module} is not installed", hint=f"pip install 'std-toolkit[{EXTRAS[module]}]'"
+    )
+
+
 def check_options(options: Any) -> None:
     """Check the fields of a dataclass or Struct against the ranges and choices in its annotations.
 

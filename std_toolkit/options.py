@@ -83,8 +83,8 @@ class KnownCameras:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ImportOptions:
-    """Options for reading a recording in another format."""
+class ImageOptions:
+    """Options for reading colour and depth images."""
 
     color: str | None = None
     """folder or quoted glob pattern of the colour images"""
@@ -102,6 +102,12 @@ class ImportOptions:
     """skip frames that lack colour or depth"""
     off_centre: bool = False
     """accept a principal point far from the image centre (cropped images)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportOptions(ImageOptions):
+    """Options for reading a recording in another format."""
+
     material: Material | None = None
     """material of imported objects whose format has none"""
     models: Path | None = None

@@ -19,7 +19,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, missing_extra
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -155,6 +155,8 @@ class Registry(Generic[T]):
         try:
             return load()
         except (Exception, SystemExit) as error:  # importing foreign code can raise anything
+            if (missing := missing_extra(error)) is not None:
+                raise ToolkitError(missing.problem, value=target, hint=missing.hint) from error
             reason = " ".join(str(error).split()) or type(error).__name__
             raise ToolkitError(
                 f"cannot import plug-in for {self.group}: {reason}", value=target

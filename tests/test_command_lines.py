@@ -11,13 +11,13 @@ import sys
 import pytest
 
 from annotator import cli as annotate
-from benchmark.cli import bench, report, train
+from benchmark.cli import bench, report, restore, train
 from sensors.record import cli as record
 from sensors.simulation import cli as simulate
 from std_toolkit.cli import main as curate
 from std_toolkit.cli.command import Command, Program
 
-MODULES = (curate, bench, train, report, simulate, annotate, record)
+MODULES = (curate, bench, train, report, restore, simulate, annotate, record)
 PROGRAMS: tuple[Program, ...] = tuple(module.PROGRAM for module in MODULES)
 COMMANDS = [(program, command) for program in PROGRAMS for command in program.commands]
 

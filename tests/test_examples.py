@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import runpy
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parent.parent
@@ -40,6 +43,26 @@ PRINTED = {
 
 def test_each_example_is_known() -> None:
     assert [path.stem for path in EXAMPLES] == list(PRINTED)
+
+
+def test_the_node_for_ros_converts_images() -> None:
+    """It runs where ROS 2 is installed; here it is compiled, and its conversions are tried."""
+    node = runpy.run_path(str(REPOSITORY / "examples/ros2/restore_depth_node.py"))
+    depth = np.array([[0, 1500, 2], [3, 4, 65535]], ">u2")
+    rows = np.zeros((2, 8), np.uint8)  # rows may be padded
+    rows[:, :6] = depth.view(np.uint8)
+    size = {"height": 2, "width": 3, "step": 8}
+    message = SimpleNamespace(encoding="16UC1", is_bigendian=1, data=rows.tobytes(), **size)
+    assert np.allclose(node["depth_of"](message), depth * 0.001)
+    sent = node["fill_message"](SimpleNamespace(), depth.astype(np.float32), "header")
+    assert np.array_equal(node["depth_of"](sent), depth) and sent.header == "header"
+    color = np.arange(18, dtype=np.uint8).reshape(2, 3, 3)
+    size["step"] = 9
+    for encoding, image in (("rgb8", color), ("bgr8", color[..., ::-1])):
+        message = SimpleNamespace(encoding=encoding, data=image.tobytes(), **size)
+        assert np.array_equal(node["color_of"](message), color)
+    with pytest.raises(ValueError, match="mono8"):
+        node["color_of"](SimpleNamespace(encoding="mono8"))
 
 
 @pytest.mark.slow

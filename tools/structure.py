@@ -58,7 +58,7 @@ ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
         ("methods",),
         ("tabletop",),
         ("evaluation",),
-        ("training",),
+        ("restoring", "training"),
         ("report",),
         ("recipes",),
         ("cli",),

@@ -159,7 +159,8 @@ def open_scenes(name: str, top: Path, *, depth: int = 3) -> ToolkitScenes:
         raise ToolkitError(
             "no toolkit scene here: no folder holds a scene.json",
             path=top,
-            hint="`std-curate import` makes scenes of recordings",
+            hint="`std-curate import` makes scenes of recordings; `std-restore` restores the depth "
+            "of recordings without ground truth",
         )
     names = Counter(p.name for p in paths)
     folders, left_out = [], {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -32,9 +33,11 @@ class DepthScale:
 
 def depth_scale(frame: DepthFrame) -> DepthScale:
     """Return one scale for all depth panels of a frame: the range of its ground truth."""
-    there = frame.depth_true[frame.depth_true > 0]
-    if not there.size:
-        there = frame.depth_raw[frame.depth_raw > 0]
+    return _range_of(frame.depth_true if (frame.depth_true > 0).any() else frame.depth_raw)
+
+
+def _range_of(depth: NDArray[np.float32]) -> DepthScale:
+    there = depth[depth > 0]
     if not there.size:
         return DepthScale(0.0, 1.0)
     near, far = np.percentile(there, (1, 99))
@@ -65,7 +68,33 @@ def strip(
     ]
     if confidence is not None:
         panels.append(trust_picture(resize_nearest(np.asarray(confidence, np.float32), size)))
-    gap = np.full((height, _GAP, 3), 255, np.uint8)
+    return _side_by_side(panels)
+
+
+def restored_strip(
+    color: NDArray[np.uint8],
+    raw: NDArray[np.float32],
+    restored: NDArray[np.float32],
+    confidence: NDArray[np.float32] | None = None,
+    *,
+    width: int = 480,
+) -> Image:
+    """Return colour, raw and restored depth of one size side by side, plus `TRUST_PANEL` if given.
+
+    The colours of depth span the restored depth; at most `width` pixels per panel.
+    """
+    width = min(width, color.shape[1])
+    size = (width, round(width * color.shape[0] / color.shape[1]))
+    scale = _range_of(restored if (restored > 0).any() else raw)
+    panels = [np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)]
+    panels += [depth_picture(resize_nearest(depth, size), scale) for depth in (raw, restored)]
+    if confidence is not None:
+        panels.append(trust_picture(resize_nearest(confidence, size)))
+    return _side_by_side(panels)
+
+
+def _side_by_side(panels: Sequence[Image]) -> Image:
+    gap = np.full((panels[0].shape[0], _GAP, 3), 255, np.uint8)
     return np.hstack([part for panel in panels for part in (panel, gap)][:-1])
 
 

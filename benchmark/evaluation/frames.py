@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -184,10 +185,15 @@ def answers_one_by_one(
 
 def restore_views(restorer: Restorer, views: Mapping[int, View]) -> dict[int, Restored | str]:
     """Return restored depth by index, or error lines; see `answers_one_by_one`."""
-    return answers_one_by_one(restorer.restore, _check_restored, views)
+    return answers_one_by_one(restorer.restore, check_restored, views)
 
 
-def _check_restored(view: View, answer: Restored) -> None:
+def check_restored(view: View, answer: Restored) -> None:
+    """Refuse an answer of another type or shape.
+
+    Raises:
+        ToolkitError: what is wrong.
+    """
     if not isinstance(answer, Restored):
         raise ToolkitError("the method must give Restored(depth)", value=type(answer).__name__)
     if answer.depth.shape != view.depth.shape:
@@ -276,7 +282,21 @@ class FrameRun(FramesRun[DepthSource, M]):
         return self.split, self.root
 
     def open(self) -> DepthSource:
-        return open_split(self.split, self.root)
+        """Open the data.
+
+        Raises:
+            ToolkitError: the data are missing, or no frame has sensor depth and ground truth.
+        """
+        source = open_split(self.split, self.root)
+        if not len(source):
+            raise ToolkitError(
+                "no frame has sensor depth and ground truth, so nothing can be scored",
+                path=self.root,
+                field="--data",
+                hint=f"`std-restore {shlex.quote(str(self.root))} --out restored` restores depth "
+                "without ground truth",
+            )
+        return source
 
     def chosen(self, data: DepthSource) -> list[int]:
         return chosen_frames(len(data), self.limit)

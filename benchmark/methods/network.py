@@ -119,6 +119,16 @@ class NetworkRestorer:
             return images
         return interpolate(images, size=self.input_size[::-1], mode="nearest")
 
+    @property
+    def takes_color_and_depth(self) -> bool:
+        """Whether the network is called with colour and depth alone, and answers as above."""
+        own = type(self)
+        return own.inputs is NetworkRestorer.inputs and own.answers is NetworkRestorer.answers
+
+    def plain_network(self) -> nn.Module:
+        """The network with its weights under the names that their file has; for export."""
+        return self.network
+
     def skeleton(self) -> nn.Module:
         """The network as published, for its parameters and its cost; it may be without weights."""
         return self.network

@@ -5,6 +5,7 @@ Errors are one line that names the method and the field.
 
 from __future__ import annotations
 
+import hashlib
 import traceback
 import types
 import typing
@@ -139,6 +140,7 @@ restorers: Registry[RestorerFactory] = Registry(
         "lidf": "benchmark.methods.depth.lidf.lidf:LIDF",
         "cleargrasp": "benchmark.methods.depth.cleargrasp.cleargrasp:ClearGrasp",
         "dfnet": "benchmark.methods.depth.dfnet:DFNet",
+        "onnx": "benchmark.methods.depth.onnx_network:OnnxNetwork",
     },
 )
 
@@ -227,6 +229,50 @@ def shipped_file(method: str, preset: str) -> Path:
     if method.startswith(COMMAND):
         method = COMMAND  # a command is no name of a file
     return SHIPPED / f"{method}-{preset}.safetensors"
+
+
+def shipped_weights(method: str, preset: str) -> Path:
+    """The file of weights that comes with the toolkit.
+
+    Its SHA-256 is in the file of the same name with `.sha256` behind, and is checked.
+
+    Raises:
+        ToolkitError: none comes for this preset, or the file is not what was shipped.
+    """
+    path = shipped_file(method, preset)
+    if not path.is_file():
+        raise ToolkitError(
+            f"no weights for {method}, preset {preset}, come with the toolkit",
+            hint="give --weights",
+        )
+    expected = path.with_name(path.name + ".sha256").read_text(encoding="ascii").split()[0]
+    if sha256_of(path) != expected:
+        raise ToolkitError(
+            "not the weights that were shipped: their SHA-256 differs",
+            path=path,
+            hint="install the toolkit again",
+        )
+    return path
+
+
+def shipped_graphs(method: str, preset: str) -> dict[tuple[int, int], Path]:
+    """The ONNX graphs that come with the toolkit, by (width, height), the smallest first.
+
+    They hold no weights: they refer to those of `shipped_file` beside them.
+    """
+    stem = f"{method}-{preset}-"
+    found = {}
+    # The name may be that of a user's file, and no pattern.
+    for path in (path for path in SHIPPED.glob("*.onnx") if path.name.startswith(stem)):
+        width, _, height = path.stem.removeprefix(stem).partition("x")
+        found[int(width), int(height)] = path
+    return dict(sorted(found.items()))
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def preset_for(method: str, asked: str | None, weights: Path | None) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import pickle
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -15,7 +14,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from benchmark.methods.registry import MethodOptions, shipped_file
+from benchmark.methods.registry import MethodOptions, shipped_weights
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
 
@@ -59,30 +58,6 @@ ARCHITECTURES: tuple[tuple[str, tuple[str, ...]], ...] = (
 )
 
 
-def shipped_weights(method: str, preset: str) -> Path:
-    """The file of weights that comes with the toolkit.
-
-    Its SHA-256 is in the file of the same name with `.sha256` behind, and is checked.
-
-    Raises:
-        ToolkitError: none comes for this preset, or the file is not what was shipped.
-    """
-    path = shipped_file(method, preset)
-    if not path.is_file():
-        raise ToolkitError(
-            f"no weights for {method}, preset {preset}, come with the toolkit",
-            hint="give --weights",
-        )
-    expected = path.with_name(path.name + ".sha256").read_text(encoding="ascii").split()[0]
-    if sha256_of(path) != expected:
-        raise ToolkitError(
-            "not the weights that were shipped: their SHA-256 differs",
-            path=path,
-            hint="install the toolkit again",
-        )
-    return path
-
-
 def weights_for(method: str, options: MethodOptions) -> Path:
     """The file of weights that a user gave, or else the one that comes with the toolkit.
 
@@ -90,12 +65,6 @@ def weights_for(method: str, options: MethodOptions) -> Path:
         ToolkitError: neither.
     """
     return options.weights or shipped_weights(method, options.preset)
-
-
-def sha256_of(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_weights(path: Path) -> dict[str, Tensor]:

@@ -15,8 +15,8 @@ from typing import Any
 import torch
 from safetensors.torch import save
 
-from benchmark.methods.registry import grasp_planners, pose_methods, restorers
-from benchmark.methods.weights import read_weights, sha256_of
+from benchmark.methods.registry import grasp_planners, pose_methods, restorers, sha256_of
+from benchmark.methods.weights import read_weights
 from benchmark.training.config import CONFIG
 from benchmark.training.run_files import BEST, SCORES
 from benchmark.training.run_note import RUN_NOTE, PartNote, RunNote

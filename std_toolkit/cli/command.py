@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from std_toolkit.cli.command_options import UsageError, parse_options, print_completion
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, missing_extra
 from std_toolkit.log import log_to_stderr
 
 WRONG_USAGE = 2
@@ -179,7 +179,7 @@ def exit_status(
     except Exception as error:  # a bug in the toolkit: still one line, and how to get the traceback
         if debug:
             raise
-        shown = ToolkitError(
+        shown = missing_extra(error) or ToolkitError(
             f"unexpected {type(error).__name__}: {error}",
             hint=f"a defect of std-toolkit; `{program} --debug ...` prints the traceback",
         )

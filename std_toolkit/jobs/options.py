@@ -8,7 +8,7 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import msgspec
 
-from std_toolkit.errors import ToolkitError, check_options
+from std_toolkit.errors import ToolkitError, check_options, missing_extra
 
 Item = TypeVar("Item")
 
@@ -64,6 +64,7 @@ def worker_died() -> Outcome[Any]:
 
 def error_of(error: BaseException) -> Outcome[Any]:
     """The outcome of an item that raised `error`."""
+    error = missing_extra(error) or error
     if isinstance(error, ToolkitError):
         return Outcome(error=str(error))
     return Outcome(error=f"{type(error).__name__}: {' '.join(str(error).split())[:500]}")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmark.data.frame import resize_nearest
-from benchmark.methods.depth.full_size import at_full_size
+from benchmark.methods.depth.full_size import at_full_size, to_full_size
 from benchmark.methods.protocol import Restored
 
 FULL, OWN = (640, 360), (224, 126)
@@ -83,3 +83,30 @@ def test_beside_a_pixel_without_an_answer_the_sensor_must_be_near_the_others():
     v, u = 60 * 360 // 126 + 4, 60 * 640 // 224 + 4  # of the pixel below, to the right
     sensor[v, u] = 0.3
     assert at_full_size(sensor, answer)[v, u] == step()[v, u]
+
+
+def test_colour_leads_an_edge_to_where_it_is():
+    """Without it, edges lie at the pixels that the answer has."""
+    color = np.where(step()[..., None] < 0.55, np.uint8(180), np.uint8(60)).repeat(3, 2)
+    plain, guided = (
+        to_full_size(NOTHING, restored(step()), image).depth for image in (None, color)
+    )
+    assert (plain != step()).sum() > 200
+    assert np.array_equal(guided, step())
+
+
+def test_colour_does_not_change_what_is_smooth_or_unknown():
+    noise = np.random.default_rng(0).integers(0, 256, (*plane().shape, 3), np.uint8)
+    answer = restored(plane())
+    answer.depth[:40] = 0
+    plain, guided = (to_full_size(NOTHING, answer, image).depth for image in (None, noise))
+    assert np.array_equal(plain == 0, guided == 0)
+    assert np.array_equal(plain[130:], guided[130:])
+
+
+def test_a_trusted_sensor_is_kept_at_the_size_of_the_answer_too():
+    sensor = plane() + np.float32(0.002)
+    sensor[40, 50] = 0.9
+    found = to_full_size(sensor, Restored(plane(), np.ones(sensor.shape, np.float32)))
+    assert found.believed.sum() == sensor.size - 1 and found.depth[40, 50] == plane()[40, 50]
+    assert np.array_equal(found.depth[found.believed], sensor[found.believed])

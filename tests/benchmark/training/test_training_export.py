@@ -10,7 +10,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from benchmark.methods.weights import sha256_of
+from benchmark.methods.registry import sha256_of
 from benchmark.training.export import export_weights, half
 from std_toolkit.errors import ToolkitError
 from tests.benchmark.training.training_set import packed, trained, wishes, write_scenes

@@ -56,9 +56,8 @@ class SwinDRNet(NetworkRestorer):
     """
 
     def __init__(self, options: MethodOptions) -> None:
-        self.config, network = network_of(
-            "swindrnet", swindrnet_network.PRESETS, swindrnet_network.SwinDRNetwork, options
-        )
+        self._options = options
+        self.config, network = _network(options)
         device = torch_device(options.device)
         plain = not options.compile and options.precision == "fp32"
         super().__init__(
@@ -70,6 +69,17 @@ class SwinDRNet(NetworkRestorer):
     def skeleton(self) -> nn.Module:
         with torch.device("meta"):
             return swindrnet_network.SwinDRNetwork(self.config).eval()
+
+    def plain_network(self) -> nn.Module:
+        return _network(self._options)[1].eval().requires_grad_(False)
+
+
+def _network(
+    options: MethodOptions,
+) -> tuple[swindrnet_network.SwinDRNetConfig, swindrnet_network.SwinDRNetwork]:
+    return network_of(
+        "swindrnet", swindrnet_network.PRESETS, swindrnet_network.SwinDRNetwork, options
+    )
 
 
 class FastSwinDRNetwork(nn.Module):

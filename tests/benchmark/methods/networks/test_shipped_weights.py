@@ -12,8 +12,8 @@ from network_cases import frames
 from benchmark.cli.bench import main as bench
 from benchmark.evaluation.tasks.depth_results import read_results
 from benchmark.methods.protocol import View
-from benchmark.methods.registry import SHIPPED, MethodOptions, make_restorer, restorers
-from benchmark.methods.weights import read_weights, sha256_of
+from benchmark.methods.registry import SHIPPED, MethodOptions, make_restorer, restorers, sha256_of
+from benchmark.methods.weights import read_weights
 from benchmark.report.leaderboard import make_board
 from std_toolkit.geometry.camera import Camera
 

@@ -27,14 +27,14 @@ def text() -> str:
 def test_the_example_is_scored_beside_others(text: str, tmp_path: Path) -> None:
     (code,) = (c for c in re.findall(r"```python\n(.*?)```", text, re.S) if "class" in c)
     (tmp_path / "my_methods.py").write_text(code, encoding="utf-8")
-    (command,) = re.findall(r"```\nPYTHONPATH=. std-bench (.*?)```", text, re.S)
+    (command,) = re.findall(r"```\nstd-bench (--method raw .*?)```", text, re.S)
     write_std_scene(tmp_path / "ROOT/STD-CatKnown/test_0", frames=2)
     quick = ["--no-speed", "--engine", "serial"]
     arguments = [*command.replace("\\\n", "").split(), *quick]
     done = subprocess.run(
         [sys.executable, "-m", "benchmark.cli.bench", *arguments],
         cwd=tmp_path,
-        env={"PYTHONPATH": f".:{REPOSITORY}", "PATH": ""},
+        env={"PYTHONPATH": str(REPOSITORY), "PATH": ""},
         capture_output=True,
         text=True,
     )

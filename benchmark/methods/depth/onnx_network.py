@@ -1,0 +1,144 @@
+"""A restoration network in the ONNX format, run by onnxruntime without torch.
+
+`std-restore export` writes such files. The graph `network(color, depth)` has the interface of
+`benchmark.methods.network.NetworkRestorer`, for one image of a fixed size.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmark.data.frame import resize_nearest
+from benchmark.methods.protocol import Restored, View
+from benchmark.methods.registry import MethodOptions, configured
+from std_toolkit.errors import ToolkitError
+
+INPUTS = ("color", "depth")
+OUTPUTS = ("restored", "confidence")  # the last is missing in networks without confidence
+
+
+@dataclass(frozen=True)
+class OnnxConfig:
+    """Settings of `OnnxNetwork`.
+
+    Attributes:
+        threads: of an operation; None for OMP_NUM_THREADS, or else all usable cores.
+    """
+
+    threads: int | None = None
+
+
+class OnnxNetwork:
+    """A network that `std-restore export` wrote, run by onnxruntime (--weights FILE.onnx).
+
+    Raises:
+        ToolkitError: no file, another kind of file, an unknown setting, onnxruntime or the device
+            is missing, or a precision other than that of the file is asked for.
+    """
+
+    needs_mask = False
+
+    def __init__(self, options: MethodOptions) -> None:
+        if options.weights is None:
+            raise ToolkitError(
+                "the method needs a file", field="--weights", hint="`std-restore export` writes it"
+            )
+        if options.precision != "fp32":
+            raise ToolkitError(
+                "an ONNX file is run in its own precision",
+                field="--precision",
+                value=options.precision,
+            )
+        config = configured(OnnxConfig(), options.settings)
+        self.weights = options.weights
+        self._session = _session(options.weights, options.device, config.threads)
+        self.input_size = _input_size(self._session, options.weights)
+
+    def restore(self, views: Sequence[View]) -> list[Restored]:
+        """Restore views one by one; those of another size are resized by the nearest pixel."""
+        return [self._restore(view) for view in views]
+
+    def _restore(self, view: View) -> Restored:
+        color, depth = view.color, view.depth
+        size = (depth.shape[1], depth.shape[0])
+        if size != self.input_size:
+            color = resize_nearest(color, self.input_size)
+            depth = resize_nearest(depth, self.input_size)
+        depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0)
+        images = (color.transpose(2, 0, 1).astype(np.float32) / np.float32(255), depth[None])
+        outputs = self._session.run(
+            None,
+            {
+                name: np.ascontiguousarray(image[None], np.float32)
+                for name, image in zip(INPUTS, images, strict=True)
+            },
+        )
+        found = [np.asarray(output[0, 0], np.float32) for output in outputs]
+        if size != self.input_size:
+            found = [resize_nearest(image, size) for image in found]
+        return Restored(found[0], found[1].clip(0, 1) if len(found) > 1 else None)
+
+
+def _session(path: Path, device: str, threads: int | None) -> Any:
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise ToolkitError(
+            "onnxruntime is not installed", hint="pip install 'std-toolkit[restore]'"
+        ) from error
+    if not path.is_file():
+        raise ToolkitError("no such file of weights", path=path)
+    if path.suffix != ".onnx":
+        raise ToolkitError("not an ONNX file", path=path, hint="`std-restore export` writes one")
+    kind, _, index = device.partition(":")
+    provider = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}.get(kind)
+    if provider not in onnxruntime.get_available_providers():
+        raise ToolkitError(
+            "onnxruntime does not have this device here",
+            field="--device",
+            value=device,
+            hint="for CUDA: pip install onnxruntime-gpu, or --backend torch",
+        )
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3
+    options.intra_op_num_threads = threads or _threads()
+    # Threads that wait for work in a loop would take the cores from reading and writing.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    settings = {"device_id": index} if index else {}
+    try:
+        return onnxruntime.InferenceSession(str(path), options, providers=[(provider, settings)])
+    except Exception as error:  # the binding has an exception for every status
+        raise ToolkitError(f"onnxruntime cannot load it: {error}", path=path) from error
+
+
+def _threads() -> int:
+    given = os.environ.get("OMP_NUM_THREADS", "")
+    return int(given) if given.isdecimal() and int(given) else len(os.sched_getaffinity(0))
+
+
+def _input_size(session: Any, path: Path) -> tuple[int, int]:
+    """(width, height) of the graph's images.
+
+    Raises:
+        ToolkitError: the graph is not a restorer for images of a fixed size.
+    """
+    names = tuple(each.name for each in session.get_inputs())
+    outputs = tuple(each.name for each in session.get_outputs())
+    shapes = [each.shape for each in session.get_inputs()]
+    fits = names == INPUTS and outputs in (OUTPUTS, OUTPUTS[:1])
+    if not (fits and shapes[0][:2] == [1, 3] and shapes[1] == [1, 1, *shapes[0][2:]]):
+        raise ToolkitError(
+            "not a network that restores depth: it must have the inputs color (1, 3, h, w) and "
+            "depth (1, 1, h, w) and the output restored",
+            path=path,
+            value=dict(zip(names, shapes, strict=True)),
+            hint="`std-restore export` writes one",
+        )
+    height, width = shapes[0][2:]
+    return int(width), int(height)

@@ -1,0 +1,1 @@
+"""Depth of a recording restored: `std-restore` and `benchmark.Restorer`."""

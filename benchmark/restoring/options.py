@@ -1,0 +1,95 @@
+"""Options of `std-restore`; the module imports no heavy package."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from std_toolkit.errors import ToolkitError, check_options
+from std_toolkit.jobs.options import JobOptions
+from std_toolkit.options import ImageOptions
+
+Backend = Literal["auto", "onnx", "torch"]
+DepthFormat = Literal["same", "png", "exr"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MethodChoice:
+    """A depth restorer and how it is run."""
+
+    method: str = "swindrnet"
+    """a name of `std-bench list methods`, package.module:Class, or file.py:Class"""
+    preset: str | None = None
+    """network size: published or compact (compact if its weights ship and no --weights is given,
+    else published)"""
+    weights: Path | None = None
+    """file of trained weights: .safetensors, or .onnx of `std-restore export`"""
+    settings: tuple[str, ...] = field(default=(), metadata={"option": "set"})
+    """NAME=VALUE, the method's own settings"""
+    size: tuple[int, int] | None = field(default=None, metadata={"size": True})
+    """image size that the network works at (default: its own)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RestoreOptions:
+    """Restore the depth of recordings at the camera's own size.
+
+    SOURCES are folders: a scene of std-curate, a folder with color/ and depth/,
+    or a data set that `std-curate import` reads; or recordings of librealsense
+    (.bag, .db3). Without SOURCES, give images: --color and --depth, each one
+    image, a folder or a quoted pattern.
+    """
+
+    sources: tuple[Path, ...] = field(default=(), metadata={"option": ""})
+    """folders or files of recordings"""
+    out: Path = field(metadata={"option": "out"})
+    """folder of results; of several recordings, each has a folder in it"""
+    choice: MethodChoice = field(default_factory=MethodChoice)
+    device: str = "cpu"
+    """cpu, cuda, or cuda:1"""
+    backend: Backend = "auto"
+    """what runs the network: onnx (onnxruntime), torch, or auto (onnxruntime where the toolkit has
+    the graph, otherwise torch)"""
+    images: ImageOptions = field(default_factory=ImageOptions)
+    depth_format: DepthFormat = field(default="same", metadata={"option": "format"})
+    """of restored depth: 16-bit PNG with the recording's unit, EXR in metres, or the same as the
+    recording"""
+    points: bool = False
+    """write a coloured point cloud of every frame"""
+    pictures: bool = False
+    """write a picture of every frame: colour, raw and restored depth side by side"""
+    json: bool = False
+    """print the summary as JSON"""
+    jobs: JobOptions = field(default_factory=JobOptions)
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        given = [bool(self.images.color), bool(self.images.depth)]
+        if self.sources and any(given):
+            raise ToolkitError(
+                "give either SOURCES or --color and --depth", field="--color", hint="not both"
+            )
+        if not self.sources and not all(given):
+            raise ToolkitError(
+                "needed", field="SOURCES", hint="or give images with --color and --depth"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions:
+    """Write a network as one ONNX file and compare it with torch.
+
+    The file runs without torch: `std-restore ... --weights FILE.onnx`,
+    `std-bench --method onnx --weights FILE.onnx`, or another program that reads
+    ONNX.
+    """
+
+    out: Path = field(metadata={"option": "onnx"})
+    """the file to write, FILE.onnx"""
+    choice: MethodChoice = field(default_factory=MethodChoice)
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        if self.out.suffix != ".onnx":
+            raise ToolkitError("must end in .onnx", field="--onnx", value=str(self.out))

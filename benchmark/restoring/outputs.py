@@ -1,0 +1,220 @@
+"""Files of restored frames: depth, confidence, changed pixels, points, pictures, the record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.evaluation.depth_panels import restored_strip
+from benchmark.restoring.options import DepthFormat
+from benchmark.restoring.recordings import FrameFiles
+from benchmark.restoring.restorer import RestoredFrame
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera, unproject_depth
+from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.exr import write_exr
+from std_toolkit.io.images import write_color, write_depth_png16, write_png
+from std_toolkit.scene.document import digest_file
+
+RECORD = "restore.json"
+# 16-bit PNG of depth that was an EXR: metres per unit.
+_DEFAULT_UNIT = 0.001
+_LARGEST = 65534  # the number above it means "too far" to some cameras
+_POINT = np.dtype([("xyz", "<f4", (3,)), ("rgb", "u1", (3,))])
+
+
+class RestoreSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Fields that determine the files; a run resumes only if they are unchanged.
+
+    Attributes:
+        method, preset, settings: the method and its options.
+        weights_sha256: hash of the weight file (128-bit BLAKE2b, as in run.json of `std-bench`).
+        size: (width, height) that the method works at; empty for the camera's.
+        backend: `onnx` or `torch` for networks, empty for methods without weights.
+        depth_format: `same`, `png` or `exr`.
+        points, pictures: whether these are written.
+    """
+
+    method: str
+    preset: str
+    settings: dict[str, str]
+    weights_sha256: str
+    size: list[int]
+    backend: str
+    depth_format: DepthFormat
+    points: bool
+    pictures: bool
+
+
+class RestoreRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`restore.json`: what made the files of a folder.
+
+    Attributes:
+        version_of_tool: version of this package.
+        setup: what determines the files.
+        source: the recording, as given.
+        frames: number of its frames.
+        packages: versions of the numerical libraries.
+        hardware: processor and cores.
+    """
+
+    version_of_tool: str
+    setup: RestoreSetup
+    source: str
+    frames: int
+    packages: dict[str, str]
+    hardware: dict[str, str]
+
+
+class FrameRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`frames/NAME.json`: inputs and outcome of a frame; written last.
+
+    Attributes:
+        color, depth: 128-bit BLAKE2b hashes of the images.
+        unit: metres per number of the restored 16-bit PNG; 1 for EXR.
+        measured: share of the pixels that the sensor measured.
+        kept: share that keeps the sensor's depth.
+        filled: share that the sensor did not measure and the method restored.
+        replaced: share whose measurement was replaced.
+        empty: share without depth.
+    """
+
+    color: str
+    depth: str
+    unit: float
+    measured: float
+    kept: float
+    filled: float
+    replaced: float
+    empty: float
+
+
+@dataclass(frozen=True)
+class FramePaths:
+    """Where the files of a frame go.
+
+    Attributes:
+        out: folder of the recording's results.
+        name: of the frame.
+        exr: whether depth is an EXR.
+    """
+
+    out: Path
+    name: str
+    exr: bool
+
+    @property
+    def depth(self) -> Path:
+        return self.out / "depth" / f"{self.name}{'.exr' if self.exr else '.png'}"
+
+    @property
+    def confidence(self) -> Path:
+        return self.out / "confidence" / f"{self.name}.png"
+
+    @property
+    def changed(self) -> Path:
+        return self.out / "changed" / f"{self.name}.png"
+
+    @property
+    def points(self) -> Path:
+        return self.out / "points" / f"{self.name}.ply"
+
+    @property
+    def picture(self) -> Path:
+        return self.out / "pictures" / f"{self.name}.jpg"
+
+    @property
+    def record(self) -> Path:
+        return self.out / "frames" / f"{self.name}.json"
+
+    def finished(self, frame: FrameFiles) -> FrameRecord | None:
+        """The record of a frame that is done and whose images are still the same, or None."""
+        if not (self.record.is_file() and self.depth.is_file()):
+            return None
+        try:
+            record = read_document(self.record, FrameRecord)
+        except ToolkitError:
+            return None  # damaged: the frame is restored again
+        same = (record.color, record.depth) == digests(frame)
+        return record if same else None
+
+
+def paths_of(out: Path, frame: FrameFiles, depth_format: DepthFormat) -> FramePaths:
+    """Where the files of a frame go."""
+    exr = depth_format == "exr" or (depth_format == "same" and not frame.is_png)
+    return FramePaths(out, frame.name, exr)
+
+
+def digests(frame: FrameFiles) -> tuple[str, str]:
+    """Hashes of the images of a frame."""
+    return digest_file(frame.color), digest_file(frame.depth)
+
+
+def write_frame(
+    paths: FramePaths,
+    frame: FrameFiles,
+    color: NDArray[np.uint8],
+    sensor: NDArray[np.float32],
+    restored: RestoredFrame,
+    setup: RestoreSetup,
+) -> FrameRecord:
+    """Write all files of a frame, the record last.
+
+    Raises:
+        ToolkitError: a file cannot be written.
+    """
+    hashes = digests(frame)
+    depth = restored.depth
+    if paths.exr:
+        unit = 1.0
+        write_exr(paths.depth, {"Y": depth})
+        changed = depth != sensor
+    else:
+        unit = frame.unit if frame.is_png else _DEFAULT_UNIT
+        # A wall beyond what the numbers can hold is no depth.
+        numbers = np.rint(np.where(depth <= _LARGEST * unit, depth, 0) / unit)
+        depth = (numbers * unit).astype(np.float32)
+        write_depth_png16(paths.depth, depth, scale=unit)
+        changed = numbers != np.rint(sensor / unit)
+    write_png(paths.changed, changed.astype(np.uint8) * np.uint8(255))
+    if restored.confidence is not None:
+        write_png(paths.confidence, np.rint(255 * restored.confidence).astype(np.uint8))
+    if setup.points:
+        write_bytes_atomic(paths.points, point_cloud(color, depth, frame.camera))
+    if setup.pictures:
+        write_color(paths.picture, restored_strip(color, sensor, depth, restored.confidence))
+    there = sensor > 0
+    record = FrameRecord(
+        color=hashes[0],
+        depth=hashes[1],
+        unit=unit,
+        measured=_share(there),
+        kept=_share(there & ~changed),
+        filled=_share(~there & (depth > 0)),
+        replaced=_share(there & changed & (depth > 0)),
+        empty=_share(depth == 0),
+    )
+    write_document(paths.record, record)
+    return record
+
+
+def point_cloud(color: NDArray[np.uint8], depth: NDArray[np.float32], camera: Camera) -> bytes:
+    """A binary PLY of the pixels with depth: camera frame, metres, RGB."""
+    there = depth > 0
+    table = np.empty(int(there.sum()), _POINT)
+    table["xyz"], table["rgb"] = unproject_depth(depth, camera)[there], color[there]
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(table)}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n"
+    )
+    return header.encode() + table.tobytes()
+
+
+def _share(pixels: NDArray[np.bool_]) -> float:
+    return round(float(pixels.mean()), 6)

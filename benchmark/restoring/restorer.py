@@ -1,0 +1,303 @@
+"""A depth restorer for images of any size: `from benchmark import Restorer`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from benchmark.evaluation.frames import check_restored
+from benchmark.methods import protocol
+from benchmark.methods.depth.full_size import sensor_view, to_full_size
+from benchmark.methods.registry import (
+    MethodOptions,
+    make_restorer,
+    preset_for,
+    restorers,
+    shipped_graphs,
+    shipped_weights,
+)
+from benchmark.restoring.options import Backend, MethodChoice
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import LARGEST_MEDIAN_DEPTH_M, Camera
+
+_GRAPHS_PRECISION = "fp32"
+
+
+@dataclass(frozen=True, eq=False)
+class RestoredFrame:
+    """Restored depth of a frame, at the camera's size.
+
+    Attributes:
+        depth: (H, W) float32 metres, z-depth; 0 where neither sensor nor method has an answer.
+        confidence: (H, W) float32 in [0, 1], the method's trust in the sensor; None of methods
+            without it.
+        changed: (H, W) bool pixels whose depth is not the sensor's own.
+    """
+
+    depth: NDArray[np.float32]
+    confidence: NDArray[np.float32] | None
+    changed: NDArray[np.bool_]
+
+
+class Restorer:
+    """A depth restorer that takes and gives depth at the camera's own size.
+
+    Use `Restorer.load`.
+
+    Args:
+        method: restorer at its own image size.
+        options: that it was made with.
+    """
+
+    def __init__(self, method: protocol.Restorer, options: MethodOptions) -> None:
+        self.method = method
+        self.options = options
+
+    @classmethod
+    def load(
+        cls,
+        method: str = "swindrnet",
+        *,
+        preset: str | None = None,
+        weights: Path | str | None = None,
+        size: tuple[int, int] | None = None,
+        device: str = "cpu",
+        backend: Backend = "auto",
+        settings: Mapping[str, str] | None = None,
+    ) -> Restorer:
+        """Load a method and its weights.
+
+        Args:
+            method: a name of `std-bench list methods`, `package.module:Class`, or
+                `path/to/file.py:Class`.
+            preset: `published` or `compact`; by default `compact` if its weights ship and no
+                `weights` are given.
+            weights: file of trained weights: .safetensors, or .onnx of `std-restore export`.
+            size: (width, height) that the network works at; by default its own.
+            device: cpu, cuda, or cuda:1.
+            backend: `onnx` (onnxruntime), `torch`, or `auto`: onnxruntime where it is installed
+                and the toolkit has the method's graph at this size, otherwise torch.
+            settings: the method's own settings by name, as text.
+
+        Raises:
+            ToolkitError: no such method, setting, device or file, weights of another network, a
+                method that needs a mask, or a package that is not installed.
+        """
+        options = MethodOptions(
+            preset=preset_for(method, preset, None if weights is None else Path(weights)),
+            weights=None if weights is None else Path(weights),
+            device=device,
+            settings=dict(settings or {}),
+        )
+        if options.weights is not None and options.weights.suffix == ".onnx":
+            return cls(_onnx(method, options, size, backend), options)
+        graph = _graph(method, options, size, backend)
+        if graph is not None:
+            options = MethodOptions(preset=options.preset, weights=graph, device=device)
+            return cls(make_restorer("onnx", options), options)
+        if size is not None:
+            added = {"input_size": f"{size[0]},{size[1]}"}
+            options = MethodOptions(
+                preset=options.preset,
+                weights=options.weights,
+                device=device,
+                settings=added | dict(options.settings),
+            )
+        made = make_restorer(method, options)
+        if made.needs_mask:
+            raise ToolkitError(
+                "the method needs a mask of the pixels to doubt, which a camera does not give",
+                field="--method",
+                value=method,
+                hint="choose another method or another setting of `mask`",
+            )
+        return cls(made, options)
+
+    @classmethod
+    def of(
+        cls, choice: MethodChoice, *, device: str = "cpu", backend: Backend = "auto"
+    ) -> Restorer:
+        """Load what the options of a command choose; see `load`."""
+        return cls.load(
+            choice.method,
+            preset=choice.preset,
+            weights=choice.weights,
+            size=choice.size,
+            device=device,
+            backend=backend,
+            settings=settings_of(choice.settings),
+        )
+
+    def restore(
+        self, color: NDArray[np.uint8], depth: NDArray[np.floating], K: ArrayLike
+    ) -> RestoredFrame:
+        """Restore the depth of one frame.
+
+        The method works at its own size. Its answer is brought to the camera's size, guided by
+        colour. Pixels that the method trusts, and whose measurement is within 1 cm of the restored
+        depth around them, keep the sensor's depth as measured.
+
+        Args:
+            color: (H, W, 3) uint8 RGB.
+            depth: (H, W) floating-point metres, z-depth aligned to `color`. What is not finite or
+                not positive is not measured.
+            K: (3, 3) camera matrix of the images, or (fx, fy, cx, cy), pixels; the centre of the
+                top-left pixel is (0, 0).
+
+        Returns:
+            Depth, confidence and changed pixels, all (H, W).
+
+        Raises:
+            ToolkitError: arrays of another type or shape, depth that is not aligned or not in
+                metres, depth without any measurement, a matrix that does not fit the images, or an
+                invalid answer of the method.
+        """
+        color, sensor = _checked(color, depth)
+        return self.restore_view(color, sensor, _camera(K, sensor.shape))
+
+    def restore_view(
+        self, color: NDArray[np.uint8], sensor: NDArray[np.float32], camera: Camera
+    ) -> RestoredFrame:
+        """`restore` of arrays that are known to be good: 0 where nothing was measured.
+
+        Raises:
+            ToolkitError: no pixel is measured, or an invalid answer of the method.
+        """
+        if not (sensor > 0).any():
+            raise ToolkitError(
+                "the sensor measured nothing, so that nobody knows how far away anything is",
+                field="depth",
+            )
+        view = sensor_view(color, sensor, camera, self.method.input_size)
+        answers = self.method.restore([view])
+        if len(answers) != 1:
+            raise ToolkitError(f"the method gave {len(answers)} answers to one view")
+        check_restored(view, answers[0])
+        found = to_full_size(sensor, answers[0], color)
+        return RestoredFrame(found.depth, found.confidence, found.depth != sensor)
+
+
+def settings_of(texts: Sequence[str]) -> dict[str, str]:
+    """Settings by name from `NAME=VALUE`.
+
+    Raises:
+        ToolkitError: a text without name or value.
+    """
+    found = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        if not (name and value):
+            raise ToolkitError("expected NAME=VALUE", field="--set", value=text)
+        found[name] = value
+    return found
+
+
+def _onnx(
+    method: str, options: MethodOptions, size: tuple[int, int] | None, backend: Backend
+) -> protocol.Restorer:
+    """A network in a user's ONNX file."""
+    if backend == "torch":
+        raise ToolkitError(
+            "torch does not run ONNX files", field="--backend", hint="give weights in .safetensors"
+        )
+    if method not in ("swindrnet", "onnx") and method not in restorers.names():
+        raise ToolkitError("no such method", field="--method", value=method)
+    made = make_restorer("onnx", options)
+    if size is not None and made.input_size != size:
+        raise ToolkitError(
+            f"this file works at {made.input_size}",
+            path=options.weights,
+            field="--size",
+            value=f"{size[0]}x{size[1]}",
+            hint="`std-restore export --size` writes one of another size",
+        )
+    return made
+
+
+def _graph(
+    method: str, options: MethodOptions, size: tuple[int, int] | None, backend: Backend
+) -> Path | None:
+    """The shipped graph to use; None to use the method as registered.
+
+    Raises:
+        ToolkitError: --backend onnx without a graph, or neither package is installed.
+    """
+    graphs = shipped_graphs(method, options.preset)
+    own = next(iter(graphs), None)
+    known = graphs.get(size or own) if own is not None else None
+    usable = known is not None and options.weights is None and not options.settings
+    if backend == "torch":
+        return None
+    if backend == "onnx" and not usable:
+        sizes = " or ".join(f"{w}x{h}" for w, h in graphs)
+        raise ToolkitError(
+            "the toolkit has no ONNX graph for this",
+            field="--backend",
+            value=backend,
+            hint=f"{method} has them at {sizes}, without --weights and --set; for others: "
+            "`std-restore export`, then --weights FILE.onnx"
+            if graphs
+            else "`std-restore export` writes one, then --weights FILE.onnx",
+        )
+    if not usable:
+        return None
+    installed = find_spec("onnxruntime") is not None
+    if not installed and (backend == "onnx" or find_spec("torch") is None):
+        raise ToolkitError(
+            "onnxruntime is not installed", hint="pip install 'std-toolkit[restore]'"
+        )
+    if not installed or (backend == "auto" and options.device != "cpu"):
+        return None
+    shipped_weights(method, options.preset)  # refuses damaged ones
+    return known
+
+
+def _checked(
+    color: NDArray[np.uint8], depth: NDArray[np.floating]
+) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    color, depth = np.asarray(color), np.asarray(depth)
+    if color.dtype != np.uint8 or color.ndim != 3 or color.shape[2] != 3:
+        raise ToolkitError(
+            "must be (H, W, 3) uint8 RGB", field="color", value=f"{color.dtype} {color.shape}"
+        )
+    if depth.dtype.kind != "f":
+        raise ToolkitError(
+            "must be floating-point metres",
+            field="depth",
+            value=str(depth.dtype),
+            hint="multiply 16-bit depth by its scale: depth * np.float32(0.001)",
+        )
+    if depth.shape != color.shape[:2]:
+        raise ToolkitError(
+            f"must have the size of the colour image, {color.shape[:2]}",
+            field="depth",
+            value=depth.shape,
+            hint="align depth to colour (RealSense: rs.align(stream.color))",
+        )
+    measured = np.isfinite(depth) & (depth > 0)
+    sensor = np.where(measured, depth, 0).astype(np.float32)
+    middle = float(np.median(sensor[measured])) if measured.any() else 1.0
+    if middle > LARGEST_MEDIAN_DEPTH_M:
+        raise ToolkitError(
+            "must be in metres", field="depth", value=f"median {middle:.4g}", hint="millimetres?"
+        )
+    return color, sensor
+
+
+def _camera(K: ArrayLike, shape: tuple[int, ...]) -> Camera:
+    try:
+        numbers = np.asarray(K, np.float64)
+    except (TypeError, ValueError):
+        numbers = np.zeros(0)
+    if numbers.shape == (3, 3):
+        numbers = numbers[[0, 1, 0, 1], [0, 1, 2, 2]]
+    if numbers.shape != (4,):
+        raise ToolkitError(
+            "must be a (3, 3) camera matrix or (fx, fy, cx, cy)", field="K", value=numbers.shape
+        )
+    return Camera(shape[1], shape[0], *numbers)

@@ -1,0 +1,187 @@
+"""`std-restore`: restore all frames of recordings, in parallel, resumed after an interruption."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from benchmark.evaluation.engine import weights_digest
+from benchmark.evaluation.manifest import begin, circumstances
+from benchmark.restoring.options import RestoreOptions
+from benchmark.restoring.outputs import (
+    RECORD,
+    FrameRecord,
+    RestoreRecord,
+    RestoreSetup,
+    paths_of,
+    write_frame,
+)
+from benchmark.restoring.recordings import FrameFiles, RecordingFiles, open_recordings
+from benchmark.restoring.restorer import Restorer, settings_of
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import hold_lock, sweep_temporaries
+from std_toolkit.jobs import run_jobs
+
+# Every process holds a network; more than this many gain little beside the disk.
+_MOST_WORKERS = 8
+
+
+@dataclass(frozen=True)
+class Item:
+    """A frame to restore, and the folder of its recording's results."""
+
+    recording: str
+    frame: FrameFiles
+    out: Path
+
+    def __str__(self) -> str:
+        return f"{self.recording}/{self.frame.name}"
+
+
+@dataclass
+class RestoreReport:
+    """Outcome of a run.
+
+    Attributes:
+        folders: of results, by recording.
+        frames: records by recording and frame, in the order of recording.
+        failed: error lines by `recording/frame`.
+    """
+
+    folders: dict[str, Path] = field(default_factory=dict)
+    frames: dict[str, dict[str, FrameRecord]] = field(default_factory=dict)
+    failed: Mapping[str, str] = field(default_factory=dict)
+
+    def shares(self, recording: str) -> dict[str, float]:
+        """Mean shares of pixels over the frames of a recording; see `FrameRecord`."""
+        rows = list(self.frames[recording].values())
+        names = ("measured", "kept", "filled", "replaced", "empty")
+        return {n: sum(getattr(r, n) for r in rows) / len(rows) for n in names} if rows else {}
+
+
+def restore_recordings(options: RestoreOptions) -> RestoreReport:
+    """Restore all frames; those that are done and whose images are the same are skipped.
+
+    Raises:
+        ToolkitError: a recording or the method cannot be used, or the folder of results belongs to
+            other options or another process. A frame that fails is in the report.
+    """
+    # Workers on other machines have other working folders.
+    options = _absolute(options)
+    recordings = open_recordings(options.sources, options.images, options.out)
+    # Made once here, so that a wrong option is reported once and before anything is written.
+    restorer = Restorer.of(options.choice, device=options.device, backend=options.backend)
+    setup = _setup(options, restorer)
+    del restorer
+    report = RestoreReport()
+    with ExitStack() as locks:
+        for recording in recordings:
+            out = options.out / recording.name if len(recordings) > 1 else options.out
+            _begin(out, setup, recording, locks)
+            report.folders[recording.name] = out
+        items = [
+            Item(recording.name, frame, report.folders[recording.name])
+            for recording in recordings
+            for frame in recording.frames
+        ]
+        jobs = options.jobs
+        if jobs.workers is None and jobs.engine == "local":
+            jobs = replace(jobs, workers=min(jobs.worker_count, _MOST_WORKERS))
+        choice = (options.choice, options.device, options.backend)
+        done = run_jobs(
+            partial(restore_item, choice=choice, setup=setup),
+            items,
+            name="restore",
+            options=jobs,
+        )
+    for name in report.folders:
+        report.frames[name] = {}
+    for item in items:
+        if (record := done.results.get(str(item))) is not None:
+            report.frames[item.recording][item.frame.name] = record
+    report.failed = done.failed
+    return report
+
+
+def restore_item(item: Item, *, choice: tuple[Any, ...], setup: RestoreSetup) -> FrameRecord:
+    """Restore a frame, or return its record if it is done.
+
+    Raises:
+        ToolkitError: its images cannot be read, or the method fails.
+    """
+    paths = paths_of(item.out, item.frame, setup.depth_format)
+    if (record := paths.finished(item.frame)) is not None:
+        return record
+    color, sensor = item.frame.read()
+    restored = _restorer(choice).restore_view(color, sensor, item.frame.camera)
+    return write_frame(paths, item.frame, color, sensor, restored, setup)
+
+
+_kept: dict[str, Restorer] = {}
+
+
+def _restorer(choice: tuple[Any, ...]) -> Restorer:
+    """The restorer of this process."""
+    key = repr(choice)
+    if key not in _kept:
+        _kept.clear()
+        method, device, backend = choice
+        _kept[key] = Restorer.of(method, device=device, backend=backend)
+    return _kept[key]
+
+
+def _absolute(options: RestoreOptions) -> RestoreOptions:
+    choice, images = options.choice, options.images
+    file, colon, name = choice.method.rpartition(":")
+    of_file = bool(colon) and file.endswith(".py")
+    return replace(
+        options,
+        sources=tuple(source.absolute() for source in options.sources),
+        out=options.out.absolute(),
+        choice=replace(
+            choice,
+            method=f"{Path(file).absolute()}:{name}" if of_file else choice.method,
+            weights=choice.weights and choice.weights.absolute(),
+        ),
+        images=replace(
+            images,
+            color=images.color and str(Path(images.color).absolute()),
+            depth=images.depth and str(Path(images.depth).absolute()),
+        ),
+    )
+
+
+def _setup(options: RestoreOptions, restorer: Restorer) -> RestoreSetup:
+    choice, made = options.choice, restorer.method
+    backend = "torch" if hasattr(made, "network") else ""
+    if type(made).__name__ == "OnnxNetwork":
+        backend = "onnx"
+    return RestoreSetup(
+        method=choice.method,
+        preset=restorer.options.preset,
+        settings=settings_of(choice.settings),
+        weights_sha256=weights_digest(choice.method, made, restorer.options),
+        size=list(made.input_size or ()),
+        backend=backend,
+        depth_format=options.depth_format,
+        points=options.points,
+        pictures=options.pictures,
+    )
+
+
+def _begin(out: Path, setup: RestoreSetup, recording: RecordingFiles, locks: ExitStack) -> None:
+    """Lock the folder of a recording's results and write its record, or compare with it."""
+    record = RestoreRecord(
+        setup=setup, source=recording.source, frames=len(recording.frames), **circumstances()
+    )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ToolkitError(f"cannot make the folder: {error.strerror}", path=out) from error
+    locks.enter_context(hold_lock(out, "lock", doing="writing to"))
+    begin(out, record, RECORD, beside=("recordings",))
+    sweep_temporaries(out)

@@ -1,0 +1,121 @@
+"""`benchmark.Restorer`: arrays in, arrays out; what is refused; packages that are missing."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from restore_cases import SIZE, sensor_depth
+
+import benchmark
+from benchmark import Restorer
+from benchmark.cli.bench import main as bench
+from benchmark.cli.restore import main as restore
+from benchmark.restoring.onnx_export import made_up_views
+from std_toolkit.errors import EXTRAS, ToolkitError
+
+K = np.array([[96.0, 0, 47.5], [0, 96, 35.5], [0, 0, 1]])
+COLOR = made_up_views(SIZE)[0].color
+
+
+def test_three_lines():
+    found = Restorer.load("swindrnet").restore(COLOR, sensor_depth(), K)
+    assert found.depth.shape == SIZE[::-1] and found.depth.dtype == np.float32
+    assert (found.depth > 0).all() and found.confidence is not None
+    kept = ~found.changed
+    assert np.array_equal(found.depth[kept], sensor_depth()[kept]) and kept.mean() > 0.5
+
+
+def test_what_is_not_measured_may_be_written_in_any_way():
+    restorer = Restorer.load("nearest")
+    depth = sensor_depth()
+    odd = depth.astype(np.float64)
+    odd[depth == 0] = np.resize([np.nan, -1, np.inf, 0], int((depth == 0).sum()))
+    a, b = (restorer.restore(COLOR, d, K) for d in (depth, odd))
+    assert np.array_equal(a.depth, b.depth) and a.confidence is None
+    assert np.array_equal(a.changed, depth == 0)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"color": COLOR[..., 0]}, "color: must be (H, W, 3) uint8"),
+        ({"color": COLOR / 255}, "color: must be (H, W, 3) uint8"),
+        ({"depth": np.uint16(1000 * sensor_depth())}, "depth: must be floating-point metres"),
+        ({"depth": sensor_depth()[:36]}, "align depth to colour"),
+        ({"depth": 1000 * sensor_depth()}, "millimetres?"),
+        ({"depth": 0 * sensor_depth()}, "the sensor measured nothing"),
+        ({"K": np.eye(4)}, "K: must be a (3, 3)"),
+        ({"K": (96, 96, 640, 360)}, "cx"),
+        ({"K": "K"}, "K: must be a (3, 3)"),
+    ],
+)
+def test_wrong_arrays_are_refused(change, told):
+    given = {"color": COLOR, "depth": sensor_depth(), "K": K} | change
+    with pytest.raises(ToolkitError) as caught:
+        Restorer.load("nearest").restore(**given)
+    assert told in str(caught.value)
+
+
+def test_the_door_costs_nothing_until_it_is_used():
+    code = (
+        "import sys, benchmark; assert 'Restorer' in dir(benchmark); print('numpy' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip() == "False", done.stderr
+    with pytest.raises(AttributeError, match="Restore"):
+        _ = benchmark.Restore  # type: ignore[attr-defined]
+
+
+@pytest.mark.slow
+def test_torch_and_onnxruntime_give_the_same_answer():
+    pytest.importorskip("torch")
+    by_torch, by_onnx = (
+        Restorer.load(backend=backend).restore(COLOR, sensor_depth(), K)
+        for backend in ("torch", "onnx")
+    )
+    assert np.abs(by_torch.confidence - by_onnx.confidence).max() < 1e-4
+    # Pixels at the limit of what is trusted may differ.
+    assert (by_torch.changed == by_onnx.changed).mean() > 0.999
+    same = by_torch.changed == by_onnx.changed
+    assert np.abs(by_torch.depth - by_onnx.depth)[same].max() < 1e-4
+
+
+def test_without_torch_the_shipped_weights_run(monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    assert (Restorer.load().restore(COLOR, sensor_depth(), K).depth > 0).all()
+
+
+def test_missing_packages_are_named_with_the_command_to_install_them(monkeypatch, tmp_path, capsys):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    for name in [n for n in sys.modules if n.startswith("benchmark.methods.depth.swindrnet")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.delitem(sys.modules, "benchmark.methods.network", raising=False)
+    with pytest.raises(ToolkitError, match=r"torch is not installed.*'std-toolkit\[train\]'"):
+        Restorer.load(size=(320, 180))
+    with pytest.raises(ToolkitError, match=r"torch is not installed.*'std-toolkit\[train\]'"):
+        Restorer.load("dfnet")
+    data = tmp_path / "data/DREDS-CatKnown/test/shapenet_generate_1216_val_novel/00000"
+    from tests.dreds_on_disk import write_dreds_scene
+
+    write_dreds_scene(data)
+    words = ["--method", "swindrnet", "--split", "dreds-catknown-test"]
+    assert bench([*words, "--data", str(tmp_path / "data"), "--out", str(tmp_path / "out")]) == 1
+    assert "pip install 'std-toolkit[train]'" in capsys.readouterr().err
+    assert restore(["export", "--onnx", str(tmp_path / "net.onnx")]) == 1
+    assert "pip install 'std-toolkit[train]'" in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(ToolkitError, match=r"'std-toolkit\[restore\]'"):
+        Restorer.load()
+
+
+def test_every_extra_of_the_table_brings_its_module():
+    text = (Path(__file__).resolve().parents[3] / "pyproject.toml").read_text()
+    extras = tomllib.loads(text)["project"]["optional-dependencies"]
+    for module, extra in EXTRAS.items():
+        wanted = module.lower().replace("_", "-")
+        assert any(line.lower().startswith(wanted) for line in extras[extra]), module
