@@ -10,8 +10,10 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
+from sensors.synthetic.recording import RecordingOptions, printed_meshes
 from sensors.synthetic.truth import scene_from_truth
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.mesh import hull_vertices, mesh_bounds
@@ -20,11 +22,12 @@ from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.labels.auto_refine import refine_objects
 from std_toolkit.labels.refine.problem import covariance_at
 from std_toolkit.scene import Scene
+from std_toolkit.scene.model import SymmetryModel
 
 FRAMES = 9
 START_M, START_DEG = 0.015, 8.0
 # Standard deviations of the faults.
-MESH_SIZE, CAMERA_M, CAMERA_RAD = 0.003, 0.0007, 0.0007
+MESH_SIZE, PRINT_M, CAMERA_M, CAMERA_RAD = 0.003, 0.0004, 0.0007, 0.0007
 Array = NDArray[np.float64]
 
 
@@ -45,6 +48,7 @@ class Row:
     depth: bool
     mesh_fault: bool
     camera_fault: bool
+    printed: bool
     z: list[float]
     mm: float
     deg: float
@@ -52,8 +56,18 @@ class Row:
     std_deg: float
 
 
-def study(recording: Path, scene_root: Path, seed: int) -> list[Row]:
-    """Refine every object of a recording from one start each; rows in the order of their ids."""
+def study(
+    recording: Path, scene_root: Path, seed: int, *, printed: RecordingOptions | None = None
+) -> list[Row]:
+    """Refine every object of a recording from one start each; rows in the order of their ids.
+
+    Args:
+        recording: folder of the recording.
+        scene_root: folder of the scene to make.
+        seed: of the faults and starts; selects the kinds of faults, too.
+        printed: options of the recording, to give opaque meshes their prints; None leaves them
+            plain. A mesh with a print has no symmetry.
+    """
     rng = np.random.default_rng([seed, 77])
     depth, mesh_fault, camera_fault = bool(seed % 4 < 2), seed % 2 == 1, seed % 3 == 2
     scene = scene_from_truth(recording, scene_root)
@@ -65,12 +79,22 @@ def study(recording: Path, scene_root: Path, seed: int) -> list[Row]:
         write_bytes_atomic(scene.root / "frames.json", msgspec.json.encode(table))
     if camera_fault:
         _shake(scene, rng)
-    scene = Scene.open(scene.root)
     meshes = {m.id: scene.mesh(m.id).copy() for m in scene.objects.models}
+    if printed is not None:
+        prints = printed_meshes(printed)
+        meshes |= {name: mesh.copy() for name, mesh in prints.items()}
+        models = [
+            msgspec.structs.replace(m, symmetry=SymmetryModel()) if m.id in prints else m
+            for m in scene.objects.models
+        ]
+        scene.save_objects(msgspec.structs.replace(scene.objects, models=models))
+    scene = Scene.open(scene.root)
     if mesh_fault:
         for mesh in meshes.values():
             centre = mesh_bounds(mesh).mean(axis=0)
             mesh.vertices = centre + (mesh.vertices - centre) * rng.normal(1, MESH_SIZE, 3)
+            if printed is not None and mesh.visual.kind == "texture":
+                _shift_print(mesh, rng)
     start = {
         i: _moved(T, mesh_bounds(meshes[scene.objects.object(i).model]).mean(axis=0), rng)
         for i, T in truth.items()
@@ -105,6 +129,7 @@ def study(recording: Path, scene_root: Path, seed: int) -> list[Row]:
                 depth,
                 mesh_fault,
                 camera_fault,
+                printed is not None and model.id in prints,
                 [float(x) for x in z],
                 1000 * float(np.linalg.norm(error[:3])),
                 float(np.rad2deg(np.linalg.norm(turn))),
@@ -137,6 +162,16 @@ def _moved(T: SE3, centre: Array, rng: np.random.Generator) -> SE3:
     at = SE3(np.eye(3), centre)
     turn = SE3.exp([0, 0, 0, *(np.deg2rad(START_DEG) * axis)])
     return SE3(np.eye(3), START_M * shift) @ T @ at @ turn @ at.inverse()
+
+
+def _shift_print(mesh: trimesh.Trimesh, rng: np.random.Generator) -> None:
+    """Move the print of each of six sides along the surface, as photos blended on a scan lie."""
+    uv = mesh.visual.uv
+    # `printed_mesh` has three by two tiles, each as wide as the largest extent.
+    middle = np.repeat(uv.reshape(-1, 3, 2).mean(axis=1), 3, axis=0)
+    side = np.minimum(middle * [3, 2], [2.99, 1.99]).astype(int) @ [2, 1]
+    shift = rng.normal(0, PRINT_M / mesh.extents.max(), (6, 2)) / [3, 2]
+    mesh.visual.uv = uv + shift[side]
 
 
 def _shake(scene: Scene, rng: np.random.Generator) -> None:
