@@ -13,12 +13,13 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from sensors.synthetic.recording import RecordingOptions, printed_meshes
+from sensors.synthetic.recording import RecordingOptions, make_recording, printed_meshes
 from sensors.synthetic.truth import scene_from_truth
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.mesh import hull_vertices, mesh_bounds
 from std_toolkit.geometry.symmetry import fixed_point, nearest_variant
 from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.jobs import JobOptions
 from std_toolkit.labels.auto_refine import refine_objects
 from std_toolkit.labels.refine.problem import covariance_at
 from std_toolkit.scene import Scene
@@ -38,6 +39,7 @@ class Row:
     Attributes:
         z: errors in units of the reported deviations, one per direction (5 or 6).
         mm, deg: error of the centre and of the rotation, symmetry aware.
+        printed: whether the mesh has a print.
         std_mm, std_deg: reported deviations along the weakest directions.
     """
 
@@ -54,6 +56,13 @@ class Row:
     deg: float
     std_mm: float
     std_deg: float
+
+
+def recorded_study(recording: Path, scene_root: Path, seed: int) -> list[Row]:
+    """Record six objects and study them; in two of five recordings opaque meshes have a print."""
+    options = RecordingOptions(frames=FRAMES, seed=seed)
+    make_recording(recording, options, jobs=JobOptions(progress=False))
+    return study(recording, scene_root, seed, printed=options if seed % 5 < 2 else None)
 
 
 def study(

@@ -205,8 +205,19 @@ def weigh(
             for rows, rest in zip(mine, left, strict=True):
                 weight = information * rows.weight * _cauchy(rest / edge_std[i])
                 J = np.column_stack([rows.pose, rows.scale])
-                measured_here = i, rows.view, rows.residual, J, (SCALE,), weight, rows.points
-                found.append(WeightedRows("contour", *measured_here))
+                found.append(
+                    WeightedRows(
+                        "contour",
+                        i,
+                        rows.view,
+                        rows.residual,
+                        J,
+                        (SCALE,),
+                        weight,
+                        rows.points,
+                        rows.spacing,
+                    )
+                )
         surfaces = [rows for k, rows in measured.depths if k == i]
         if surfaces:
             left = [

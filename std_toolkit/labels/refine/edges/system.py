@@ -54,6 +54,7 @@ class ContourRows:
         weight: (N,) 0 to 1, clarity of the edge.
         view: index of the view.
         points: (N, 3) of the object, mesh frame.
+        spacing: pixels of the contour per sample.
     """
 
     residual: Array
@@ -62,6 +63,7 @@ class ContourRows:
     weight: Array
     view: int
     points: Array
+    spacing: float
 
     def after(self, step: Step) -> ContourRows:
         """The same rows once a small step was made, to first order."""
@@ -131,6 +133,7 @@ class WeightedRows:
         shared: offsets of the K shared unknowns from the end of the unknowns.
         information: (N,) weights in 1 / unit^2; their sum counts independent samples.
         points: (N, 3) of the object, mesh frame.
+        spacing: pixels of the contour per sample; 1 for other kinds.
     """
 
     kind: Kind
@@ -141,6 +144,7 @@ class WeightedRows:
     shared: tuple[int, ...]
     information: Array
     points: Array
+    spacing: float = 1.0
 
     def weighted(self, columns: Array) -> Array:
         """(6 + K, M) weighted sums of residuals (N, M) along the unknowns."""
@@ -167,6 +171,7 @@ def contour_rows(
     T_world_obj: SE3,
     *,
     view: int,
+    spacing: float,
 ) -> ContourRows:
     """Linearise contour samples about the current poses.
 
@@ -175,6 +180,7 @@ def contour_rows(
         normals: (N, 2) outward in the image.
         offset: (N,) pixels to the found edge.
         view: index of the view.
+        spacing: pixels of the contour per sample.
     """
     used = weight > 0
     X_world, n, offset, weight = points_world[used], normals[used], offset[used], weight[used]
@@ -197,6 +203,7 @@ def contour_rows(
         weight,
         view,
         T_world_obj.inverse() @ X_world,
+        spacing,
     )
 
 
