@@ -1,6 +1,6 @@
 """Whether the reported deviations of refined labels are true: `python perf/label_deviation.py`.
 
-    python perf/label_deviation.py [--seeds 100 140] [--work FOLDER]
+    python perf/label_deviation.py [--seeds 100 140] [--work FOLDER] [--propagate]
 
 Synthetic recordings of six objects each are refined from starts 15 mm and 8 degrees off, in three
 to nine frames, with and without sensor depth. In two of five recordings opaque meshes have a print.
@@ -68,6 +68,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs=2, default=[100, 140], help="first, end")
     parser.add_argument("--recordings", type=Path, help="folder that keeps recordings")
     parser.add_argument("--work", type=Path, help="folder that keeps finished recordings' rows")
+    parser.add_argument(
+        "--propagate", action="store_true", help="read labels.json after `propagate --refine`"
+    )
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         work = args.work or Path(temporary) / "rows"
@@ -78,7 +81,12 @@ def main() -> None:
             done = work / f"{seed}.json"
             if not done.is_file():
                 recording = recordings / str(seed)
-                fresh = recorded_study(recording, Path(temporary) / f"scene_{seed}", seed)
+                fresh = recorded_study(
+                    recording,
+                    Path(temporary) / f"scene_{seed}",
+                    seed,
+                    propagated=args.propagate,
+                )
                 text = json.dumps([asdict(r) for r in fresh])
                 write_bytes_atomic(done, text.encode())
             rows += [Row(**r) for r in json.loads(done.read_text())]

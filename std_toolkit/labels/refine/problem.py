@@ -169,7 +169,7 @@ class RefineOptions:
     rough_m: float = 0.035
     rough_turn: float = float(np.deg2rad(18))
     use_prints: bool = True
-    restarts: int = 2
+    restarts: int = 1
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,9 +21,11 @@ from std_toolkit.geometry.symmetry import fixed_point, nearest_variant
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.jobs import JobOptions
 from std_toolkit.labels.auto_refine import refine_objects
+from std_toolkit.labels.propagate import propagate_labels
 from std_toolkit.labels.refine.problem import covariance_at
+from std_toolkit.options import PropagateOptions
 from std_toolkit.scene import Scene
-from std_toolkit.scene.model import SymmetryModel
+from std_toolkit.scene.model import Label, Labels, SymmetryModel
 
 FRAMES = 9
 START_M, START_DEG = 0.015, 8.0
@@ -58,15 +60,23 @@ class Row:
     std_deg: float
 
 
-def recorded_study(recording: Path, scene_root: Path, seed: int) -> list[Row]:
+def recorded_study(
+    recording: Path, scene_root: Path, seed: int, *, propagated: bool = False
+) -> list[Row]:
     """Record six objects and study them; in two of five recordings opaque meshes have a print."""
     options = RecordingOptions(frames=FRAMES, seed=seed)
     make_recording(recording, options, jobs=JobOptions(progress=False))
-    return study(recording, scene_root, seed, printed=options if seed % 5 < 2 else None)
+    printed = options if seed % 5 < 2 and not propagated else None
+    return study(recording, scene_root, seed, printed=printed, propagated=propagated)
 
 
 def study(
-    recording: Path, scene_root: Path, seed: int, *, printed: RecordingOptions | None = None
+    recording: Path,
+    scene_root: Path,
+    seed: int,
+    *,
+    printed: RecordingOptions | None = None,
+    propagated: bool = False,
 ) -> list[Row]:
     """Refine every object of a recording from one start each; rows in the order of their ids.
 
@@ -76,6 +86,8 @@ def study(
         seed: of the faults and starts; selects the kinds of faults, too.
         printed: options of the recording, to give opaque meshes their prints; None leaves them
             plain. A mesh with a print has no symmetry.
+        propagated: annotate the starts in the first frame, propagate them with `refine` and read
+            labels.json; else refine them at once. For plain meshes.
     """
     rng = np.random.default_rng([seed, 77])
     depth, mesh_fault, camera_fault = bool(seed % 4 < 2), seed % 2 == 1, seed % 3 == 2
@@ -110,19 +122,23 @@ def study(
     }
     count = int(rng.choice([3, 4, 6, 9]))
     chosen = [int(i) for i in np.linspace(0, FRAMES - 1, count).round()]
-    found = refine_objects(scene, start, frames=chosen, mesh=meshes.__getitem__)
+    if propagated:
+        found = _propagated(scene, start, meshes, count)
+    else:
+        outcome = refine_objects(scene, start, frames=chosen, mesh=meshes.__getitem__)
+        found = {i: (x.pose, x.covariance) for i, x in outcome.objects.items()}
     rows = []
-    for i, refined in sorted(found.objects.items()):
+    for i, (pose, covariance) in sorted(found.items()):
         item = scene.objects.object(i)
         model = scene.objects.model(item.model)
         symmetry = model.symmetry.symmetry()
         mesh = meshes[model.id]
         centre = fixed_point(symmetry, mesh_bounds(mesh).mean(axis=0))
-        true = nearest_variant(truth[i], refined.pose, hull_vertices(mesh), symmetry)
-        error = (refined.pose.inverse() @ true).log()
+        true = nearest_variant(truth[i], pose, hull_vertices(mesh), symmetry)
+        error = (pose.inverse() @ true).log()
         at = SE3(np.eye(3), centre)
         error = (at.inverse() @ SE3.exp(error) @ at).log()
-        C = covariance_at(refined.covariance, centre)
+        C = covariance_at(covariance, centre)
         radius = 0.5 * float(np.linalg.norm(mesh.extents))
         size = np.array([1.0] * 3 + [radius] * 3)
         axes = [np.asarray(a) for a, _ in symmetry.continuous]
@@ -147,6 +163,30 @@ def study(
             )
         )
     return rows
+
+
+def _propagated(
+    scene: Scene, start: dict[int, SE3], meshes: dict[str, trimesh.Trimesh], keyframes: int
+) -> dict[int, tuple[SE3, Array]]:
+    """Poses and covariances in labels.json after `propagate --refine`, by object."""
+    for model in scene.objects.models:
+        meshes[model.id].export(scene.root / model.mesh)
+    T_world_cam = scene.T_world_cam(0)
+    assert T_world_cam is not None
+    labels = [
+        Label(object=i, frame=0, T_cam_obj=(T_world_cam.inverse() @ T).flat(), method="gui")
+        for i, T in start.items()
+    ]
+    scene.save_labels(Labels(labels=labels))
+    propagate_labels(Scene.open(scene.root), PropagateOptions(refine=True, keyframes=keyframes))
+    found = {}
+    for label in Scene.open(scene.root).labels.labels:
+        assert label.T_world_obj is not None and label.covariance is not None
+        found[label.object] = (
+            SE3.from_matrix(label.T_world_obj),
+            np.reshape(label.covariance, (6, 6)),
+        )
+    return found
 
 
 def whitened(error: Array, covariance: Array, axes: list[Array]) -> Array:

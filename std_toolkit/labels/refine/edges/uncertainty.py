@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.refine.edges.system import Kind, NormalEquations, WeightedRows
 from std_toolkit.labels.refine.problem import RefineObject, RefineView
+from std_toolkit.scene.scale_model import SOURCE_ERRORS
 
 Array = NDArray[np.float64]
 
@@ -45,8 +46,8 @@ _READINGS, _MATCHES = 5.0, 1.0
 # Weak prior of the motion of an object in one view, metres and radians.
 _MOVED_M, _MOVED_RAD = 0.05, 0.35
 
-# Relative deviation of a mesh's size along each axis: that of a CAD mesh in the scale report.
-_MESH_SIZE = 0.004
+# Relative deviation of a mesh's size along each axis.
+_MESH_SIZE = SOURCE_ERRORS["cad"]
 
 # Deviation of the edges in the image from the rim of the mesh, full-resolution pixels. A mirror
 # shows the table on which it stands, and no edge towards it.
