@@ -18,9 +18,10 @@ from std_toolkit.labels.refine.problem import RefineObject, RefineView
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_errors_are_as_large_as_their_deviations_say(synthetic_table: Path, tmp_path: Path) -> None:
+def test_errors_are_as_large_as_labels_say(synthetic_table: Path, tmp_path: Path) -> None:
     # This seed has wrong meshes and wrong cameras.
-    rows = study(synthetic_table, tmp_path / "scene", seed=155)
+    rows = study(synthetic_table, tmp_path / "scene", seed=155, propagated=True)
+    assert len(rows) == 6
     one, two, scale = shares(rows)
     assert one > 0.4
     assert two > 0.85
