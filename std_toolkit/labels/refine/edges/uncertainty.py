@@ -39,8 +39,8 @@ _PRIOR_DIRECTIONS = 6
 # Pixels of a contour that have one error in common: edges are averaged along it, and glass and
 # metal show edges of their surroundings over long pieces of it. Likewise sensor readings, which are
 # thinned, and matches.
-_EDGE_PX = {"specular": 150.0, "transparent": 150.0}
-_OPAQUE_EDGE_PX = 40.0
+_EDGE_PX = {"specular": 130.0, "transparent": 130.0}
+_OPAQUE_EDGE_PX = 35.0
 _READINGS, _MATCHES = 4.0, 1.0
 
 # Weak prior of the motion of an object in one view, metres and radians.
@@ -56,10 +56,10 @@ _OTHER_RIM_PX = 0.2
 
 # Part of the variance of shared errors that residuals do not show, because a mesh is wrong in more
 # ways than these.
-_UNSEEN = 0.02
+_UNSEEN = 0.01
 
 # Deviation of the print of one side from its place on the mesh, metres.
-_PRINT_M = 0.0004
+_PRINT_M = 0.0003
 
 
 def pose_covariances(
