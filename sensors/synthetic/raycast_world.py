@@ -44,6 +44,9 @@ class World:
         shapes: the objects.
         poses: T_world_obj of each.
         seed: of all textures.
+
+    Attributes:
+        prints: textures of the objects, wrapped around them as `printed_mesh` does.
     """
 
     def __init__(self, shapes: list[Shape], poses: list[SE3], *, seed: int) -> None:
@@ -81,7 +84,7 @@ class World:
             contrast=0.3,
             mark_size=(0.004, 0.02),
         )
-        self._prints = [
+        self.prints = [
             printed_texture(rng, width=768, height=512, base=base, marks=200, contrast=0.8)
             for base in _paints(len(shapes))
         ]
@@ -158,7 +161,7 @@ class World:
             to_object = self.poses[i - 2].inverse()
             local, normal = to_object @ p, hits.normals[rows[mine]] @ to_object.R.T
             u, v = wrap(local, normal, self.shapes[i - 2].mesh.extents)
-            out[mine] = sample(self._prints[i - 2], u, v)
+            out[mine] = sample(self.prints[i - 2], u, v)
         return out
 
     def _light(self, hits: Hits, rows: NDArray[np.int64]) -> Array:

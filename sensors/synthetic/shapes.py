@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
+import PIL.Image
 import trimesh
 from numpy.typing import NDArray
 
@@ -253,3 +254,23 @@ def wrap(
     a = points[rows, other[:, 0]] / extents.max() + 0.5
     b = points[rows, other[:, 1]] / extents.max() + 0.5
     return (a + side % 3) / 3, (1 - b + side // 3) / 2
+
+
+def printed_mesh(mesh: trimesh.Trimesh, texture: Image) -> trimesh.Trimesh:
+    """The mesh with a print wrapped around it, as a scan of the object would have it.
+
+    Args:
+        mesh: centred, vertices in metres.
+        texture: (h, w, 3) linear RGB, as of `printed_texture`.
+    """
+    corners = mesh.vertices[mesh.faces].reshape(-1, 3)
+    normals = np.repeat(mesh.face_normals, 3, axis=0)
+    u, v = wrap(corners, normals, mesh.extents)
+    height, width = texture.shape[:2]
+    # `sample` has texels at integers, images have them half a texel further.
+    uv = np.stack([u + 0.5 / width, 1 - (v + 0.5 / height)], axis=1)
+    encoded = np.clip(texture, 0, 1) ** (1 / 2.2)
+    picture = PIL.Image.fromarray(np.rint(255 * encoded).astype(np.uint8))
+    faces = np.arange(len(corners)).reshape(-1, 3)
+    visual = trimesh.visual.TextureVisuals(uv=uv, image=picture)
+    return trimesh.Trimesh(corners, faces, visual=visual, process=False)

@@ -152,6 +152,8 @@ class RefineOptions:
         rough_m, rough_turn: largest error of the start of a rough object: its centre, metres,
             and its rotation, radians.
         use_prints: match the textures of meshes with the images.
+        restarts: number of other starts near the result from which the last level is repeated, for
+            the spread in the covariance.
     """
 
     use_depth: bool = True
@@ -167,6 +169,7 @@ class RefineOptions:
     rough_m: float = 0.035
     rough_turn: float = float(np.deg2rad(18))
     use_prints: bool = True
+    restarts: int = 1
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,21 +10,27 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
+from sensors.synthetic.recording import RecordingOptions, make_recording, printed_meshes
 from sensors.synthetic.truth import scene_from_truth
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.mesh import hull_vertices, mesh_bounds
 from std_toolkit.geometry.symmetry import fixed_point, nearest_variant
 from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.jobs import JobOptions
 from std_toolkit.labels.auto_refine import refine_objects
+from std_toolkit.labels.propagate import propagate_labels
 from std_toolkit.labels.refine.problem import covariance_at
+from std_toolkit.options import PropagateOptions
 from std_toolkit.scene import Scene
+from std_toolkit.scene.model import Label, Labels, SymmetryModel
 
 FRAMES = 9
 START_M, START_DEG = 0.015, 8.0
 # Standard deviations of the faults.
-MESH_SIZE, CAMERA_M, CAMERA_RAD = 0.003, 0.0007, 0.0007
+MESH_SIZE, PRINT_M, CAMERA_M, CAMERA_RAD = 0.003, 0.0004, 0.0007, 0.0007
 Array = NDArray[np.float64]
 
 
@@ -35,6 +41,7 @@ class Row:
     Attributes:
         z: errors in units of the reported deviations, one per direction (5 or 6).
         mm, deg: error of the centre and of the rotation, symmetry aware.
+        printed: whether the mesh has a print.
         std_mm, std_deg: reported deviations along the weakest directions.
     """
 
@@ -45,6 +52,7 @@ class Row:
     depth: bool
     mesh_fault: bool
     camera_fault: bool
+    printed: bool
     z: list[float]
     mm: float
     deg: float
@@ -52,8 +60,35 @@ class Row:
     std_deg: float
 
 
-def study(recording: Path, scene_root: Path, seed: int) -> list[Row]:
-    """Refine every object of a recording from one start each; rows in the order of their ids."""
+def recorded_study(
+    recording: Path, scene_root: Path, seed: int, *, propagated: bool = False
+) -> list[Row]:
+    """Record six objects and study them; in two of five recordings opaque meshes have a print."""
+    options = RecordingOptions(frames=FRAMES, seed=seed)
+    make_recording(recording, options, jobs=JobOptions(progress=False))
+    printed = options if seed % 5 < 2 and not propagated else None
+    return study(recording, scene_root, seed, printed=printed, propagated=propagated)
+
+
+def study(
+    recording: Path,
+    scene_root: Path,
+    seed: int,
+    *,
+    printed: RecordingOptions | None = None,
+    propagated: bool = False,
+) -> list[Row]:
+    """Refine every object of a recording from one start each; rows in the order of their ids.
+
+    Args:
+        recording: folder of the recording.
+        scene_root: folder of the scene to make.
+        seed: of the faults and starts; selects the kinds of faults, too.
+        printed: options of the recording, to give opaque meshes their prints; None leaves them
+            plain. A mesh with a print has no symmetry.
+        propagated: annotate the starts in the first frame, propagate them with `refine` and read
+            labels.json; else refine them at once. For plain meshes.
+    """
     rng = np.random.default_rng([seed, 77])
     depth, mesh_fault, camera_fault = bool(seed % 4 < 2), seed % 2 == 1, seed % 3 == 2
     scene = scene_from_truth(recording, scene_root)
@@ -65,31 +100,45 @@ def study(recording: Path, scene_root: Path, seed: int) -> list[Row]:
         write_bytes_atomic(scene.root / "frames.json", msgspec.json.encode(table))
     if camera_fault:
         _shake(scene, rng)
-    scene = Scene.open(scene.root)
     meshes = {m.id: scene.mesh(m.id).copy() for m in scene.objects.models}
+    if printed is not None:
+        prints = printed_meshes(printed)
+        meshes |= {name: mesh.copy() for name, mesh in prints.items()}
+        models = [
+            msgspec.structs.replace(m, symmetry=SymmetryModel()) if m.id in prints else m
+            for m in scene.objects.models
+        ]
+        scene.save_objects(msgspec.structs.replace(scene.objects, models=models))
+    scene = Scene.open(scene.root)
     if mesh_fault:
         for mesh in meshes.values():
             centre = mesh_bounds(mesh).mean(axis=0)
             mesh.vertices = centre + (mesh.vertices - centre) * rng.normal(1, MESH_SIZE, 3)
+            if printed is not None and mesh.visual.kind == "texture":
+                _shift_print(mesh, rng)
     start = {
         i: _moved(T, mesh_bounds(meshes[scene.objects.object(i).model]).mean(axis=0), rng)
         for i, T in truth.items()
     }
     count = int(rng.choice([3, 4, 6, 9]))
     chosen = [int(i) for i in np.linspace(0, FRAMES - 1, count).round()]
-    found = refine_objects(scene, start, frames=chosen, mesh=meshes.__getitem__)
+    if propagated:
+        found = _propagated(scene, start, meshes, count)
+    else:
+        outcome = refine_objects(scene, start, frames=chosen, mesh=meshes.__getitem__)
+        found = {i: (x.pose, x.covariance) for i, x in outcome.objects.items()}
     rows = []
-    for i, refined in sorted(found.objects.items()):
+    for i, (pose, covariance) in sorted(found.items()):
         item = scene.objects.object(i)
         model = scene.objects.model(item.model)
         symmetry = model.symmetry.symmetry()
         mesh = meshes[model.id]
         centre = fixed_point(symmetry, mesh_bounds(mesh).mean(axis=0))
-        true = nearest_variant(truth[i], refined.pose, hull_vertices(mesh), symmetry)
-        error = (refined.pose.inverse() @ true).log()
+        true = nearest_variant(truth[i], pose, hull_vertices(mesh), symmetry)
+        error = (pose.inverse() @ true).log()
         at = SE3(np.eye(3), centre)
         error = (at.inverse() @ SE3.exp(error) @ at).log()
-        C = covariance_at(refined.covariance, centre)
+        C = covariance_at(covariance, centre)
         radius = 0.5 * float(np.linalg.norm(mesh.extents))
         size = np.array([1.0] * 3 + [radius] * 3)
         axes = [np.asarray(a) for a, _ in symmetry.continuous]
@@ -105,6 +154,7 @@ def study(recording: Path, scene_root: Path, seed: int) -> list[Row]:
                 depth,
                 mesh_fault,
                 camera_fault,
+                printed is not None and model.id in prints,
                 [float(x) for x in z],
                 1000 * float(np.linalg.norm(error[:3])),
                 float(np.rad2deg(np.linalg.norm(turn))),
@@ -113,6 +163,30 @@ def study(recording: Path, scene_root: Path, seed: int) -> list[Row]:
             )
         )
     return rows
+
+
+def _propagated(
+    scene: Scene, start: dict[int, SE3], meshes: dict[str, trimesh.Trimesh], keyframes: int
+) -> dict[int, tuple[SE3, Array]]:
+    """Poses and covariances in labels.json after `propagate --refine`, by object."""
+    for model in scene.objects.models:
+        meshes[model.id].export(scene.root / model.mesh)
+    T_world_cam = scene.T_world_cam(0)
+    assert T_world_cam is not None
+    labels = [
+        Label(object=i, frame=0, T_cam_obj=(T_world_cam.inverse() @ T).flat(), method="gui")
+        for i, T in start.items()
+    ]
+    scene.save_labels(Labels(labels=labels))
+    propagate_labels(Scene.open(scene.root), PropagateOptions(refine=True, keyframes=keyframes))
+    found = {}
+    for label in Scene.open(scene.root).labels.labels:
+        assert label.T_world_obj is not None and label.covariance is not None
+        found[label.object] = (
+            SE3.from_matrix(label.T_world_obj),
+            np.reshape(label.covariance, (6, 6)),
+        )
+    return found
 
 
 def whitened(error: Array, covariance: Array, axes: list[Array]) -> Array:
@@ -137,6 +211,16 @@ def _moved(T: SE3, centre: Array, rng: np.random.Generator) -> SE3:
     at = SE3(np.eye(3), centre)
     turn = SE3.exp([0, 0, 0, *(np.deg2rad(START_DEG) * axis)])
     return SE3(np.eye(3), START_M * shift) @ T @ at @ turn @ at.inverse()
+
+
+def _shift_print(mesh: trimesh.Trimesh, rng: np.random.Generator) -> None:
+    """Move the print of each of six sides along the surface, as photos blended on a scan lie."""
+    uv = mesh.visual.uv
+    # `printed_mesh` has three by two tiles, each as wide as the largest extent.
+    middle = np.repeat(uv.reshape(-1, 3, 2).mean(axis=1), 3, axis=0)
+    side = np.minimum(middle * [3, 2], [2.99, 1.99]).astype(int) @ [2, 1]
+    shift = rng.normal(0, PRINT_M / mesh.extents.max(), (6, 2)) / [3, 2]
+    mesh.visual.uv = uv + shift[side]
 
 
 def _shake(scene: Scene, rng: np.random.Generator) -> None:

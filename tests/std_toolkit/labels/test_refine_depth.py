@@ -17,7 +17,7 @@ from std_toolkit.labels.refine.depth.depth_steps import measure_depth
 from std_toolkit.labels.refine.depth.icp import DepthFitOptions, refine_on_depth
 from std_toolkit.labels.refine.depth.observed import fit_background, observe, plane_depth
 from std_toolkit.labels.refine.depth.pose_search import DepthCost
-from std_toolkit.labels.refine.problem import RefineObject
+from std_toolkit.labels.refine.problem import RefineObject, covariance_at
 from std_toolkit.rendering.texture import SurfaceColors
 
 BOX = mesh_object(
@@ -74,6 +74,19 @@ def test_depth_alone_finds_it_too(thing):
     assert fit.edge_rms_px is None
     std = np.sqrt(np.diag(fit.covariance)[:3])
     assert (std > 1e-5).all() and (std < 0.01).all()
+
+
+def test_a_distance_that_follows_the_sensor_has_its_deviation():
+    view = photograph([BOX], bias=1.015)
+    fit = refine_on_depth([view], started_off(BOX), DEPTH_ONLY)
+    centre = BOX.T_world_obj @ BOX.centre
+    ray = centre - view.T_world_cam.t
+    distance = np.linalg.norm(ray)
+    along = (fit.T_world_obj @ BOX.centre - centre) @ ray / distance
+    axis = fit.T_world_obj.R.T @ ray / distance
+    C = covariance_at(fit.covariance, BOX.centre)[:3, :3]
+    assert along == pytest.approx(0.015 * distance, rel=0.3)
+    assert np.sqrt(axis @ C @ axis) == pytest.approx(0.015 * distance, rel=0.1)
 
 
 def test_an_occluder_without_a_label_does_not_draw_the_object():

@@ -23,6 +23,7 @@ from std_toolkit.labels.refine.depth.observed import ObservedRays, ObservedView,
 from std_toolkit.labels.refine.depth.pose_search import THOROUGH, SearchRange, search_pose
 from std_toolkit.labels.refine.edges.solver import refine_poses
 from std_toolkit.labels.refine.object_surface import ObjectSurface
+from std_toolkit.scene.scale_model import SOURCE_ERRORS
 
 Array = NDArray[np.float64]
 
@@ -156,7 +157,7 @@ def refine_on_depth(
             return finished
     rays = ObservedRays.of([o.thinned(3000) for o in observed])
     rows = depth_steps.depth_residuals(surface, rays, pose, gate_m=0.008, reverse_weight=0.0)
-    covariance = depth_steps.pose_covariance(obj, rows)
+    covariance = depth_steps.pose_covariance(obj, rows) + _sensor_spread(views, found)
     return DepthFit(
         obj.name,
         pose,
@@ -252,17 +253,38 @@ def _finish(
         or after.explained < before.explained - _LARGEST_LOSS
     ):
         return None
+    covariance, weak_direction = edges.covariance, edges.weak_direction
+    if not around:
+        at_end = replace(found, T_world_obj=edges.T_world_obj)
+        covariance = covariance + _sensor_spread(views, at_end)
+        weak_direction = problem.weakest_direction(
+            covariance,
+            found.centre,
+            found.radius,
+            found.symmetry,
+            T_world_obj=edges.T_world_obj,
+            views=views,
+        )
     return DepthFit(
         found.name,
         edges.T_world_obj,
-        edges.covariance,
-        edges.weak_direction,
+        covariance,
+        weak_direction,
         after,
         edges.edge_rms_px,
         len(observed),
         result.depth_factor if around else 1.0,
         after.explained >= _SMALLEST_EXPLAINED,
     )
+
+
+def _sensor_spread(views: Sequence[problem.RefineView], obj: problem.RefineObject) -> Array:
+    """(6, 6) covariance of a pose that is as far away as the sensor says."""
+    centre = obj.T_world_obj @ obj.centre
+    along = np.mean([centre - v.T_world_cam.t for v in views], axis=0) @ obj.T_world_obj.R
+    spread = np.zeros((6, 6))
+    spread[:3, :3] = SOURCE_ERRORS["depth"] ** 2 * np.outer(along, along)
+    return spread
 
 
 def moved_too_far(obj: problem.RefineObject, T_world_obj: SE3) -> bool:

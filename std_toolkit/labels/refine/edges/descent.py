@@ -208,7 +208,19 @@ def weigh(
             for rows, rest in zip(mine, left, strict=True):
                 weight = information * rows.weight * _cauchy(rest / edge_std[i])
                 J = np.column_stack([rows.pose, rows.scale])
-                found.append(WeightedRows(i, rows.view, rows.residual, J, (SCALE,), weight))
+                found.append(
+                    WeightedRows(
+                        "contour",
+                        i,
+                        rows.view,
+                        rows.residual,
+                        J,
+                        (SCALE,),
+                        weight,
+                        rows.points,
+                        rows.spacing,
+                    )
+                )
         surfaces = [rows for k, rows in measured.depths if k == i]
         if surfaces:
             left = [
@@ -219,8 +231,18 @@ def weigh(
                 share = min(1.0, options.depth_samples / len(rest)) / depth_std[i] ** 2
                 J = np.column_stack([surface.pose, surface.scale, -surface.factor])
                 weight = share * _cauchy(rest / depth_std[i])
+                shared = (SCALE, FACTOR)
                 found.append(
-                    WeightedRows(i, surface.view, surface.residual, J, (SCALE, FACTOR), weight)
+                    WeightedRows(
+                        "depth",
+                        i,
+                        surface.view,
+                        surface.residual,
+                        J,
+                        shared,
+                        weight,
+                        surface.points,
+                    )
                 )
         printed = [rows for k, rows in measured.prints if k == i]
         if printed:
@@ -240,8 +262,9 @@ def _weigh_prints(
         share = min(1.0, _PRINT_SAMPLES / len(rest)) / std**2
         weight = share * _cauchy(np.linalg.norm(rest, axis=1) / (sharp * np.sqrt(2)))
         J = np.concatenate([rows.pose, rows.scale[..., None]], axis=2).reshape(-1, 7)
-        flat = rows.residual.reshape(-1), J, (SCALE,), np.repeat(weight, 2)
-        found.append(WeightedRows(index, rows.view, *flat))
+        points = np.repeat(rows.points, 2, axis=0)
+        flat = rows.residual.reshape(-1), J, (SCALE,), np.repeat(weight, 2), points
+        found.append(WeightedRows("print", index, rows.view, *flat))
     return found
 
 

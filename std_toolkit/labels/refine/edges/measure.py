@@ -178,6 +178,7 @@ def measure(
                     T_world_cam,
                     state.poses[i],
                     view=number,
+                    spacing=contour.thinning,
                 )
                 found.contours.append((i, rows))
             if sensor is not None and obj.trusts_depth:

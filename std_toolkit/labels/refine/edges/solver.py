@@ -19,15 +19,18 @@ from std_toolkit.labels.refine import problem
 from std_toolkit.labels.refine.caster import LayerStore
 from std_toolkit.labels.refine.edges.approach import approach
 from std_toolkit.labels.refine.edges.descent import Descent, assemble, descend, weigh
-from std_toolkit.labels.refine.edges.measure import PoseState, coarse_to_fine
+from std_toolkit.labels.refine.edges.measure import Level, PoseState, coarse_to_fine
 from std_toolkit.labels.refine.edges.print_matches import follow_prints
-from std_toolkit.labels.refine.edges.uncertainty import pose_covariance
+from std_toolkit.labels.refine.edges.restarts import end_elsewhere
+from std_toolkit.labels.refine.edges.uncertainty import pose_covariances
 
 # Distance of the edges after a search; at lower resolutions glass and metal would diverge again.
 # Objects that are not rough are as near.
 _APPROACHED_PX = 20.0
 # Largest last step of a refinement that converged.
 _CONVERGED_MM = 0.5
+# Fraction of the time after which the last level is repeated from other starts.
+_RESTARTED = 0.9
 # Time of the search for an object, in units of its edge refinement.
 _SEARCH = 3.0
 
@@ -74,7 +77,8 @@ def refine_poses(
         )
         options = replace(options, search_px=min(options.search_px, _APPROACHED_PX))
     printed = options.use_prints and any(o.print is not None and not o.fixed for o in objects)
-    contours_done = searched + (1 - searched) * (0.6 if printed else 1.0)
+    ended = searched + (1 - searched) * _RESTARTED
+    contours_done = searched + (ended - searched) * (0.6 if printed else 1.0)
     state = PoseState([o.T_world_obj for o in objects])
     levels = coarse_to_fine(views, options)
     descent = descend(
@@ -96,32 +100,56 @@ def refine_poses(
             levels[-1],
             options,
             layers=layers,
-            progress=problem.sub_progress(progress, contours_done, 1),
+            progress=problem.sub_progress(progress, contours_done, ended),
         )
-    return _result([*views, *print_views], objects, state, descent, options)
+    return _result(
+        views,
+        print_views,
+        objects,
+        state,
+        descent,
+        levels[-1],
+        options,
+        layers=layers,
+        progress=problem.sub_progress(progress, ended, 1),
+    )
 
 
 def _result(
     views: Sequence[problem.RefineView],
+    print_views: Sequence[problem.RefineView],
     objects: Sequence[problem.RefineObject],
     state: PoseState,
     descent: Descent,
+    level: Level,
     options: problem.RefineOptions,
+    *,
+    layers: LayerStore,
+    progress: problem.Progress,
 ) -> problem.RefineResult:
     measured, scale = descent.measured, descent.scale
     zero = np.zeros(6 * len(objects) + 2)
     system, edge_std, depth_std = assemble(objects, state, measured, scale, options, zero)
     covariance = system.covariance([o.radius for o in objects])
     rows, _, _ = weigh(len(objects), measured, scale, options, zero)
+    noise = [covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i in range(len(objects))]
+    # Matches of a print do not depend on the start.
+    followed = {i for i, _ in measured.prints}
+    ends = end_elsewhere(
+        views,
+        [replace(o, fixed=o.fixed or i in followed) for i, o in enumerate(objects)],
+        state,
+        noise,
+        level,
+        options,
+        layers=layers,
+        progress=progress,
+    )
+    every = [*views, *print_views]
+    blocks = pose_covariances(system, rows, every, state.poses, objects, ends, scale=scale)
     refined = []
     for i, obj in enumerate(objects):
-        block = pose_covariance(
-            covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6],
-            [r for r in rows if r.index == i],
-            views,
-            state.poses[i],
-            obj.material,
-        )
+        block = blocks[i]
         seen = sum(1 for k, rows in measured.contours if k == i and len(rows.residual) >= 8)
         refined.append(
             problem.RefinedObject(
@@ -134,7 +162,7 @@ def _result(
                     obj.radius,
                     obj.symmetry,
                     T_world_obj=state.poses[i],
-                    views=views,
+                    views=every,
                 ),
                 edge_std.get(i, float("nan")) / scale,
                 depth_std.get(i),

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -21,6 +22,8 @@ Array = NDArray[np.float64]
 _BORDER_PX = 3
 
 _SMALLEST_COSINE = 0.3
+
+Kind = Literal["contour", "depth", "print"]
 
 # Places of the shared unknowns, counted from the end.
 SCALE, FACTOR = 2, 1
@@ -50,6 +53,8 @@ class ContourRows:
         scale: (N,) derivative by the logarithm of the camera positions' scale.
         weight: (N,) 0 to 1, clarity of the edge.
         view: index of the view.
+        points: (N, 3) of the object, mesh frame.
+        spacing: pixels of the contour per sample.
     """
 
     residual: Array
@@ -57,6 +62,8 @@ class ContourRows:
     scale: Array
     weight: Array
     view: int
+    points: Array
+    spacing: float
 
     def after(self, step: Step) -> ContourRows:
         """The same rows once a small step was made, to first order."""
@@ -73,6 +80,7 @@ class DepthRows:
         pose, scale: as in `ContourRows`, of the model along the normal minus the measured point.
         factor: (N,) derivative of the measured point by the depth factor, along the normal.
         view: index of the view.
+        points: (N, 3) of the object, mesh frame.
     """
 
     residual: Array
@@ -80,6 +88,7 @@ class DepthRows:
     scale: Array
     factor: Array
     view: int
+    points: Array
 
     def after(self, step: Step) -> DepthRows:
         """The same rows once a small step was made, to first order."""
@@ -96,12 +105,14 @@ class PrintRows:
         pose: (N, 2, 6) derivative of the predicted pixels by a right perturbation of the pose.
         scale: (N, 2) derivative by the logarithm of the camera positions' scale.
         view: index of the view.
+        points: (N, 3) of the object, mesh frame.
     """
 
     residual: Array
     pose: Array
     scale: Array
     view: int
+    points: Array
 
     def after(self, step: Step) -> PrintRows:
         """The same rows once a small step was made, to first order."""
@@ -114,31 +125,40 @@ class WeightedRows:
     """Residuals of one object in one view, of any kind, with their weights.
 
     Attributes:
+        kind: what was measured.
         index: index of the object.
         view: index of the view.
         residual: (N,) in the unit of the kind.
         jacobian: (N, 6 + K) derivative by the pose and by the shared unknowns.
         shared: offsets of the K shared unknowns from the end of the unknowns.
         information: (N,) weights in 1 / unit^2; their sum counts independent samples.
+        points: (N, 3) of the object, mesh frame.
+        spacing: pixels of the contour per sample; 1 for other kinds.
     """
 
+    kind: Kind
     index: int
     view: int
     residual: Array
     jacobian: Array
     shared: tuple[int, ...]
     information: Array
+    points: Array
+    spacing: float = 1.0
+
+    def weighted(self, columns: Array) -> Array:
+        """(6 + K, M) weighted sums of residuals (N, M) along the unknowns."""
+        return np.asarray(self.jacobian.T @ (columns * self.information[:, None]))
 
     @property
     def pose_information(self) -> Array:
         """(6, 6) information on the pose."""
-        J = self.jacobian[:, :6]
-        return np.asarray(J.T @ (J * self.information[:, None]))
+        return self.weighted(self.jacobian)[:6, :6]
 
     @property
     def pose_gradient(self) -> Array:
         """(6,) weighted sum of the residuals along the pose."""
-        return np.asarray(self.jacobian[:, :6].T @ (self.residual * self.information))
+        return self.weighted(self.residual[:, None])[:6, 0]
 
 
 def contour_rows(
@@ -151,6 +171,7 @@ def contour_rows(
     T_world_obj: SE3,
     *,
     view: int,
+    spacing: float,
 ) -> ContourRows:
     """Linearise contour samples about the current poses.
 
@@ -159,6 +180,7 @@ def contour_rows(
         normals: (N, 2) outward in the image.
         offset: (N,) pixels to the found edge.
         view: index of the view.
+        spacing: pixels of the contour per sample.
     """
     used = weight > 0
     X_world, n, offset, weight = points_world[used], normals[used], offset[used], weight[used]
@@ -180,6 +202,8 @@ def contour_rows(
         -g_world @ T_world_cam.t,
         weight,
         view,
+        T_world_obj.inverse() @ X_world,
+        spacing,
     )
 
 
@@ -196,6 +220,7 @@ def depth_rows(
         -n @ T_world_cam.t,
         along * samples.measured,
         view,
+        T_world_obj.inverse() @ samples.points,
     )
 
 
@@ -232,7 +257,7 @@ def print_rows(
         [_pose_derivative(g_world[:, k], X_world, T_world_obj) for k in range(2)], axis=1
     )
     residual = scale * (pixels - camera.project(p))
-    return PrintRows(residual, pose, -g_world @ T_world_cam.t, view)
+    return PrintRows(residual, pose, -g_world @ T_world_cam.t, view, points)
 
 
 def _pose_derivative(g_world: Array, X_world: Array, T_world_obj: SE3) -> Array:
@@ -254,12 +279,15 @@ class NormalEquations:
 
     def add(self, rows: WeightedRows) -> None:
         """Residuals of one object in one view."""
-        at = 6 * rows.index
-        size = len(self.b)
-        columns = np.array([*range(at, at + 6), *(size - k for k in rows.shared)])
+        columns = self.places(rows)
         JW = rows.jacobian * rows.information[:, None]
         self.A[np.ix_(columns, columns)] += rows.jacobian.T @ JW
         self.b[columns] += JW.T @ rows.residual
+
+    def places(self, rows: WeightedRows) -> NDArray[np.intp]:
+        """(6 + K,) places of the rows' unknowns."""
+        at = 6 * rows.index
+        return np.array([*range(at, at + 6), *(len(self.b) - k for k in rows.shared)])
 
     def add_prior(
         self, at: slice | int, information: Array | float, deviation: Array | float
