@@ -331,10 +331,9 @@ def bounds(renderer: Any, scenes: int) -> bool:
 
     def tell(name: str, value: float, low: float, high: float) -> None:
         nonlocal kept
-        kept &= low <= value <= high
-        print(
-            f"{name:58s} {value:8.3f}   {low:g} to {high:g}   {'' if low <= value <= high else 'MISSED'}"
-        )
+        within = low <= value <= high
+        kept &= within
+        print(f"{name:58s} {value:8.3f}   {low:g} to {high:g}   {'' if within else 'MISSED'}")
 
     planes = {
         noise: [
