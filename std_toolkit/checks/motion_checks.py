@@ -37,7 +37,7 @@ _JUDGED_FRACTION = 0.2
 _CLEAR_DEVIATIONS = 3.5
 _CLEAR_PART = 0.4
 # Systematic part of the deviation of a size: reflections and refraction move the edges of contours.
-_SIZE_STD = {"specular": 0.01, "transparent": 0.008}
+_SIZE_STD = {"specular": 0.014, "transparent": 0.008}
 # The same for motions, px.
 _SYSTEMATIC_PX = {"specular": 1.0, "transparent": 0.4}
 _OPAQUE_SYSTEMATIC_PX = 0.1
