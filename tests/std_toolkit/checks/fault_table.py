@@ -185,9 +185,14 @@ def _object_cases(scene: Scene, i: int, name: str, material: str) -> Iterator[Fa
     yield case("along 5 mm", "fail" if opaque else "warn", put("along", 5))
     yield case("along -6 mm", "fail" if opaque else "warn", put("along", -6))
     yield case("along 10 mm", "fail", put("along", 10))
-    yield case("tilted 2 deg", "warn", put("tilt", 2))
-    yield case("tilted 3.5 deg", "fail", put("tilt", 3.5))
-    yield case("tilted -5 deg", "fail", put("tilt", -5))
+    # Reflections hide small rotations of steel.
+    shiny = material == "specular"
+    if opaque:
+        yield case("tilted 2 deg", "warn", put("tilt", 2))
+    yield case("tilted 4 deg", "fail", put("tilt", 4))
+    yield case(
+        "tilted -10 deg" if shiny else "tilted -5 deg", "fail", put("tilt", -10 if shiny else -5)
+    )
     if name == "soup_can":  # a cylinder without print
         ambiguous = "ambiguous by geometry"
         yield case("upside down", "pass", put("tilt", 180), about=ambiguous)
@@ -205,8 +210,9 @@ def _object_cases(scene: Scene, i: int, name: str, material: str) -> Iterator[Fa
         yield case("turned 90 deg", "fail", put("turn", 90))
     if opaque:
         yield case("mesh 2 % too large", "warn", put("scale", 2))
-    yield case("mesh 4 % too large", "fail", put("scale", 4))
-    yield case("mesh 5 % too small", "fail", put("scale", -5))
+    yield case("mesh 4 % too large", "warn" if shiny else "fail", put("scale", 4))
+    yield case("mesh 5 % too small", "warn" if shiny else "fail", put("scale", -5))
+    yield case("mesh 8 % too large", "fail", put("scale", 8))
     for mm in (30, 100, 300):
         yield case(f"{mm} mm beside", "fail", put("sideways", mm))
     frames = [f.id for f in scene.registered_frames()]
