@@ -332,9 +332,8 @@ def bounds(renderer: Any, scenes: int) -> bool:
     def tell(name: str, value: float, low: float, high: float) -> None:
         nonlocal kept
         kept &= low <= value <= high
-        print(
-            f"{name:58s} {value:8.3f}   {low:g} to {high:g}   {'' if low <= value <= high else 'MISSED'}"
-        )
+        verdict = "" if low <= value <= high else "MISSED"
+        print(f"{name:58s} {value:8.3f}   {low:g} to {high:g}   {verdict}")
 
     planes = {
         noise: [
