@@ -331,9 +331,9 @@ def bounds(renderer: Any, scenes: int) -> bool:
 
     def tell(name: str, value: float, low: float, high: float) -> None:
         nonlocal kept
-        within = low <= value <= high
-        kept &= within
-        print(f"{name:58s} {value:8.3f}   {low:g} to {high:g}   {'' if within else 'MISSED'}")
+        kept &= low <= value <= high
+        verdict = "" if low <= value <= high else "MISSED"
+        print(f"{name:58s} {value:8.3f}   {low:g} to {high:g}   {verdict}")
 
     planes = {
         noise: [

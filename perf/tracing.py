@@ -112,7 +112,7 @@ def builtin(scene: SimScene) -> Any:
     from sensors.render import mitsuba_scene
     from sensors.render.builtin_tracer import BuiltinTracer
 
-    surfaces = mitsuba_scene.build(mi, scene, infrared=True).everything
+    surfaces = mitsuba_scene.build(mi, scene, infrared=True)[0].everything
     return BuiltinTracer(surfaces, mitsuba_scene.environment(mi, scene))
 
 

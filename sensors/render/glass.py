@@ -118,12 +118,19 @@ class Table:
         """The numbers of the shapes (a pointer per ray)."""
         index = dr.reinterpret_array(mi.UInt32, shape)
         c = [dr.gather(mi.Float, column, index, active) for column in self._columns[:15]]
+        _, ior, bent, red, green, blue, shadow, alpha, glint, haze, waves, scale, *phase = c
         return Face(
-            active & (c[0] > 0),
-            *c[1:3],
-            mi.Spectrum(c[3], c[4], c[5]),
-            *c[6:12],
-            mi.Vector3f(c[12], c[13], c[14]),
+            clear=active & (c[0] > 0),
+            ior=ior,
+            bent=bent,
+            passed=mi.Spectrum(red, green, blue),
+            shadow=shadow,
+            alpha=alpha,
+            glint=glint,
+            haze=haze,
+            waves=waves,
+            scale=scale,
+            phase=mi.Vector3f(*phase),
         )
 
 
