@@ -123,9 +123,7 @@ def test_the_label_tells_how_it_was_made(labelled: Scene) -> None:
     assert "views" in label.provenance.refinement
 
 
-@pytest.mark.parametrize(
-    "axis, degrees", [(2, 0), (0, 20), (1, -35), (2, 20), (2, -50)], ids=str
-)
+@pytest.mark.parametrize("axis, degrees", [(2, 0), (0, 20), (1, -35), (2, 20), (2, -50)], ids=str)
 def test_only_the_label_is_said_to_fit(labelled: Scene, axis: int, degrees: float) -> None:
     """The verdict of the window: the edges of this cluttered table are near every contour."""
     label, mesh = labelled.T_world_obj(1), labelled.mesh("mustard")
