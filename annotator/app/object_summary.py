@@ -82,6 +82,8 @@ def _summary(c: Controller, obj: ObjectState) -> ObjectSummary:
         grade = verdict.grade
     elif grade == "good" and verdict.grade == "unknown":
         grade = "fair"
+    elif verdict.grade == "good":
+        badge, grade = badge if grade != "unknown" else "fits", "good"
     parts = [f"{obj.name}: {obj.material} {obj.model}, {state}."]
     if state == "placed":
         parts.append(

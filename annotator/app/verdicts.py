@@ -78,39 +78,45 @@ def object_verdict(c: Controller, name: str) -> Verdict:
     rows = c.residuals.get(name, ())
     if not rows:
         return Verdict("unknown", f"Not measured since {name} moved.")
-    return _measured(rows, c.ranks.get(name), print_)
+    return measured_verdict(rows, c.ranks.get(name), print_)
 
 
-def _measured(
-    rows: Sequence[FrameResidual], rank: PoseRank | None, print_: PrintComparison | None
+def measured_verdict(
+    rows: Sequence[FrameResidual], rank: PoseRank | None, print_: PrintComparison | None = None
 ) -> Verdict:
+    """Return the verdict on a pose by its residuals, rank and print; None: not known yet.
+
+    It is good only if the pose beats the nearby ones, if a majority of the frames in which the
+    contour is visible says so, and if no frame is clearly off.
+    """
     visible = [r for r in rows if not r.problem]
     if not visible:
         return Verdict("unknown", "It is visible in none of these frames.")
     worst = [r.frame for r in visible if grade_row(r) == "poor"]
     if worst:
         return Verdict("poor", f"Off in frame {', '.join(map(str, worst))}: check there.")
-    telling = [r for r in visible if edge_grade(r) is not None]
-    if not telling:
-        if any(depth_grade(r) is not None for r in visible):
+    informative = [r.frame for r in visible if edge_grade(r) is not None]
+    if rank is None or not rank.good:
+        if not informative and any(depth_grade(r) is not None for r in visible):
             return Verdict(
                 "unknown",
                 "The depth agrees, but edges are not informative here: check the contour by eye.",
             )
-        return Verdict(
-            "unknown", "The residuals in these frames are at chance level: check by eye."
-        )
+        if not informative and rank is None:
+            return Verdict(
+                "unknown", "The residuals in these frames are at chance level: check by eye."
+            )
     if rank is None:
         return Verdict("unknown", "It is being compared with nearby poses.")
     said = f"{rank.sentence()[:1].upper()}{rank.sentence()[1:]}."
-    if 2 * len(telling) <= len(visible):
-        silent = len(visible) - len(telling)
-        return Verdict(
-            "unknown",
-            f"{silent} of {len(visible)} shown frames are at chance level: check by eye. {said}",
-        )
     if not rank.good:
         return Verdict("poor", f"Not confirmed: other poses fit as well. {said}")
+    # The distance to the nearest edge is at chance level in clutter; the rank in a frame is not.
+    shown = {r.frame for r in visible}
+    telling, total = {*informative, *rank.telling}, len(shown.union(rank.frames))
+    if 2 * len(telling) <= total:
+        text = f"{total - len(telling)} of {total} frames are at chance level: check by eye. {said}"
+        return Verdict("unknown", text)
     if any(grade_row(r) == "fair" for r in visible):
         return Verdict("fair", f"Close, but not exact. {said}")
     also = ""

@@ -13,8 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from annotator.app.verdicts import measured_verdict
 from annotator.cli import main
+from annotator.session.residuals import measure_residuals
+from std_toolkit.checks.ranking import rank_objects
 from std_toolkit.checks.residuals import ObjectObservation, observe_frame
+from std_toolkit.geometry import Symmetry
 from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.geometry.se3 import SE3, so3_exp
 from std_toolkit.options import CheckOptions, PoseOptions
@@ -117,3 +121,22 @@ def test_the_label_tells_how_it_was_made(labelled: Scene) -> None:
     assert label.frame == 0
     assert label.provenance is not None
     assert "views" in label.provenance.refinement
+
+
+@pytest.mark.parametrize("axis, degrees", [(2, 0), (0, 20), (1, -35), (2, 20), (2, -50)], ids=str)
+def test_only_the_label_is_said_to_fit(labelled: Scene, axis: int, degrees: float) -> None:
+    """The verdict of the window: the edges of this cluttered table are near every contour."""
+    label, mesh = labelled.T_world_obj(1), labelled.mesh("mustard")
+    assert label is not None
+    centre = mesh_bounds(mesh).mean(axis=0)
+    R = so3_exp(np.eye(3)[axis] * np.deg2rad(degrees))
+    placed = label @ SE3(R, centre - R @ centre)
+    frames = [f.id for f in labelled.registered_frames()]
+
+    def pose(frame: int) -> SE3 | None:
+        T_world_cam = labelled.T_world_cam(frame)
+        return None if T_world_cam is None else T_world_cam.inverse() @ placed
+
+    rank = rank_objects(labelled, {1: pose}, {1: mesh}, {1: Symmetry()}, frames)[1]
+    rows = measure_residuals(labelled, {1: pose}, {1: "diffuse"}, {1: mesh}, frames[::20])[1]
+    assert (measured_verdict(rows, rank).grade == "good") == (degrees == 0), rank

@@ -69,7 +69,20 @@ GOOD = [residual(0, 0.8, None), residual(1, 1.0, 3.0)]
             [*GOOD, residual(2, 19.0, None), residual(3, 19.0, None)],
             PoseRank(200, 200, (0, 1), (0, 1), -0.1, 0.6),
             "unknown",
-            "2 of 4 shown frames are at chance level",
+            "2 of 4 frames are at chance level",
+        ),
+        # In clutter the nearest edge tells nothing, but whether nearby poses agree better does.
+        (
+            [residual(k, 19.0, None) for k in range(4)],
+            PoseRank(198, 200, (0, 1, 2, 3), (0, 1, 2), -0.1, 0.6),
+            "good",
+            "1 of 4 frames tells nothing",
+        ),
+        (
+            [residual(k, 19.0, 2.0) for k in range(4)],
+            PoseRank(198, 200, (0, 1, 2, 3), (0, 1), -0.1, 0.6),
+            "unknown",
+            "check the contour by eye",
         ),
     ],
 )

@@ -40,10 +40,8 @@ def _click_points(bench: Bench, wanted: SE3) -> int:
         clicks = bench.session.object("box_1").clicks.get(0, [])
         crosses = view.screen_of_recorded(np.array([[c.u, c.v] for c in clicks]).reshape(-1, 2))
         # A press near a cross would take it, on the mesh and in the image.
-        spots = [
-            (x, y),
-            view.screen_of_recorded(view.recorded_camera.project(wanted @ point[None])),
-        ]
+        uv = view.recorded_camera.project(wanted @ point[None])
+        spots = [(x, y), view.screen_of_recorded(uv)]
         if len(crosses) and any(np.linalg.norm(crosses - s, axis=1).min() < 15 for s in spots):
             continue
         bench.click(QPoint(int(x), int(y)))

@@ -113,6 +113,22 @@ def test_only_the_true_pose_is_good(shape: str, seed: int) -> None:
     assert not rank(scene, mesh, poses, SE3(np.eye(3), np.array([0.02, 0, 0])), symmetry).good
 
 
+@pytest.mark.long
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", ["box", "bottle"])
+@pytest.mark.parametrize("seed", range(10, 18))
+def test_no_pose_20_to_50_deg_off_is_good(shape: str, seed: int) -> None:
+    mesh, symmetry = (box(), Symmetry()) if shape == "box" else (bottle(), ROUND)
+    poses, random = around(4), np.random.default_rng(seed)
+    scene = draw(mesh, poses, seed)
+    assert rank(scene, mesh, poses, SE3.identity(), symmetry).good
+    for axis in np.eye(3)[: 3 if shape == "box" else 2]:
+        for degrees in (20, -20, 35, -35, 50, -50):
+            shift = random.uniform(-0.01, 0.01, 3)
+            turn = SE3(so3_exp(axis * np.deg2rad(degrees)), shift)
+            assert not rank(scene, mesh, poses, turn, symmetry).good, (axis, degrees, shift)
+
+
 def test_turns_about_a_symmetry_axis_are_no_perturbations() -> None:
     mesh, poses = bottle(), around(2)
     scene = draw(mesh, poses, 3)
