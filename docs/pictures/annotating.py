@@ -106,22 +106,20 @@ def place(hand: Hands, recording: Path, truth: Truth) -> None:
 
 
 def turn_roughly(hand: Hands, name: str, exact: SE3) -> None:
-    """Steps of 10 degrees about the object's upright axis until it looks about right."""
+    """Steps of 10 degrees about the table's normal until it looks about right."""
     from PySide6.QtCore import Qt
 
-    shift = Qt.KeyboardModifier.ShiftModifier
     c = hand.controller
     turn = c.pose(name, 0).R.T @ exact.R
     steps = round(float(np.degrees(np.arctan2(turn[0, 2], turn[2, 2]))) / 10)
     if abs(steps) > 9:
-        hand.press(Qt.Key.Key_Y, shift)
+        hand.press(Qt.Key.Key_Y, Qt.KeyboardModifier.ShiftModifier)
         steps -= int(np.copysign(18, steps))
     if steps:
-        if c.axes != "object":
-            hand.press(Qt.Key.Key_A)
         if c.step != 10:
             hand.press(Qt.Key.Key_7)
-        hand.press(Qt.Key.Key_Right if steps > 0 else Qt.Key.Key_Left, shift, abs(steps))
+        key = Qt.Key.Key_Right if steps > 0 else Qt.Key.Key_Left
+        hand.press(key, Qt.KeyboardModifier.ShiftModifier, abs(steps))
 
 
 def push_into_each_other(hand: Hands) -> Image:
@@ -255,7 +253,7 @@ def _save(name: str, picture: Image) -> None:
     print(f"{name}.jpg: {picture.shape[1]}x{picture.shape[0]}")
 
 
-def _display() -> subprocess.Popen[bytes] | None:
+def display_server() -> subprocess.Popen[bytes] | None:
     """A virtual display, where there is none."""
     os.environ.setdefault("LIBGL_ALWAYS_SOFTWARE", "1")  # the same pictures everywhere
     if os.environ.get("DISPLAY"):
@@ -276,7 +274,7 @@ if __name__ == "__main__":
     known = record(folder)
     # The list of recent scenes, and the size of windows, of whoever draws stay as they are.
     os.environ["XDG_CONFIG_HOME"] = str(folder / "config")
-    display = _display()
+    display = display_server()
     try:
         label(folder, known)
     finally:
