@@ -223,7 +223,7 @@ def test_another_mesh_of_the_same_name_has_another_picture(bench: Bench, tmp_pat
 
     def add(extents: tuple[int, int, int]) -> NDArray[np.uint8]:
         trimesh.creation.box(extents).export(path)
-        operations.import_meshes(bench.controller, [(path, "mm")])
+        operations.import_meshes(bench.controller, [operations.NewMesh(path, "mm")])
         _idle(bench)
         # Until its picture is drawn there is a smaller sign.
         bench.qtbot.waitUntil(lambda: len(picture()) == 60 * 60 * 3, timeout=30_000)
