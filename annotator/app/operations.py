@@ -258,6 +258,8 @@ def measure_mesh(path: Path) -> MeshSize:
         ToolkitError: the file is unreadable or has no faces, or its size is implausible for a
             table-top object in every unit.
     """
+    from trimesh.visual import TextureVisuals
+
     mesh = load_mesh(path, any_size=True)
     extents = mesh_extents(mesh)
     size = float(extents.max())
@@ -276,7 +278,7 @@ def measure_mesh(path: Path) -> MeshSize:
     if "m" in found:
         found = ["m"]
     order = sorted(found, key=lambda u: abs(np.log(size * UNITS_IN_M[u] / _USUAL_SIZE_M)))
-    textured = mesh.visual.kind == "texture"
+    textured = isinstance(mesh.visual, TextureVisuals)
     return MeshSize((x, y, z), tuple(order), len(mesh.faces), textured)
 
 

@@ -19,7 +19,7 @@ from annotator.session.meshes import Version
 from annotator.views.mesh_colors import mesh_colors
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
-from std_toolkit.geometry.mesh import load_mesh, mesh_extents, round_axis
+from std_toolkit.geometry.mesh import load_mesh, mesh_extents, round_axis, vertex_colors
 from std_toolkit.io.images import read_color, write_color
 from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
 from std_toolkit.rendering.texture import SurfaceColors
@@ -43,6 +43,12 @@ _TEXTURE_PX = 512
 # Diameter to which a mesh of unknown unit is scaled, metres.
 _DIAMETER_M = 0.1
 
+# A mesh with more faces is drawn with the vertices of each cell of a grid merged.
+_MOST_FACES = 200_000
+
+# Cells along its longest side; halved while too many faces remain, as of a noisy scan.
+_CELLS = 128
+
 _FOLDER = Path(".std") / "annotate" / "thumbnails"
 
 SIZE_PX = 96
@@ -54,7 +60,7 @@ def model_picture(snapshot: Snapshot, model: Model, size: int) -> NDArray[np.uin
     Cached in the scene folder if it is writable. Thread-safe.
     """
     try:
-        mesh = snapshot.meshes.mesh(model)
+        mesh = few_faces(snapshot.meshes.mesh(model))
         axis = placing.standing_axis(snapshot, model)
     except ToolkitError:
         return None  # reported where the mesh itself is drawn
@@ -77,7 +83,7 @@ def file_picture(path: Path, size: int) -> NDArray[np.uint8] | None:
         if stored.is_file():
             with suppress(ToolkitError):  # for example of another size: render again
                 return read_color(stored, size=(size, size))
-        mesh = load_mesh(path, any_size=True)
+        mesh = few_faces(load_mesh(path, any_size=True))
     except (OSError, ToolkitError):
         return None  # reported when the mesh is added
     mesh.apply_scale(_DIAMETER_M / max(float(np.linalg.norm(mesh_extents(mesh))), 1e-30))
@@ -87,6 +93,33 @@ def file_picture(path: Path, size: int) -> NDArray[np.uint8] | None:
         stored.parent.mkdir(parents=True, exist_ok=True)
         write_color(stored, picture)
     return picture
+
+
+def few_faces(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Return a coarse copy of a mesh of many faces, which looks the same in a thumbnail."""
+    cells = _CELLS
+    while len(mesh.faces) > _MOST_FACES and cells >= 32:
+        mesh = _merged(mesh, cells)
+        cells //= 2
+    return mesh
+
+
+def _merged(mesh: trimesh.Trimesh, cells: int) -> trimesh.Trimesh:
+    """Merge the vertices in each cell of a grid, of so many cells along the longest side."""
+    import trimesh
+
+    vertices = np.asarray(mesh.vertices)
+    low = vertices.min(axis=0)
+    cell = ((vertices - low) * (cells / np.ptp(vertices, axis=0).max())).astype(np.int64)
+    key = (cell[:, 0] * 2 * cells + cell[:, 1]) * 2 * cells + cell[:, 2]
+    _, first, merged = np.unique(key, return_index=True, return_inverse=True)
+    faces = merged.reshape(-1)[np.asarray(mesh.faces)]
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    colors = vertex_colors(mesh)
+    if colors is not None:
+        colors = colors[first]
+    return trimesh.Trimesh(vertices[first], faces, vertex_colors=colors, process=False)
 
 
 def thumbnail(mesh: trimesh.Trimesh, size: int, axis: int = 2) -> NDArray[np.uint8]:
@@ -293,7 +326,8 @@ class Thumbnails:
         drawn = {i: (v, self._pictures[v][0]) for i, v in versions.items() if v in self._pictures}
         meshes = mesh_folder.meshes_to_add(self._c.mesh_folder, session)
         files = {m.name: m.path for m in meshes if m.path in self._of_files}
-        if drawn | files != self._shown:
-            self._shown = drawn | files
+        shown: dict[str, object] = {**drawn, **files}
+        if shown != self._shown:
+            self._shown = shown
             pictures = {i: self._pictures[v][1] for i, (v, _) in drawn.items()}
             self._show(pictures | {name: self._of_files[path] for name, path in files.items()})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,10 +114,9 @@ def decimate_mesh(mesh: trimesh.Trimesh, faces: int) -> trimesh.Trimesh:
         o3d.utility.Vector3dVector(np.asarray(mesh.vertices, dtype=np.float64)),
         o3d.utility.Vector3iVector(np.asarray(mesh.faces, dtype=np.int32)),
     )
-    visual = mesh.visual if mesh.visual.kind != "texture" else mesh.visual.to_color()
-    if visual.defined:
-        colors = np.asarray(visual.vertex_colors, dtype=np.float64)[:, :3] / 255
-        fine.vertex_colors = o3d.utility.Vector3dVector(colors)
+    painted = vertex_colors(mesh)
+    if painted is not None:
+        fine.vertex_colors = o3d.utility.Vector3dVector(painted[:, :3] / 255)
     fine.remove_duplicated_vertices()
     fine.remove_degenerate_triangles()
     if len(fine.triangles) > faces:
@@ -130,6 +129,14 @@ def decimate_mesh(mesh: trimesh.Trimesh, faces: int) -> trimesh.Trimesh:
         vertex_colors=colors if len(colors) else None,
         process=False,
     )
+
+
+def vertex_colors(mesh: trimesh.Trimesh) -> NDArray[np.uint8] | None:
+    """(V, 4) RGBA of the vertices, also from a texture or face colours; None without colours."""
+    visual: Any = mesh.visual
+    if visual.kind == "texture":
+        visual = visual.to_color()
+    return np.asarray(visual.vertex_colors, np.uint8) if visual.defined else None
 
 
 def check_mesh_size(mesh: trimesh.Trimesh, *, path: Path | str | None = None) -> None:
