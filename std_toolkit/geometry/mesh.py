@@ -145,8 +145,9 @@ def check_mesh_size(mesh: trimesh.Trimesh, *, path: Path | str | None = None) ->
     Raises:
         ToolkitError: the largest extent is outside 3 mm to 3 m.
     """
-    largest = float(mesh_extents(mesh).max())
-    size = " x ".join(f"{x:.4g}" for x in mesh_extents(mesh))
+    extents = mesh_extents(mesh)
+    largest = float(extents.max())
+    size = " x ".join(f"{x:.4g}" for x in extents)
     if largest > LARGEST_EXTENT_M:
         raise ToolkitError(
             "the mesh is implausibly large in metres",
