@@ -118,8 +118,11 @@ class _Meshes(QtWidgets.QListWidget):
         self.setViewMode(QtWidgets.QListWidget.ViewMode.IconMode)
         self.setIconSize(QSize(THUMBNAIL, THUMBNAIL))
         line = self.fontMetrics().height()
-        self.setGridSize(QSize(THUMBNAIL + 26, THUMBNAIL + line + 10))
-        self.setMinimumHeight(THUMBNAIL + line + 18)
+        # Names have two lines.
+        self.setGridSize(QSize(THUMBNAIL + 26, THUMBNAIL + 2 * line + 10))
+        self.setMinimumHeight(THUMBNAIL + 2 * line + 18)
+        self.setWordWrap(True)
+        self.setItemDelegate(_Names(self))
         self.setResizeMode(QtWidgets.QListWidget.ResizeMode.Adjust)
         self.setMovement(QtWidgets.QListWidget.Movement.Static)
         self.setDragEnabled(True)
@@ -134,6 +137,13 @@ class _Meshes(QtWidgets.QListWidget):
         data = QMimeData()
         data.setData(MODEL_MIME, items[0].data(Qt.ItemDataRole.UserRole).encode())
         return data
+
+
+class _Names(QtWidgets.QStyledItemDelegate):
+    """Breaks long names behind underscores."""
+
+    def displayText(self, value: object, _: object) -> str:
+        return str(value).replace("_", "_\u200b")
 
 
 def _as_icon(rgb: NDArray[np.uint8] | None) -> QIcon:
