@@ -188,8 +188,15 @@ def _plain_hint(error: ToolkitError) -> ToolkitError:
 
 
 def model_name(path: Path) -> str:
-    """Return the model id of a mesh file: its name, or its folder's if the name is generic."""
-    stem, folder = path.stem, path.expanduser().resolve().parent.name
+    """Return the model id of a mesh file: its name, or its folder's if the name is generic.
+
+    Raises:
+        ToolkitError: there is no such file.
+    """
+    path = path.expanduser()
+    if not path.is_file():
+        raise ToolkitError("mesh file not found", path=path)
+    stem, folder = path.stem, path.resolve().parent.name
     return safe_name(folder if folder and is_generic_name(stem) else stem)
 
 
