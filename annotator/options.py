@@ -30,6 +30,9 @@ class AnnotateOptions:
     recover: Literal["ask", "yes", "no"] = "ask"
     """unsaved edits of an earlier session: restore them (yes), set them aside (no) or ask; a script
     with such edits needs yes or no"""
+    meshes: str | None = None
+    """folder of meshes to show in the library beside those of the scene; remembered for later
+    starts, "none" forgets it"""
     script: Path | None = None
     """carry out the edits in a JSON file; data_spec.md describes it"""
     web: Annotated[int | None, msgspec.Meta(ge=0, le=65535)] = None
@@ -46,6 +49,10 @@ class AnnotateOptions:
             raise ToolkitError("--script and --web exclude each other")
         if self.script is not None and self.read_only:
             raise ToolkitError("a script edits the scene and cannot be run with --read-only")
+        if self.script is not None and self.meshes is not None:
+            raise ToolkitError(
+                "--meshes needs a window or --web", hint="a script names its mesh files"
+            )
         if self.web is None and (self.host != "127.0.0.1" or self.token is not None):
             raise ToolkitError("--host and --token need --web")
         if self.scene is None and (self.script is not None or self.web is not None):

@@ -27,6 +27,7 @@ from std_toolkit.geometry import SE3
 
 if TYPE_CHECKING:
     from annotator.app.image_cache import ImageCache
+    from annotator.app.mesh_folder import MeshFolder, MeshToPlace
     from annotator.session.residuals import FrameResidual
     from std_toolkit.checks.ranking import PoseRank
     from std_toolkit.labels.print import PrintComparison
@@ -55,6 +56,8 @@ class Controller:
         pending_point: (x, y, z) clicked on the mesh whose pixel is not clicked yet; metres.
         residuals: last measured residuals by object; removed when the pose changes.
         dialogs: names of the dialogs of the front end; see `Action.asks`.
+        mesh_folder: folder whose meshes are in the library, or None.
+        mesh_to_place: mesh of the folder that the dialog "place_mesh" adds to the scene.
         conflict: text on the concurrent changes that the last attempt to save found.
         weak_directions: sentence by object on the direction that its last refinement determined
             least.
@@ -84,6 +87,8 @@ class Controller:
         self.pending_point: tuple[float, float, float] | None = None
         self.residuals: dict[str, list[FrameResidual]] = {}
         self.dialogs: frozenset[str] = frozenset()
+        self.mesh_folder: MeshFolder | None = None
+        self.mesh_to_place: MeshToPlace | None = None
         self.conflict = ""
         self.weak_directions: dict[str, str] = {}
         self.ranks: dict[str, PoseRank] = {}

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from annotator.app import label_questions, operations, pose_checks, questions
 from annotator.app.action_table import key_rows
 from annotator.app.controller import Controller
-from annotator.app.operations import MeshSize, Unit, measure_mesh
+from annotator.app.events import Event
+from annotator.app.mesh_folder import MeshFolder, remember_folder
+from annotator.app.operations import MeshSize, NewMesh, measure_mesh
 from annotator.app.verdicts import doubtful_objects
 from annotator.session import ChangeObject, SetSymmetry
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import MESH_SUFFIXES
 from std_toolkit.labels.symmetry_argument import parse_symmetry
+
+# A mesh with more faces than this may be decimated to fewer when it is added.
+MANY_FACES, FEWER_FACES = 200_000, 50_000
 
 
 class Dialogs:
@@ -41,6 +47,7 @@ class Dialogs:
         self._open: questions.Question | None = None
         self._dialogs: dict[str, Callable[[], object]] = {
             "add_mesh": self._add_mesh,
+            "place_mesh": self._place_mesh,
             "propagate": self._propagate,
             "rename": self._rename,
             "note": self._note,
@@ -90,51 +97,93 @@ class Dialogs:
                 "Add a mesh",
                 react,
                 text="The file is read on the machine that std-annotate runs on, and copied into "
-                "the scene with its textures.",
-                fields=(questions.Field("path", f"File on the server ({kinds})"),),
+                "the scene with its textures. The meshes of a folder are listed in the library and "
+                "copied when they are placed.",
+                fields=(questions.Field("path", f"File on the server ({kinds}), or folder"),),
                 buttons=(questions.Button("add", "Add"), questions.CANCEL),
             )
         )
 
     def add_meshes(self, paths: Sequence[Path]) -> None:
-        """Add mesh files to the library; asks for the unit if metres are implausible."""
+        """Add mesh files to the library; a folder becomes the folder of meshes.
 
-        def measure(_: object) -> list[tuple[Path, MeshSize | ToolkitError]]:
-            found: list[tuple[Path, MeshSize | ToolkitError]] = []
-            for path in paths:
+        Asks for the unit if metres are implausible, and whether to decimate many faces.
+        """
+        for folder in (path for path in paths if path.is_dir()):
+            self._c.attempt(lambda folder=folder: self._set_folder(folder))  # type: ignore[misc]
+        self._measure([NewMesh(path) for path in paths if not path.is_dir()])
+
+    def _set_folder(self, path: Path) -> None:
+        folder = MeshFolder.read(path)
+        remember_folder(folder)
+        self._c.mesh_folder = folder
+        self._c.emit(Event("library"))
+        count = "1 mesh" if len(folder.meshes) == 1 else f"{len(folder.meshes)} meshes"
+        self._c.tell(f"The library shows {count} of {folder.path}.")
+
+    def _place_mesh(self) -> None:
+        wanted, self._c.mesh_to_place = self._c.mesh_to_place, None
+        if wanted is not None:
+            new = NewMesh(wanted.mesh.path, name=wanted.mesh.name)
+            self._measure([new], lambda models: wanted.place(models[0]))
+
+    def _measure(
+        self, meshes: Sequence[NewMesh], then: Callable[[list[str]], object] = lambda _: None
+    ) -> None:
+        """Read meshes, ask about them, add them, then call `then` with the ids of the models."""
+
+        def measure(_: object) -> list[tuple[NewMesh, MeshSize | ToolkitError]]:
+            found: list[tuple[NewMesh, MeshSize | ToolkitError]] = []
+            for mesh in meshes:
                 try:
-                    found.append((path, measure_mesh(path)))
+                    found.append((mesh, measure_mesh(mesh.path)))
                 except ToolkitError as error:
-                    found.append((path, error))
+                    found.append((mesh, error))
             return found
 
-        def finish(found: list[tuple[Path, MeshSize | ToolkitError]]) -> None:
+        def finish(found: list[tuple[NewMesh, MeshSize | ToolkitError]]) -> None:
             for _, size in found:
                 if isinstance(size, ToolkitError):
                     self._c.tell(str(size), "error")
-            self._ask_units([(p, s) for p, s in found if isinstance(s, MeshSize)], [])
+            self._ask_units([(m, s) for m, s in found if isinstance(s, MeshSize)], [], then)
 
-        if paths:
-            names = ", ".join(path.name for path in paths[:3])
+        if meshes:
+            names = ", ".join(mesh.path.name for mesh in meshes[:3])
             self._c.start(f"Read {names}", measure, finish)
 
     def _ask_units(
-        self, waiting: Sequence[tuple[Path, MeshSize]], files: Sequence[tuple[Path, Unit]]
+        self,
+        waiting: Sequence[tuple[NewMesh, MeshSize]],
+        known: Sequence[NewMesh],
+        then: Callable[[list[str]], object],
     ) -> None:
-        """Ask for the units of meshes one by one, then import them all as one edit."""
+        """Ask about meshes one by one, then import them all as one edit."""
         if not waiting:
-            if files:
-                operations.import_meshes(self._c, files)
+            if known:
+                operations.import_meshes(self._c, known, then)
             return
-        (path, size), *rest = waiting
+        (mesh, size), *rest = waiting
+        name = mesh.name or mesh.path.name
+
+        def skip() -> None:
+            self._ask_units(rest, known, then)
 
         def react(unit: str, _: object = None) -> None:
-            self._ask_units(rest, [*files, *((path, u) for u in size.units if u == unit)])
+            new = replace(mesh, unit=next(u for u in size.units if u == unit))
+
+            def decide(pressed: str, _: object = None) -> None:
+                faces = FEWER_FACES if pressed == "fewer" else None
+                self._ask_units(rest, [*known, replace(new, faces=faces)], then)
+
+            if size.faces > MANY_FACES:
+                self._ask(questions.decimate_question(name, size, FEWER_FACES, decide, skip))
+            else:
+                decide("keep")
 
         if size.units == ("m",):
             react("m")
         else:
-            self._ask(questions.unit_question(path.name, size, react, lambda: react("")))
+            self._ask(questions.unit_question(name, size, react, skip))
 
     def _done_anyway(self) -> None:
         name = self._c.selected

@@ -19,6 +19,7 @@ Kind = Literal[
     "penetration",  # penetrations were computed
     "table",  # the table was found
     "tool",  # gizmo, steps, axes, clicking
+    "library",  # the library shows the meshes of another folder
     "busy",  # a computation started, progressed or ended
     "saved",
     "message",  # text for the user

@@ -20,7 +20,13 @@ from annotator.app.tasks import Task
 from annotator.session import ClearPose
 from annotator.session.saving import PropagationResult, propagate_saved_labels
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.mesh import UNITS_IN_M, load_mesh, mesh_extents
+from std_toolkit.geometry.mesh import (
+    LARGEST_EXTENT_M,
+    SMALLEST_EXTENT_M,
+    UNITS_IN_M,
+    load_mesh,
+    mesh_extents,
+)
 
 if TYPE_CHECKING:
     from annotator.session.merge import Side
@@ -229,10 +235,14 @@ class MeshSize:
     Attributes:
         extents: (x, y, z) of the bounding box in the numbers of the file.
         units: plausible units, most likely first; only metres if they are plausible.
+        faces: number of faces.
+        textured: whether the mesh has a texture, which decimation turns into vertex colours.
     """
 
     extents: tuple[float, float, float]
     units: tuple[Unit, ...]
+    faces: int = 0
+    textured: bool = False
 
     def in_mm(self, unit: Unit) -> tuple[float, float, float]:
         """Return the extents in millimetres if the file is in `unit`."""
@@ -248,51 +258,70 @@ def measure_mesh(path: Path) -> MeshSize:
         ToolkitError: the file is unreadable or has no faces, or its size is implausible for a
             table-top object in every unit.
     """
-    found: dict[Unit, np.ndarray] = {}
-    first: ToolkitError | None = None
-    for unit in UNITS:
-        try:
-            found[unit] = mesh_extents(load_mesh(path, unit=unit)) / UNITS_IN_M[unit]
-        except ToolkitError as error:
-            first = first or error
-            if "implausibly" not in error.problem:
-                raise
-        else:
-            if unit == "m":
-                break
+    from trimesh.visual import TextureVisuals
+
+    mesh = load_mesh(path, any_size=True)
+    extents = mesh_extents(mesh)
+    size = float(extents.max())
+    found: list[Unit] = [
+        u for u in UNITS if SMALLEST_EXTENT_M <= size * UNITS_IN_M[u] <= LARGEST_EXTENT_M
+    ]
+    x, y, z = (float(v) for v in extents)
     if not found:
-        assert first is not None
         raise ToolkitError(
             "the mesh has a size that no object on a table has, in metres, centimetres or "
             "millimetres",
             path=path,
-            value=first.value,
+            value=f"{x:.4g} x {y:.4g} x {z:.4g} m",
             hint="scale it in the program that made it",
         )
-    x, y, z = (float(v) for v in next(iter(found.values())))
-    size = max(x, y, z)
+    if "m" in found:
+        found = ["m"]
     order = sorted(found, key=lambda u: abs(np.log(size * UNITS_IN_M[u] / _USUAL_SIZE_M)))
-    return MeshSize((x, y, z), tuple(order))
+    textured = isinstance(mesh.visual, TextureVisuals)
+    return MeshSize((x, y, z), tuple(order), len(mesh.faces), textured)
 
 
-def import_meshes(controller: Controller, files: Sequence[tuple[Path, Unit]]) -> None:
+@dataclass(frozen=True)
+class NewMesh:
+    """Mesh file to add to the scene.
+
+    Attributes:
+        unit: unit of its coordinates.
+        name: wanted id of the model; default: from the name of the file.
+        faces: decimate it to this number of faces; None: keep all.
+    """
+
+    path: Path
+    unit: Unit = "m"
+    name: str | None = None
+    faces: int | None = None
+
+
+def import_meshes(
+    controller: Controller,
+    files: Sequence[NewMesh],
+    then: Callable[[list[str]], object] = lambda _: None,
+) -> None:
     """Copy mesh files into the scene's library, as one edit.
 
     Args:
-        files: paths with the units of their coordinates.
+        then: called with the ids of the models after the edit.
     """
     from annotator.session.edits import CompoundEdit, EnterModel, SingleEdit
     from annotator.session.requests import ImportMesh
+    from annotator.session.requests.mesh_requests import model_name
 
     start = controller.session.snapshot()
-    names = _listed([path.name for path, _ in files])
+    names = _listed([file.path.name if file.name is None else file.name for file in files])
 
-    def work(task: Task) -> tuple[list[SingleEdit], list[str]]:
-        edits: list[SingleEdit] = []
+    def work(task: Task) -> tuple[list[EnterModel], list[str]]:
+        edits: list[EnterModel] = []
         report: list[str] = []
         snapshot = start
-        for place, (path, unit) in enumerate(files):
-            outcome = ImportMesh(mesh=str(path), unit=unit).resolve(snapshot)
+        for place, file in enumerate(files):
+            request = ImportMesh(mesh=str(file.path), unit=file.unit, faces=file.faces)
+            outcome = request.import_as(file.name or model_name(file.path), snapshot)
             assert isinstance(outcome.edit, EnterModel)
             edits.append(outcome.edit)
             # Two files of one name must not become one model.
@@ -303,11 +332,13 @@ def import_meshes(controller: Controller, files: Sequence[tuple[Path, Unit]]) ->
                 break
         return edits, report
 
-    def finish(found: tuple[list[SingleEdit], list[str]]) -> None:
+    def finish(found: tuple[list[EnterModel], list[str]]) -> None:
         edits, report = found
-        controller.session.apply(CompoundEdit(edits=edits, label=f"Add {names}"))
+        single: list[SingleEdit] = [*edits]
+        controller.session.apply(CompoundEdit(edits=single, label=f"Add {names}"))
         between = "\n" if len(report) <= MOST_LINES else "; "
         controller.tell(f"Added {between.join(report)}")
+        then([edit.model.id for edit in edits])
 
     controller.start(f"Add {names}", work, finish)
 

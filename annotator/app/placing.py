@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from annotator.app.controller import Controller
+from annotator.app.mesh_folder import MeshToPlace, meshes_to_add
 from annotator.session import AddObject, SetPoses
 from annotator.session.edits import CompoundEdit, SingleEdit
 from annotator.session.state import Queries
@@ -170,9 +171,15 @@ def drop_model(c: Controller, model_id: str, frame: int, uv: tuple[float, float]
     a new one.
 
     Args:
+        model_id: id of a model of the scene, or name of a mesh of the folder, which is added first.
         frame: frame of the image.
         uv: pixel of the recorded image.
     """
+    mesh = next((m for m in meshes_to_add(c.mesh_folder, c.session) if m.name == model_id), None)
+    if mesh is not None:
+        c.mesh_to_place = MeshToPlace(mesh, lambda added: drop_model(c, added, frame, uv))
+        c.ask("place_mesh")
+        return True
     waiting = [
         o.name
         for o in c.session.state.objects

@@ -272,6 +272,29 @@ def unit_question(
     )
 
 
+def decimate_question(
+    name: str,
+    size: MeshSize,
+    fewer: int,
+    react: Reaction,
+    cancelled: Callable[[], object],
+) -> Question:
+    """Ask whether to decimate a mesh of many faces: "fewer" or "keep"."""
+    colors = " Its texture becomes colours of the vertices." if size.textured else ""
+    return Question(
+        f"{name} has {size.faces:,} faces",
+        react,
+        text=f"Views, refinement and checks are slow with so many. A mesh of {fewer:,} faces "
+        f"has the same shape up to small details.{colors} The file itself does not change.",
+        buttons=(
+            Button("fewer", f"Decimate to {fewer:,}", f"The scene gets a mesh of {fewer:,} faces."),
+            Button("keep", "Keep all", "The scene gets a copy of the file."),
+            Button("", "Cancel", "The mesh is not added."),
+        ),
+        cancelled=cancelled,
+    )
+
+
 def symmetry_text(symmetry: SymmetryModel) -> str:
     """Return the full description of a symmetry."""
     parts = []

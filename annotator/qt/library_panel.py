@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from PySide6.QtCore import QMimeData, QSize, Qt, Signal
 from PySide6.QtGui import QDragEnterEvent, QDragMoveEvent, QDropEvent, QIcon, QImage, QPixmap
 
 from annotator.app.controller import Controller
+from annotator.app.mesh_folder import FolderMesh, meshes_to_add
 from annotator.app.placing import add_object
 from annotator.app.questions import symmetry_summary
 from annotator.qt.commands import Commands
@@ -22,17 +24,17 @@ from std_toolkit.scene import Model
 
 MODEL_MIME = "application/x-std-annotate-model"
 THUMBNAIL = 60
-_EMPTY = "No meshes yet: drop mesh files here."
+_EMPTY = "No meshes yet: drop mesh files, or a folder of them, here."
 
 
 class LibraryPanel(Panel):
-    """Meshes of the scene.
+    """Meshes of the scene, then those of the folder that are not in the scene yet.
 
     Signals:
-        files_dropped: mesh files (list of Path) dropped onto the library.
+        files_dropped: mesh files or folders (list of Path) dropped onto the library.
     """
 
-    KINDS = ("edited",)
+    KINDS = ("edited", "library")
     files_dropped = Signal(list)
 
     def __init__(self, controller: Controller, commands: Commands) -> None:
@@ -66,21 +68,24 @@ class LibraryPanel(Panel):
 
     def refresh(self) -> None:
         """Show the current meshes of the session."""
-        models = self._controller.session.state.models
+        c = self._controller
+        described = {m.id: _described(m) for m in c.session.state.models}
+        for mesh in meshes_to_add(c.mesh_folder, c.session):
+            described[mesh.name] = _described_file(mesh)
         shown = [self.list.item(i).text() for i in range(self.list.count())]
-        if shown != [m.id for m in models]:
+        if shown != list(described):
             self.list.clear()
-            for model in models:
-                item = QtWidgets.QListWidgetItem(model.id)
+            for name in described:
+                item = QtWidgets.QListWidgetItem(name)
                 # Equal sizes, so that long names do not displace other items.
                 item.setSizeHint(self.list.gridSize())
-                item.setData(Qt.ItemDataRole.UserRole, model.id)
+                item.setData(Qt.ItemDataRole.UserRole, name)
                 self.list.addItem(item)
         drawing = QIcon(pixmap("style_wireframe", 32))
-        for i, model in enumerate(models):
-            self.list.item(i).setToolTip(_described(model))
-            self.list.item(i).setIcon(self._icons.get(model.id, drawing))
-        self.stack.setCurrentIndex(0 if models else 1)
+        for i, (name, text) in enumerate(described.items()):
+            self.list.item(i).setToolTip(text)
+            self.list.item(i).setIcon(self._icons.get(name, drawing))
+        self.stack.setCurrentIndex(0 if described else 1)
 
     def draw_pictures(self) -> None:
         """Render thumbnails in the background, also for meshes added later."""
@@ -113,8 +118,11 @@ class _Meshes(QtWidgets.QListWidget):
         self.setViewMode(QtWidgets.QListWidget.ViewMode.IconMode)
         self.setIconSize(QSize(THUMBNAIL, THUMBNAIL))
         line = self.fontMetrics().height()
-        self.setGridSize(QSize(THUMBNAIL + 26, THUMBNAIL + line + 10))
-        self.setMinimumHeight(THUMBNAIL + line + 18)
+        # Names have two lines.
+        self.setGridSize(QSize(THUMBNAIL + 26, THUMBNAIL + 2 * line + 10))
+        self.setMinimumHeight(THUMBNAIL + 2 * line + 18)
+        self.setWordWrap(True)
+        self.setItemDelegate(_Names(self))
         self.setResizeMode(QtWidgets.QListWidget.ResizeMode.Adjust)
         self.setMovement(QtWidgets.QListWidget.Movement.Static)
         self.setDragEnabled(True)
@@ -131,6 +139,13 @@ class _Meshes(QtWidgets.QListWidget):
         return data
 
 
+class _Names(QtWidgets.QStyledItemDelegate):
+    """Breaks long names behind underscores."""
+
+    def displayText(self, value: object, _: object) -> str:
+        return str(value).replace("_", "_\u200b")
+
+
 def _as_icon(rgb: NDArray[np.uint8] | None) -> QIcon:
     if rgb is None:
         return QIcon(pixmap("error", 32))
@@ -141,9 +156,16 @@ def _as_icon(rgb: NDArray[np.uint8] | None) -> QIcon:
 
 
 def mesh_files(data: QMimeData) -> list[Path]:
-    """Return the mesh files in drag data."""
+    """Return the mesh files and folders in drag data."""
     paths = [Path(url.toLocalFile()) for url in data.urls() if url.isLocalFile()]
-    return [p for p in paths if p.suffix.lower() in MESH_SUFFIXES]
+    return [p for p in paths if p.suffix.lower() in MESH_SUFFIXES or p.is_dir()]
+
+
+def _described_file(mesh: FolderMesh) -> str:
+    return (
+        f"<b>{mesh.name}</b><br>{escape(str(mesh.path))}<br>"
+        "Drag it onto an image, or double-click: it is copied into the scene."
+    )
 
 
 def _described(model: Model) -> str:

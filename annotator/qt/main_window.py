@@ -10,7 +10,15 @@ from PySide6.QtCore import QEventLoop, QObject, Qt, QTimer, Signal, Slot
 from PySide6.QtGui import QCloseEvent
 from PySide6.QtWidgets import QApplication, QFileDialog, QMainWindow
 
-from annotator.app import events, image_cache, operations, questions, tasks, view_options
+from annotator.app import (
+    events,
+    image_cache,
+    mesh_folder,
+    operations,
+    questions,
+    tasks,
+    view_options,
+)
 from annotator.app.controller import Controller
 from annotator.qt import commands, graphics, question_dialog, settings, start_page
 from annotator.session import Session
@@ -32,10 +40,14 @@ class Shell(QMainWindow):
 
     Args:
         annotator: name of the annotator; default: the user of this computer.
+        meshes: folder whose meshes are in the library of every scene.
     """
 
-    def __init__(self, *, annotator: str | None = None) -> None:
+    def __init__(
+        self, *, annotator: str | None = None, meshes: mesh_folder.MeshFolder | None = None
+    ) -> None:
         super().__init__()
+        self._meshes = meshes
         self._annotator = annotator
         self.workspace: Workspace | None = None
         self.controller: Controller | None = None
@@ -127,6 +139,7 @@ class Shell(QMainWindow):
 
         self._runner = QtRunner()
         self.controller = Controller(session, images, runner=self._runner, view_frames=frames)
+        self.controller.mesh_folder = self._meshes
         objects = session.state.objects
         if objects:
             self.controller.select(objects[0].name)
@@ -155,6 +168,8 @@ class Shell(QMainWindow):
         QApplication.processEvents(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)
 
     def _on_event(self, event: events.Event) -> None:
+        if event.kind == "library" and self.controller is not None:
+            self._meshes = self.controller.mesh_folder  # also for the next scene
         if event.kind in ("edited", "saved") and self.controller is not None:
             self.setWindowModified(self.controller.session.unsaved)
 

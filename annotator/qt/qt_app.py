@@ -15,6 +15,7 @@ os.environ.setdefault("QT_API", "pyside6")
 from PySide6.QtCore import QTimer
 from PySide6.QtWidgets import QApplication
 
+from annotator.app.mesh_folder import choose_folder
 from annotator.options import AnnotateOptions
 from annotator.qt.graphics import set_surface_format
 from annotator.qt.theme import apply_theme
@@ -28,13 +29,18 @@ def run(args: AnnotateOptions) -> int:
     """Open the window and run the event loop until it is closed.
 
     Args:
-        args: `scene` (a folder, or None for the start page), `annotator`, `read_only`, `recover`.
+        args: `scene` (a folder, or None for the start page), `annotator`, `read_only`,
+            `recover`, `meshes`.
+
+    Raises:
+        ToolkitError: the folder of meshes does not exist or contains none.
     """
+    meshes = choose_folder(args.meshes)
     app = make_application()
     with quick_imports():
         from annotator.qt.main_window import Shell
 
-    shell = Shell(annotator=args.annotator)
+    shell = Shell(annotator=args.annotator, meshes=meshes)
     tell_troubles(shell)
     shell.show()
     shell.activateWindow()

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from contextlib import suppress
 from pathlib import Path
 
 from PySide6.QtCore import QByteArray
 from PySide6.QtWidgets import QMainWindow, QSplitter
 
+from annotator.app.mesh_folder import settings_folder
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
 
@@ -20,8 +20,7 @@ _FILE = "window.json"
 
 def recent_file() -> Path:
     """Return the path of the list of recent scenes."""
-    home = os.environ.get("XDG_CONFIG_HOME") or str(Path.home() / ".config")
-    return Path(home) / "std-toolkit" / "recent-scenes.json"
+    return settings_folder() / "recent-scenes.json"
 
 
 def recent_scenes() -> list[Path]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,12 +13,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.app import events, placing, tasks
+from annotator.app import events, mesh_folder, placing, tasks
 from annotator.app.controller import Controller
 from annotator.session.meshes import Version
 from annotator.views.mesh_colors import mesh_colors
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
+from std_toolkit.geometry.mesh import load_mesh, mesh_extents, round_axis, vertex_colors
 from std_toolkit.io.images import read_color, write_color
 from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
 from std_toolkit.rendering.texture import SurfaceColors
@@ -37,6 +40,15 @@ _SAMPLES = 3
 # Longer side of textures, which are drawn some hundred pixels large.
 _TEXTURE_PX = 512
 
+# Diameter to which a mesh of unknown unit is scaled, metres.
+_DIAMETER_M = 0.1
+
+# A mesh with more faces is drawn with the vertices of each cell of a grid merged.
+_MOST_FACES = 200_000
+
+# Cells along its longest side; halved while too many faces remain, as of a noisy scan.
+_CELLS = 128
+
 _FOLDER = Path(".std") / "annotate" / "thumbnails"
 
 SIZE_PX = 96
@@ -48,13 +60,66 @@ def model_picture(snapshot: Snapshot, model: Model, size: int) -> NDArray[np.uin
     Cached in the scene folder if it is writable. Thread-safe.
     """
     try:
-        mesh = snapshot.meshes.mesh(model)
+        mesh = few_faces(snapshot.meshes.mesh(model))
         axis = placing.standing_axis(snapshot, model)
     except ToolkitError:
         return None  # reported where the mesh itself is drawn
     if snapshot.writable:
         return cached_thumbnail(snapshot.scene.root, mesh, size, axis)
     return thumbnail(mesh, size, axis)
+
+
+def file_picture(path: Path, size: int) -> NDArray[np.uint8] | None:
+    """Return the thumbnail of a mesh file outside the scene, in any unit; None if unreadable.
+
+    Cached in the user's cache folder, by path and modification time. Thread-safe.
+    """
+    try:
+        status = path.stat()
+        key = f"{path}\n{status.st_size}\n{status.st_mtime_ns}\n{size}"
+        name = hashlib.sha256(key.encode(errors="surrogateescape")).hexdigest()[:32]
+        home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+        stored = Path(home) / "std-toolkit" / "thumbnails" / f"{name}.png"
+        if stored.is_file():
+            with suppress(ToolkitError):  # for example of another size: render again
+                return read_color(stored, size=(size, size))
+        mesh = few_faces(load_mesh(path, any_size=True))
+    except (OSError, ToolkitError):
+        return None  # reported when the mesh is added
+    mesh.apply_scale(_DIAMETER_M / max(float(np.linalg.norm(mesh_extents(mesh))), 1e-30))
+    axis = placing.up_axis(round_axis(np.asarray(mesh.vertices), np.asarray(mesh.faces)))
+    picture = thumbnail(mesh, size, axis)
+    with suppress(OSError, ToolkitError):  # a read-only folder
+        stored.parent.mkdir(parents=True, exist_ok=True)
+        write_color(stored, picture)
+    return picture
+
+
+def few_faces(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Return a coarse copy of a mesh of many faces, which looks the same in a thumbnail."""
+    cells = _CELLS
+    while len(mesh.faces) > _MOST_FACES and cells >= 32:
+        mesh = _merged(mesh, cells)
+        cells //= 2
+    return mesh
+
+
+def _merged(mesh: trimesh.Trimesh, cells: int) -> trimesh.Trimesh:
+    """Merge the vertices in each cell of a grid, of so many cells along the longest side."""
+    import trimesh
+
+    vertices = np.asarray(mesh.vertices)
+    low = vertices.min(axis=0)
+    cell = ((vertices - low) * (cells / np.ptp(vertices, axis=0).max())).astype(np.int64)
+    key = (cell[:, 0] * 2 * cells + cell[:, 1]) * 2 * cells + cell[:, 2]
+    _, first, merged = np.unique(key, return_index=True, return_inverse=True)
+    faces = merged.reshape(-1)[np.asarray(mesh.faces)]
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    colors = vertex_colors(mesh)
+    if colors is not None:
+        colors = colors[first]
+    return trimesh.Trimesh(vertices[first], faces, vertex_colors=colors, process=False)
 
 
 def thumbnail(mesh: trimesh.Trimesh, size: int, axis: int = 2) -> NDArray[np.uint8]:
@@ -173,11 +238,11 @@ def _shaded(
 
 
 class Thumbnails:
-    """Renders missing thumbnails of the library one after the other.
+    """Renders missing thumbnails of the library one after the other, first of the scene's meshes.
 
     Args:
-        show: called with the available thumbnails by model id: (size, size, 3) RGB, or None for an
-            unreadable mesh.
+        show: called with the available thumbnails by name in the library: (size, size, 3) RGB, or
+            None for an unreadable mesh.
         size: pixels.
     """
 
@@ -191,8 +256,9 @@ class Thumbnails:
         self._c, self._show, self._size = controller, show, size
         # By mesh, with the set of all meshes, which determines the up axis of boxes.
         self._pictures: dict[Version, tuple[frozenset[Version], NDArray[np.uint8] | None]] = {}
-        self._shown: dict[str, tuple[Version, frozenset[Version]]] = {}
-        self._asked_for: tuple[Version, frozenset[Version]] | None = None
+        self._of_files: dict[Path, NDArray[np.uint8] | None] = {}
+        self._shown: dict[str, object] = {}
+        self._asked_for: tuple[Version, frozenset[Version]] | Path | None = None
         self._unsubscribe = controller.subscribe(self._on_event)
         self._draw_next()
 
@@ -200,7 +266,7 @@ class Thumbnails:
         self._unsubscribe()
 
     def _on_event(self, event: events.Event) -> None:
-        if event.kind == "edited":
+        if event.kind in ("edited", "library"):
             self._show_all()
             self._draw_next()
 
@@ -215,7 +281,10 @@ class Thumbnails:
             return not library <= drawn
 
         model = next((m for m in models if is_missing(m)), None)
-        if model is None or self._asked_for == (versions[model.id], library):
+        if model is None:
+            self._draw_next_file()
+            return
+        if self._asked_for == (versions[model.id], library):
             return
         self._asked_for = versions[model.id], library
 
@@ -229,10 +298,36 @@ class Thumbnails:
 
         self._c.start_aside("Thumbnails", work, finish)
 
+    def _draw_next_file(self) -> None:
+        c = self._c
+        waiting = (
+            m.path
+            for m in mesh_folder.meshes_to_add(c.mesh_folder, c.session)
+            if m.path not in self._of_files
+        )
+        path = next(waiting, None)
+        if path is None or self._asked_for == path:
+            return
+        self._asked_for = path
+
+        def work(_: tasks.Task) -> NDArray[np.uint8] | None:
+            return file_picture(path, self._size)
+
+        def finish(picture: NDArray[np.uint8] | None) -> None:
+            self._of_files[path] = picture
+            self._show_all()
+            self._draw_next()
+
+        self._c.start_aside("Thumbnails", work, finish)
+
     def _show_all(self) -> None:
         session = self._c.session
         versions = {m.id: session.meshes.version(m) for m in session.state.models}
         drawn = {i: (v, self._pictures[v][0]) for i, v in versions.items() if v in self._pictures}
-        if drawn != self._shown:
-            self._shown = drawn
-            self._show({i: self._pictures[v][1] for i, (v, _) in drawn.items()})
+        meshes = mesh_folder.meshes_to_add(self._c.mesh_folder, session)
+        files = {m.name: m.path for m in meshes if m.path in self._of_files}
+        shown: dict[str, object] = {**drawn, **files}
+        if shown != self._shown:
+            self._shown = shown
+            pictures = {i: self._pictures[v][1] for i, (v, _) in drawn.items()}
+            self._show(pictures | {name: self._of_files[path] for name, path in files.items()})

@@ -20,6 +20,7 @@ from annotator.app import (
     dialogs,
     events,
     image_cache,
+    mesh_folder,
     operations,
     placing,
     pose_text,
@@ -47,7 +48,9 @@ class FrontEnd:
         channel: sends images of the views and receives pointer and key events.
     """
 
-    def __init__(self, server: Any, session: Session) -> None:
+    def __init__(
+        self, server: Any, session: Session, meshes: mesh_folder.MeshFolder | None = None
+    ) -> None:
         self._state = server.state
         self._loop = asyncio.get_running_loop()
         self._refresh_planned = False
@@ -61,6 +64,7 @@ class FrontEnd:
             runner=self._runner,
             view_frames=view_options.choose_view_frames(session.scene, session),
         )
+        c.mesh_folder = meshes
         if session.state.objects:
             c.select(session.state.objects[0].name)
         self.dialogs = dialogs.Dialogs(c, self._show_question)

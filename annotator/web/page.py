@@ -19,6 +19,7 @@ from annotator.app import (
     pose_text,
     questions,
 )
+from annotator.app.mesh_folder import FolderMesh, meshes_to_add
 from annotator.session import Session
 from std_toolkit.html.plots import object_color
 
@@ -163,7 +164,10 @@ def page_state(c: controller.Controller, fields: pose_text.PoseFields) -> dict[s
     return {
         "objects": _objects(c),
         "selected": c.selected or "",
-        "models": [_model(m) for m in c.session.state.models],
+        "models": [
+            *(_model(m) for m in c.session.state.models),
+            *(_folder_mesh(m) for m in meshes_to_add(c.mesh_folder, c.session)),
+        ],
         "progress": object_summary.progress(c),
         "unsaved": c.session.unsaved,
         "writable": c.session.writable,
@@ -234,6 +238,14 @@ def _model(model: Any) -> dict[str, Any]:
         "id": model.id,
         "described": described,
         "explanation": f"{size} mm, {model.category}, {turns}",
+    }
+
+
+def _folder_mesh(mesh: FolderMesh) -> dict[str, Any]:
+    return {
+        "id": mesh.name,
+        "described": "not in the scene yet",
+        "explanation": f"{mesh.path}, copied into the scene when it is placed",
     }
 
 

@@ -24,6 +24,7 @@ from urllib.parse import urlsplit
 from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
 
+from annotator.app.mesh_folder import MeshFolder, choose_folder
 from annotator.options import AnnotateOptions
 from annotator.session import Session
 from std_toolkit.errors import ToolkitError
@@ -60,15 +61,16 @@ def run(args: AnnotateOptions) -> int:
 
     Raises:
         ToolkitError: the address is reachable by others and no token is set, the port is in use, or
-            the scene cannot be opened.
+            the scene cannot be opened, or the folder of meshes does not exist or contains none.
     """
     assert args.scene is not None and args.web is not None  # ensured by the options
     check_address(args.host, args.token)
+    meshes = choose_folder(args.meshes)
     prepare_drawing()
     with Session.open(
         args.scene, annotator=args.annotator, recover=args.recover, read_only=args.read_only
     ) as session:
-        asyncio.run(serve(session, host=args.host, port=args.web, token=args.token))
+        asyncio.run(serve(session, host=args.host, port=args.web, token=args.token, meshes=meshes))
     return 0
 
 
@@ -84,11 +86,13 @@ async def serve(
     host: str,
     port: int,
     token: str | None,
+    meshes: MeshFolder | None = None,
     started: Callable[[int], None] | None = None,
 ) -> None:
     """Serve until cancelled.
 
     Args:
+        meshes: folder whose meshes are in the library.
         started: called with the port once the server listens.
     """
     from trame.app import get_server
@@ -101,7 +105,7 @@ async def serve(
     )
     secret = secrets.token_urlsafe(24)
     _ignore_command_line(server.cli, host=host, port=port, authKey=secret)
-    front_end = FrontEnd(server, session)
+    front_end = FrontEnd(server, session, meshes)
 
     async def index(_: web.Request) -> web.Response:
         page = index_html(title=f"{session.scene.info.name} · std-annotate", secret=secret)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.checks.contours import mesh_problem
+from std_toolkit.geometry.mesh import decimate_mesh
 from std_toolkit.html.plots import CAMERA, GRID, base_layout, figure_json, object_color
 from std_toolkit.rendering.point_cloud import fuse_clouds, sparse_points
 from std_toolkit.scene import Frame, Scene
@@ -274,20 +275,9 @@ def labelled_mesh(
     T_world_obj = scene.T_world_obj(object_id)
     if T_world_obj is None or mesh_problem(scene, scene.objects.object(object_id).model):
         return None
-    import open3d as o3d
-
-    source = scene.mesh(scene.objects.object(object_id).model)
-    mesh = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(np.asarray(source.vertices, dtype=np.float64)),
-        o3d.utility.Vector3iVector(np.asarray(source.faces, dtype=np.int32)),
-    )
-    # Texture seams split vertices; decimation would tear the surface there.
-    mesh.remove_duplicated_vertices()
-    mesh.remove_degenerate_triangles()
-    if len(mesh.triangles) > MOST_FACES:
-        mesh = mesh.simplify_quadric_decimation(MOST_FACES)
+    mesh = decimate_mesh(scene.mesh(scene.objects.object(object_id).model), MOST_FACES)
     vertices = T_world_obj @ np.asarray(mesh.vertices)
-    return vertices.astype(np.float32), np.asarray(mesh.triangles, dtype=np.int32)
+    return vertices.astype(np.float32), np.asarray(mesh.faces, dtype=np.int32)
 
 
 def near_points(cloud: Cloud, centre: NDArray[np.floating], radius_m: float) -> Cloud:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,7 @@ _ROUNDS = 8
 _PAIRS = 1 << 15
 
 
-def load_mesh(path: Path | str, *, unit: str = "m") -> trimesh.Trimesh:
+def load_mesh(path: Path | str, *, unit: str = "m", any_size: bool = False) -> trimesh.Trimesh:
     """Read a mesh as one `trimesh.Trimesh`, vertices in metres, vertex order kept.
 
     A textured OBJ file has the texture coordinates of its faces' corners in the face attribute
@@ -52,6 +52,7 @@ def load_mesh(path: Path | str, *, unit: str = "m") -> trimesh.Trimesh:
     Args:
         path: OBJ, PLY, GLB, STL or OFF file.
         unit: unit of the file, "m", "cm" or "mm".
+        any_size: also accept an implausible size, for a file whose unit is unknown.
 
     Raises:
         ToolkitError: the mesh is unreadable, has no faces, has vertices that are not finite, or
@@ -90,8 +91,52 @@ def load_mesh(path: Path | str, *, unit: str = "m") -> trimesh.Trimesh:
             mesh.face_attributes[CORNER_UV] = corners
     if unit != "m":
         mesh.apply_scale(UNITS_IN_M[unit])
-    check_mesh_size(mesh, path=path)
+    if not any_size:
+        check_mesh_size(mesh, path=path)
     return mesh
+
+
+def decimate_mesh(mesh: trimesh.Trimesh, faces: int) -> trimesh.Trimesh:
+    """Return a copy with at most `faces` faces (quadric error decimation of Open3D).
+
+    Texture and face colours become vertex colours; a mesh without colours stays without. Vertices
+    at one place are merged first: decimation would tear the surface at texture seams.
+
+    Raises:
+        ToolkitError: `faces` is less than 4.
+    """
+    import open3d as o3d
+    import trimesh
+
+    if faces < 4:
+        raise ToolkitError("a mesh cannot have so few faces", field="faces", value=faces)
+    fine = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(np.asarray(mesh.vertices, dtype=np.float64)),
+        o3d.utility.Vector3iVector(np.asarray(mesh.faces, dtype=np.int32)),
+    )
+    painted = vertex_colors(mesh)
+    if painted is not None:
+        fine.vertex_colors = o3d.utility.Vector3dVector(painted[:, :3] / 255)
+    fine.remove_duplicated_vertices()
+    fine.remove_degenerate_triangles()
+    if len(fine.triangles) > faces:
+        fine = fine.simplify_quadric_decimation(faces)
+    fine.remove_unreferenced_vertices()
+    colors = np.rint(np.asarray(fine.vertex_colors) * 255).astype(np.uint8)
+    return trimesh.Trimesh(
+        np.asarray(fine.vertices),
+        np.asarray(fine.triangles),
+        vertex_colors=colors if len(colors) else None,
+        process=False,
+    )
+
+
+def vertex_colors(mesh: trimesh.Trimesh) -> NDArray[np.uint8] | None:
+    """(V, 4) RGBA of the vertices, also from a texture or face colours; None without colours."""
+    visual: Any = mesh.visual
+    if visual.kind == "texture":
+        visual = visual.to_color()
+    return np.asarray(visual.vertex_colors, np.uint8) if visual.defined else None
 
 
 def check_mesh_size(mesh: trimesh.Trimesh, *, path: Path | str | None = None) -> None:
@@ -100,8 +145,9 @@ def check_mesh_size(mesh: trimesh.Trimesh, *, path: Path | str | None = None) ->
     Raises:
         ToolkitError: the largest extent is outside 3 mm to 3 m.
     """
-    largest = float(mesh_extents(mesh).max())
-    size = " x ".join(f"{x:.4g}" for x in mesh_extents(mesh))
+    extents = mesh_extents(mesh)
+    largest = float(extents.max())
+    size = " x ".join(f"{x:.4g}" for x in extents)
     if largest > LARGEST_EXTENT_M:
         raise ToolkitError(
             "the mesh is implausibly large in metres",

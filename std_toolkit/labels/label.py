@@ -73,6 +73,7 @@ def copy_model(
     symmetry: SymmetryModel | None = None,
     model_id: str | None = None,
     number: bool = False,
+    faces: int | None = None,
 ) -> Model:
     """Copy a mesh with its textures into a scene folder; objects.json is not changed.
 
@@ -89,6 +90,7 @@ def copy_model(
         model_id: id of the model; default: from the file name.
         number: if another mesh already has this id, use the next of `mug_2`, `mug_3`, ... that is
             free or belongs to this mesh.
+        faces: decimate a mesh of more faces to this number; see `plan_mesh_copy`.
 
     Returns:
         The model, with its size and diameter. An existing model with this id and mesh is returned
@@ -102,7 +104,7 @@ def copy_model(
     model_id = check_name(model_id or safe_name(source.stem), field="model")
     if category is not None:
         check_name(category, field="category")
-    files = plan_mesh_copy(source, unit=mesh_unit)
+    files = plan_mesh_copy(source, unit=mesh_unit, faces=faces)
     if number:
         model_id = _free_id(root, objects, model_id, files)
     relative = f"models/{model_id}/{next(iter(files))}"

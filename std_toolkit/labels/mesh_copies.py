@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.mesh import UNITS_IN_M, load_mesh
+from std_toolkit.geometry.mesh import UNITS_IN_M, decimate_mesh, load_mesh
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.images import image_size
 from std_toolkit.log import logger
@@ -16,12 +16,13 @@ _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _VERTEX = re.compile(rf"^(v\s+)({_NUMBER})(\s+)({_NUMBER})(\s+)({_NUMBER})")
 
 
-def plan_mesh_copy(source: Path, *, unit: str) -> dict[str, bytes]:
+def plan_mesh_copy(source: Path, *, unit: str, faces: int | None = None) -> dict[str, bytes]:
     """The files that a scene stores for a mesh, by name; the first one is the mesh.
 
     OBJ files keep their text (only vertices are scaled and references renamed), which preserves
     texture coordinates and vertex order; their materials and textures are copied too. Other
-    formats are copied unchanged, or rewritten if the unit is not metres.
+    formats are copied unchanged, or rewritten if the unit is not metres. With `faces`, a mesh of
+    more faces is decimated to this number and stored as PLY with vertex colours.
 
     Raises:
         ToolkitError: `load_mesh` rejects the mesh, or the mesh refers to a file outside its folder
@@ -29,6 +30,10 @@ def plan_mesh_copy(source: Path, *, unit: str) -> dict[str, bytes]:
     """
     mesh = load_mesh(source, unit=unit)
     name = safe_name(source.name)
+    if faces is not None and len(mesh.faces) > faces:
+        coarse = decimate_mesh(mesh, faces).export(file_type="ply")
+        assert isinstance(coarse, bytes)
+        return {f"{safe_name(source.stem)}.ply": coarse}
     if source.suffix.lower() == ".obj":
         return _obj_files(source, name, UNITS_IN_M[unit])
     if unit == "m" and source.suffix.lower() != ".gltf":

@@ -8,7 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import msgspec
 
 from annotator.session.edits import AnyEdit, EnterModel
 from annotator.session.state import Snapshot
@@ -110,6 +112,7 @@ class ImportMesh(Request, frozen=True, kw_only=True, tag="import_mesh"):
         model: id of the model; default: from the file's name, or from its folder's for names such
             as "textured", with a number if another mesh has that id.
         symmetry: as for the command line: "axis:z", "fold:z:4", a JSON file; default: none.
+        faces: decimate a mesh of more faces to this number; its texture becomes vertex colours.
     """
 
     mesh: str
@@ -117,6 +120,7 @@ class ImportMesh(Request, frozen=True, kw_only=True, tag="import_mesh"):
     category: str | None = None
     model: str | None = None
     symmetry: list[str] | None = None
+    faces: Annotated[int, msgspec.Meta(ge=4)] | None = None
 
     @property
     def title(self) -> str:
@@ -124,18 +128,22 @@ class ImportMesh(Request, frozen=True, kw_only=True, tag="import_mesh"):
 
     def carry_out(self, snapshot: Snapshot, watch: Watch) -> Outcome:
         del watch
+        return self.import_as(self.model or model_name(Path(self.mesh)), snapshot)
+
+    def import_as(self, name: str, snapshot: Snapshot) -> Outcome:
+        """As `resolve`, with another default for the id than the file's name."""
         from std_toolkit.geometry.mesh import load_mesh, mesh_bounds
         from std_toolkit.labels.symmetry_argument import parse_symmetry
 
         if not snapshot.writable:
             raise ToolkitError("the scene is open read-only", path=snapshot.scene.root)
         path = Path(self.mesh).expanduser()
-        try:
-            mesh = load_mesh(path, unit=self.unit)
-        except ToolkitError as error:
-            raise _plain_hint(error) from error
         symmetry = None
         if self.symmetry is not None:
+            try:
+                mesh = load_mesh(path, unit=self.unit)
+            except ToolkitError as error:
+                raise _plain_hint(error) from error
             centre = mesh_bounds(mesh).mean(axis=0).tolist()
             symmetry = parse_symmetry(self.symmetry, centre=centre)
         # Locked, because another process removes temporary files while it writes.
@@ -148,8 +156,9 @@ class ImportMesh(Request, frozen=True, kw_only=True, tag="import_mesh"):
                     mesh_unit=self.unit,
                     category=self.category,
                     symmetry=symmetry,
-                    model_id=self.model or model_name(path),
+                    model_id=name,
                     number=self.model is None,
+                    faces=self.faces,
                 )
             except ToolkitError as error:
                 raise _plain_hint(error) from error
@@ -179,9 +188,19 @@ def _plain_hint(error: ToolkitError) -> ToolkitError:
 
 
 def model_name(path: Path) -> str:
-    """Return the model id of a mesh file: its name, or its folder's if the name is generic."""
+    """Return the model id of a mesh file: its name, or its folder's if the name is generic.
+
+    Raises:
+        ToolkitError: there is no such file.
+    """
+    path = path.expanduser()
+    if not path.is_file():
+        raise ToolkitError("mesh file not found", path=path)
     stem, folder = path.stem, path.resolve().parent.name
+    return safe_name(folder if folder and is_generic_name(stem) else stem)
+
+
+def is_generic_name(stem: str) -> bool:
+    """Whether the name of a file, without its suffix, does not name an object: "textured"."""
     words = stem.lower().replace("-", "_").split("_")
-    return safe_name(
-        folder if folder and all(w in _GENERIC or w.isdigit() for w in words) else stem
-    )
+    return all(w in _GENERIC or w.isdigit() for w in words)

@@ -17,6 +17,7 @@ from PySide6.QtWidgets import QDialog, QLabel, QRadioButton
 from window_scene import write_box
 
 from annotator.app import operations
+from annotator.app.mesh_folder import choose_folder
 from annotator.qt.library_panel import MODEL_MIME
 from annotator.qt.object_panel import OBJECT_MIME
 from annotator.qt.question_dialog import QuestionDialog
@@ -196,6 +197,33 @@ def test_meshes_are_named_after_their_folder_where_the_file_says_nothing(
     assert bench.session.state.models[0].id == "006_mustard_bottle"
 
 
+def test_a_folder_dropped_on_the_library_is_listed_and_copied_from_when_placed(
+    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    name = "006_mustard_bottle_with_a_long_name"
+    folder = tmp_path / "meshes"
+    for i, sub in enumerate((name, "brick")):
+        (folder / sub).mkdir(parents=True)
+        write_box(folder / sub / "textured.obj", scale=1 + i)
+    panel = bench.space.library
+    bench.drop(_files(folder), panel, bench.at((5, 5)))
+    texts = [panel.list.item(i).text() for i in range(panel.list.count())]
+    assert texts == ["ball", "box", name, "brick"]
+    item = panel.list.item(2)
+    assert name in item.toolTip()
+    assert str(folder / name / "textured.obj") in item.toolTip()
+    # Their pictures are drawn too; until then there is a smaller sign.
+    bench.qtbot.waitUntil(lambda: item.icon().availableSizes()[0].width() >= 60, timeout=30_000)
+    assert [m.id for m in bench.session.state.models] == ["ball", "box"]
+    bench.drop(_dragged(MODEL_MIME, name), bench.widget(), bench.at((80, 120)))
+    bench.qtbot.waitUntil(lambda: bench.controller.selected == name, timeout=20_000)
+    assert bench.session.state.model(name).mesh == f"models/{name}/textured.obj"
+    assert bench.questions == []
+    remembered = choose_folder(None)
+    assert remembered is not None and remembered.path == folder
+
+
 def test_another_mesh_of_the_same_name_gets_a_number_and_the_same_one_does_not(
     bench: Bench, tmp_path: Path
 ) -> None:
@@ -223,7 +251,7 @@ def test_another_mesh_of_the_same_name_has_another_picture(bench: Bench, tmp_pat
 
     def add(extents: tuple[int, int, int]) -> NDArray[np.uint8]:
         trimesh.creation.box(extents).export(path)
-        operations.import_meshes(bench.controller, [(path, "mm")])
+        operations.import_meshes(bench.controller, [operations.NewMesh(path, "mm")])
         _idle(bench)
         # Until its picture is drawn there is a smaller sign.
         bench.qtbot.waitUntil(lambda: len(picture()) == 60 * 60 * 3, timeout=30_000)

@@ -39,6 +39,19 @@ def test_its_sides_can_be_told_apart() -> None:
     assert (count > 0.1 * len(drawn)).sum() >= 3
 
 
+@pytest.mark.slow
+def test_many_faces_are_merged_and_look_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = trimesh.creation.icosphere(5, 0.05)
+    paint = np.where(mesh.vertices[:, 2:] > 0, [[255, 40, 40]], [[40, 40, 255]])
+    mesh.visual.vertex_colors = paint.astype(np.uint8)
+    monkeypatch.setattr(module, "_MOST_FACES", 1000)
+    monkeypatch.setattr(module, "_CELLS", 48)
+    coarse = module.few_faces(mesh)
+    assert len(coarse.faces) < len(mesh.faces) / 2
+    off = np.abs(thumbnail(coarse, 48).astype(int) - thumbnail(mesh, 48))
+    assert np.median(off) < 3 and off.mean() < 8
+
+
 def test_it_is_drawn_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = cached_thumbnail(tmp_path, can(), 48)
     monkeypatch.setattr(module, "thumbnail", lambda *_: pytest.fail("drawn again"))

@@ -42,6 +42,9 @@ class Served:
 def start(scene: Path, log: Path, *options: str) -> Served:
     """Start the command and wait for the address that it prints."""
     environment = {k: v for k, v in os.environ.items() if k != "DISPLAY"}
+    # The folder of meshes of whoever runs the tests is not shown, and not replaced.
+    environment["XDG_CONFIG_HOME"] = str(log.parent / "config")
+    environment["XDG_CACHE_HOME"] = str(log.parent / "cache")
     command = [sys.executable, "-m", "annotator.cli", str(scene), "--web", "0", *options]
     with log.open("w") as stderr:
         process = subprocess.Popen(

@@ -90,6 +90,32 @@ def test_a_mesh_in_millimetres_is_asked_about_and_a_missing_one_is_told(
     page.wait_for_selector(".notice.error", state="detached")
 
 
+def test_meshes_of_a_folder_are_listed_and_copied_when_placed(
+    serve: Serve, page: Page, tmp_path: Path
+) -> None:
+    for name in ("006_mustard_bottle", "003_cracker_box"):
+        (tmp_path / "meshes" / name).mkdir(parents=True)
+        trimesh.creation.box((0.06, 0.04, 0.1)).export(tmp_path / "meshes" / name / "textured.obj")
+    served = serve(None, "--meshes", str(tmp_path / "meshes"))
+    opened(page, served.url, measured=False)
+    row = "#library [data-name='006_mustard_bottle']"
+    page.wait_for_selector(f"{row}:has-text('not in the scene yet')")
+    page.wait_for_selector(f"{row} img")  # its thumbnail
+    assert not (served.scene / "models" / "006_mustard_bottle").exists()
+    page.locator("[data-add='006_mustard_bottle']").click()
+    page.wait_for_selector("#objects .v-list-item--active:has-text('006_mustard_bottle')")
+    page.wait_for_selector(f"{row}:has-text('60 × 40 × 100 mm')")
+    assert (served.scene / "models" / "006_mustard_bottle" / "textured.obj").is_file()
+    # The name of a folder in the dialog replaces it.
+    (tmp_path / "others").mkdir()
+    trimesh.creation.box((0.06, 0.04, 0.1)).export(tmp_path / "others" / "brick.ply")
+    page.keyboard.press("Control+m")
+    page.locator("[data-field='path'] input").fill(str(tmp_path / "others"))
+    answer(page, "add")
+    page.wait_for_selector("#library [data-name='brick']")
+    assert page.locator("#library [data-name='003_cracker_box']").count() == 0
+
+
 def test_name_note_and_symmetry_are_asked_for(served: Served, page: Page) -> None:
     opened(page, served.url, measured=False)
     page.locator("#objects [data-object]").first.click()
