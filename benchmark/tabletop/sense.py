@@ -264,11 +264,11 @@ class Scenery:
                 )
                 for k, o in enumerate(objects, start=1)
             ],
-            floor=self._floor,
+            floors=[self._floor],
             light=[self._light],
         )
         world = build_world(
-            "round", draw, [o.body.asset for o in objects], self._environment, self.options,
+            "round", draw, [o.body.asset for o in objects], [self._environment], self.options,
             sensor=self.options.sensor, poses=poses,
         )  # fmt: skip
         return replace(world, T_world_cam=(self.T_world_cam,))
