@@ -109,6 +109,8 @@ def measured_verdict(
     if rank is None:
         return Verdict("unknown", "It is being compared with nearby poses.")
     said = f"{rank.sentence()[:1].upper()}{rank.sentence()[1:]}."
+    if not rank.frames or not rank.nearby:
+        return Verdict("unknown", f"{said[:-1]}; check by eye.")
     if not rank.good:
         return Verdict("poor", f"Not confirmed: other poses fit as well. {said}")
     # The distance to the nearest edge is at chance level in clutter; the rank in a frame is not.

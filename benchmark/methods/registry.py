@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 from benchmark.methods.protocol import GraspPlanner, PoseEstimator, Restorer
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, missing_extra
 from std_toolkit.plugins import Registry
 
 T = TypeVar("T")
@@ -84,6 +84,8 @@ def make_method(
     except (ToolkitError, MemoryError):
         raise
     except Exception as error:
+        if (missing := missing_extra(error)) is not None:
+            raise missing from error
         place = traceback.extract_tb(error.__traceback__)[-1]
         raise ToolkitError(
             f"the method cannot be made: {type(error).__name__}: {' '.join(str(error).split())}",

@@ -45,7 +45,7 @@ def test_many_faces_are_merged_and_look_the_same(monkeypatch: pytest.MonkeyPatch
     paint = np.where(mesh.vertices[:, 2:] > 0, [[255, 40, 40]], [[40, 40, 255]])
     mesh.visual.vertex_colors = paint.astype(np.uint8)
     monkeypatch.setattr(module, "_MOST_FACES", 1000)
-    monkeypatch.setattr(module, "_CELLS", 48)
+    monkeypatch.setattr(module, "_CELLS", 32)
     coarse = module.few_faces(mesh)
     assert len(coarse.faces) < len(mesh.faces) / 2
     off = np.abs(thumbnail(coarse, 48).astype(int) - thumbnail(mesh, 48))

@@ -94,11 +94,12 @@ def test_glass_is_not_measured_and_metal_lies_between(renderer) -> None:
         tally.add(view.depth[where], view.exact[where])
         rows[material_class] = tally.row()
     glass, metal, paper = (rows[c] for c in ("transparent", "specular", "diffuse"))
-    assert glass["complete %"] <= 40 or glass["off by > 1 cm %"] > 50
     assert glass["complete %"] < paper["complete %"]
     assert metal["complete %"] < paper["complete %"]
     right = {c: r["complete %"] * (1 - r["off by > 1 cm %"] / 100) for c, r in rows.items()}
     assert right["transparent"] < right["specular"] < right["diffuse"]
+    # Of three real captures of glass, the sensor is right on 7, 8 and 33 % of the pixels.
+    assert right["transparent"] <= 40
 
 
 def test_small_holes_are_counted_by_size() -> None:
