@@ -36,7 +36,7 @@ def run(options: RunCommand) -> int:
         replace(options.options, split="test" if options.split == "test" else "train"),
         seeds,
         split=options.split,
-        layouts=tuple(dict.fromkeys(options.layout)),
+        layouts=tuple(dict.fromkeys(options.layout)) or ("dreds",),
         cache=options.cache,
         jobs=options.jobs,
     )
@@ -105,7 +105,11 @@ def assets(options: AssetsCommand) -> None:
 
 
 def _with_preset(words: list[str]) -> list[str]:
-    """The options of the requested preset, followed by the given ones."""
+    """The options of the requested preset, followed by the given ones.
+
+    Several layouts may follow one `--layout`.
+    """
+    words = _one_layout_each(words)
     start = next((i for i, w in enumerate(words) if w not in ("--quiet", "--debug")), len(words))
     command = "".join(words[start : start + 1])
     start += command in ("run", "preview")
@@ -118,6 +122,17 @@ def _with_preset(words: list[str]) -> list[str]:
         chosen = next((p.options for name, p in PRESETS.items() if name == given[-1]), None)
         added = [*(words_of(SceneOptions(options=chosen)) if chosen else []), *added]
     return [*words[:start], *added, *words[start:]]
+
+
+def _one_layout_each(words: list[str]) -> list[str]:
+    found: list[str] = []
+    after_layout = False
+    for word in words:
+        if after_layout and not word.startswith("-") and found[-1] != "--layout":
+            found.append("--layout")
+        after_layout = word == "--layout" or (after_layout and not word.startswith("-"))
+        found.append(word)
+    return found
 
 
 def _command(name: str, about: str) -> Command:

@@ -159,7 +159,7 @@ class RunCommand(SceneOptions):
     """make this share of the scenes only, spread evenly: an ablation of the amount of data"""
     split: Literal["train", "val", "test"] = "train"
     """part of the data set; validation scenes are made of the training shapes and light"""
-    layout: tuple[Layout, ...] = ("dreds",)
+    layout: tuple[Layout, ...] = field(default=(), metadata={"repeat": True})
     """dreds: DREDS-CatKnown; novel: DREDS-CatNovel; scene: toolkit scenes; several are possible"""
     cache: Path | None = None
     """folder that keeps convex parts (~/.cache/std-toolkit)"""
