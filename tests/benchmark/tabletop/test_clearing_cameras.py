@@ -59,4 +59,5 @@ def test_the_simulator_stands_where_the_quick_camera_does():
     right = (depth > 0) & (np.abs(depth - true) < 0.01)
     table = simulated.frame.mask == BACKGROUND
     assert right[table].mean() > 0.75
-    assert right[simulated.frame.mask == 0].mean() < 0.3  # glass
+    # Hazy plastic returns part of the projector's light from its surface.
+    assert right[simulated.frame.mask == 0].mean() < right[table].mean() - 0.2
