@@ -106,6 +106,7 @@ def label(task: Task, work: Path, seed: int) -> tuple[float, float, int, str]:
     from PySide6.QtCore import Qt
     from window_hands import Hands
 
+    from annotator.app.verdicts import object_verdict
     from annotator.qt.main_window import Shell
     from annotator.qt.qt_app import make_application
 
@@ -148,6 +149,9 @@ def label(task: Task, work: Path, seed: int) -> tuple[float, float, int, str]:
         wait(THINK_S)
     verdict = c.ranks[name].sentence()
     wait(KEY_S)
+    if object_verdict(c, name).grade != "good":
+        verdict += f" ({object_verdict(c, name).text})"
+        hand.answer(lambda dialog: dialog.accept())
     hand.press(Qt.Key.Key_D)
     clock = time.monotonic() - began
     c.session.save()

@@ -31,7 +31,7 @@ def fresh_probe(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]
 
 
 @pytest.fixture
-def notices(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def notices(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
     texts: list[str] = []
 
     class Keep(logging.Handler):
@@ -40,8 +40,10 @@ def notices(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
     logger = logging.getLogger("std_toolkit")
     monkeypatch.setattr(logger, "handlers", [Keep()])
-    monkeypatch.setattr(logger, "level", logging.INFO)
-    return texts
+    level = logger.level
+    logger.setLevel(logging.INFO)  # forgets what it answered at another level
+    yield texts
+    logger.setLevel(level)
 
 
 def test_no_gl_gives_the_ray_caster_with_a_notice(

@@ -272,7 +272,7 @@ def test_the_command(make_scene: MakeScene, capsys: pytest.CaptureFixture[str]) 
     assert "3 frames rendered, 0 kept, 0 failed" in capsys.readouterr().out
     assert read_ground_truth(scene, 0).info.delta_m == 0.02
     assert main([*command, "--frames", "9"]) == 1
-    assert "frames without a labelled object" in capsys.readouterr().err
+    assert "no such frame" in capsys.readouterr().err
 
 
 def test_a_frame_without_what_the_policy_needs_says_so(make_scene) -> None:
