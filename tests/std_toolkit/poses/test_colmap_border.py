@@ -42,7 +42,7 @@ def test_detected_blob_is_at_its_centre() -> None:
         image += 250 * np.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * 3.0**2))
     from std_toolkit.poses.features import _extractor
 
-    keypoints, _ = _extractor(False, 100).extract_from_uint8_array(image.astype(np.uint8))
+    keypoints, _ = _extractor(False, False, 100).extract_from_uint8_array(image.astype(np.uint8))
     uv = pycolmap.keypoints_to_matrix(keypoints)[:, :2]
     # What COLMAP reports is half a pixel more than the toolkit's pixel.
     assert np.linalg.norm(from_colmap_pixels(uv) - [60, 40], axis=1).min() < 0.01
