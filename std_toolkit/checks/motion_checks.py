@@ -41,6 +41,8 @@ _SIZE_STD = {"specular": 0.014, "transparent": 0.008}
 # The same for motions, px.
 _SYSTEMATIC_PX = {"specular": 1.0, "transparent": 0.4}
 _OPAQUE_SYSTEMATIC_PX = 0.1
+# Together with the size, such an error can look like a rotation.
+_SIZED_SYSTEMATIC_PX = 0.25
 _OPAQUE_SIZE_STD = 0.004
 _LABELLED = ("propagated", "refined")
 # Motions up to this many limits are put down to the shape of the mesh where its print fits.
@@ -265,7 +267,10 @@ def _with_motion(
             confirmed_share=round(support.frames, 4),
         )
     fields: dict[str, Any] = {}
-    sized = solve_motion(equations, free, with_size=True, systematic_px=systematic_px)
+    plain = motion
+    sized = solve_motion(
+        equations, free, with_size=True, systematic_px=max(systematic_px, _SIZED_SYSTEMATIC_PX)
+    )
     assert sized is not None and sized.size is not None and sized.size_std is not None
     floor = _SIZE_STD.get(item.material, _OPAQUE_SIZE_STD)
     size_std = float(np.hypot(sized.size_std, floor))
@@ -289,7 +294,7 @@ def _with_motion(
         ],
         "confirmed_share": round(support.frames, 4),
         "confirmed": item.print_verdict == "fits"
-        or (_is_supported(support) and not _is_loose(motion, options)),
+        or (_is_supported(support) and not _is_loose(plain, options)),
     }
     return msgspec.structs.replace(item, **fields)
 
