@@ -76,7 +76,7 @@ def test_diffuse_surfaces_at_60_cm_are_measured(renderer) -> None:
 
 
 @pytest.mark.slow
-def test_glass_is_not_measured_and_metal_lies_between(renderer) -> None:
+def test_glass_and_metal_are_measured_much_less_than_paper(renderer) -> None:
     from sensors.render.sim_renderer import DRAFT_INFRARED
     from sensors.simulation.trial import render_view, vessels
 
@@ -97,7 +97,7 @@ def test_glass_is_not_measured_and_metal_lies_between(renderer) -> None:
     assert glass["complete %"] < paper["complete %"]
     assert metal["complete %"] < paper["complete %"]
     right = {c: r["complete %"] * (1 - r["off by > 1 cm %"] / 100) for c, r in rows.items()}
-    assert right["transparent"] < right["specular"] < right["diffuse"]
+    assert max(right["transparent"], right["specular"]) < right["diffuse"] / 2
     # Of three real captures of glass, the sensor is right on 7, 8 and 33 % of the pixels.
     assert right["transparent"] <= 40
 
