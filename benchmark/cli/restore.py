@@ -1,4 +1,4 @@
-"""`std-restore`: restore the depth of one's own camera, export networks to ONNX."""
+"""`std-restore`: restore the depth of your camera, export networks to ONNX."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ shapes, sizes, poses and light unchanged: ablations differ only in the option th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, get_args
 
 import msgspec
 import numpy as np
@@ -49,20 +49,7 @@ Aspect = Literal[
     "color",
     "setting",
 ]
-ASPECTS: tuple[Aspect, ...] = (
-    "objects",
-    "sizes",
-    "materials",
-    "light",
-    "floor",
-    "drop",
-    "views",
-    "noise",
-    "pattern",
-    "parts",
-    "color",
-    "setting",
-)
+ASPECTS: tuple[Aspect, ...] = get_args(Aspect)
 FACTORS: dict[Factor, tuple[Aspect, ...]] = {
     "objects": ("objects", "sizes", "drop"),
     "materials": ("materials", "parts"),
