@@ -68,6 +68,15 @@ def read_model(root: Path, obj_id: int, *, symmetry_steps: int | None = None) ->
 
     Raises:
         ToolkitError: the model is missing or damaged.
+
+    >>> import tempfile
+    >>> import trimesh
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "models" / "obj_000001.ply"
+    ...     path.parent.mkdir()
+    ...     _ = trimesh.creation.box((30, 40, 120)).export(path)  # millimetres
+    ...     round(read_model(Path(folder), 1).diameter_m, 6)
+    0.13
     """
     folder = next((f for f in (root / "models_eval", root / "models") if f.is_dir()), None)
     if folder is None:
@@ -100,6 +109,14 @@ def read_vertices(path: Path) -> NDArray[np.float64]:
 
     Raises:
         ToolkitError: the file is missing or damaged, or its size implausible.
+
+    >>> import tempfile
+    >>> import trimesh
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "box.ply"
+    ...     _ = trimesh.creation.box((30, 40, 120)).export(path)  # millimetres
+    ...     read_vertices(path).max(axis=0).tolist()
+    [0.015, 0.02, 0.06]
     """
     if not path.is_file():
         raise ToolkitError("mesh file not found", path=path)
