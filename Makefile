@@ -42,7 +42,7 @@ test-quick: env test-programs
 
 # What `make test` has in short.
 test-long: env test-programs
-	@$(PYTEST) -m long
+	@$(PYTEST) -m long -o faulthandler_timeout=7500
 
 test-random: env test-programs
 	@$(PYTEST) -p randomly

@@ -260,7 +260,7 @@ def measure_mesh(path: Path) -> MeshSize:
     """
     from trimesh.visual import TextureVisuals
 
-    mesh = load_mesh(path, any_size=True)
+    mesh = load_mesh(path, any_size=True, corners=False)
     extents = mesh_extents(mesh)
     size = float(extents.max())
     found: list[Unit] = [

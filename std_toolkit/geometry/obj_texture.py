@@ -6,6 +6,7 @@ vertices has one for each vertex, so faces at the border of a patch of the textu
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +59,10 @@ def _rows(lines: list[bytes], start: bytes, columns: int) -> NDArray[np.float64]
 
 
 def _numbers(text: bytes) -> NDArray[np.float64]:
-    try:
-        return np.array(text.split(), dtype=np.float64)
-    except ValueError:
-        return np.zeros(0)
+    with warnings.catch_warnings():
+        # NumPy stops at what is no number, now with a warning, later with a ValueError.
+        warnings.simplefilter("error", DeprecationWarning)
+        try:
+            return np.fromstring(text, dtype=np.float64, sep=" ")
+        except (ValueError, DeprecationWarning):
+            return np.zeros(0)

@@ -28,7 +28,8 @@ def plan_mesh_copy(source: Path, *, unit: str, faces: int | None = None) -> dict
         ToolkitError: `load_mesh` rejects the mesh, or the mesh refers to a file outside its folder
             or to a file that is not an image.
     """
-    mesh = load_mesh(source, unit=unit)
+    # The copy keeps the text of an OBJ file, or vertex colours: corners are not needed.
+    mesh = load_mesh(source, unit=unit, corners=False)
     name = safe_name(source.name)
     if faces is not None and len(mesh.faces) > faces:
         coarse = decimate_mesh(mesh, faces).export(file_type="ply")

@@ -12,6 +12,7 @@ from PIL import Image
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import (
+    decimate_mesh,
     hull_vertices,
     load_mesh,
     mesh_diameter,
@@ -259,3 +260,19 @@ def test_text_meshes_that_are_cut_off_are_refused(
     path.write_bytes(cut)
     with pytest.raises(ToolkitError, match="ball"):
         load_mesh(path)
+
+
+def test_a_mesh_of_very_many_faces_is_decimated_in_two_steps(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("std_toolkit.geometry.mesh._MOST_FOR_OPEN3D", 5000)
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.05)  # 20,480 faces
+    ball.apply_translation((2.0, 0.0, 0.0))
+    ball.visual.vertex_colors = np.where(ball.vertices[:, 2:] > 0, [[255, 0, 0, 255]], 0)
+    coarse = decimate_mesh(ball, 2000)
+    assert len(coarse.faces) == 2000
+    from_center = np.linalg.norm(coarse.vertices - [2, 0, 0], axis=1)
+    assert np.abs(from_center - 0.05).max() < 0.0005
+    inside = np.abs(coarse.vertices[:, 2]) > 0.005
+    upper = coarse.vertices[inside, 2] > 0
+    assert np.array_equal(coarse.visual.vertex_colors[inside, 0] > 127, upper)
