@@ -136,6 +136,9 @@ def label(task: Task, work: Path, seed: int) -> tuple[float, float, int, str]:
     hand.drop_mesh(model.id, middle + rng.normal(0, AIM_PX, 2))
     name = c.selected
     wait(THINK_S)
+    if _tip(hand, name, task.pose):
+        middle = camera_of(c).project(task.pose @ c.session.centre(model.id))
+        _slide(hand, name, middle + rng.normal(0, AIM_PX, 2))
     _turn(hand, name, task.pose, rng.normal(0, TURN_DEG))
     wait(THINK_S + KEY_S)
     hand.press(Qt.Key.Key_R)
@@ -158,6 +161,41 @@ def label(task: Task, work: Path, seed: int) -> tuple[float, float, int, str]:
     found = c.session.scene.labels.labels[-1]
     shell.leave_scene()
     return found.provenance.hands_on_s or 0.0, clock, hand.actions, verdict
+
+
+def _tip(hand: Any, name: str, wanted: SE3) -> bool:
+    """Quarter turns until the object stands on the right side; whether any was needed."""
+    from PySide6.QtCore import Qt
+
+    c = hand.controller
+    up = c.up(0)
+    keys = (Qt.Key.Key_X, Qt.Key.Key_Y, Qt.Key.Key_Z)
+    pressed = False
+    # Three quarter turns at most about one axis, with a look at each.
+    for axis in sorted(range(3), key=lambda a: abs(float(wanted.R[:, a] @ up))):
+        for _ in range(3):
+            standing = c.pose(name, 0).R.T @ up
+            if float(standing @ (wanted.R.T @ up)) > np.cos(np.pi / 4):
+                return pressed
+            if abs(standing[axis]) > np.sin(np.pi / 4):
+                break  # a turn about the vertical tips nothing
+            wait(THINK_S + KEY_S)
+            hand.press(keys[axis], Qt.KeyboardModifier.AltModifier)
+            pressed = True
+    return pressed
+
+
+def _slide(hand: Any, name: str, middle: Any) -> None:
+    """Drop the object onto the table, and slide it there until its centre is at a pixel."""
+    from PySide6.QtCore import Qt
+
+    c = hand.controller
+    wait(KEY_S)
+    hand.press(Qt.Key.Key_S)
+    wait(THINK_S + 2 * POINT_S)
+    model = c.session.state.object(name).model
+    now = hand.at(camera_of(c).project(c.pose(name, 0) @ c.session.centre(model)))
+    hand.drag(now, hand.at(middle) - now, Qt.KeyboardModifier.ControlModifier)
 
 
 def _turn(hand: Any, name: str, wanted: SE3, error_deg: float) -> None:
