@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 from pathlib import Path
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import TYPE_CHECKING
 
 # pyvistaqt must use the same Qt binding as this package.
@@ -34,6 +34,7 @@ def run(args: AnnotateOptions) -> int:
 
     Raises:
         ToolkitError: the folder of meshes does not exist or contains none.
+        KeyboardInterrupt: SIGINT or SIGTERM closed the window.
     """
     meshes = choose_folder(args.meshes)
     app = make_application()
@@ -55,11 +56,20 @@ def run(args: AnnotateOptions) -> int:
     # Computations run in other threads: a shorter interval lets the views run five times as often.
     sys.setswitchinterval(0.001)
     # Ctrl-C in the terminal ends the program; Python handles it when a timer wakes it.
-    signal.signal(signal.SIGINT, lambda *_: app.quit())
+    interrupted: list[int] = []
+
+    def quit_by_signal(number: int, _: FrameType | None) -> None:
+        interrupted.append(number)
+        app.quit()
+
+    signal.signal(signal.SIGINT, quit_by_signal)
     awake = QTimer(interval=300)
     awake.timeout.connect(lambda: None)
     awake.start()
-    return int(app.exec())
+    status = int(app.exec())
+    if interrupted:
+        raise KeyboardInterrupt
+    return status
 
 
 def tell_troubles(shell: Shell) -> None:

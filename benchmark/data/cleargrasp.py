@@ -30,7 +30,6 @@ Source of the names: the data set's repository, github.com/Shreeyak/cleargrasp.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -42,6 +41,7 @@ from benchmark.data import frame, loading, splits
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.importers.intrinsics import read_intrinsics
+from std_toolkit.io.foreign_files import read_json
 from std_toolkit.io.images import read_color
 from std_toolkit.log import logger
 
@@ -235,10 +235,10 @@ def _field_of_view(path: Path) -> float:
     if not path.is_file():
         return COLOR_FOV_X
     try:
-        view = json.loads(path.read_bytes())["camera"]["field_of_view"]["x_axis_rads"]
+        view = read_json(path)["camera"]["field_of_view"]["x_axis_rads"]
         if not 0.1 < view < math.pi - 0.1:
             raise ValueError(view)
-    except (OSError, ValueError, TypeError, LookupError, RecursionError) as error:
+    except (ValueError, TypeError, LookupError) as error:
         raise ToolkitError(
             "tells no horizontal field of view",
             path=path,

@@ -11,6 +11,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
+
 from benchmark.data.splits import DepthSource, names_digest, open_split
 from benchmark.evaluation.config import checked_label, data_of, plain_label
 from benchmark.evaluation.engine import TaskRun, weights_digest
@@ -189,7 +191,7 @@ def restore_views(restorer: Restorer, views: Mapping[int, View]) -> dict[int, Re
 
 
 def check_restored(view: View, answer: Restored) -> None:
-    """Refuse an answer of another type or shape.
+    """Refuse an answer of another type or shape, or without a single number.
 
     Raises:
         ToolkitError: what is wrong.
@@ -201,6 +203,12 @@ def check_restored(view: View, answer: Restored) -> None:
             f"the method was given a view of {view.depth.shape}",
             field="Restored.depth",
             value=answer.depth.shape,
+        )
+    if answer.depth.size and not np.isfinite(answer.depth).any():
+        raise ToolkitError(
+            "every pixel of the answer is NaN or infinite",
+            field="Restored.depth",
+            hint="are the weights those of this network and precision?",
         )
 
 

@@ -8,13 +8,16 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import begin_folder
+
+# Names that tables, pages and terminals show. Results may come from somebody else.
+Name = Annotated[str, msgspec.Meta(max_length=300, pattern=r'^[^\x00-\x1f\x7f<>"]*$')]
 
 MANIFEST = "run.json"
 
@@ -40,7 +43,7 @@ class _Frames(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         precision, compile, device: options of the network; device is its type, `cpu` or `cuda`.
     """
 
-    split: str
+    split: Name
     frames: int
     frames_sha256: str
     method: str
@@ -62,7 +65,7 @@ class Setup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
         released_loader: batch size of the authors' loader, if frames are read as it does; else 0.
     """
 
-    protocol: str
+    protocol: Name
     batch_size: int
     depth_from: str
     released_loader: int = 0
@@ -81,7 +84,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """
 
     version_of_tool: str
-    label: str
+    label: Name
     setup: Setup
     root: str
     weights: str
@@ -176,10 +179,10 @@ class GraspSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     seed: int
     attempts: int
-    camera: str
+    camera: Name
     depth_model_sha256: str
-    gripper: str
-    planner: str
+    gripper: Name
+    planner: Name
     planner_preset: str
     planner_settings: dict[str, str]
     planner_weights_sha256: str
@@ -204,8 +207,8 @@ class GraspManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """
 
     version_of_tool: str
-    depth_label: str
-    planner_label: str
+    depth_label: Name
+    planner_label: Name
     setup: GraspSetup
     planner_weights: str
     depth_weights: str
@@ -251,9 +254,9 @@ class PoseManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """
 
     version_of_tool: str
-    label: str
-    depth_label: str
-    fit: str
+    label: Name
+    depth_label: Name
+    fit: Name
     setup: PoseSetup
     root: str
     weights: str
@@ -277,13 +280,13 @@ class BopSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         columns: version of the table; 1 of results without detection.
     """
 
-    data: str
-    split: str
-    results: str
+    data: Name
+    split: Name
+    results: Name
     results_sha256: str
     targets: int
     targets_sha256: str
-    renderer: str
+    renderer: Name
     sensors: tuple[str, ...] = ()
     errors: tuple[str, ...] = ("vsd", "mssd", "mspd")
     symmetry_steps: int | None = None

@@ -35,6 +35,8 @@ _TEXTS = {
     SCENE, FRAME, "error", "grid", "subset", "kind", "fate", "outcome", "model", "found"
 }  # fmt: skip
 
+_LONGEST_NAME = 1000
+
 ERROR = "error"  # why the frame or the method failed; empty otherwise
 
 NOT_FINITE = "not_finite"  # pixels of the prediction that are NaN or infinite
@@ -74,17 +76,26 @@ def check_columns(table: pd.DataFrame, needed: Iterable[str], path: Path) -> Non
     """Check that a table read from a file has the needed columns, and numbers where they belong.
 
     Raises:
-        ToolkitError: columns are missing, or hold text instead of numbers.
+        ToolkitError: columns are missing, hold text instead of numbers, or names with control
+            characters or angle brackets, which would be markup on a page.
     """
     needed = list(needed)
     if absent := [name for name in needed if name not in table]:
         raise ToolkitError("the table lacks columns", path=path, field=", ".join(absent))
     for name in needed:
         column = table[name]
+        if name in _TEXTS - {ERROR}:
+            strange = (v for v in column.unique() if isinstance(v, str) and not _is_name(v))
+            if (value := next(strange, None)) is not None:
+                raise ToolkitError("not a name", path=path, field=name, value=repr(value)[:80])
         if name in _TEXTS or column.isna().all() or pd.api.types.is_numeric_dtype(column):
             continue
         wrong = next(v for v in column if v is not None and not isinstance(v, int | float))
         raise ToolkitError("the column needs numbers", path=path, field=name, value=str(wrong)[:40])
+
+
+def _is_name(text: str) -> bool:
+    return len(text) <= _LONGEST_NAME and text.isprintable() and not set("<>") & set(text)
 
 
 def good_frames(table: pd.DataFrame) -> set[int]:

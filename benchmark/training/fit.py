@@ -47,6 +47,7 @@ def fit(
         ToolkitError: the folder holds another training, a batch cannot be parted among the
             devices, a loss or gradient that is not finite (the last checkpoint is kept), or a
             full disk.
+        KeyboardInterrupt: SIGINT or SIGTERM came.
     """
     # Lightning takes seconds to load, which a plan need not wait for.
     from benchmark.training.callbacks import Watch
@@ -82,11 +83,16 @@ def fit(
         watch = Watch(folder, validator, log_every=machine.log_every)
         trainer = lightning_trainer(trainable, config, machine, watch, folder)
         checkpoint = folder / run_files.CHECKPOINT
-        trainer.fit(
-            module,
-            datamodule=Loaders(data, config, machine.readers, folder / ".std" / "lock"),
-            ckpt_path=checkpoint if checkpoint.exists() else None,
-        )
+        try:
+            trainer.fit(
+                module,
+                datamodule=Loaders(data, config, machine.readers, folder / ".std" / "lock"),
+                ckpt_path=checkpoint if checkpoint.exists() else None,
+            )
+        except SystemExit as ended:
+            if isinstance(ended.__context__, KeyboardInterrupt):
+                raise KeyboardInterrupt from ended  # Lightning exits by itself
+            raise
         if trainer.is_global_zero:
             save_weights(module.network, folder / run_files.LAST)
             figures = watch.speed.figures()

@@ -204,6 +204,7 @@ PROGRAM = Program(
         ),
     ),
     on_interrupt="finished frames are in the scene; `--recover` brings back the last frames",
+    grace_s=None,  # the frames in memory are still written
 )
 
 if __name__ == "__main__":

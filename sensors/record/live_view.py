@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import signal
 import sys
@@ -19,6 +20,7 @@ import numpy as np
 from sensors.record.hints import Hints
 from sensors.record.recording_document import CapturedFrame, Image8
 from std_toolkit.errors import ToolkitError
+from std_toolkit.html.page import script_digest
 from std_toolkit.io.atomic import write_bytes_atomic
 
 WIDTH = 640
@@ -30,16 +32,29 @@ _FAR_M = 2.0
 
 _QUALITY = 80
 
-_PAGE = b"""<!doctype html><meta charset="utf-8"><title>std-record</title>
-<style>body{margin:0;background:#111}img{display:block;width:100%}</style>
-<img id="p" alt="waiting for the camera"><script>
+_PROGRAM = """
 const p = document.getElementById("p");
 function next() { p.src = "preview.jpg?" + Date.now(); }
 p.onload = () => setTimeout(next, 150);
 p.onerror = () => setTimeout(next, 1000);
 next();
-</script>
 """
+_PAGE = f"""<!doctype html><meta charset="utf-8"><title>std-record</title>
+<style>body{{margin:0;background:#111}}img{{display:block;width:100%}}</style>
+<img id="p" alt="waiting for the camera"><script>{_PROGRAM}</script>
+""".encode()
+
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'none'; img-src 'self'; style-src 'unsafe-inline'; "
+    f"script-src '{script_digest(_PROGRAM)}'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "X-Content-Type-Options": "nosniff",
+}
+
+# A page of another site whose name was rebound to 127.0.0.1 sends its own name.
+_HOST = re.compile(r"(localhost|127\.0\.0\.1)(:\d+)?")
 
 # Interval of status lines if the output is not a terminal.
 _PLAIN_EVERY_S = 5.0
@@ -109,7 +124,9 @@ class PreviewPage:
         class Handler(BaseHTTPRequestHandler):
             def do_GET(self) -> None:
                 path = self.path.split("?")[0]
-                if path == "/":
+                if not _HOST.fullmatch(self.headers.get("Host", "")):
+                    self._send(403, "text/plain", b"open http://localhost\n")
+                elif path == "/":
                     self._send(200, "text/html; charset=utf-8", _PAGE)
                 elif path == "/preview.jpg" and page._picture:
                     self._send(200, "image/jpeg", page._picture)
@@ -121,7 +138,8 @@ class PreviewPage:
                     self.send_response(status)
                     self.send_header("Content-Type", kind)
                     self.send_header("Content-Length", str(len(body)))
-                    self.send_header("Cache-Control", "no-store")
+                    for name, value in _HEADERS.items():
+                        self.send_header(name, value)
                     self.end_headers()
                     self.wfile.write(body)
                 except OSError:

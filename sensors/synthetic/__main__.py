@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from std_toolkit.cli.command import exit_status
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import log_to_stderr
 
@@ -42,14 +43,7 @@ def main() -> int:
     demo.add_argument("--quick", action="store_true", help="without the simulator, in seconds")
     args = parser.parse_args()
     log_to_stderr()
-    try:
-        return _run(args)
-    except ToolkitError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("interrupted; run the same command again to resume", file=sys.stderr)
-        return 130
+    return exit_status(lambda: _run(args), program="python -m sensors.synthetic")
 
 
 def _run(args: argparse.Namespace) -> int:

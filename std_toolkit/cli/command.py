@@ -3,7 +3,8 @@
 A command names a dataclass of options and a function that takes an instance of it, both as
 `module:name`, so that `PROGRAM --help` imports neither. `command_options` reads the options.
 
-Exit status of every program: 0 done, 1 failed or a gate failed, 2 wrong usage, 130 interrupted.
+Exit status of every program: 0 done, 1 failed or a gate failed, 2 wrong usage, 130 interrupted
+(SIGINT), 143 terminated (SIGTERM).
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from std_toolkit.cli.command_options import UsageError, parse_options, print_completion
+from std_toolkit.cli.interrupt import GRACE_S, ended_by_signals
 from std_toolkit.errors import ToolkitError, missing_extra
 from std_toolkit.log import log_to_stderr
 
@@ -53,7 +55,9 @@ class Program:
         commands: in the order of use.
         default: name of the command that runs if the first word names none; "" to require one.
         rewrite: converts the words of older command lines.
-        on_interrupt: printed after Ctrl-C.
+        on_interrupt: how to go on, printed after SIGINT (Ctrl-C) or SIGTERM.
+        grace_s: seconds from such a signal until the process ends in any case; None for a program
+            that finishes what it has begun.
     """
 
     name: str
@@ -62,6 +66,7 @@ class Program:
     default: str = ""
     rewrite: Callable[[list[str]], list[str]] | None = None
     on_interrupt: str = "run the same command again to resume"
+    grace_s: float | None = GRACE_S
 
     def main(self, arguments: Sequence[str] | None = None) -> int:
         """Run one command; returns the exit status and raises `SystemExit` for `--help` only."""
@@ -75,6 +80,9 @@ class Program:
             # `std-curate info SCENE | head` is not an error.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 0
+        except KeyboardInterrupt:  # before the command began
+            print("interrupted; nothing was begun", file=sys.stderr)
+            return INTERRUPTED
 
     def _main(self, words: list[str]) -> int:
         first = next((word for word in words if word not in ("--quiet", "--debug")), None)
@@ -114,6 +122,7 @@ class Program:
             program=self.name,
             debug=verbosity.debug,
             on_interrupt=self.on_interrupt,
+            grace_s=self.grace_s,
         )
 
     def help(self) -> str:
@@ -153,16 +162,21 @@ def exit_status(
     program: str,
     debug: bool = False,
     on_interrupt: str = "run the same command again to resume",
+    grace_s: float | None = GRACE_S,
 ) -> int:
-    """Run a command. Exit status: what it returns, 1 for an error, 130 if it was interrupted.
+    """Run a command. Exit status: what it returns, 1 for an error, 130 or 143 after a signal.
 
     Args:
         program: name of the program, for the hint of an unexpected error.
         debug: let exceptions pass, with their traceback.
-        on_interrupt: printed after Ctrl-C.
+        on_interrupt: how to go on, printed after SIGINT (Ctrl-C) or SIGTERM.
+        grace_s: see `ended_by_signals`.
     """
+    message = f"interrupted; {on_interrupt}"
+    terminated: list[int] = []
     try:
-        return int(run())
+        with ended_by_signals(message, grace_s=grace_s) as terminated:
+            return int(run())
     except ToolkitError as error:
         if debug:
             raise
@@ -186,8 +200,8 @@ def exit_status(
         print(f"error: {shown}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print(f"interrupted; {on_interrupt}", file=sys.stderr)
-        return INTERRUPTED
+        print(message, file=sys.stderr)
+        return 128 + terminated[0] if terminated else INTERRUPTED
 
 
 def _load(reference: str) -> Any:

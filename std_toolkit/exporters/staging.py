@@ -19,7 +19,7 @@ import msgspec
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters.exporter import FrameRow
-from std_toolkit.io.atomic import sweep_temporaries
+from std_toolkit.io.atomic import refuse_links, sweep_temporaries
 from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.scene.document import digest_file
 from std_toolkit.scene.sidecar import SIDECAR_NAME, Sidecar
@@ -78,6 +78,8 @@ def staging_area(out: Path, *, overwrite: bool) -> Iterator[Path]:
             hint="choose another --out",
         )
     staging = out.with_name(f".{out.name}.partial")
+    if staging.is_symlink():
+        raise ToolkitError("the staging folder must not be a symbolic link", path=staging)
     try:
         staging.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -88,6 +90,7 @@ def staging_area(out: Path, *, overwrite: bool) -> Iterator[Path]:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise ToolkitError("another process is exporting to this folder", path=out) from error
+        refuse_links(staging)
         sweep_temporaries(staging)
         try:
             yield staging

@@ -23,6 +23,7 @@ from std_toolkit.exporters.mesh_export import obj_files, transformed, write_file
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.mesh import mesh_bounds, nocs_frame
 from std_toolkit.io import atomic, exr, images
+from std_toolkit.log import logger
 from std_toolkit.rendering.ground_truth import FrameTruth
 from std_toolkit.scene.model import MATERIAL_IDS, Frame
 from std_toolkit.scene.sidecar import ExportedModel
@@ -147,6 +148,13 @@ class StdExporter:
         models: list[ExportedModel],  # noqa: ARG002 - part of the protocol
     ) -> list[str]:
         """Write the faults that the check found; the layout has no documents over all frames."""
+        without = [f.name for f in target.scene.frames if f.depth is None]
+        if without:
+            logger.warning(
+                "%s: %d of %d frames have no sensor depth; the layout needs a file, so theirs have "
+                "0 (not measured) in every pixel",
+                target.scene.root, len(without), len(target.scene.frames),
+            )  # fmt: skip
         return write_faults(target, self.folder(target), rows)
 
     def _meta(self, target: Target, truth: FrameTruth, mask_ids: dict[int, int]) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.mesh_damage import check_whole
+from std_toolkit.geometry.mesh_damage import check_whole, warn_of_loose_vertices
 from std_toolkit.geometry.obj_texture import CORNER_UV, read_corner_uv
 
 if TYPE_CHECKING:
@@ -88,6 +88,7 @@ def load_mesh(
             value=int(mesh.faces.max()),
         )
     check_whole(path, len(mesh.vertices), len(mesh.faces))
+    warn_of_loose_vertices(path, len(mesh.vertices), mesh.faces)
     if not np.isfinite(mesh.vertices).all():
         raise ToolkitError("the mesh has vertices that are not finite", path=path)
     if (

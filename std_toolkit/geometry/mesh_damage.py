@@ -5,7 +5,11 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from std_toolkit.errors import ToolkitError
+from std_toolkit.log import logger
 
 _HEADER_BYTES = 65536
 _TAIL_BYTES = 65536
@@ -22,8 +26,8 @@ def check_whole(path: Path, vertices: int, faces: int) -> None:
         vertices, faces: numbers that were read.
 
     Raises:
-        ToolkitError: a PLY or OFF file has fewer elements than its header says, or the last line
-            of an OBJ file is incomplete.
+        ToolkitError: a PLY or OFF file, or an OBJ file with the number of faces in a comment, has
+            fewer elements than it says, or the last line of an OBJ file is incomplete.
     """
     suffix = path.suffix.lower()
     if suffix == ".ply":
@@ -34,6 +38,7 @@ def check_whole(path: Path, vertices: int, faces: int) -> None:
         announced = {}
         if suffix == ".obj":
             _check_last_line(path)
+            announced = _obj_counts(path)
     for name, found in (("vertices", vertices), ("faces", faces)):
         wanted = announced.get(name, 0)
         if found < wanted:
@@ -55,6 +60,31 @@ def _ply_counts(path: Path) -> dict[str, int]:
         if found:
             counts[name] = int(found.group(1))
     return counts
+
+
+def _obj_counts(path: Path) -> dict[str, int]:
+    """The number in a comment of MeshLab: `# Faces: 12`. Readers may leave loose vertices out."""
+    with path.open("rb") as file:
+        head = file.read(_HEADER_BYTES).decode("ascii", "replace")
+    found = re.search(r"^# ?faces: (\d{1,12})\s*$", head, re.MULTILINE | re.IGNORECASE)
+    return {"faces": int(found.group(1))} if found else {}
+
+
+def warn_of_loose_vertices(path: Path, vertices: int, faces: NDArray[np.int64]) -> None:
+    """Warn about an OBJ file whose vertices do not all belong to a face.
+
+    It lists the vertices first and announces no counts, so that a file that was cut off between
+    two faces is a valid one with loose vertices.
+    """
+    if path.suffix.lower() != ".obj":
+        return
+    used = np.zeros(vertices, bool)
+    used[faces.reshape(-1)] = True
+    loose = vertices - int(used.sum())
+    if loose:
+        logger.warning(
+            "%s: %d of %d vertices belong to no face; is the file cut off?", path, loose, vertices
+        )
 
 
 def _off_counts(path: Path) -> dict[str, int]:

@@ -298,7 +298,7 @@ def _plotly() -> dict[str, str]:
     return {
         "notice": notice,
         "data": base64.b64encode(packed).decode("ascii"),
-        "digest": _digest(source),
+        "digest": script_digest(source),
     }
 
 
@@ -308,7 +308,7 @@ def _policy(program: str, plotly: Mapping[str, str] | None) -> str:
     Plotly compiles functions for its 3D views, which `unsafe-eval` permits; a script that got into
     the page as text still does not run.
     """
-    scripts = f"'{_digest(program)}'"
+    scripts = f"'{script_digest(program)}'"
     if plotly is not None:
         scripts += f" '{plotly['digest']}' 'unsafe-eval'"
     return (
@@ -317,5 +317,6 @@ def _policy(program: str, plotly: Mapping[str, str] | None) -> str:
     )
 
 
-def _digest(source: str) -> str:
+def script_digest(source: str) -> str:
+    """The source of a script as a content security policy names it."""
     return "sha256-" + base64.b64encode(hashlib.sha256(source.encode()).digest()).decode("ascii")

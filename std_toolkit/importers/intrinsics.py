@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import Any
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
+from std_toolkit.io.foreign_files import read_json
 
 _LARGEST_FILE = 1024 * 1024
 # A key of YAML at the beginning of a line.
@@ -113,10 +113,7 @@ def read_intrinsics(text: str, *, size: tuple[int, int] | None = None) -> Intrin
     if 'Intrinsic of "' in content:
         return _from_realsense_dump(content, path, size)
     if content.lstrip().startswith(("{", "[")):
-        try:
-            data = json.loads(content)
-        except (ValueError, RecursionError) as error:
-            raise ToolkitError(f"not valid JSON: {str(error)[:200]}", path=path) from error
+        data = read_json(path)
         return _from_mapping(data if isinstance(data, dict) else {"K": data}, path)
     if any(_KEY.match(line) for line in content.splitlines()):
         return _from_mapping(_parse_flat_yaml(content, path), path)

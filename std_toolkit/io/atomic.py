@@ -21,6 +21,9 @@ from std_toolkit.errors import ToolkitError
 
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{12}\.tmp(\.[A-Za-z0-9]+)?")
 
+# Folders of a scene that are only read; their images may be links.
+_INPUT_FOLDERS = ("color", "depth", "masks", "infrared", "reference")
+
 # Leaves room for the random part in file systems that allow 255 bytes.
 _LONGEST_STEM = 100
 
@@ -187,6 +190,38 @@ def _remove_parents(made: list[Path]) -> None:
             folder.rmdir()
 
 
+def refuse_links(root: Path) -> None:
+    """Check that no folder that programs write to leads out of `root`.
+
+    A scene or a folder of results from somebody else could have a link to any folder of the reader,
+    and a step would write there. Links to files are replaced, never followed, and images may be
+    links.
+
+    Raises:
+        ToolkitError: a folder is a symbolic link out of `root`; the message names it.
+    """
+    home = root.resolve()
+    waiting = [root]
+    while waiting:
+        folder = waiting.pop()
+        with suppress(FileNotFoundError), os.scandir(folder) as entries:
+            for entry in entries:
+                if folder == root and entry.name in _INPUT_FOLDERS:
+                    continue
+                if entry.is_symlink() and entry.is_dir():
+                    target = Path(entry.path).resolve()
+                    if not target.is_relative_to(home):
+                        raise ToolkitError(
+                            "the folder is a symbolic link out of its scene or results, and is "
+                            "written to",
+                            path=entry.path,
+                            value=str(target),
+                            hint="move the files here, or link the whole scene",
+                        )
+                elif entry.is_dir(follow_symlinks=False):
+                    waiting.append(Path(entry.path))
+
+
 @contextmanager
 def scene_lock(root: Path) -> Iterator[None]:
     """Hold the write lock of a scene; it is released when its process ends.
@@ -213,8 +248,7 @@ def hold_lock(root: Path, name: str, *, doing: str, note: str = "") -> Iterator[
             read-only.
     """
     path = root / ".std" / name
-    if path.parent.is_symlink():
-        raise ToolkitError("the scene's .std folder must not be a symbolic link", path=root)
+    refuse_links(root)
     try:
         path.parent.mkdir(exist_ok=True)
         # The owner's name is written into the file: never follow a link to another file.

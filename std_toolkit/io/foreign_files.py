@@ -1,4 +1,4 @@
-"""Reading arrays, YAML and CSV files of other programs, whatever they hold.
+"""Reading arrays, JSON, YAML and CSV files of other programs, whatever they hold.
 
 The readers of NumPy, PyYAML and csv trust their input: a header of a few bytes can ask for a
 terabyte, aliases of YAML grow exponentially, and a long field raises an error without a file name.
@@ -7,6 +7,7 @@ terabyte, aliases of YAML grow exponentially, and a long field raises an error w
 from __future__ import annotations
 
 import csv
+import json
 import math
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -20,6 +21,9 @@ from std_toolkit.errors import ToolkitError
 # Real YAML files of poses and cameras are below 100 kB and 10 levels.
 _LARGEST_YAML_BYTES = 1024 * 1024
 _DEEPEST_YAML = 40
+_LARGEST_JSON_BYTES = 16 * 1024 * 1024
+# The largest 64-bit integer has 19 digits.
+_MOST_DIGITS = 30
 
 
 def read_npy(path: Path) -> NDArray[Any]:
@@ -56,6 +60,47 @@ def _check_npy(file: BinaryIO, path: Path) -> None:
             path=path,
             value="x".join(map(str, shape)) or "one number",
         )
+
+
+def read_json(path: Path, *, largest_bytes: int = _LARGEST_JSON_BYTES) -> Any:
+    """A JSON file of plain values.
+
+    Raises:
+        ToolkitError: unreadable, larger than `largest_bytes`, not JSON, nested too deeply, a key
+            given twice, or a number of more digits than any reader keeps.
+    """
+    try:
+        if path.stat().st_size > largest_bytes:
+            raise ToolkitError("the JSON file is implausibly large", path=path)
+        text = path.read_text(encoding="utf-8")
+        return json.loads(text, object_pairs_hook=_unique_keys, parse_int=_plain_integer)
+    except OSError as error:
+        raise ToolkitError(f"cannot read the file: {error.strerror}", path=path) from error
+    except ToolkitError as error:
+        raise ToolkitError(
+            error.problem, path=path, field=error.field, value=error.value
+        ) from error
+    except RecursionError as error:
+        raise ToolkitError("not valid JSON: nested too deeply", path=path) from error
+    except ValueError as error:  # also UnicodeDecodeError
+        raise ToolkitError(f"not valid JSON: {str(error)[:200]}", path=path) from error
+
+
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(k for i, k in enumerate(keys) if k in keys[:i])
+        raise ToolkitError("a key appears twice in one object", field=twice[:80])
+    return found
+
+
+def _plain_integer(digits: str) -> int:
+    if len(digits) > _MOST_DIGITS:
+        raise ToolkitError(
+            "an integer is implausibly long", value=f"{digits[:20]}... ({len(digits)} digits)"
+        )
+    return int(digits)
 
 
 def read_yaml(path: Path) -> Any:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import cv2
@@ -12,6 +16,10 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.io import atomic, exr, image_header
 
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
+
+# How the lines of libjpeg begin, whose decoder goes on behind damage.
+_LIBJPEG = (b"Corrupt JPEG data", b"Premature end of JPEG", b"Invalid SOS", b"Inconsistent progr")
+_DECODING = threading.Lock()
 
 
 def image_size(path: Path | str) -> tuple[int, int]:
@@ -176,12 +184,51 @@ def _decode(
         data = file.read()
     image_header.check_whole(path, data, header)
     try:
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
+        if header.format == "jpeg":
+            with _decoder_warnings() as warnings:
+                image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
+            if warnings:
+                raise ToolkitError(
+                    "the JPEG file is damaged", path=path, value=warnings[0],
+                    hint="copy or record it again",
+                )  # fmt: skip
+        else:
+            image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
     except cv2.error as error:
         raise ToolkitError(f"cannot decode the image: {error.err}", path=path) from error
     if image is None or image.shape[:2] != (header.height, header.width):
         raise ToolkitError("cannot decode the image", path=path, hint="the file is damaged")
     return image
+
+
+@contextmanager
+def _decoder_warnings() -> Iterator[list[str]]:
+    """Lines that libjpeg prints in the block.
+
+    It reports damage on the standard error of the process alone, and fills the rest of the image
+    with grey. Lines of others are passed on.
+    """
+    said: list[str] = []
+    with _DECODING, ExitStack() as stack:
+        try:
+            before = os.dup(2)
+        except OSError:  # closed
+            yield said
+            return
+        stack.callback(os.close, before)
+        caught = os.memfd_create("stderr")
+        stack.callback(os.close, caught)
+        os.dup2(caught, 2)
+        try:
+            yield said
+        finally:
+            os.dup2(before, 2)
+            text = os.pread(caught, 1 << 16, 0)
+            for line in text.splitlines(keepends=True):
+                if line.startswith(_LIBJPEG):
+                    said.append(line.decode(errors="replace").strip())
+                else:
+                    os.write(2, line)
 
 
 def _check_size(path: Path, actual: tuple[int, int], expected: tuple[int, int] | None) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.io.foreign_files import read_json
 from std_toolkit.io.images import read_color
 from std_toolkit.jobs import run_jobs
 from std_toolkit.poses.known_points import KnownView, scale_from_known_points
@@ -68,10 +68,7 @@ class Board:
         """
         if not path.is_file():
             raise ToolkitError("board file not found", path=path)
-        try:
-            data = json.loads(path.read_text(encoding="utf-8"))
-        except (UnicodeDecodeError, json.JSONDecodeError) as error:
-            raise ToolkitError(f"not a JSON file: {error}", path=path) from error
+        data = read_json(path)
         if not isinstance(data, dict):
             raise ToolkitError("a board file must hold one JSON object", path=path)
         if "charuco" in data:

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pandas as pd
 
-from benchmark.evaluation.manifest import BOP_FILE
+from benchmark.evaluation.manifest import BOP_FILE, Name
 from benchmark.evaluation.results import INDEX, SCENE, read_table
 from benchmark.metrics.bop import (
     Detections,
@@ -77,9 +77,9 @@ class BopResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         objects: figures of each object.
     """
 
-    results: str
-    data: str
-    split: str
+    results: Name
+    data: Name
+    split: Name
     targets: int
     estimates: int
     ar: float | None

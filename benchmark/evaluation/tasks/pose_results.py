@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.frame import Material
+from benchmark.evaluation.config import FITS
 from benchmark.evaluation.manifest import POSE_MANIFEST, PoseManifest
 from benchmark.evaluation.results import ERROR, INDEX, Result, check_columns, find_runs, read_table
 from benchmark.evaluation.tasks.pose_table import COLUMNS, POSES, frames_of
@@ -25,6 +26,7 @@ from benchmark.metrics.pose import (
     score_matches,
 )
 from benchmark.metrics.pose.resampling import resampled_scores, scene_weights
+from std_toolkit.errors import ToolkitError
 from std_toolkit.html.table import text_table
 from std_toolkit.io.documents import read_document
 
@@ -128,6 +130,14 @@ def read_pose_run(folder: Path) -> PoseResult:
         ToolkitError: a file is missing or damaged.
     """
     manifest = read_document(folder / POSE_MANIFEST, PoseManifest)
+    if manifest.fit not in FITS:
+        raise ToolkitError(
+            "not a fit of poses",
+            path=folder / POSE_MANIFEST,
+            field="fit",
+            value=manifest.fit,
+            hint=f"one of {', '.join(FITS)}",
+        )
     table = read_table(folder / POSES)
     check_columns(table, COLUMNS, folder / POSES)
     return PoseResult(folder, manifest, table)

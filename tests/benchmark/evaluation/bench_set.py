@@ -73,6 +73,13 @@ class HalfNaN(Filling):
         return answers
 
 
+class AllNaN(Filling):
+    """Answers with no number at all, as a network whose weights overflowed."""
+
+    def restore(self, views: Sequence[View]) -> list[Restored]:
+        return [Restored(np.full(v.depth.shape, np.nan, np.float32)) for v in views]
+
+
 class FailsAtBright(Filling):
     """Fails at any batch that holds a view whose sensor depth begins with a certain value."""
 

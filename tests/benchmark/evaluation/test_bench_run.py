@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 
 from benchmark.data.splits import open_split
-from benchmark.evaluation.engine import run_task
+from benchmark.evaluation.engine import run_all, run_task
 from benchmark.evaluation.frames import chosen_frames
 from benchmark.evaluation.results import FAILURES, TABLE, write_part
 from benchmark.methods.depth.full_size import view_of
@@ -189,6 +189,13 @@ def test_nan_is_counted_as_missed_and_told(root: Path, tmp_path: Path) -> None:
     table = run_task(a_run(root, tmp_path, **own("HalfNaN")), SERIAL)
     assert (table["not_finite"] > 0).all()
     assert table["coverage"].min() < 1
+
+
+def test_nan_everywhere_is_a_failure(root: Path, tmp_path: Path) -> None:
+    report = run_all([a_run(root, tmp_path, **own("AllNaN"), gallery=False)], SERIAL)
+    assert report.failed_frames == 12  # std-bench then exits with 1
+    table = run_task(a_run(root, tmp_path, **own("AllNaN")), SERIAL)
+    assert table["error"].str.contains("every pixel of the answer is NaN or infinite").all()
 
 
 def test_an_answer_of_another_size_is_the_methods_fault(root: Path, tmp_path: Path) -> None:

@@ -157,14 +157,24 @@ def test_latex_is_balanced(results: Path) -> None:
 
 @pytest.mark.slow
 def test_the_name_of_a_split_is_no_markup(results: Path, tmp_path: Path) -> None:
-    evil = "x'><script>alert(1)</script>"
+    evil = "x'`onload='alert(1)"
     shutil.copytree(results, tmp_path / "evil")
     for path in (tmp_path / "evil").rglob("run.json"):
         path.write_text(path.read_text().replace('"std-catknown"', json.dumps(evil)))
     assert main([str(tmp_path / "evil")]) == 0
     page = (tmp_path / "evil" / PAGE).read_text()
-    assert "<script>alert" not in page and "&lt;script&gt;alert" in page
+    assert evil not in page and "x&#39;" in page
     assert all(re.fullmatch(r"[\w-]+", name) for name in re.findall(r'\bid="(.*?)"', page))
+
+
+def test_markup_in_the_name_of_a_split_is_refused(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(results, tmp_path / "evil")
+    for path in (tmp_path / "evil").rglob("run.json"):
+        path.write_text(path.read_text().replace('"std-catknown"', '"<script>alert(1)</script>"'))
+    assert main([str(tmp_path / "evil")]) == 1
+    assert "run.json: setup.split: Expected `str` matching" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -1,0 +1,35 @@
+"""The preview page while recording: own scripts alone, and own addresses alone."""
+
+from __future__ import annotations
+
+import urllib.error
+import urllib.request
+
+import pytest
+
+from sensors.record.live_view import PreviewPage
+from std_toolkit.html.page import script_digest
+
+
+def asked(page: PreviewPage, path: str = "", **headers: str) -> tuple[bytes, dict[str, str]]:
+    request = urllib.request.Request(f"{page.address}{path}", headers=headers)
+    with urllib.request.urlopen(request, timeout=5) as answer:
+        return answer.read(), dict(answer.headers)
+
+
+def test_only_its_own_script_runs() -> None:
+    with PreviewPage(0) as page:
+        body, headers = asked(page)
+    policy = headers["Content-Security-Policy"]
+    script = body.decode().partition("<script>")[2].partition("</script>")[0]
+    assert f"script-src '{script_digest(script)}';" in policy
+    assert policy.startswith("default-src 'none'")
+
+
+def test_a_rebound_name_gets_no_picture() -> None:
+    with PreviewPage(0) as page:
+        page.show(b"picture")
+        assert asked(page, "preview.jpg")[0] == b"picture"
+        with pytest.raises(urllib.error.HTTPError) as refused:
+            asked(page, "preview.jpg", Host="evil.example:80")
+    assert refused.value.code == 403
