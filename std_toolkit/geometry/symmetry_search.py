@@ -254,12 +254,15 @@ class _Search:
         height = float((across.point - main.point) @ main.direction)
         centre = main.point + height * main.direction
         main = _Axis(main.direction, centre, main.order, main.distance)
-        fourfold = main.order == 4 and any(a.order == 4 for a in others)
-        direction = across.direction
-        if fourfold:
-            other = next(a for a in others if a.order == 4).direction
-            direction = _perpendicular(other, main.direction)
-        return _symmetry(main, (_Axis(direction, centre, 4 if fourfold else 2, across.distance),))
+        order, direction = 2, across.direction
+        if main.order == 4:
+            # The half turns of a cube across an axis are about faces and about edges.
+            for angle in (0.0, np.pi / 4):
+                tried = so3_exp(main.direction * angle) @ across.direction
+                quarter = turn_about(centre, so3_exp(tried * np.pi / 2))
+                if self._fits(quarter):
+                    order, direction = 4, tried
+        return _symmetry(main, (_Axis(direction, centre, order, across.distance),))
 
     def _about(self, direction: Array) -> _Axis | None:
         """The axis near a direction with its order."""
