@@ -226,7 +226,8 @@ class LabelCommand:
     material: Material | None = None
     """material; refinement uses sensor depth on raw and diffuse objects only (default: diffuse)"""
     symmetry: tuple[str, ...] | None = field(default=None, metadata=_REPEATED)
-    """axis:z (continuous about z), fold:z:4 (four-fold about z), a JSON file, or none; the axis
+    """auto (turns after which the mesh and its colours are the same), axis:z (continuous about z),
+    fold:z:4 (four-fold about z), a JSON file, or none; the axis
     passes through the centre of the bounding box, or with '@origin' through the mesh origin; may
     be repeated"""
     frames: tuple[str, ...] = field(default=(), metadata={"option": "frame", **_REPEATED})

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from annotator.app import label_questions, operations, pose_checks, questions
 from annotator.app.action_table import key_rows
@@ -17,7 +18,11 @@ from annotator.session import ChangeObject, SetSymmetry
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import MESH_SUFFIXES
+from std_toolkit.geometry.symmetry import symmetry_words
 from std_toolkit.labels.symmetry_argument import parse_symmetry
+
+if TYPE_CHECKING:
+    from std_toolkit.scene.model import SymmetryModel
 
 # A mesh with more faces than this may be decimated to fewer when it is added.
 MANY_FACES, FEWER_FACES = 200_000, 50_000
@@ -276,9 +281,23 @@ class Dialogs:
             words = questions.symmetry_words(answers)
             if words is not None:
                 centre = self._c.session.centre(model.id).tolist()
-                symmetry = parse_symmetry(words, centre=centre)
-                if symmetry != model.symmetry:
-                    self._c.apply(SetSymmetry(model=model.id, symmetry=symmetry))
+                if words != ["auto"]:
+                    enter(parse_symmetry(words, centre=centre))
+                    return
+                mesh = self._c.session.mesh(model.id)
+                self._c.start(
+                    f"Find the symmetry of {model.id}",
+                    lambda _: parse_symmetry(words, centre=centre, mesh=mesh),
+                    found,
+                )
+
+        def found(symmetry: SymmetryModel) -> None:
+            enter(symmetry)
+            self._c.tell(f"{model.id}: {symmetry_words(symmetry.symmetry())}")
+
+        def enter(symmetry: SymmetryModel) -> None:
+            if symmetry != model.symmetry:
+                self._c.apply(SetSymmetry(model=model.id, symmetry=symmetry))
 
         self._ask(questions.symmetry_question(model, react))
 

@@ -319,6 +319,7 @@ def symmetry_question(model: Model, react: Reaction) -> Question:
     """Ask for the symmetry of a mesh; see `symmetry_words`."""
     choices = (
         Choice("keep", f"As it is: {symmetry_text(model.symmetry)}"),
+        Choice("auto", "Turns after which the mesh and its colours are the same (found)"),
         Choice("none", "No turn looks the same"),
         *(Choice(f"axis:{a}", f"Any turn about {a} (bottle, can, bowl)") for a in _AXES),
         Choice("box", "Half turns about x, y and z (box)"),

@@ -17,7 +17,7 @@ from vtkmodules.vtkCommonDataModel import vtkImageData, vtkPolyData
 
 from annotator.views import triangles
 from std_toolkit.geometry.ray_caster import RayCaster
-from std_toolkit.rendering.texture import SurfaceColors
+from std_toolkit.geometry.surface_colors import SurfaceColors
 
 if TYPE_CHECKING:
     import trimesh

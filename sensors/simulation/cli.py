@@ -1,4 +1,4 @@
-"""`std-sim`: simulate a data set, preview a scene, print statistics of a set."""
+"""`std-sim`: simulate a data set, preview a scene, photograph a mesh, print statistics."""
 
 from __future__ import annotations
 
@@ -10,7 +10,13 @@ from std_toolkit.cli.command import Command, Program, print_json
 from std_toolkit.cli.command_options import words_of
 
 if TYPE_CHECKING:
-    from sensors.simulation.options import AssetsCommand, PreviewCommand, RunCommand, StatsCommand
+    from sensors.simulation.options import (
+        AssetsCommand,
+        PreviewCommand,
+        RunCommand,
+        StatsCommand,
+        TurntableOptions,
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -91,6 +97,16 @@ def stats(options: StatsCommand) -> None:
         write_bytes_atomic(options.csv, statistics.depth.to_csv().encode())
 
 
+def turntable(options: TurntableOptions) -> None:
+    """Photograph a mesh on the printed board."""
+    from sensors.simulation.turntable import make_turntable
+
+    made, seconds = make_turntable(options)
+    if made:
+        print(f"{made} photos, {seconds / made:.1f} s each")
+    print(options.out)
+
+
 def assets(options: AssetsCommand) -> None:
     """List or download free environment maps and floors."""
     from sensors.assets.downloads import fetch, load_list
@@ -151,6 +167,12 @@ PROGRAM = Program(
     commands=(
         _command("run", "simulate scenes (also without the word: std-sim --out DIR ...)"),
         _command("preview", "make one scene and show it as a contact sheet"),
+        Command(
+            name="turntable",
+            about="photograph a mesh on the printed board, as std-scan reads it",
+            options="sensors.simulation.options:TurntableOptions",
+            run="sensors.simulation.cli:turntable",
+        ),
         _command("assets", "list or download free environment maps and floors"),
         _command("stats", "categories, materials, and completeness and error of the raw depth"),
     ),

@@ -29,6 +29,8 @@ QualityName = Literal["rough", "draft", "better", "fine"]
 
 PresetName = Literal["draft", "tiny", "dreds"]
 
+TurntableMaterial = Literal["own", "sprayed", "glass", "steel"]
+
 _OFF: dict[str, Any] = {"option": None}
 
 
@@ -199,3 +201,55 @@ class AssetsCommand:
     """folder, which gets sub-folders for --environments and --floors"""
     list_file: Path | None = None
     """another list of files with checksums"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TurntableOptions:
+    """Photograph a mesh that stands on the printed board, path traced.
+
+    Writes photos/, board.json and truth/ (cameras.json, mesh.ply, masks/) in the form that
+    std-scan reads. The world is the frame of the board: z up, the table at z = 0, metres.
+    """
+
+    mesh: Path = field(metadata={"option": "mesh"})
+    """mesh file in metres"""
+    out: Path = field(metadata={"option": "out"})
+    """folder"""
+    mesh_unit: Literal["m", "cm", "mm"] = "m"
+    """unit of the mesh file"""
+    up: Literal["x", "y", "z"] = "z"
+    """axis of the mesh that points upwards"""
+    flipped: bool = False
+    """stand the object upside down, for the photos of its bottom"""
+    material: TurntableMaterial = "own"
+    """own: the mesh's texture; sprayed: diffuse grey, nearly without texture; glass: clear, with
+    refraction; steel: polished"""
+    motion: Literal["walk", "turntable"] = "walk"
+    """the camera walks around the object, or the board turns before a camera at rest"""
+    views: Annotated[int, msgspec.Meta(ge=2, le=1000)] = 48
+    """number of photos, at two heights"""
+    width: Annotated[int, msgspec.Meta(ge=64, le=8192)] = 1280
+    """of the photos, in pixels"""
+    height: Annotated[int, msgspec.Meta(ge=64, le=8192)] = 720
+    """of the photos, in pixels"""
+    fov_deg: Annotated[float, msgspec.Meta(gt=5, lt=120, extra={"option": "fov"})] = 60.0
+    """horizontal field of view"""
+    elevations_deg: tuple[float, float] = field(
+        default=(22.0, 50.0), metadata={"option": "elevations"}
+    )
+    """heights of the camera, as angles above the table"""
+    paper: Literal["a4", "a3"] = "a4"
+    """size of the printed board"""
+    environment: Path | None = None
+    """lat-long .hdr or .exr map (a procedural room with area lights)"""
+    samples: Annotated[int, msgspec.Meta(ge=1, le=4096)] = 12
+    """light paths per pixel, before the denoiser"""
+    aperture_mm: Annotated[float, msgspec.Meta(ge=0, le=50)] = 2.5
+    """diameter of the lens opening, for defocus; 0: everything is sharp"""
+    noise: Annotated[float, msgspec.Meta(ge=0, le=20)] = 1.0
+    """noise of the camera, 1 as in good light"""
+    seed: int = 0
+    """of light, hand and noise"""
+
+    def __post_init__(self) -> None:
+        check_options(self)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -11,7 +12,13 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3, rotation_angle, so3_exp
 
-__all__ = ["common_symmetry", "fixed_point", "nearest_variant"]
+__all__ = [
+    "closed_group",
+    "common_symmetry",
+    "fixed_point",
+    "nearest_variant",
+    "symmetry_words",
+]
 
 Array = NDArray[np.float64]
 
@@ -184,6 +191,61 @@ def _over_turns(
 
 def _farthest(p: Array, q: Array) -> float:
     return float(np.sqrt(((p - q) ** 2).sum(axis=1).max()))
+
+
+def symmetry_words(symmetry: Symmetry) -> str:
+    """The symmetries in words, such as "any turn about z, half a turn about x"; "none"."""
+    words = [f"any turn about {_line(np.asarray(axis))}" for axis, _ in symmetry.continuous]
+    counts: dict[str, int] = {}
+    for T in symmetry.discrete_transforms()[1:]:
+        angle = rotation_angle(T.R)
+        axis = np.linalg.svd(T.R - np.eye(3))[2][2] if angle > 1e-6 else np.zeros(3)
+        line = _line(axis)
+        counts[line] = counts.get(line, 0) + 1
+    for line, count in counts.items():
+        words.append(
+            f"half a turn about {line}" if count == 1 else f"{count + 1} equal turns about {line}"
+        )
+    return ", ".join(words) or "none"
+
+
+def _line(axis: Array) -> str:
+    k = int(np.argmax(np.abs(axis)))
+    if abs(axis[k]) > 0.999:
+        return "xyz"[k]
+    axis = axis if axis[k] > 0 else -axis
+    return "(" + ", ".join(f"{x + 0.0:.2f}" for x in axis) + ")"
+
+
+def closed_group(generators: Sequence[SE3]) -> list[SE3]:
+    """The group that transforms generate, the identity first.
+
+    Two half turns about x and y imply the one about z; without it, a correct pose would count as
+    wrong.
+
+    Raises:
+        ToolkitError: it has more than 400 elements.
+    """
+    group = [SE3.identity()]
+    frontier = list(group)
+    while frontier:
+        fresh = []
+        for c in (a @ b for a in frontier for b in generators):
+            if not any(_same(c, g) for g in group):
+                group.append(c)
+                fresh.append(c)
+        if len(group) > 400:
+            raise ToolkitError(
+                "the discrete symmetries do not form a finite group",
+                field="symmetry",
+                hint="give a continuous symmetry as axis:x|y|z",
+            )
+        frontier = fresh
+    return group
+
+
+def _same(a: SE3, b: SE3) -> bool:
+    return bool(np.abs(a.R - b.R).max() < 1e-3 and np.abs(a.t - b.t).max() < 1e-4)
 
 
 def nearest_variant(

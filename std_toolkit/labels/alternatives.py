@@ -15,6 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.geometry import SE3, Symmetry, rotation_error, so3_exp
+from std_toolkit.geometry.turned_surface import (
+    SAME_AXIS,
+    Basis,
+    align_turn,
+    axes_to_try,
+    axis_name,
+    spread_points,
+    turn_about,
+)
 from std_toolkit.labels.refine.object_surface import ObjectSurface, surface_of
 
 Array = NDArray[np.float64]
@@ -32,8 +41,8 @@ _HOPELESS = 0.15
 # Distance below which a turn counts as exact: not even a perfect outline tells it.
 _EXACT = 0.01
 
-# Axes nearer to one another are the same, as are turns.
-_SAME_AXIS, _SAME_TURN = np.deg2rad(12), np.deg2rad(10)
+# Turns nearer to one another are the same.
+_SAME_TURN = np.deg2rad(10)
 
 # Turns that are tried about the axis of a surface of revolution.
 _ROUND_STEP_DEG = 20
@@ -88,9 +97,9 @@ class NearSymmetry:
     ) -> None:
         self._surface = surface_of(vertices, faces)  # type: ignore[arg-type]
         self._symmetry = symmetry or Symmetry()
-        self._points = _spread_points(vertices, faces)
+        self._points = spread_points(vertices, faces, _POINTS)[0]
         self._size = 2 * self._surface.radius
-        self._bases = _bases(self._points)
+        self._bases = axes_to_try(self._points)
         self.turns: tuple[Alternative, ...] = tuple(self._find())
 
     def mirrored(self, poses: Sequence[SE3]) -> list[Alternative]:
@@ -104,7 +113,7 @@ class NearSymmetry:
         known = [a.turn for a in self.turns]
         found: list[Alternative] = []
         for rotation, text in _cube_turns(self._bases):
-            turn = _about(self._surface.centre, rotation)
+            turn = turn_about(self._surface.centre, rotation)
             if rotation_error(turn, SE3.identity(), self._symmetry) < _MIRRORED:
                 continue
             if self._repeats(turn, [*known, *(a.turn for a in found)]):
@@ -130,7 +139,7 @@ class NearSymmetry:
         if axis is not None:
             tried += _round_turns(*axis)
         for rotation, text in tried:
-            turn = _about(self._surface.centre, rotation)
+            turn = turn_about(self._surface.centre, rotation)
             if rotation_error(turn, SE3.identity(), self._symmetry) < _FAR:
                 continue
             if self._repeats(turn, [a.turn for a in found]):
@@ -147,7 +156,7 @@ class NearSymmetry:
         """The axis about which the mesh is a surface of revolution, if there is one."""
         for basis, names in self._bases:
             for k in range(3):
-                turns = [_about(self._surface.centre, so3_exp(basis[k] * np.deg2rad(a)))
+                turns = [turn_about(self._surface.centre, so3_exp(basis[k] * np.deg2rad(a)))
                          for a in (20, 37, 45, 90)]  # fmt: skip
                 if max(self._aligned(t, steps=0)[1] for t in turns) <= 0.6 * _DISTANCE:
                     return basis[k], names[k]
@@ -160,25 +169,17 @@ class NearSymmetry:
         rough = np.linalg.norm(self._surface.closest(few)[0] - few, axis=1)
         if np.percentile(rough, 90) > _HOPELESS * self._size:
             return turn, float("inf")
-        for _ in range(steps):
-            p = turn @ self._points
-            nearest, normal = self._surface.closest(p)
-            gap = ((nearest - p) * normal).sum(axis=1)
-            spread = max(1.4826 * float(np.median(np.abs(gap))), 1e-6)
-            weight = 1 / (1 + (gap / (2 * spread)) ** 2)
-            q = p - self._surface.centre
-            J = np.hstack([normal, np.cross(q, normal)])
-            size = np.array([1.0] * 3 + [1 / self._surface.radius] * 3)
-            J = J * size
-            # A surface of revolution leaves some directions free: a weak prior keeps them.
-            A = (J * weight[:, None]).T @ J + 0.02 * weight.sum() * np.eye(6)
-            xi = size * np.linalg.solve(A, (J * weight[:, None]).T @ gap)
-            centre = self._surface.centre
-            step = SE3(so3_exp(xi[3:]), xi[:3] + centre - so3_exp(xi[3:]) @ centre)
-            turn = step @ turn
+        turn = align_turn(
+            turn,
+            self._points,
+            self._surface.closest,
+            centre=self._surface.centre,
+            radius=self._surface.radius,
+            steps=steps,
+        )
         moved = np.linalg.norm(turn @ self._surface.centre - start @ self._surface.centre)
         turned = rotation_error(turn, start)
-        if moved > limit or turned > _SAME_AXIS:
+        if moved > limit or turned > SAME_AXIS:
             return start, float("inf")
         there, back = turn @ self._points, turn.inverse() @ self._points
         gaps = np.concatenate(
@@ -194,66 +195,7 @@ class NearSymmetry:
         return bool((masks[0] & masks[1]).sum() >= least * max(union, 1))
 
 
-def _spread_points(vertices: Array, faces: NDArray[np.integer]) -> Array:
-    """(N, 3) points spread over the surface by its area; the same at every call."""
-    corners = vertices[faces]
-    area = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
-    total = np.cumsum(area)
-    if total[-1] <= 0:
-        return vertices[np.unique(faces)][:_POINTS]
-    random = np.random.default_rng(0)
-    at = (np.arange(_POINTS) + random.random(_POINTS)) / _POINTS * total[-1]
-    face = np.minimum(np.searchsorted(total, at), len(faces) - 1)
-    a, b = random.random((2, _POINTS))
-    flip = a + b > 1
-    a[flip], b[flip] = 1 - a[flip], 1 - b[flip]
-    p = corners[face]
-    return np.asarray(p[:, 0] + a[:, None] * (p[:, 1] - p[:, 0]) + b[:, None] * (p[:, 2] - p[:, 0]))
-
-
-_Basis = tuple[Array, tuple[str, str, str]]
-
-
-def _bases(points: Array) -> list[_Basis]:
-    """Sets of three axes to turn about: those of the mesh, and its principal ones if they differ.
-
-    The principal axes of each pair of mesh axes are tried as well: a bottle stands upright in its
-    mesh frame but may look anywhere.
-    """
-    found: list[_Basis] = [(np.eye(3), ("x", "y", "z"))]
-    centred = points - (points.min(axis=0) + points.max(axis=0)) / 2
-    _, _, principal = np.linalg.svd(centred, full_matrices=False)
-    candidates = [principal]
-    for k in range(3):
-        i, j = (m for m in range(3) if m != k)
-        _, _, flat = np.linalg.svd(centred[:, [i, j]], full_matrices=False)
-        axes = np.zeros((3, 3))
-        axes[:2, i], axes[:2, j], axes[2, k] = flat[:, 0], flat[:, 1], 1.0
-        candidates.append(axes)
-    for axes in candidates:
-        if any(_same_axes(axes, known) for known, _ in found):
-            continue
-        names = tuple(_axis_name(a) for a in axes)
-        found.append((axes, names))  # type: ignore[arg-type]
-    return found
-
-
-def _same_axes(a: Array, b: Array) -> bool:
-    """Whether two sets of axes hold the same lines."""
-    return bool((np.abs(a @ b.T).max(axis=1) > np.cos(_SAME_AXIS)).all())
-
-
-def _axis_name(axis: Array) -> str:
-    k = int(np.argmax(np.abs(axis)))
-    if abs(axis[k]) > np.cos(_SAME_AXIS):
-        return "xyz"[k]
-    axis = axis if axis[k] > 0 else -axis
-    return "the axis (" + ", ".join(f"{x + 0.0:.2f}" for x in axis) + ")"
-
-
-def _cube_turns(bases: Sequence[_Basis]) -> list[tuple[Array, str]]:
+def _cube_turns(bases: Sequence[Basis]) -> list[tuple[Array, str]]:
     """Half turns, quarter turns, then the other turns of a cube, with their words."""
     found = []
     for basis, names in bases:
@@ -282,15 +224,11 @@ def _round_turns(axis: Array, name: str) -> list[tuple[Array, str]]:
         found.append((R, f"turned by {degrees} deg about {name}"))
     over = so3_exp(across * np.pi)
     for degrees in range(0, 360, _ROUND_STEP_DEG):
-        text = f"turned by 180 deg about {_axis_name(across)}"
+        text = f"turned by 180 deg about {axis_name(across)}"
         if degrees:
             text += f", then {degrees} deg about {name}"
         found.append((so3_exp(axis * np.deg2rad(degrees)) @ over, text))
     return found
-
-
-def _about(centre: Array, R: Array) -> SE3:
-    return SE3(R, centre - R @ centre)
 
 
 def _silhouette(surface: ObjectSurface, T_cam_obj: SE3) -> NDArray[np.bool_]:

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import load_mesh, mesh_bounds
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry.symmetry import symmetry_words
 from std_toolkit.labels import label, pnp, pose_image, posefile, symmetry_argument
+from std_toolkit.log import logger
 from std_toolkit.options import LabelCommand
 from std_toolkit.scene import Frame, Scene, SymmetryModel
 from std_toolkit.scene.document import check_name, safe_name
 from std_toolkit.scene.frame_names import frame_title
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 def run_label_command(scene: Scene, command: LabelCommand) -> Iterator[str]:
@@ -82,6 +88,7 @@ def _enter_object(
         model_id = model.id
         size = " x ".join(f"{x * 1000:.1f}" for x in model.size_m)
         yield f"model {model.id}: {size} mm, diameter {model.diameter_m * 1000:.1f} mm"
+        yield from _symmetry_lines(scene.mesh(model.id), command, model.symmetry)
     elif command.category is not None or symmetry is not None:
         raise ToolkitError(
             "category and symmetry are properties of a model", hint="give them together with --mesh"
@@ -91,6 +98,22 @@ def _enter_object(
         material = command.material or (known.material if known is not None else "diffuse")
         obj = label.add_object(scene, command.object, model=model_id, material=material)
         yield f"object {obj.name}: id {obj.id}, model {obj.model}, {obj.material}"
+
+
+def _symmetry_lines(
+    mesh: trimesh.Trimesh, command: LabelCommand, symmetry: SymmetryModel
+) -> Iterator[str]:
+    """Offer the symmetry of a mesh, or check the declared one."""
+    if command.symmetry is not None and "auto" in command.symmetry:
+        yield f"symmetry: {symmetry_words(symmetry.symmetry())}"
+    elif command.symmetry is not None:
+        doubt = symmetry_argument.symmetry_doubt(mesh, symmetry)
+        if doubt is not None:
+            logger.warning("model symmetry: %s", doubt)
+    elif symmetry == SymmetryModel():
+        proposal = symmetry_argument.symmetry_proposal(mesh)
+        if proposal is not None:
+            yield f"symmetry: none entered, but {proposal} (--symmetry auto enters the latter)"
 
 
 def _pose_of(
@@ -145,8 +168,8 @@ def _symmetry(scene: Scene, command: LabelCommand, model_id: str | None) -> Symm
         mesh = load_mesh(command.mesh, unit=command.mesh_unit)
     else:
         mesh = scene.mesh(command.model or model_id or safe_name(command.object))
-    low, high = mesh_bounds(mesh)
-    return symmetry_argument.parse_symmetry(command.symmetry, centre=((low + high) / 2).tolist())
+    centre = mesh_bounds(mesh).mean(axis=0).tolist()
+    return symmetry_argument.parse_symmetry(command.symmetry, centre=centre, mesh=mesh)
 
 
 def _pnp_lines(found: pnp.PnPResult) -> Iterator[str]:

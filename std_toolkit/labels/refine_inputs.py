@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry.surface_colors import SurfaceColors
 from std_toolkit.labels.refine.problem import RefineObject, RefineView, covariance_at
 from std_toolkit.labels.refine_step import (
     choose_keyframes,
@@ -19,7 +20,6 @@ from std_toolkit.labels.refine_step import (
     print_surface,
     scene_object,
 )
-from std_toolkit.rendering.texture import SurfaceColors
 from std_toolkit.scene.scene import Scene, require_metres
 
 if TYPE_CHECKING:

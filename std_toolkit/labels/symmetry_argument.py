@@ -4,23 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.se3 import SE3, so3_exp
+from std_toolkit.geometry.se3 import SE3, rotation_angle, so3_exp
+from std_toolkit.geometry.symmetry import Symmetry, closed_group, symmetry_words
+from std_toolkit.geometry.symmetry_search import check_symmetry, detect_symmetry
 from std_toolkit.io.documents import read_document
 from std_toolkit.scene.model import ContinuousSymmetry, SymmetryModel
 
+if TYPE_CHECKING:
+    import trimesh
+
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 SYNTAX = (
-    "none | axis:x|y|z (any turn) | fold:x|y|z:N (N equal turns) | a JSON file; "
+    "none | auto (found in the mesh) | axis:x|y|z (any turn) | fold:x|y|z:N (N equal turns) | "
+    "a JSON file; "
     "axis and fold pass through the bounding box's centre, with '@origin' through the mesh origin"
 )
 
 
-def parse_symmetry(arguments: Sequence[str], *, centre: Sequence[float]) -> SymmetryModel:
+def parse_symmetry(
+    arguments: Sequence[str], *, centre: Sequence[float], mesh: trimesh.Trimesh | None = None
+) -> SymmetryModel:
     """The symmetry that the arguments describe together.
 
     Args:
@@ -28,20 +36,24 @@ def parse_symmetry(arguments: Sequence[str], *, centre: Sequence[float]) -> Symm
             metres, as in objects.json, or BOP's {"symmetries_discrete", "symmetries_continuous"}
             in millimetres.
         centre: (3,) centre of the mesh's bounding box, metres.
+        mesh: the mesh, metres, for `auto`.
 
     Raises:
-        ToolkitError: an invalid argument, `none` together with others, or a file without a
-            symmetry.
+        ToolkitError: an invalid argument, `none` or `auto` together with others, or a file
+            without a symmetry.
     """
     discrete: list[list[float]] = []
     continuous: list[ContinuousSymmetry] = []
-    if "none" in arguments and len(set(arguments)) > 1:
+    alone = next((word for word in ("none", "auto") if word in arguments), None)
+    if alone is not None and len(set(arguments)) > 1:
         raise ToolkitError(
-            "'none' contradicts the other symmetries",
+            f"'{alone}' contradicts the other symmetries",
             field="--symmetry",
             value=" ".join(arguments),
             hint="remove one of them",
         )
+    if alone == "auto" and mesh is not None:
+        return symmetry_model(detect_symmetry(mesh).appearance)
     for text in arguments:
         if text == "none":
             continue
@@ -51,7 +63,42 @@ def parse_symmetry(arguments: Sequence[str], *, centre: Sequence[float]) -> Symm
             part = _named(text, np.asarray(centre, dtype=np.float64))
         discrete += part.discrete
         continuous += part.continuous
-    return SymmetryModel(discrete=_closed(discrete), continuous=continuous)
+    group = closed_group([SE3.from_matrix(T) for T in discrete])
+    return SymmetryModel(discrete=[T.flat() for T in group[1:]], continuous=continuous)
+
+
+def symmetry_model(symmetry: Symmetry) -> SymmetryModel:
+    """The document of a symmetry."""
+    return SymmetryModel(
+        discrete=[list(T) for T in symmetry.discrete],
+        continuous=[
+            ContinuousSymmetry(axis=list(axis), offset=list(offset))
+            for axis, offset in symmetry.continuous
+        ],
+    )
+
+
+def symmetry_proposal(mesh: trimesh.Trimesh) -> str | None:
+    """A sentence on the turns after which a mesh is the same; None if there are none."""
+    found = detect_symmetry(mesh)
+    if found.shape.is_trivial:
+        return None
+    words = symmetry_words(found.appearance)
+    if found.appearance == found.shape:
+        return f"the mesh is the same after: {words}"
+    shape = symmetry_words(found.shape)
+    return f"the mesh has the same shape after: {shape}; with its colours: {words}"
+
+
+def symmetry_doubt(mesh: trimesh.Trimesh, symmetry: SymmetryModel) -> str | None:
+    """A sentence if the mesh is not the same after a declared turn; None if it is."""
+    found = check_symmetry(mesh, symmetry.symmetry())
+    if found is None or found.fits:
+        return None
+    return (
+        f"a declared turn of {np.rad2deg(rotation_angle(found.turn.R)):.0f} deg moves the surface "
+        f"by {1000 * found.distance_m:.1f} mm (95 % of it by less)"
+    )
 
 
 def read_symmetry_file(path: Path) -> SymmetryModel:
@@ -114,34 +161,3 @@ def _named(text: str, centre: np.ndarray) -> SymmetryModel:
         R = so3_exp(axis * (2 * np.pi * k / int(count)))
         turns.append(SE3(R, point - R @ point).flat())
     return SymmetryModel(discrete=turns)
-
-
-def _closed(discrete: list[list[float]]) -> list[list[float]]:
-    """The group that the transforms generate, without the identity.
-
-    Two half turns about x and y imply the one about z; without it, a correct pose would count as
-    wrong.
-    """
-    group = [SE3.identity()]
-    generators = [SE3.from_matrix(T) for T in discrete]
-    frontier = list(group)
-    while frontier:
-        fresh = []
-        for a in frontier:
-            for b in generators:
-                product = a @ b
-                if not any(_same(product, g) for g in group):
-                    group.append(product)
-                    fresh.append(product)
-        if len(group) > 400:
-            raise ToolkitError(
-                "the discrete symmetries do not form a finite group",
-                field="symmetry",
-                hint="give a continuous symmetry as axis:x|y|z",
-            )
-        frontier = fresh
-    return [g.flat() for g in group[1:]]
-
-
-def _same(a: SE3, b: SE3) -> bool:
-    return bool(np.abs(a.R - b.R).max() < 1e-3 and np.abs(a.t - b.t).max() < 1e-4)

@@ -19,6 +19,7 @@ from std_toolkit.io.atomic import scene_lock
 from std_toolkit.labels.label import copy_model
 from std_toolkit.scene import ObjectTable, Scene
 from std_toolkit.scene.document import Document, safe_name
+from std_toolkit.scene.model import SymmetryModel
 
 if TYPE_CHECKING:
     from std_toolkit.labels.print import PrintComparison
@@ -111,7 +112,7 @@ class ImportMesh(Request, frozen=True, kw_only=True, tag="import_mesh"):
         category: category such as "mug".
         model: id of the model; default: from the file's name, or from its folder's for names such
             as "textured", with a number if another mesh has that id.
-        symmetry: as for the command line: "axis:z", "fold:z:4", a JSON file; default: none.
+        symmetry: as for the command line: "auto", "axis:z", "fold:z:4", a JSON file; default: none.
         faces: decimate a mesh of more faces to this number; its texture becomes vertex colours.
     """
 
@@ -133,7 +134,7 @@ class ImportMesh(Request, frozen=True, kw_only=True, tag="import_mesh"):
     def import_as(self, name: str, snapshot: Snapshot) -> Outcome:
         """As `resolve`, with another default for the id than the file's name."""
         from std_toolkit.geometry.mesh import load_mesh, mesh_bounds
-        from std_toolkit.labels.symmetry_argument import parse_symmetry
+        from std_toolkit.labels.symmetry_argument import parse_symmetry, symmetry_proposal
 
         if not snapshot.writable:
             raise ToolkitError("the scene is open read-only", path=snapshot.scene.root)
@@ -145,7 +146,7 @@ class ImportMesh(Request, frozen=True, kw_only=True, tag="import_mesh"):
             except ToolkitError as error:
                 raise _plain_hint(error) from error
             centre = mesh_bounds(mesh).mean(axis=0).tolist()
-            symmetry = parse_symmetry(self.symmetry, centre=centre)
+            symmetry = parse_symmetry(self.symmetry, centre=centre, mesh=mesh)
         # Locked, because another process removes temporary files while it writes.
         with scene_lock(snapshot.scene.root):
             try:
@@ -164,7 +165,12 @@ class ImportMesh(Request, frozen=True, kw_only=True, tag="import_mesh"):
                 raise _plain_hint(error) from error
         size = " x ".join(f"{x * 1000:.1f}" for x in model.size_m)
         line = f"model {model.id}: {size} mm, diameter {model.diameter_m * 1000:.1f} mm"
-        return Outcome(EnterModel(model=model), [line])
+        report = [line]
+        if model.symmetry == SymmetryModel():
+            proposal = symmetry_proposal(load_mesh(snapshot.scene.root / model.mesh))
+            if proposal is not None:
+                report.append(f"{proposal}: Symmetry... enters it")
+        return Outcome(EnterModel(model=model), report)
 
 
 def _known(snapshot: Snapshot) -> ObjectTable:

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import Camera, Symmetry, rotation_angle, undistort_image
 from std_toolkit.geometry.se3 import SE3, skew
+from std_toolkit.geometry.surface_colors import SurfaceColors
 from std_toolkit.labels.refine.object_surface import ObjectSurface, surface_of
-from std_toolkit.rendering.texture import SurfaceColors, TexturedSurface
+from std_toolkit.rendering.texture import TexturedSurface
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 
 # Called with the completed fraction, 0 to 1, never decreasing. To cancel the computation, raise an

@@ -116,6 +116,7 @@ def test_a_number_out_of_its_range_is_refused(asker: Asker) -> None:
     "chosen, words",
     [
         ("keep", None),
+        ("auto", ["auto"]),
         ("none", ["none"]),
         ("axis:y", ["axis:y"]),
         ("box", ["fold:x:2", "fold:y:2", "fold:z:2"]),

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry.surface_colors import SurfaceColors
 from std_toolkit.io.images import read_color, read_depth
 from std_toolkit.labels.refine.caster import WorldCaster
 from std_toolkit.labels.refine.depth.observed import fit_background, plane_depth
 from std_toolkit.labels.refine.problem import RefineObject, RefineView
 from std_toolkit.labels.symmetry_argument import parse_symmetry
-from std_toolkit.rendering.texture import SurfaceColors, TexturedSurface
+from std_toolkit.rendering.texture import TexturedSurface
 
 CAMERA = Camera(640, 480, 618.0172729492188, 618.0033569335938, 312.376953125, 232.37530517578125)
 # Shapes that look the same turned: cans, bowl and marker about their axis; the wood block is a

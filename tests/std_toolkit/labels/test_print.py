@@ -13,11 +13,12 @@ from PIL import Image
 from realsense_ycb import load_frame, print_of
 
 from std_toolkit.geometry import SE3, Camera, Symmetry, rotation_error, so3_exp
+from std_toolkit.geometry.surface_colors import SurfaceColors
 from std_toolkit.labels.alternatives import NearSymmetry
 from std_toolkit.labels.print import PrintComparison, judge_print
 from std_toolkit.labels.refine.edges.solver import refine_poses
 from std_toolkit.labels.refine.problem import RefineObject, RefineOptions, RefineView
-from std_toolkit.rendering.texture import SurfaceColors, TexturedSurface
+from std_toolkit.rendering.texture import TexturedSurface
 
 CAMERA = Camera(320, 240, 420.0, 420.0, 159.5, 119.5)
 SIZE = np.array([0.12, 0.05, 0.18])

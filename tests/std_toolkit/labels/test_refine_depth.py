@@ -12,13 +12,13 @@ from tiny_camera import camera_pose
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3, so3_exp
+from std_toolkit.geometry.surface_colors import SurfaceColors
 from std_toolkit.geometry.symmetry import Symmetry, mssd
 from std_toolkit.labels.refine.depth.depth_steps import measure_depth
 from std_toolkit.labels.refine.depth.icp import DepthFitOptions, refine_on_depth
 from std_toolkit.labels.refine.depth.observed import fit_background, observe, plane_depth
 from std_toolkit.labels.refine.depth.pose_search import DepthCost
 from std_toolkit.labels.refine.problem import RefineObject, covariance_at
-from std_toolkit.rendering.texture import SurfaceColors
 
 BOX = mesh_object(
     trimesh.creation.box((0.08, 0.05, 0.1)),

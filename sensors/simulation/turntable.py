@@ -1,0 +1,433 @@
+"""Photos of a mesh that stands on the printed board, with their ground truth.
+
+The world is the frame of the board: z up, the table at z = 0. On a turntable, board and object turn
+before a camera at rest; in their frame, camera and surroundings turn around them.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import msgspec
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from sensors.lighting.environment import read_environment
+from sensors.lighting.environment_sources import studio_map
+from sensors.materials.material_draw import DrawnMaterial, DrawnTexture, Glass, draw_material
+from sensors.render.color_image import ColorResponse, denoise, develop
+from sensors.render.sim_renderer import SIM_RENDERERS, LoadedScene, RenderOptions
+from sensors.render.sim_scene import SceneObject, SimScene, SurfaceMesh, TruthCaster
+from sensors.simulation.options import TurntableOptions
+from sensors.viewpoints.views import look_at
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3, Camera, so3_exp
+from std_toolkit.geometry.mesh import load_mesh, mesh_bounds
+from std_toolkit.geometry.obj_texture import CORNER_UV
+from std_toolkit.importers.foreign_files import write_mesh
+from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.images import write_color, write_png
+from std_toolkit.jobs import JobOptions, run_jobs
+from std_toolkit.poses.board_sheet import BoardSheet, make_board_sheet
+from std_toolkit.scene.model import CameraModel
+
+OBJECT_ID = 1
+
+# The sheet lies on the table and the object on the sheet, with gaps that no photo shows: surfaces
+# in one place would flicker.
+_GAP_M = 1e-4
+
+_TABLE_HALF_M = 1.2
+_PLATTER_M = 0.24
+
+# Part of the image's height that the object may cover, and the nearest distance of the camera.
+_COVERED, _NEAREST_M = 0.72, 0.33
+
+_BOARD_PX_PER_MM = 3.2
+
+# Blurred copies of an image, standard deviations in pixels; between them is interpolated.
+_BLURS = (0.0, 0.6, 1.2, 2.4, 4.8, 9.6)
+
+# A hand's deviation from the circle, and of the point that it looks at.
+_SWAY_M, _DRIFT_M, _ROLL_RAD = 0.008, 0.006, 0.03
+
+_BEGUN = "turntable.json"
+
+
+class TurntableTruth(msgspec.Struct, frozen=True, kw_only=True):
+    """truth/cameras.json. World: the frame of the board, z up, the table at z = 0, metres.
+
+    Attributes:
+        camera: intrinsics of all photos; no distortion.
+        photos: file names.
+        T_world_cam: 16 numbers row-major for each photo.
+        T_world_obj: pose of truth/mesh.ply.
+    """
+
+    camera: CameraModel
+    photos: list[str]
+    T_world_cam: list[list[float]]
+    T_world_obj: list[float]
+
+    def pose(self, index: int) -> SE3:
+        """T_world_cam of a photo."""
+        return SE3.from_matrix(self.T_world_cam[index])
+
+
+def read_turntable_truth(folder: Path) -> TurntableTruth:
+    """Ground truth of a folder that `make_turntable` wrote."""
+    return read_document(folder / "truth/cameras.json", TurntableTruth)
+
+
+def make_turntable(options: TurntableOptions) -> tuple[int, float]:
+    """Photograph a mesh; see `TurntableOptions`.
+
+    Photos that exist are kept: a run that was killed continues.
+
+    Returns:
+        Number of photos made and the seconds that they took.
+
+    Raises:
+        ToolkitError: an unusable mesh or map, a folder with other options, or no renderer.
+    """
+    _begin(options)
+    table = _Turntable(options)
+    missing = [i for i in range(options.views) if not table.photo(i).exists()]
+    start = time.monotonic()
+    if missing:
+        table.load()
+        run_jobs(
+            partial(_photograph, table),
+            missing,
+            name="photos",
+            key=lambda i: table.photo(i).name,
+            options=JobOptions(engine="serial"),
+        ).raise_if_failed()
+    return len(missing), time.monotonic() - start
+
+
+def _photograph(table: _Turntable, index: int) -> None:
+    table.photograph(index)
+
+
+class _Turntable:
+    """Object, board, cameras and light of one folder."""
+
+    def __init__(self, options: TurntableOptions) -> None:
+        self._o = options
+        mesh = load_mesh(options.mesh, unit=options.mesh_unit)
+        self.T_world_obj = _standing(mesh, options)
+        self.sheet = make_board_sheet(options.paper)
+        focal = options.width / 2 / np.tan(np.deg2rad(options.fov_deg) / 2)
+        self.camera = Camera(
+            fx=float(focal),
+            fy=float(focal),
+            cx=(options.width - 1) / 2,
+            cy=(options.height - 1) / 2,
+            width=options.width,
+            height=options.height,
+        )
+        corners = self.T_world_obj @ mesh.vertices
+        self._top = float(corners[:, 2].max())
+        self._radius = float(np.linalg.norm(corners - [0, 0, self._top / 2], axis=1).max())
+        self.poses, self._turns = self._cameras()
+        self._mesh = mesh
+        self._environment = (
+            studio_map(options.seed + 1)
+            if options.environment is None
+            else read_environment(options.environment)
+        )
+        self._write_truth()
+
+    def photo(self, index: int) -> Path:
+        return self._o.out / f"photos/{index:03d}.jpg"
+
+    def load(self) -> None:
+        """Prepare renderer and scene."""
+        floor, sheet = self._table(), _sheet_object(self.sheet)
+        self._floor = floor
+        material = _material(self._o)
+        item = _scene_object(self._mesh, material, self.T_world_obj)
+        scene = SimScene((floor, sheet, item), self._environment)
+        self._caster = TruthCaster(scene)
+        self._scene: LoadedScene = SIM_RENDERERS.get("mitsuba")().load(scene)
+        self._exposure: float | None = None
+
+    def photograph(self, index: int) -> None:
+        """Render, develop and write one photo with its mask."""
+        o, pose = self._o, self.poses[index]
+        if o.motion == "turntable":
+            self._scene.change(self._environment, self._turns[index], self._floor)
+        light = self._scene.color(
+            self.camera,
+            pose,
+            ambient=1.0,
+            options=RenderOptions(samples=o.samples, chunk=0, max_depth=12),
+            seed=o.seed * 10_007 + index,
+        )
+        maps = self._caster.maps(self.camera, pose)
+        radiance = denoise(light)
+        middle = pose.inverse() @ np.array([0, 0, self._top / 2])
+        radiance = _defocus(
+            radiance, maps.depth, float(middle[2]), self.camera.fx * o.aperture_mm / 1000
+        )
+        image, _ = develop(
+            radiance,
+            rng=np.random.default_rng([o.seed, index]) if o.noise > 0 else None,
+            exposure=self._fixed_exposure(),
+            response=ColorResponse(gain=o.noise),
+        )
+        mask = np.where(maps.mask == OBJECT_ID, 255, 0).astype(np.uint8)
+        write_png(o.out / f"truth/masks/{index:03d}.png", mask)
+        # Last: a photo that exists is complete.
+        write_color(self.photo(index), image)
+
+    def _fixed_exposure(self) -> float:
+        """The exposure of all photos, that of the first as a phone with a locked exposure has."""
+        if self._exposure is None:
+            small = Camera(
+                fx=self.camera.fx / 8,
+                fy=self.camera.fy / 8,
+                cx=(self.camera.width // 8 - 1) / 2,
+                cy=(self.camera.height // 8 - 1) / 2,
+                width=self.camera.width // 8,
+                height=self.camera.height // 8,
+            )
+            levels = []
+            for pose in self.poses[:: max(1, len(self.poses) // 4)]:
+                light = self._scene.color(
+                    small, pose, ambient=1.0, options=RenderOptions(samples=8, chunk=0), seed=1
+                )
+                levels.append(develop(light.radiance)[1])
+            self._exposure = float(np.median(levels))
+        return self._exposure
+
+    def _cameras(self) -> tuple[list[SE3], list[float]]:
+        """T_world_cam of the photos, and the turn of the surroundings in each."""
+        o = self._o
+        rng = np.random.default_rng([o.seed, 77])
+        size = self._radius / (_COVERED * o.height / 2) * self.camera.fy
+        distance = max(_NEAREST_M, size)
+        poses, turns = [], []
+        lower = (o.views + 1) // 2
+        hand = 1.0 if o.motion == "walk" else 0.0
+        for index in range(o.views):
+            ring, count = (0, lower) if index < lower else (1, o.views - lower)
+            azimuth = 2 * np.pi * ((index - ring * lower) + 0.5 * ring) / max(count, 1)
+            elevation = np.deg2rad(o.elevations_deg[ring])
+            sway, drift = rng.normal(size=3) * _SWAY_M, rng.normal(size=3) * _DRIFT_M
+            target = np.array([0, 0, 0.45 * self._top]) + hand * drift
+            away = np.array(
+                [
+                    np.cos(elevation) * np.cos(azimuth),
+                    np.cos(elevation) * np.sin(azimuth),
+                    np.sin(elevation),
+                ]
+            )
+            pose = look_at(target + distance * away + hand * sway, target)
+            roll = hand * float(rng.normal()) * _ROLL_RAD
+            poses.append(pose @ SE3(so3_exp(np.array([0.0, 0.0, roll])), np.zeros(3)))
+            turns.append(float(azimuth) if o.motion == "turntable" else 0.0)
+        return poses, turns
+
+    def _table(self) -> SceneObject:
+        o = self._o
+        rng = np.random.default_rng([o.seed, 5])
+        wood = draw_material(rng, "diffuse", name="wood_oak")
+        half = _TABLE_HALF_M
+        if o.motion == "turntable":
+            angle = np.linspace(0, 2 * np.pi, 97)[:-1]
+            rim = _PLATTER_M * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+            vertices = np.vstack([np.zeros(3), rim])
+            around = np.arange(1, 97)
+            faces = np.stack([0 * around, around, np.roll(around, -1)], axis=1)
+        else:
+            vertices = half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
+            faces = np.array([[0, 1, 2], [0, 2, 3]])
+        return SceneObject(
+            0,
+            SurfaceMesh(vertices, faces),
+            SE3(np.eye(3), np.array([0, 0, -2 * _GAP_M])),
+            wood,
+        )
+
+    def _write_truth(self) -> None:
+        out = self._o.out
+        text = json.dumps(self.sheet.document(), indent=1)
+        write_bytes_atomic(out / "board.json", text.encode() + b"\n")
+        bare = trimesh.Trimesh(self._mesh.vertices, self._mesh.faces, process=False)
+        write_mesh(out / "truth/mesh.ply", bare)
+        write_document(
+            out / "truth/cameras.json",
+            TurntableTruth(
+                camera=CameraModel.of(self.camera),
+                photos=[self.photo(i).name for i in range(self._o.views)],
+                T_world_cam=[p.flat() for p in self.poses],
+                T_world_obj=self.T_world_obj.flat(),
+            ),
+        )
+
+
+def _standing(mesh: Any, options: TurntableOptions) -> SE3:
+    """T_world_obj of the mesh on the middle of the board."""
+    to_z = {
+        "x": so3_exp(np.array([0, -np.pi / 2, 0])),
+        "y": so3_exp(np.array([np.pi / 2, 0, 0])),
+        "z": np.eye(3),
+    }
+    R = to_z[options.up]
+    if options.flipped:
+        R = so3_exp(np.array([np.pi, 0, 0])) @ R
+    turned = mesh.copy()
+    turned.vertices = mesh.vertices @ R.T
+    low, high = mesh_bounds(turned)
+    middle = (low + high) / 2
+    return SE3(R, np.array([-middle[0], -middle[1], _GAP_M - low[2]]))
+
+
+def _material(options: TurntableOptions) -> DrawnMaterial:
+    rng = np.random.default_rng([options.seed, 9])
+    if options.material == "glass":
+        return DrawnMaterial(
+            name="glass_clear",
+            material_class="transparent",
+            color=(0.97, 0.985, 0.98),
+            own_share=0.0,
+            glass=Glass(ior=1.5, roughness=0.0, transmission=0.95, bend=1.0),
+        )
+    if options.material == "steel":
+        return draw_material(rng, "specular", name="steel_polished")
+    if options.material == "sprayed":
+        # Titanium dioxide: bright, rough, with a slight grain.
+        return DrawnMaterial(
+            name="sprayed",
+            material_class="diffuse",
+            color=(0.72, 0.72, 0.71),
+            own_share=0.0,
+            roughness=0.95,
+            specular=0.1,
+            texture=DrawnTexture(kind="grain", tile_m=0.05, contrast=0.06, seed=options.seed),
+        )
+    return DrawnMaterial(
+        name="raw",
+        material_class="raw",
+        color=(0.5, 0.5, 0.5),
+        own_share=1.0,
+        roughness=0.6,
+        specular=0.25,
+    )
+
+
+def _scene_object(mesh: Any, material: DrawnMaterial, T_world_obj: SE3) -> SceneObject:
+    """The mesh with its own texture or colours."""
+    vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
+    visual = mesh.visual
+    texture, uv, color = None, None, (0.5, 0.5, 0.5)
+    if visual.kind == "texture":
+        picture = getattr(visual.material, "image", None) or getattr(
+            visual.material, "baseColorTexture", None
+        )
+        corners = np.asarray(mesh.face_attributes.get(CORNER_UV, ()))
+        if picture is not None:
+            texture = np.asarray(picture.convert("RGB"), np.uint8)
+            # A corner each: at seams, one vertex has several coordinates.
+            uv = (
+                corners.reshape(-1, 2)
+                if len(corners) == len(faces)
+                else np.asarray(visual.uv)[faces].reshape(-1, 2)
+            )
+            vertices = vertices[faces].reshape(-1, 3)
+            faces = np.arange(len(vertices)).reshape(-1, 3)
+    elif visual.defined:
+        rgb = np.asarray(visual.vertex_colors, np.float64)[:, :3].mean(axis=0) / 255
+        color = tuple(float(c) ** 2.2 for c in rgb)
+    return SceneObject(
+        OBJECT_ID,
+        SurfaceMesh(vertices, faces, uv),
+        T_world_obj,
+        material,
+        texture=texture,
+        color=color,
+    )
+
+
+def _sheet_object(sheet: BoardSheet) -> SceneObject:
+    width, height = (v / 1000 for v in sheet.paper_mm)
+    vertices = np.array(
+        [[-width, -height, 0], [width, -height, 0], [width, height, 0], [-width, height, 0]]
+    )
+    grey = sheet.picture(_BOARD_PX_PER_MM)
+    # Ink is not black and paper not white.
+    grey = np.rint(28 + grey.astype(np.float64) * (238 - 28) / 255).astype(np.uint8)
+    return SceneObject(
+        2,
+        SurfaceMesh(
+            vertices / 2,
+            np.array([[0, 1, 2], [0, 2, 3]]),
+            np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]),
+        ),
+        SE3(np.eye(3), np.array([0, 0, -_GAP_M / 2])),
+        DrawnMaterial(
+            name="raw",
+            material_class="raw",
+            color=(0.5, 0.5, 0.5),
+            own_share=1.0,
+            roughness=0.8,
+            specular=0.2,
+        ),
+        texture=np.repeat(grey[..., None], 3, axis=2),
+    )
+
+
+def _defocus(
+    radiance: NDArray[np.float32], depth: NDArray[np.float32], focus_m: float, opening_px: float
+) -> NDArray[np.float32]:
+    """Blur by the circle of confusion at every pixel's depth.
+
+    Args:
+        opening_px: diameter of the lens opening times the focal length in pixels, m px.
+    """
+    if opening_px <= 0:
+        return radiance
+    z = np.where(depth > 0, depth, 10.0)
+    # A disc of diameter c has the standard deviation c / 4 along an axis.
+    sigma = opening_px * np.abs(1 / z - 1 / focus_m) / 4
+    sigma = np.asarray(cv2.GaussianBlur(sigma, (0, 0), 1.5), np.float64)
+    copies = [radiance, *(np.asarray(cv2.GaussianBlur(radiance, (0, 0), s)) for s in _BLURS[1:])]
+    level = np.interp(sigma, _BLURS, np.arange(len(_BLURS)))
+    out = np.zeros(radiance.shape, np.float32)
+    for k in range(len(_BLURS)):
+        weight = np.clip(1 - np.abs(level - k), 0, 1)
+        out += copies[k] * weight[..., None].astype(np.float32)
+    return out
+
+
+def _begin(options: TurntableOptions) -> None:
+    """Refuse a folder that was begun with other options."""
+    path = options.out / _BEGUN
+    values = msgspec.to_builtins(asdict(options), enc_hook=str)
+    wanted = {k: v for k, v in values.items() if k != "out"}
+    if path.exists():
+        begun = read_document(path, dict[str, Any])
+        if begun != json.loads(json.dumps(wanted)):
+            raise ToolkitError(
+                "photos with other options were begun here",
+                path=path,
+                hint="choose another folder, or remove this one",
+            )
+        return
+    if options.out.is_dir() and any(options.out.iterdir()):
+        raise ToolkitError(
+            "the folder holds something else than photos of a turntable",
+            path=options.out,
+            hint="choose another folder, or remove this one",
+        )
+    write_bytes_atomic(path, json.dumps(wanted, indent=1).encode() + b"\n")

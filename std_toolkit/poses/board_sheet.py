@@ -1,0 +1,220 @@
+"""A printable board: tags around a free middle for the object, as PDF with its description.
+
+The frame of the board: origin in the middle of the sheet, x to the right, y up the sheet, z out of
+the paper, so that an object that stands on the sheet has z upwards.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import write_bytes_atomic
+
+Paper = Literal["a4", "a3"]
+
+PAPER_MM: dict[Paper, tuple[float, float]] = {"a4": (210.0, 297.0), "a3": (297.0, 420.0)}
+
+DICTIONARY = "DICT_APRILTAG_36h11"
+
+# Printers leave a border blank.
+_MARGIN_MM = 9.0
+
+# Width of a tag in parts of the distance between tags: the white gap is one and a half cells.
+_TAG_SHARE = 0.84
+
+# Cells of a tag across, its black border included.
+_CELLS = 8
+
+_RULER_MM = 100.0
+
+_PT = 72 / 25.4
+
+
+@dataclass(frozen=True)
+class BoardSheet:
+    """Tags on a sheet of paper.
+
+    Attributes:
+        paper_mm: width and height of the sheet.
+        tag_mm: edge of a tag with its black border.
+        places: (id, x, y) of the tags' centres, millimetres from the middle of the sheet.
+    """
+
+    paper_mm: tuple[float, float]
+    tag_mm: float
+    places: tuple[tuple[int, float, float], ...]
+
+    @property
+    def free_mm(self) -> tuple[float, float]:
+        """Width and height of the free middle."""
+        inner = [2 * max(abs(place[k]) for place in self.places) - self.tag_mm for k in (1, 2)]
+        return inner[0], inner[1]
+
+    def document(self) -> dict[str, object]:
+        """The board's JSON: corners of each tag in millimetres, in OpenCV's order."""
+        half = self.tag_mm / 2
+        corners = {
+            str(i): [
+                [round(x + a * half, 4), round(y + b * half, 4), 0.0]
+                for a, b in ((-1, 1), (1, 1), (1, -1), (-1, -1))
+            ]
+            for i, x, y in self.places
+        }
+        return {"dictionary": DICTIONARY, "paper_mm": list(self.paper_mm), **corners}
+
+    def cells(self) -> list[tuple[float, float, float, float]]:
+        """Black rectangles (x, y, width, height), mm from the middle, runs of cells as one."""
+        rectangles = []
+        cell = self.tag_mm / _CELLS
+        for number, x, y in self.places:
+            black = _tag(number) < 128
+            for row in range(_CELLS):
+                start = 0
+                while start < _CELLS:
+                    end = start
+                    while end < _CELLS and black[row, end]:
+                        end += 1
+                    if end > start:
+                        left = x - self.tag_mm / 2 + start * cell
+                        low = y + self.tag_mm / 2 - (row + 1) * cell
+                        rectangles.append((left, low, (end - start) * cell, cell))
+                    start = end + 1
+        return rectangles
+
+    def picture(self, px_per_mm: float) -> NDArray[np.uint8]:
+        """(h, w) grey image of the printed sheet without its text."""
+        width, height = (round(v * px_per_mm) for v in self.paper_mm)
+        image = np.full((height, width), 255, np.uint8)
+        for x, y, w, h in self.cells():
+            left, right = ((self.paper_mm[0] / 2 + v) * px_per_mm for v in (x, x + w))
+            top, low = ((self.paper_mm[1] / 2 - v) * px_per_mm for v in (y + h, y))
+            image[round(top) : round(low), round(left) : round(right)] = 0
+        return image
+
+
+def make_board_sheet(paper: Paper = "a4", *, first_id: int = 0) -> BoardSheet:
+    """Tags along the four edges of a sheet.
+
+    Args:
+        paper: size of the sheet.
+        first_id: smallest id, where several boards are in use.
+
+    Raises:
+        ToolkitError: an unknown size, or ids beyond those of the dictionary.
+    """
+    if paper not in PAPER_MM:
+        raise ToolkitError(
+            "unknown paper", field="paper", value=paper, hint=f"one of {', '.join(PAPER_MM)}"
+        )
+    width, height = PAPER_MM[paper]
+    columns = 6
+    pitch = (width - 2 * _MARGIN_MM) / columns
+    # The last line of the sheet holds the ruler.
+    rows = int((height - 2 * _MARGIN_MM - 6) / pitch)
+    x = (np.arange(columns) - (columns - 1) / 2) * pitch
+    y = ((rows - 1) / 2 - np.arange(rows)) * pitch
+    edge = [(i, j) for j in range(rows) for i in range(columns)
+            if i in (0, columns - 1) or j in (0, rows - 1)]  # fmt: skip
+    known = _dictionary().bytesList.shape[0]
+    if not 0 <= first_id <= known - len(edge):
+        raise ToolkitError(
+            f"the dictionary has {known} tags and the board {len(edge)}",
+            field="first_id",
+            value=first_id,
+        )
+    places = tuple((first_id + n, float(x[i]), float(y[j])) for n, (i, j) in enumerate(edge))
+    return BoardSheet((width, height), round(_TAG_SHARE * pitch, 1), places)
+
+
+def write_board_pdf(path: Path, *, paper: Paper = "a4", first_id: int = 0) -> tuple[Path, Path]:
+    """Write a board as PDF, drawn in exact millimetres, and its description beside it.
+
+    Args:
+        path: the PDF; the description has the same name with the suffix .json.
+        paper, first_id: see `make_board_sheet`.
+
+    Returns:
+        Both files.
+
+    Raises:
+        ToolkitError: the suffix is not .pdf, or see `make_board_sheet`.
+    """
+    if path.suffix.lower() != ".pdf":
+        raise ToolkitError("must end in .pdf", path=path, field="--out", value=path.name)
+    sheet = make_board_sheet(paper, first_id=first_id)
+    description = path.with_suffix(".json")
+    write_bytes_atomic(path, _pdf(sheet, description.name))
+    text = json.dumps(sheet.document(), indent=1)
+    write_bytes_atomic(description, text.encode() + b"\n")
+    return path, description
+
+
+def _pdf(sheet: BoardSheet, description: str) -> bytes:
+    """A PDF of one page, in filled rectangles and two lines of text."""
+    width, height = sheet.paper_mm
+    middle = width / 2, height / 2
+    drawn = ["0 g"]
+
+    def box(x: float, y: float, w: float, h: float) -> None:
+        """A rectangle in mm from the middle of the sheet."""
+        numbers = ((x + middle[0]) * _PT, (y + middle[1]) * _PT, w * _PT, h * _PT)
+        drawn.append(" ".join(f"{v:.4f}" for v in numbers) + " re f")
+
+    def text(x: float, y: float, size: float, words: str) -> None:
+        escaped = words.replace("\\", "\\\\").replace("(", "\\(").replace(")", "\\)")
+        place = f"{(x + middle[0]) * _PT:.3f} {(y + middle[1]) * _PT:.3f}"
+        drawn.append(f"BT /F1 {size} Tf {place} Td ({escaped}) Tj ET")
+
+    for x, y, w, h in sheet.cells():
+        box(x, y, w, h)
+    low = -middle[1] + 7.0
+    box(-_RULER_MM / 2, low, _RULER_MM, 0.25)
+    for end in (-_RULER_MM / 2, _RULER_MM / 2 - 0.25):
+        box(end, low - 1.5, 0.25, 3.25)
+    text(-_RULER_MM / 2 + 4, low + 1, 7, "100 mm: print at 100 %, without fitting to the page")
+    # Half crosses: where the object stands, and the x axis.
+    drawn.append("0.75 g")
+    box(-6, -0.15, 24, 0.3)
+    box(-0.15, -6, 0.3, 12)
+    text(19, -0.9, 7, "x")
+    text(-_RULER_MM / 2 + 4, low - 2.6, 5, f"{description}: tags of {sheet.tag_mm:g} mm")
+    stream = "\n".join(drawn).encode("latin-1", "replace")
+    page = f"/MediaBox [0 0 {width * _PT:.4f} {height * _PT:.4f}]".encode()
+    objects = (
+        b"<< /Type /Catalog /Pages 2 0 R /ViewerPreferences << /PrintScaling /None >> >>",
+        b"<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
+        b"<< /Type /Page /Parent 2 0 R " + page + b" /Contents 4 0 R "
+        b"/Resources << /Font << /F1 5 0 R >> >> >>",
+        b"<< /Length %d >>\nstream\n%s\nendstream" % (len(stream), stream),
+        b"<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica >>",
+    )
+    out = bytearray(b"%PDF-1.4\n")
+    starts = []
+    for number, body in enumerate(objects, start=1):
+        starts.append(len(out))
+        out += b"%d 0 obj\n%s\nendobj\n" % (number, body)
+    table = len(out)
+    out += b"xref\n0 %d\n0000000000 65535 f \n" % (len(objects) + 1)
+    out += b"".join(b"%010d 00000 n \n" % s for s in starts)
+    out += b"trailer\n<< /Size %d /Root 1 0 R >>\nstartxref\n%d\n%%%%EOF\n" % (
+        len(objects) + 1,
+        table,
+    )
+    return bytes(out)
+
+
+def _dictionary() -> cv2.aruco.Dictionary:
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARY))
+
+
+def _tag(number: int) -> NDArray[np.uint8]:
+    """(8, 8) cells of a tag, 0 black and 255 white."""
+    return np.asarray(_dictionary().generateImageMarker(number, _CELLS), np.uint8)

@@ -1,0 +1,77 @@
+"""`std-sim turntable`: cameras and truth without rendering; photos in the long form."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+
+from sensors.simulation.options import TurntableOptions
+from sensors.simulation.turntable import _Turntable, make_turntable, read_turntable_truth
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.mesh import load_mesh
+from std_toolkit.poses.board_scale import Board, detect_board
+
+
+@pytest.fixture
+def mesh_file(tmp_path: Path) -> Path:
+    """A box that lies off the origin of its frame, y up."""
+    path = tmp_path / "box.ply"
+    box = trimesh.creation.box((0.06, 0.12, 0.04)).apply_translation([0.3, 0.2, 0.1])
+    box.export(path)
+    return path
+
+
+def test_object_stands_in_the_middle_of_every_view(mesh_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    options = TurntableOptions(mesh=mesh_file, out=out, up="y", views=9)
+    table = _Turntable(options)
+    truth = read_turntable_truth(out)
+    mesh = load_mesh(out / "truth/mesh.ply")
+    from std_toolkit.geometry import SE3
+
+    corners = SE3.from_matrix(truth.T_world_obj) @ mesh.vertices
+    assert corners[:, 2].min() == pytest.approx(0, abs=2e-4)
+    assert np.ptp(corners, axis=0) == pytest.approx([0.06, 0.04, 0.12])
+    assert np.abs(corners[:, :2].mean(axis=0)).max() < 1e-9
+    for index in range(9):
+        uv = table.camera.project(truth.pose(index).inverse() @ corners)
+        assert (uv > 0).all() and (uv < [1279, 719]).all()
+        assert np.ptp(uv[:, 1]) > 250
+    elevations = [np.rad2deg(np.arctan2(p.t[2], np.hypot(*p.t[:2]))) for p in table.poses]
+    assert max(elevations[:5]) < min(elevations[5:])
+
+
+def test_other_options_in_the_same_folder_are_refused(mesh_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "notes.txt").write_text("mine")
+    with pytest.raises(ToolkitError, match="something else"):
+        make_turntable(TurntableOptions(mesh=mesh_file, out=out))
+    with pytest.raises(ToolkitError, match="views"):
+        TurntableOptions(mesh=mesh_file, out=out, views=1)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("motion", ["walk", "turntable"])
+def test_photos_show_the_board_where_the_truth_says(
+    mesh_file: Path, tmp_path: Path, motion: str
+) -> None:
+    out = tmp_path / "out"
+    options = TurntableOptions(
+        mesh=mesh_file, out=out, up="y", views=3, width=640, height=360, motion=motion
+    )  # type: ignore[arg-type]
+    made, _ = make_turntable(options)
+    assert made == 3
+    assert make_turntable(options)[0] == 0  # all are there
+    truth, board = read_turntable_truth(out), Board.read(out / "board.json")
+    for index, name in enumerate(truth.photos):
+        found = detect_board(out / "photos" / name, board=board)
+        assert len(found.ids) >= 32
+        uv = truth.camera.camera().project(truth.pose(index).inverse() @ found.xyz)
+        assert np.median(np.linalg.norm(uv - found.uv, axis=1)) < 0.3
+        mask = cv2.imread(str(out / "truth/masks" / Path(name).with_suffix(".png")), 0)
+        assert 0.01 < (mask > 0).mean() < 0.5
