@@ -36,9 +36,10 @@ class RestoreOptions:
     """Restore the depth of recordings at the camera's own size.
 
     SOURCES are folders: a scene of std-curate, a folder with color/ and depth/,
-    or a data set that `std-curate import` reads; or recordings of librealsense
-    (.bag, .db3). Without SOURCES, give images: --color and --depth, each one
-    image, a folder or a quoted pattern.
+    or a data set that `std-curate import` reads; or recordings of ROS (rosbag2
+    folder, .mcap, .db3, .bag) or librealsense (.bag, .db3). Without SOURCES, give
+    images: --color and --depth, each one image, a folder or a quoted pattern. Of
+    recordings of ROS with several cameras, --color and --depth name topics.
     """
 
     sources: tuple[Path, ...] = field(default=(), metadata={"option": ""})
@@ -66,10 +67,6 @@ class RestoreOptions:
     def __post_init__(self) -> None:
         check_options(self)
         given = [bool(self.images.color), bool(self.images.depth)]
-        if self.sources and any(given):
-            raise ToolkitError(
-                "give either SOURCES or --color and --depth", field="--color", hint="not both"
-            )
         if not self.sources and not all(given):
             raise ToolkitError(
                 "needed", field="SOURCES", hint="or give images with --color and --depth"

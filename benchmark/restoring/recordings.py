@@ -1,4 +1,4 @@
-"""Frames of a recording: scenes, folders of images, data sets, files of librealsense."""
+"""Frames of a recording: scenes, folders of images, data sets, files of ROS and librealsense."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.importers.foreign_files import DEPTH_SUFFIXES, check_unit, read_foreign_depth
+from std_toolkit.importers.import_step import import_recording
 from std_toolkit.importers.importer import IMPORTERS, Recording, SourceFile, detect_format
 from std_toolkit.importers.intrinsics import parse_distortion, read_intrinsics
+from std_toolkit.importers.ros_importer import is_ros_recording
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size, read_color
 from std_toolkit.log import logger
 from std_toolkit.options import ImageOptions, ImportRequest
@@ -101,6 +103,10 @@ def open_recordings(
     """
     if not sources:
         found = [_images(images)]
+    elif (images.color or images.depth) and not all(map(is_ros_recording, sources)):
+        raise ToolkitError(
+            "give either SOURCES or --color and --depth", field="--color", hint="not both"
+        )
     else:
         found = [_recording(source, images, out) for source in sources]
     for recording in found:
@@ -116,15 +122,17 @@ def open_recordings(
 
 
 def _recording(source: Path, images: ImageOptions, out: Path) -> RecordingFiles:
-    if source.is_file() and source.suffix.lower() in _OF_LIBREALSENSE:
-        return _of_scene(_unpacked(source, out), source)
     if not source.exists():
         raise ToolkitError("no such file or folder", path=source)
+    if is_ros_recording(source):
+        return _of_scene(_imported(source, images, out), source)
+    if source.is_file() and source.suffix.lower() in _OF_LIBREALSENSE:
+        return _of_scene(_unpacked(source, out), source)
     if source.is_file():
         raise ToolkitError(
             "not a recording that std-restore reads",
             path=source,
-            hint=".bag and .db3 of librealsense, or folders; one image: --color FILE --depth FILE",
+            hint=".mcap, .bag, .db3, or folders; one image: --color FILE --depth FILE",
         )
     if (source / "scene.json").is_file():
         return _of_scene(source, source)
@@ -231,6 +239,15 @@ def _of_scene(root: Path, source: Path) -> RecordingFiles:
             if f.depth is not None
         ),
     )
+
+
+def _imported(source: Path, images: ImageOptions, out: Path) -> Path:
+    """The scene that `std-curate import` makes of a recording of ROS; made once."""
+    scene = out / "recordings" / safe_name(source.stem)
+    if not (scene / "scene.json").is_file():
+        request = ImportRequest(source=source, name=scene.name, **vars(images))
+        import_recording(request, scene, format_name="ros")
+    return scene
 
 
 def _unpacked(source: Path, out: Path) -> Path:
