@@ -25,6 +25,8 @@ from std_toolkit.log import logger
 from std_toolkit.options import ImageOptions, ImportRequest
 from std_toolkit.scene.document import safe_name
 
+# Read beside color/ and depth/ if no --intrinsics are given.
+INTRINSICS = "intrinsics.json"
 _OF_LIBREALSENSE = (".bag", ".db3")
 # Frames whose unit of depth is checked before the work begins.
 _CHECKED = 5
@@ -139,6 +141,8 @@ def _recording(source: Path, images: ImageOptions, out: Path) -> RecordingFiles:
     name = safe_name(source.resolve().name)
     if (source / "color").is_dir() and (source / "depth").is_dir():
         folders = replace(images, color=str(source / "color"), depth=str(source / "depth"))
+        if images.intrinsics is None and (source / INTRINSICS).is_file():
+            folders = replace(folders, intrinsics=str(source / INTRINSICS))
         return replace(_images(folders), name=name, source=str(source))
     if any(list(source.glob(f"*/{kind}"))[:1] for kind in ("scene.json", "color")):
         raise ToolkitError(

@@ -55,9 +55,9 @@ def _devices() -> Sequence[Any]:
 
 def _record(options: RecordCommand, scene: Path) -> None:
     from sensors.record.device_source import DeviceSource, open_file
-    from sensors.record.live_view import stopped_by_signal
     from sensors.record.realsense import choose, recorded_streams, requested_streams
     from std_toolkit.io.atomic import check_vacant
+    from std_toolkit.jobs.live import stopped_by_signal
     from std_toolkit.scene.document import check_name
 
     session = options.session
@@ -129,8 +129,9 @@ def _session(
     streams: dict[str, realsense.Stream],
 ) -> recording_document.Session:
     from sensors.record.camera_settings import apply_settings, lock
-    from sensors.record.live_view import PreviewPage, StatusLine, enter_pressed
+    from sensors.record.live_view import enter_pressed
     from sensors.record.recording_session import record
+    from std_toolkit.jobs.live import PreviewPage, StatusLine
 
     settings = options.settings
     if options.file is None:
@@ -159,7 +160,8 @@ def _session(
             status.show(progress.line())
             if options.preview is None and page is None:
                 return
-            from sensors.record.live_view import encoded, preview_picture, write_preview
+            from sensors.record.live_view import preview_picture
+            from std_toolkit.jobs.live import encoded, write_preview
 
             head = progress.line().split("  ")[0]
             unit = source.calibration.depth_unit_m

@@ -21,13 +21,14 @@ def text() -> str:
 
 def test_every_option_of_the_guide_exists(text, capsys):
     pages = {}
-    for command in ("restore", "export"):
+    for command in ("restore", "live", "export"):
         with pytest.raises(SystemExit):
             PROGRAM.main([command, "--help"])
         pages[command] = capsys.readouterr().out
     lines = text.replace("\\\n", "").splitlines()
     for line in (line for line in lines if "std-restore" in line and "std-curate" not in line):
-        page = pages["export" if "export" in line else "restore"]
+        command = "live" if "--live" in line else "export" if "export" in line else "restore"
+        page = pages[command] + "--live"
         for option in re.findall(r"(?<![\w-])--[a-z-]+", line):
             assert option in page, line
 
