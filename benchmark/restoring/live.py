@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmark.evaluation.depth_panels import restored_strip
+from benchmark.published.citations import write_citations
 from benchmark.restoring.options import LiveOptions
 from benchmark.restoring.outputs import RECORD, paths_of, record_of, setup_of, write_frame
 from benchmark.restoring.recordings import INTRINSICS, FrameFiles
@@ -190,4 +191,5 @@ class _Writer:
 
     def finish(self, report: LiveReport) -> None:
         """Write the record and the citations."""
+        write_citations(self.out, [self.setup.method])
         write_document(self.out / RECORD, record_of(self.setup, report.camera, report.restored))

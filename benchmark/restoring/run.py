@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmark.evaluation.manifest import begin
+from benchmark.published.citations import write_citations
 from benchmark.restoring.options import RestoreOptions
 from benchmark.restoring.outputs import (
     RECORD,
@@ -106,6 +107,8 @@ def restore_recordings(options: RestoreOptions) -> RestoreReport:
         if (record := done.results.get(str(item))) is not None:
             report.frames[item.recording][item.frame.name] = record
     report.failed = done.failed
+    for out in report.folders.values():
+        write_citations(out, [setup.method])
     if options.video is not None:
         for recording in recordings:
             _write_video(report, recording, setup, options.video)
