@@ -263,7 +263,8 @@ def _unpacked(source: Path, out: Path) -> Path:
     shutil.rmtree(unfinished, ignore_errors=True)
     unfinished.parent.mkdir(parents=True, exist_ok=True)
     # A program of another package is called, not imported: the benchmark knows no camera.
-    words = ["-m", "sensors.record.cli", str(unfinished), "--name", scene.name, "--from"]
+    words = ["-m", "std_toolkit.cli.programs", "std-record"]
+    words += [str(unfinished), "--name", scene.name, "--from"]
     done = subprocess.run(
         [sys.executable, *words, str(source)], capture_output=True, text=True, check=False
     )
