@@ -32,10 +32,8 @@ PROGRAMS = ("annotate", "bench", "curate", "record", "report", "restore", "sim",
 # Without extras: what is missing is named with the command that installs it.
 MISSING = (
     ("std-restore rec --intrinsics 96,96,47.5,35.5 --out o1", "std-toolkit[restore]"),
-    (
-        "std-bench --method nlspn --data o2 --split scenes --out o3 --preset compact",
-        "std-toolkit[train]",
-    ),
+    ("std-restore scene --method nlspn --out o3", "std-toolkit[train]"),
+    ("std-restore scene --method nearest --out o7 --engine ray", "std-toolkit[cluster]"),
     ("std-annotate scene", "std-toolkit[gui]"),
     ("std-annotate scene --web 0", "std-toolkit[web]"),
     ("std-record rec2 --list", "std-toolkit[realsense]"),
@@ -84,9 +82,8 @@ def main(binaries: Path) -> int:
         nonlocal faults
         if not holds:
             faults += 1
-            print(
-                f"FAULT {line}: status {done.returncode}\n{done.stdout[-800:]}{done.stderr[-1500:]}"
-            )
+            print(f"FAULT {line}: status {done.returncode}")
+            print(done.stdout[-800:], done.stderr[-1500:])
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -95,11 +92,12 @@ def main(binaries: Path) -> int:
             line = f"std-{program} --help"
             done = call(binaries, line, folder)
             expect(done.returncode == 0 and "usage" in done.stdout.lower(), line, done)
+        images = "--color rec/color --depth rec/depth --intrinsics 96,96,47.5,35.5"
         good = (
-            "std-curate import --color rec/color --depth rec/depth --intrinsics 96,96,47.5,35.5 --out scene",
+            f"std-curate import {images} --out scene",
             "std-curate info scene",
             "std-restore scene --method nearest --out near",
-            "std-restore rec --intrinsics 96,96,47.5,35.5 --method my_methods.py:FromBehind --workers 2 --out own",
+            f"std-restore {images} --method my_methods.py:FromBehind --workers 2 --out own",
             "std-bench list methods",
         )
         for line in good:
