@@ -9,13 +9,15 @@ DEMO ?= build/demo
 WORKERS ?= $(shell n=$$(nproc); echo $$((n < 4 ? n : 4)))
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
-.PHONY: help env demo test test-quick test-long test-random test-programs lint format perf schemas structure mutants clean
+.PHONY: help env demo test test-quick test-long test-random test-programs lint format docs dist perf schemas structure mutants clean
 
 help:
 	@echo "make demo   record a synthetic scene, curate it, show the label error, exports, a leaderboard"
 	@echo "make test   all tests (make test-quick: without the slow ones; make test-long: long runs;"
 	@echo "            make test-random: in another order each time)"
 	@echo "make lint   ruff and mypy"
+	@echo "make docs   the documentation site in build/site"
+	@echo "make dist   wheel and source distribution in build/dist"
 	@echo "make perf   tables of timings and ratios"
 	@echo "make mutants   small changes of the code that no test notices (up to 2 hours)"
 	@echo "make structure   modules, circles of imports, files per flow"
@@ -59,6 +61,15 @@ lint: env
 format: env
 	@$(BIN)/ruff check --fix .
 	@$(BIN)/ruff format .
+
+# The site in build/site. It fails on a broken link, a public name without docstring, a Python block
+# that does not run, or an option that does not exist.
+docs: env
+	@tools/make-env "$(PYTHON)" "$(VENV)" docs
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --clean
+
+dist: env
+	@$(BIN)/python tools/make_dist.py --out build/dist
 
 perf: env
 	@for script in perf/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done

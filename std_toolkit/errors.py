@@ -90,6 +90,7 @@ EXTRAS: dict[str, str] = {
     "pyvista": "gui",
     "pyvistaqt": "gui",
     "ray": "cluster",
+    "rosbags": "ros",
     "safetensors": "train",
     "tensorboard": "train",
     "torch": "train",

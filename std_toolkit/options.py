@@ -87,9 +87,9 @@ class ImageOptions:
     """Options for reading colour and depth images."""
 
     color: str | None = None
-    """folder or quoted glob pattern of the colour images"""
+    """folder or quoted glob pattern of the colour images, or their topic in a recording of ROS"""
     depth: str | None = None
-    """folder or quoted glob pattern of the depth images, aligned to colour"""
+    """folder or quoted glob pattern of the depth images, aligned to colour, or their topic"""
     depth_scale: float | None = None
     """metres per unit of 16-bit depth (default: that of the format; 0.001 for separate images)"""
     depth_correction: float = 1.0
@@ -123,10 +123,12 @@ class ImportRequest(ImportOptions):
         source: folder or file of the recording; for separate colour and depth folders, the
             folder of the colour images.
         name: name of the new scene.
+        workspace: folder for images that are not files of their own, such as those of ROS.
     """
 
     source: Path
     name: str
+    workspace: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

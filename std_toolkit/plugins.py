@@ -87,6 +87,9 @@ RENAMED: dict[str, str] = {
     "std_toolkit.rendering.protocol": "std_toolkit.rendering.renderer",
 }
 
+# The other packages of this distribution.
+SIBLINGS = frozenset({"annotator", "benchmark", "sensors"})
+
 # Packages that no longer exist; their modules were moved to several others.
 _GONE = frozenset(
     {
@@ -196,7 +199,17 @@ class _Finder(MetaPathFinder):
         path: Sequence[str] | None = None,  # noqa: ARG002 (Python passes both)
         target: ModuleType | None = None,  # noqa: ARG002
     ) -> ModuleSpec | None:
-        """The alias of a renamed module; None for every other."""
+        """The alias of a renamed module, or a package of this distribution; None for others."""
+        if fullname in SIBLINGS:
+            # Not a folder of the user with this name.
+            init = Path(__file__).parent.parent / fullname / "__init__.py"
+            return (
+                spec_from_file_location(
+                    fullname, init, submodule_search_locations=[str(init.parent)]
+                )
+                if init.is_file()
+                else None
+            )
         if fullname in _GONE:
             return ModuleSpec(fullname, _GonePackage(), is_package=True)
         new = RENAMED.get(fullname)
@@ -214,7 +227,7 @@ _FINDER = _Finder()
 
 
 def install() -> None:
-    """Make modules importable under their old names."""
+    """Make modules importable under their old names, and find the packages of this distribution."""
     if _FINDER not in sys.meta_path:
         # First in the list: the others would load the modules of a renamed package twice.
         sys.meta_path.insert(0, _FINDER)

@@ -30,7 +30,7 @@ ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
         ("log", "options", "plugins"),
         ("",),
         ("geometry", "io", "jobs"),
-        ("html", "scene"),
+        ("cameras", "html", "scene"),
         ("poses", "rendering"),
         ("importers",),
         ("exporters", "labels"),

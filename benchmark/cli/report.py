@@ -18,6 +18,7 @@ class ReportOptions:
     """Write tables and a page of one or several folders of results.
 
     The tables are printed, and written as CSV, Markdown and LaTeX beside report.html.
+    citations.bib has the sources of the methods, data sets and protocols.
     """
 
     results: tuple[Path, ...]
@@ -43,7 +44,8 @@ def report(options: ReportOptions) -> int:
     """Write the page; returns the exit status."""
     import pandas as pd
 
-    from benchmark.report.page import make_parts, render_page
+    from benchmark.published.citations import names_of_runs, write_citations
+    from benchmark.report.page import TASKS, make_parts, render_page
     from std_toolkit.io.atomic import write_bytes_atomic
 
     parts = make_parts(options.results, published=options.published)
@@ -51,6 +53,7 @@ def report(options: ReportOptions) -> int:
     texts = {name: text for part in parts for name, text in part.files.items()}
     for name, text in {**texts, PAGE: render_page(parts)}.items():
         write_bytes_atomic(out / name, text.encode())
+    write_citations(out, names_of_runs(options.results, [task.manifest for task in TASKS]))
     if options.json:
         tables = {Path(name).stem: out / name for name in texts if name.endswith(".csv")}
         print_json({name: pd.read_csv(path).to_dict("records") for name, path in tables.items()})

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 from std_toolkit.cli.command import Command, Program, print_json
 
 if TYPE_CHECKING:
-    from benchmark.restoring.options import ExportOptions, RestoreOptions
+    from benchmark.restoring.options import ExportOptions, LiveOptions, RestoreOptions
     from benchmark.restoring.run import RestoreReport
 
-_COMMANDS = ("restore", "export")
+_COMMANDS = ("restore", "live", "export")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -27,7 +27,11 @@ def name_command(words: list[str]) -> list[str]:
     ['restore', 'mugs', '--out', 'restored']
     >>> name_command(["export", "--onnx", "net.onnx"])
     ['export', '--onnx', 'net.onnx']
+    >>> name_command(["--live", "--web", "8080"])
+    ['live', '--web', '8080']
     """
+    if "--live" in words:
+        words = ["live", *(word for word in words if word != "--live")]
     first = next((word for word in words if word not in ("--quiet", "--debug")), "--help")
     if first in _COMMANDS or first in ("-h", "--help", "--version", "--print-completion"):
         return words
@@ -47,6 +51,17 @@ def restore(options: RestoreOptions) -> int:
     for key, error in report.failed.items():
         print(f"error: {key}: {error}", file=sys.stderr)
     return 1 if report.failed else 0
+
+
+def live(options: LiveOptions) -> None:
+    """Restore the depth of a connected camera."""
+    from benchmark.restoring.live import restore_live
+
+    report = restore_live(options)
+    rate = report.restored / report.seconds if report.seconds > 0 else 0.0
+    print(f"{report.camera}: {report.restored} of {report.received} frames, {rate:.1f} a second")
+    if options.out is not None:
+        print(f"camera's images: {options.out / 'recording'}; restored: {options.out}")
 
 
 def export(options: ExportOptions) -> int:
@@ -113,6 +128,7 @@ PROGRAM = Program(
     "kept: run the same command again to resume.",
     commands=(
         _command("restore", "restore recordings or images", "RestoreOptions", restore),
+        _command("live", "restore the depth of a connected camera", "LiveOptions", live),
         _command("export", "write a network as an ONNX file", "ExportOptions", export),
     ),
     default="restore",

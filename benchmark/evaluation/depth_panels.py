@@ -33,10 +33,11 @@ class DepthScale:
 
 def depth_scale(frame: DepthFrame) -> DepthScale:
     """Return one scale for all depth panels of a frame: the range of its ground truth."""
-    return _range_of(frame.depth_true if (frame.depth_true > 0).any() else frame.depth_raw)
+    return range_of(frame.depth_true if (frame.depth_true > 0).any() else frame.depth_raw)
 
 
-def _range_of(depth: NDArray[np.float32]) -> DepthScale:
+def range_of(depth: NDArray[np.float32]) -> DepthScale:
+    """Return the range of all but the nearest and the farthest percent of the measured depth."""
     there = depth[depth > 0]
     if not there.size:
         return DepthScale(0.0, 1.0)
@@ -78,14 +79,15 @@ def restored_strip(
     confidence: NDArray[np.float32] | None = None,
     *,
     width: int = 480,
+    scale: DepthScale | None = None,
 ) -> Image:
     """Return colour, raw and restored depth of one size side by side, plus `TRUST_PANEL` if given.
 
-    The colours of depth span the restored depth; at most `width` pixels per panel.
+    The colours of depth span `scale`, or the restored depth; at most `width` pixels per panel.
     """
     width = min(width, color.shape[1])
     size = (width, round(width * color.shape[0] / color.shape[1]))
-    scale = _range_of(restored if (restored > 0).any() else raw)
+    scale = scale or range_of(restored if (restored > 0).any() else raw)
     panels = [np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)]
     panels += [depth_picture(resize_nearest(depth, size), scale) for depth in (raw, restored)]
     if confidence is not None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+import msgspec
 
 from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.jobs.options import JobOptions
@@ -36,9 +38,10 @@ class RestoreOptions:
     """Restore the depth of recordings at the camera's own size.
 
     SOURCES are folders: a scene of std-curate, a folder with color/ and depth/,
-    or a data set that `std-curate import` reads; or recordings of librealsense
-    (.bag, .db3). Without SOURCES, give images: --color and --depth, each one
-    image, a folder or a quoted pattern.
+    or a data set that `std-curate import` reads; or recordings of ROS (rosbag2
+    folder, .mcap, .db3, .bag) or librealsense (.bag, .db3). Without SOURCES, give
+    images: --color and --depth, each one image, a folder or a quoted pattern. Of
+    recordings of ROS with several cameras, --color and --depth name topics.
     """
 
     sources: tuple[Path, ...] = field(default=(), metadata={"option": ""})
@@ -59,6 +62,9 @@ class RestoreOptions:
     """write a coloured point cloud of every frame"""
     pictures: bool = False
     """write a picture of every frame: colour, raw and restored depth side by side"""
+    video: Annotated[float, msgspec.Meta(gt=0, le=240)] | None = None
+    """write video.mp4, colour, raw and restored depth side by side, at this number of frames per
+    second"""
     json: bool = False
     """print the summary as JSON"""
     jobs: JobOptions = field(default_factory=JobOptions)
@@ -66,13 +72,52 @@ class RestoreOptions:
     def __post_init__(self) -> None:
         check_options(self)
         given = [bool(self.images.color), bool(self.images.depth)]
-        if self.sources and any(given):
-            raise ToolkitError(
-                "give either SOURCES or --color and --depth", field="--color", hint="not both"
-            )
         if not self.sources and not all(given):
             raise ToolkitError(
                 "needed", field="SOURCES", hint="or give images with --color and --depth"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiveOptions:
+    """Restore the depth of a connected camera until Ctrl-C.
+
+    The newest frame is always restored next; frames that arrive meanwhile are not
+    restored. The preview shows colour, raw and restored depth, and the trust in the
+    sensor.
+    """
+
+    camera: str = "realsense"
+    """realsense, another registered camera, or file.py:Class"""
+    serial: str | None = None
+    """of the camera, if several are connected"""
+    camera_size: tuple[int, int] = field(default=(640, 480), metadata={"size": True})
+    """size of the camera's images"""
+    fps: Annotated[int, msgspec.Meta(ge=1)] = 30
+    """images per second of the camera"""
+    web: int | None = None
+    """port of a preview page for a browser on this machine"""
+    preview: Path | None = None
+    """JPEG file that is replaced continuously"""
+    out: Path | None = None
+    """new folder that keeps the camera's images and what is restored"""
+    frames: Annotated[int, msgspec.Meta(ge=1)] | None = None
+    """stop after this number of restored frames"""
+    choice: MethodChoice = field(default_factory=MethodChoice)
+    device: str = "cpu"
+    """cpu, cuda, or cuda:1"""
+    backend: Backend = "auto"
+    """what runs the network: onnx, torch, or auto"""
+    points: bool = False
+    """with --out: a coloured point cloud of every frame"""
+    pictures: bool = False
+    """with --out: a picture of every frame"""
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        if self.web is None and self.preview is None and self.out is None:
+            raise ToolkitError(
+                "needed", field="--web", hint="or --preview FILE, or --out DIR: where it is shown"
             )
 
 

@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.evaluation.depth_panels import restored_strip
-from benchmark.restoring.options import DepthFormat
+from benchmark.evaluation.engine import weights_digest
+from benchmark.evaluation.manifest import circumstances
+from benchmark.restoring.options import DepthFormat, MethodChoice
 from benchmark.restoring.recordings import FrameFiles
-from benchmark.restoring.restorer import RestoredFrame
+from benchmark.restoring.restorer import RestoredFrame, Restorer, settings_of
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, unproject_depth
 from std_toolkit.io.atomic import write_bytes_atomic
@@ -69,6 +71,36 @@ class RestoreRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     frames: int
     packages: dict[str, str]
     hardware: dict[str, str]
+
+
+def setup_of(
+    choice: MethodChoice,
+    restorer: Restorer,
+    depth_format: DepthFormat,
+    points: bool,
+    pictures: bool,
+) -> RestoreSetup:
+    """What determines the files of a run with this restorer."""
+    made = restorer.method
+    backend = "torch" if hasattr(made, "network") else ""
+    if type(made).__name__ == "OnnxNetwork":
+        backend = "onnx"
+    return RestoreSetup(
+        method=choice.method,
+        preset=restorer.options.preset,
+        settings=settings_of(choice.settings),
+        weights_sha256=weights_digest(choice.method, made, restorer.options),
+        size=list(made.input_size or ()),
+        backend=backend,
+        depth_format=depth_format,
+        points=points,
+        pictures=pictures,
+    )
+
+
+def record_of(setup: RestoreSetup, source: str, frames: int) -> RestoreRecord:
+    """The record of a run on this machine."""
+    return RestoreRecord(setup=setup, source=source, frames=frames, **circumstances())
 
 
 class FrameRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

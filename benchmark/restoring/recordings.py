@@ -1,4 +1,4 @@
-"""Frames of a recording: scenes, folders of images, data sets, files of librealsense."""
+"""Frames of a recording: scenes, folders of images, data sets, files of ROS and librealsense."""
 
 from __future__ import annotations
 
@@ -16,13 +16,17 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.importers.foreign_files import DEPTH_SUFFIXES, check_unit, read_foreign_depth
+from std_toolkit.importers.import_step import import_recording
 from std_toolkit.importers.importer import IMPORTERS, Recording, SourceFile, detect_format
 from std_toolkit.importers.intrinsics import parse_distortion, read_intrinsics
+from std_toolkit.importers.ros_importer import is_ros_recording
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size, read_color
 from std_toolkit.log import logger
 from std_toolkit.options import ImageOptions, ImportRequest
 from std_toolkit.scene.document import safe_name
 
+# Read beside color/ and depth/ if no --intrinsics are given.
+INTRINSICS = "intrinsics.json"
 _OF_LIBREALSENSE = (".bag", ".db3")
 # Frames whose unit of depth is checked before the work begins.
 _CHECKED = 5
@@ -101,6 +105,10 @@ def open_recordings(
     """
     if not sources:
         found = [_images(images)]
+    elif (images.color or images.depth) and not all(map(is_ros_recording, sources)):
+        raise ToolkitError(
+            "give either SOURCES or --color and --depth", field="--color", hint="not both"
+        )
     else:
         found = [_recording(source, images, out) for source in sources]
     for recording in found:
@@ -116,21 +124,25 @@ def open_recordings(
 
 
 def _recording(source: Path, images: ImageOptions, out: Path) -> RecordingFiles:
-    if source.is_file() and source.suffix.lower() in _OF_LIBREALSENSE:
-        return _of_scene(_unpacked(source, out), source)
     if not source.exists():
         raise ToolkitError("no such file or folder", path=source)
+    if is_ros_recording(source):
+        return _of_scene(_imported(source, images, out), source)
+    if source.is_file() and source.suffix.lower() in _OF_LIBREALSENSE:
+        return _of_scene(_unpacked(source, out), source)
     if source.is_file():
         raise ToolkitError(
             "not a recording that std-restore reads",
             path=source,
-            hint=".bag and .db3 of librealsense, or folders; one image: --color FILE --depth FILE",
+            hint=".mcap, .bag, .db3, or folders; one image: --color FILE --depth FILE",
         )
     if (source / "scene.json").is_file():
         return _of_scene(source, source)
     name = safe_name(source.resolve().name)
     if (source / "color").is_dir() and (source / "depth").is_dir():
         folders = replace(images, color=str(source / "color"), depth=str(source / "depth"))
+        if images.intrinsics is None and (source / INTRINSICS).is_file():
+            folders = replace(folders, intrinsics=str(source / INTRINSICS))
         return replace(_images(folders), name=name, source=str(source))
     if any(list(source.glob(f"*/{kind}"))[:1] for kind in ("scene.json", "color")):
         raise ToolkitError(
@@ -233,6 +245,15 @@ def _of_scene(root: Path, source: Path) -> RecordingFiles:
     )
 
 
+def _imported(source: Path, images: ImageOptions, out: Path) -> Path:
+    """The scene that `std-curate import` makes of a recording of ROS; made once."""
+    scene = out / "recordings" / safe_name(source.stem)
+    if not (scene / "scene.json").is_file():
+        request = ImportRequest(source=source, name=scene.name, **vars(images))
+        import_recording(request, scene, format_name="ros")
+    return scene
+
+
 def _unpacked(source: Path, out: Path) -> Path:
     """The scene that `std-record` makes of a file; made once."""
     scene = out / "recordings" / safe_name(source.stem)
@@ -242,7 +263,8 @@ def _unpacked(source: Path, out: Path) -> Path:
     shutil.rmtree(unfinished, ignore_errors=True)
     unfinished.parent.mkdir(parents=True, exist_ok=True)
     # A program of another package is called, not imported: the benchmark knows no camera.
-    words = ["-m", "sensors.record.cli", str(unfinished), "--name", scene.name, "--from"]
+    words = ["-m", "std_toolkit.cli.programs", "std-record"]
+    words += [str(unfinished), "--name", scene.name, "--from"]
     done = subprocess.run(
         [sys.executable, *words, str(source)], capture_output=True, text=True, check=False
     )

@@ -9,19 +9,21 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmark.evaluation.engine import weights_digest
-from benchmark.evaluation.manifest import begin, circumstances
+from benchmark.evaluation.manifest import begin
+from benchmark.published.citations import write_citations
 from benchmark.restoring.options import RestoreOptions
 from benchmark.restoring.outputs import (
     RECORD,
     FrameRecord,
-    RestoreRecord,
     RestoreSetup,
     paths_of,
+    record_of,
+    setup_of,
     write_frame,
 )
 from benchmark.restoring.recordings import FrameFiles, RecordingFiles, open_recordings
-from benchmark.restoring.restorer import Restorer, settings_of
+from benchmark.restoring.restorer import Restorer
+from benchmark.restoring.video import write_video
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import hold_lock, sweep_temporaries
 from std_toolkit.jobs import run_jobs
@@ -75,7 +77,8 @@ def restore_recordings(options: RestoreOptions) -> RestoreReport:
     recordings = open_recordings(options.sources, options.images, options.out)
     # Made once here, so that a wrong option is reported once and before anything is written.
     restorer = Restorer.of(options.choice, device=options.device, backend=options.backend)
-    setup = _setup(options, restorer)
+    pictures = options.pictures
+    setup = setup_of(options.choice, restorer, options.depth_format, options.points, pictures)
     del restorer
     report = RestoreReport()
     with ExitStack() as locks:
@@ -104,7 +107,25 @@ def restore_recordings(options: RestoreOptions) -> RestoreReport:
         if (record := done.results.get(str(item))) is not None:
             report.frames[item.recording][item.frame.name] = record
     report.failed = done.failed
+    for out in report.folders.values():
+        write_citations(out, [setup.method])
+    if options.video is not None:
+        for recording in recordings:
+            _write_video(report, recording, setup, options.video)
     return report
+
+
+def _write_video(
+    report: RestoreReport, recording: RecordingFiles, setup: RestoreSetup, fps: float
+) -> None:
+    out, records = report.folders[recording.name], report.frames[recording.name]
+    done = [
+        (frame, paths_of(out, frame, setup.depth_format), records[frame.name].unit)
+        for frame in recording.frames
+        if frame.name in records
+    ]
+    if done:
+        write_video(out, done, fps)
 
 
 def restore_item(item: Item, *, choice: tuple[Any, ...], setup: RestoreSetup) -> FrameRecord:
@@ -155,29 +176,9 @@ def _absolute(options: RestoreOptions) -> RestoreOptions:
     )
 
 
-def _setup(options: RestoreOptions, restorer: Restorer) -> RestoreSetup:
-    choice, made = options.choice, restorer.method
-    backend = "torch" if hasattr(made, "network") else ""
-    if type(made).__name__ == "OnnxNetwork":
-        backend = "onnx"
-    return RestoreSetup(
-        method=choice.method,
-        preset=restorer.options.preset,
-        settings=settings_of(choice.settings),
-        weights_sha256=weights_digest(choice.method, made, restorer.options),
-        size=list(made.input_size or ()),
-        backend=backend,
-        depth_format=options.depth_format,
-        points=options.points,
-        pictures=options.pictures,
-    )
-
-
 def _begin(out: Path, setup: RestoreSetup, recording: RecordingFiles, locks: ExitStack) -> None:
     """Lock the folder of a recording's results and write its record, or compare with it."""
-    record = RestoreRecord(
-        setup=setup, source=recording.source, frames=len(recording.frames), **circumstances()
-    )
+    record = record_of(setup, recording.source, len(recording.frames))
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

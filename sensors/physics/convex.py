@@ -162,10 +162,12 @@ def _by_coacd(
 def _run(source: Path, target: Path, said: Path, time_limit_s: float) -> tuple[int, list[str]]:
     """Exit status of the process and its output lines."""
     # For the same parts on every machine: one thread and a fixed seed.
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
+    # This package first: a folder of the user may have its name.
+    path = os.pathsep.join([str(Path(__file__).resolve().parents[2]), *sys.path])
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": path}
     with said.open("wb") as file:
         process = subprocess.Popen(
-            [sys.executable, "-m", "sensors.physics.coacd_process", source, target],
+            [sys.executable, "-P", "-m", "sensors.physics.coacd_process", source, target],
             # Kept open: its end signals to the process that its parent died.
             stdin=subprocess.PIPE,
             stdout=file,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -10,12 +11,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sensors.record.options import RecordCommand, SessionOptions
 from std_toolkit.cli.command import Command, Program, print_json
 from std_toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
     from sensors.record import device_source, realsense, recording_document, recording_session
-    from sensors.record.options import RecordCommand, SessionOptions
 
 _DEVICES: ContextVar[Sequence[Any] | None] = ContextVar("devices", default=None)
 
@@ -39,6 +40,8 @@ def run(options: RecordCommand) -> None:
         _list(options)
     elif options.recover:
         _recover(options.scene)
+    elif options.file is not None and _is_ros(options.file):
+        _import_ros(options, options.file, options.scene)
     else:
         _record(options, options.scene)
 
@@ -52,9 +55,9 @@ def _devices() -> Sequence[Any]:
 
 def _record(options: RecordCommand, scene: Path) -> None:
     from sensors.record.device_source import DeviceSource, open_file
-    from sensors.record.live_view import stopped_by_signal
     from sensors.record.realsense import choose, recorded_streams, requested_streams
     from std_toolkit.io.atomic import check_vacant
+    from std_toolkit.jobs.live import stopped_by_signal
     from std_toolkit.scene.document import check_name
 
     session = options.session
@@ -89,6 +92,35 @@ def _record(options: RecordCommand, scene: Path) -> None:
     print(_summary(scene, made))
 
 
+def _is_ros(file: str) -> bool:
+    from std_toolkit.importers.ros_importer import is_ros_recording
+
+    return is_ros_recording(Path(file))
+
+
+def _import_ros(options: RecordCommand, file: str, scene: Path) -> None:
+    """Make a scene of a recording of ROS, whose depth is aligned to colour already.
+
+    Raises:
+        ToolkitError: an option that only a camera or a file of librealsense has.
+    """
+    from std_toolkit.importers.import_step import import_recording
+    from std_toolkit.options import ImportRequest
+    from std_toolkit.scene.document import check_name
+
+    name = check_name(options.session.name or scene.absolute().name, field="--name")
+    plain = RecordCommand(scene=scene, file=file, session=SessionOptions(name=options.session.name))
+    if options != plain:
+        raise ToolkitError(
+            "of a recording of ROS, std-record takes SCENE, --from and --name alone",
+            path=file,
+            hint="`std-curate import` has options of its topics and intrinsics",
+        )
+    made = import_recording(ImportRequest(source=Path(file), name=name), scene, format_name="ros")
+    print(f"{len(made.frames)} frames written to {scene}")
+    print(f"next: std-curate poses {shlex.quote(str(scene))}")
+
+
 def _session(
     options: RecordCommand,
     scene: Path,
@@ -97,8 +129,9 @@ def _session(
     streams: dict[str, realsense.Stream],
 ) -> recording_document.Session:
     from sensors.record.camera_settings import apply_settings, lock
-    from sensors.record.live_view import PreviewPage, StatusLine, enter_pressed
+    from sensors.record.live_view import enter_pressed
     from sensors.record.recording_session import record
+    from std_toolkit.jobs.live import PreviewPage, StatusLine
 
     settings = options.settings
     if options.file is None:
@@ -127,7 +160,8 @@ def _session(
             status.show(progress.line())
             if options.preview is None and page is None:
                 return
-            from sensors.record.live_view import encoded, preview_picture, write_preview
+            from sensors.record.live_view import preview_picture
+            from std_toolkit.jobs.live import encoded, write_preview
 
             head = progress.line().split("  ")[0]
             unit = source.calibration.depth_unit_m
@@ -151,8 +185,6 @@ def _session(
 
 
 def _summary(scene: Path, session: recording_document.Session) -> str:
-    import shlex
-
     lost = max(session.lost.values(), default=0)
     single = sum(session.single.values())
     lines = [

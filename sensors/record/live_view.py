@@ -2,26 +2,15 @@
 
 from __future__ import annotations
 
-import re
-import shutil
-import signal
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
-from types import FrameType, TracebackType
+from collections.abc import Callable
 
 import cv2
 import numpy as np
 
 from sensors.record.hints import Hints
 from sensors.record.recording_document import CapturedFrame, Image8
-from std_toolkit.errors import ToolkitError
-from std_toolkit.html.page import script_digest
-from std_toolkit.io.atomic import write_bytes_atomic
 
 WIDTH = 640
 
@@ -29,35 +18,6 @@ _LINE_PX = 22
 
 # Depth at which the colour scale ends.
 _FAR_M = 2.0
-
-_QUALITY = 80
-
-_PROGRAM = """
-const p = document.getElementById("p");
-function next() { p.src = "preview.jpg?" + Date.now(); }
-p.onload = () => setTimeout(next, 150);
-p.onerror = () => setTimeout(next, 1000);
-next();
-"""
-_PAGE = f"""<!doctype html><meta charset="utf-8"><title>std-record</title>
-<style>body{{margin:0;background:#111}}img{{display:block;width:100%}}</style>
-<img id="p" alt="waiting for the camera"><script>{_PROGRAM}</script>
-""".encode()
-
-_HEADERS = {
-    "Cache-Control": "no-store",
-    "Content-Security-Policy": "default-src 'none'; img-src 'self'; style-src 'unsafe-inline'; "
-    f"script-src '{script_digest(_PROGRAM)}'; base-uri 'none'; form-action 'none'; "
-    "frame-ancestors 'none'",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "X-Content-Type-Options": "nosniff",
-}
-
-# A page of another site whose name was rebound to 127.0.0.1 sends its own name.
-_HOST = re.compile(r"(localhost|127\.0\.0\.1)(:\d+)?")
-
-# Interval of status lines if the output is not a terminal.
-_PLAIN_EVERY_S = 5.0
 
 
 def preview_picture(
@@ -87,143 +47,9 @@ def preview_picture(
     return np.concatenate([np.concatenate([color, np.asarray(depth, np.uint8)], axis=1), footer])
 
 
-def encoded(picture: Image8) -> bytes:
-    """The picture as JPEG."""
-    _, data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    return bytes(data)
-
-
-def write_preview(path: Path, picture: bytes) -> None:
-    """Write the picture to a file that viewers may read at any time.
-
-    Raises:
-        ToolkitError: it cannot be written.
-    """
-    write_bytes_atomic(path, picture)
-
-
 def _resized(image: Image8, interpolation: int) -> Image8:
     height = max(1, round(image.shape[0] * WIDTH / image.shape[1]))
     return np.asarray(cv2.resize(image, (WIDTH, height), interpolation=interpolation), np.uint8)
-
-
-class PreviewPage:
-    """Serves the last picture to browsers; use as a context manager.
-
-    It listens on localhost only, so that images are not visible to the network. From another
-    machine, use `ssh -L PORT:localhost:PORT`.
-
-    Raises:
-        ToolkitError: the port is taken.
-    """
-
-    def __init__(self, port: int) -> None:
-        page = self
-        self._picture = b""
-
-        class Handler(BaseHTTPRequestHandler):
-            def do_GET(self) -> None:
-                path = self.path.split("?")[0]
-                if not _HOST.fullmatch(self.headers.get("Host", "")):
-                    self._send(403, "text/plain", b"open http://localhost\n")
-                elif path == "/":
-                    self._send(200, "text/html; charset=utf-8", _PAGE)
-                elif path == "/preview.jpg" and page._picture:
-                    self._send(200, "image/jpeg", page._picture)
-                else:
-                    self._send(404, "text/plain", b"nothing here yet\n")
-
-            def _send(self, status: int, kind: str, body: bytes) -> None:
-                try:
-                    self.send_response(status)
-                    self.send_header("Content-Type", kind)
-                    self.send_header("Content-Length", str(len(body)))
-                    for name, value in _HEADERS.items():
-                        self.send_header(name, value)
-                    self.end_headers()
-                    self.wfile.write(body)
-                except OSError:
-                    self.close_connection = True  # the browser closed the connection
-
-            def log_message(self, format: str, *args: object) -> None:
-                """Log nothing: the terminal shows the status line."""
-
-        try:
-            self._server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
-        except (OSError, OverflowError) as error:
-            raise ToolkitError(
-                f"cannot serve the preview: {error}", field="--web", value=port
-            ) from error
-        self._server.daemon_threads = True
-        self._thread = threading.Thread(
-            target=self._server.serve_forever, name="preview page", daemon=True
-        )
-
-    @property
-    def address(self) -> str:
-        return f"http://localhost:{self._server.server_address[1]}/"
-
-    def show(self, picture: bytes) -> None:
-        """Replace the picture."""
-        self._picture = picture
-
-    def __enter__(self) -> PreviewPage:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._server.shutdown()
-        self._server.server_close()
-
-
-class StatusLine:
-    """One line updated in place; in a file or pipe, a line at intervals."""
-
-    def __init__(self) -> None:
-        self._changing = sys.stderr.isatty()
-        self._last = float("-inf")
-
-    def show(self, text: str) -> None:
-        if self._changing:
-            width = shutil.get_terminal_size().columns - 1
-            print(f"\r{text[:width]:<{width}}", end="", file=sys.stderr, flush=True)
-        elif time.monotonic() - self._last >= _PLAIN_EVERY_S:
-            self._last = time.monotonic()
-            print(text, file=sys.stderr, flush=True)
-
-    def end(self) -> None:
-        if self._changing:
-            print(file=sys.stderr)
-
-
-@contextmanager
-def stopped_by_signal() -> Iterator[Callable[[], bool]]:
-    """Yield a function that returns whether the program was asked to stop.
-
-    The first Ctrl-C (or SIGTERM) requests the stop; a second one interrupts at once. Outside the
-    main thread, where signals cannot be handled, the function always returns False.
-    """
-    asked = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield asked.is_set
-        return
-
-    def handle(_number: int, _frame: FrameType | None) -> None:
-        if asked.is_set():
-            raise KeyboardInterrupt
-        asked.set()
-
-    before = {n: signal.signal(n, handle) for n in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield asked.is_set
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def enter_pressed() -> Callable[[], bool]:

@@ -141,7 +141,7 @@ class SessionOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordCommand:
-    """Record a scene with a RealSense camera, or from a file that librealsense recorded.
+    """Record a scene with a RealSense camera, or from a file of librealsense or ROS.
 
     Ctrl-C ends a recording; what was finished is a scene at any time.
     """
@@ -149,7 +149,8 @@ class RecordCommand:
     scene: Path | None = field(default=None, metadata={"option": ""})
     """folder of the new scene"""
     file: str | None = field(default=None, metadata={"option": "from"})
-    """read a .bag or .db3 file"""
+    """read a .bag or .db3 file of librealsense, or a recording of ROS (rosbag2 folder, .mcap, .db3,
+    .bag)"""
     recover: bool = False
     """only restore all finished frames of a recording that was killed"""
     list: bool = False

@@ -78,7 +78,7 @@ def try_variant(variant: str) -> str | None:
     path = os.pathsep.join(p for p in (root, os.environ.get("PYTHONPATH", "")) if p)
     try:
         done = subprocess.run(
-            [sys.executable, "-c", _TEST.format(variant=variant)],
+            [sys.executable, "-P", "-c", _TEST.format(variant=variant)],
             env={**os.environ, "PYTHONPATH": path, ANSWER_VARIABLE: variant},
             capture_output=True,
             text=True,

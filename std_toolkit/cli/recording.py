@@ -18,18 +18,20 @@ if TYPE_CHECKING:
 class ImportCommand:
     """Make a scene from a recording.
 
-    Give the folder SOURCE of a known format, or separate images with --color, --intrinsics and
-    optionally --depth.
+    Give SOURCE of a known format, or separate images with --color, --intrinsics and optionally
+    --depth. Of a recording of ROS with several cameras, --color and --depth name topics.
     """
 
     source: Path | None = field(default=None, metadata={"option": ""})
-    """folder of a recording in a known format"""
+    """folder of a recording in a known format, or a recording of ROS (rosbag2, .mcap, .db3,
+    .bag)"""
     out: Path = field(metadata={"option": "out"})
     """new scene folder"""
     name: str | None = None
     """name of the scene (default: name of its folder)"""
     format: str | None = None
-    """folder, std, dreds, bop, nocs, cleargrasp or a plug-in (default: detected from SOURCE)"""
+    """folder, ros, std, dreds, bop, nocs, cleargrasp or a plug-in (default: detected from
+    SOURCE)"""
     options: ImportOptions = field(default_factory=ImportOptions)
     link: LinkMode = "copy"
     """copy images that need no conversion, or make hard or symbolic links; --link alone means
@@ -41,10 +43,12 @@ def import_scene(command: ImportCommand) -> int:
     """Make the scene and print its summary."""
     from std_toolkit.checks.summary import summarise
     from std_toolkit.importers.import_step import import_recording
+    from std_toolkit.importers.ros_importer import is_ros_recording
     from std_toolkit.scene.document import check_name, safe_name
 
     source = command.source or command.options.color
-    if source is None or (command.source and command.options.color):
+    both = command.source and command.options.color and not is_ros_recording(command.source)
+    if source is None or both:
         raise ToolkitError("give either SOURCE or --color", hint="see `std-curate import --help`")
     if command.name:
         name = check_name(command.name, field="--name")

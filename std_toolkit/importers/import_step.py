@@ -5,7 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.importers import foreign_files, importer
+from std_toolkit.importers.ros_importer import is_ros_recording
 from std_toolkit.io import atomic, exr, images
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.log import logger
@@ -326,8 +328,13 @@ def import_recording(
             hint="give a calibrated factor such as 0.98; --depth-scale sets the unit",
         )
     if format_name is None:
-        format_name = "folder" if request.color else importer.detect_format(request.source)
-    recording = importer.IMPORTERS.get(format_name).read(request)
-    return write_recording(
-        recording, out, name=request.name, link=link, options=options, known=request.known
-    )
+        separate = request.color is not None and not is_ros_recording(request.source)
+        format_name = "folder" if separate else importer.detect_format(request.source)
+    with ExitStack() as stack:
+        if format_name == "ros":
+            workspace = stack.enter_context(atomic.temporary_folder(out))
+            request, link = replace(request, workspace=workspace), "hard"
+        recording = importer.IMPORTERS.get(format_name).read(request)
+        return write_recording(
+            recording, out, name=request.name, link=link, options=options, known=request.known
+        )

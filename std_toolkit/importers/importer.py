@@ -108,6 +108,8 @@ class Importer(Protocol):
     def read(self, request: options.ImportRequest) -> Recording:
         """Find and check the contents of the recording.
 
+        Images that are not files of their own are written to `request.workspace`.
+
         Raises:
             ToolkitError: it is incomplete or violates its format.
         """
@@ -122,6 +124,7 @@ IMPORTERS: plugins.Registry[Importer] = plugins.Registry(
         "dreds": "std_toolkit.importers.std_importer:DREDS",
         "bop": "std_toolkit.importers.bop_importer:BOP",
         "nocs": "std_toolkit.importers.nocs_importer:NOCS",
+        "ros": "std_toolkit.importers.ros_importer:ROS",
         "cleargrasp": "std_toolkit.importers.cleargrasp_importer:CLEARGRASP",
     },
 )

@@ -143,6 +143,34 @@ def new_folder(out: Path) -> Iterator[Path]:
         os.close(descriptor)
 
 
+@contextmanager
+def temporary_folder(out: Path) -> Iterator[Path]:
+    """A folder beside `out` for intermediate files, removed when the block ends.
+
+    What a killed process left is removed by the next `new_folder` of the same `out`.
+
+    Raises:
+        ToolkitError: it cannot be written.
+    """
+    out = out.absolute()
+    made = _make_parents(out.parent)
+    folder = out.with_name(f".{out.name}.{secrets.token_hex(6)}.tmp")
+    try:
+        folder.mkdir()
+    except OSError as error:
+        _remove_parents(made)
+        raise ToolkitError(f"cannot write here: {error.strerror}", path=out.parent) from error
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        os.close(descriptor)
+        if not out.exists():
+            _remove_parents(made)
+
+
 def check_vacant(out: Path) -> None:
     """Check that `out` does not exist or is an empty folder.
 

@@ -21,13 +21,14 @@ def text() -> str:
 
 def test_every_option_of_the_guide_exists(text, capsys):
     pages = {}
-    for command in ("restore", "export"):
+    for command in ("restore", "live", "export"):
         with pytest.raises(SystemExit):
             PROGRAM.main([command, "--help"])
         pages[command] = capsys.readouterr().out
     lines = text.replace("\\\n", "").splitlines()
     for line in (line for line in lines if "std-restore" in line and "std-curate" not in line):
-        page = pages["export" if "export" in line else "restore"]
+        command = "live" if "--live" in line else "export" if "export" in line else "restore"
+        page = pages[command] + "--live"
         for option in re.findall(r"(?<![\w-])--[a-z-]+", line):
             assert option in page, line
 
@@ -42,8 +43,10 @@ def test_the_files_of_the_guide_are_those_that_are_written(text, tmp_path):
     spec = (REPOSITORY / "data_spec.md").read_text(encoding="utf-8")
     for page in (text, spec.partition("### Restored depth")[2].partition("## 14")[0]):
         named = {n.replace("NAME", "0000") for n in re.findall(r"`(\w+/NAME\.\w+)`", page)}
-        named |= {"restore.json"}
-        assert written <= named and "`restore.json`" in page
+        named |= {"restore.json", "citations.bib"}
+        assert written <= named and {"`restore.json`", "`citations.bib`"} <= set(
+            re.findall("`.*?`", page)
+        )
 
 
 def test_the_program_of_the_guide_runs(text):
