@@ -17,10 +17,10 @@ from benchmark.restoring.recordings import INTRINSICS, FrameFiles
 from benchmark.restoring.restorer import RestoredFrame, Restorer
 from std_toolkit.cameras import CAMERAS, CameraRequest, LiveCamera, LiveFrame
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import check_vacant
+from std_toolkit.io.atomic import check_vacant, write_bytes_atomic
 from std_toolkit.io.documents import write_document
 from std_toolkit.io.images import write_color, write_depth_png16
-from std_toolkit.jobs.live import PreviewPage, StatusLine, encoded, stopped_by_signal, write_preview
+from std_toolkit.jobs.live import PreviewPage, StatusLine, encoded, stopped_by_signal
 from std_toolkit.log import logger
 
 _UNIT_M = 0.001
@@ -138,7 +138,7 @@ def restore_live(options: LiveOptions) -> LiveReport:
                 if page is not None:
                     page.show(picture)
                 if options.preview is not None:
-                    write_preview(options.preview, picture)
+                    write_bytes_atomic(options.preview, picture)
         report.received = newest.received
         if writer is not None and report.restored:
             writer.finish(report)

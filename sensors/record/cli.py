@@ -161,7 +161,8 @@ def _session(
             if options.preview is None and page is None:
                 return
             from sensors.record.live_view import preview_picture
-            from std_toolkit.jobs.live import encoded, write_preview
+            from std_toolkit.io.atomic import write_bytes_atomic
+            from std_toolkit.jobs.live import encoded
 
             head = progress.line().split("  ")[0]
             unit = source.calibration.depth_unit_m
@@ -169,7 +170,7 @@ def _session(
             if page is not None:
                 page.show(picture)
             if options.preview is not None:
-                write_preview(options.preview, picture)
+                write_bytes_atomic(options.preview, picture)
 
         return record(
             scene,

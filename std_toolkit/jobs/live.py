@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import re
 import shutil
 import signal
@@ -11,7 +13,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
 from types import FrameType, TracebackType
 
 import cv2
@@ -19,8 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.html.page import script_digest
-from std_toolkit.io.atomic import write_bytes_atomic
 
 _QUALITY = 80
 
@@ -36,10 +35,11 @@ _PAGE = f"""<!doctype html><meta charset="utf-8"><title>preview</title>
 <img id="p" alt="waiting for the camera"><script>{_PROGRAM}</script>
 """.encode()
 
+_DIGEST = base64.b64encode(hashlib.sha256(_PROGRAM.encode()).digest()).decode()
 _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; img-src 'self'; style-src 'unsafe-inline'; "
-    f"script-src '{script_digest(_PROGRAM)}'; base-uri 'none'; form-action 'none'; "
+    f"script-src 'sha256-{_DIGEST}'; base-uri 'none'; form-action 'none'; "
     "frame-ancestors 'none'",
     "Cross-Origin-Resource-Policy": "same-origin",
     "X-Content-Type-Options": "nosniff",
@@ -56,15 +56,6 @@ def encoded(picture: NDArray[np.uint8]) -> bytes:
     """The (H, W, 3) RGB picture as JPEG."""
     _, data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
     return bytes(data)
-
-
-def write_preview(path: Path, picture: bytes) -> None:
-    """Write the picture to a file that viewers may read at any time.
-
-    Raises:
-        ToolkitError: it cannot be written.
-    """
-    write_bytes_atomic(path, picture)
 
 
 class PreviewPage:
