@@ -95,7 +95,7 @@ def _protocols(folder: Path) -> dict[str, Any]:
         import torch
     except ModuleNotFoundError:
         return names
-    from benchmark.metrics.depth.depth_torch import DepthMetrics
+    from benchmark.metrics.depth.accumulate import DepthMetrics
 
     batch = {name: torch.ones(1, 8, 8) for name in ("depth_true", "valid")}
     batch["valid"] = batch["valid"] > 0

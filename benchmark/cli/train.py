@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from benchmark.training.options import (
         ExportOptions,
         GraspPackCommand,
+        MineOptions,
         PackCommand,
         TrainCommand,
     )
@@ -135,6 +136,18 @@ def recipe(options: RecipeConfig) -> int:
     return _failures(outcome.problems)
 
 
+def mine(options: MineOptions) -> int:
+    """Fine-tune shipped weights on your own objects; returns the exit status."""
+    _needs_torch()
+    from benchmark.recipes.mine import fine_tune, report_lines
+
+    machine = replace(options.machine, progress=sys.stderr.isatty())
+    report = fine_tune(replace(options, machine=machine))
+    print("\n".join(report_lines(report, options.method)))
+    print(f"std-report {report.results}: tables by material, depth and scene")
+    return _failures(report.problems)
+
+
 def _devices(accelerator: str) -> tuple[str, ...]:
     """Torch devices to score on."""
     import torch
@@ -180,6 +193,12 @@ PROGRAM = Program(
         ),
         _command("train", "train a network on packed frames", f"{_OPTIONS}:TrainCommand", train),
         _command("export", "write trained weights and a card", f"{_OPTIONS}:ExportOptions", export),
+        _command(
+            "mine",
+            "fine-tune the shipped weights on your own objects",
+            f"{_OPTIONS}:MineOptions",
+            mine,
+        ),
         _command(
             "recipe",
             "run an experiment from its data to its table",

@@ -226,6 +226,50 @@ class GraspPackCommand(GraspPackOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class MineOptions:
+    """Fine-tune the shipped weights on your own objects, and score them before and after.
+
+    Objects of --meshes are simulated by std-sim; --scenes are labelled scenes with ground truth
+    (`std-curate render`). Scenes that are scored are never trained on. Run the same command again
+    to resume.
+    """
+
+    out: Path = field(metadata={"option": "out"})
+    """folder of sets, packs, training and results"""
+    meshes: Path | None = None
+    """folder of your meshes; sub-folders are categories, and `assets.json` gives units and more"""
+    scenes: Path | None = None
+    """folder of your labelled scenes; the last third by name is scored and not trained on"""
+    method: str = "swindrnet"
+    """network with shipped compact weights: swindrnet, nlspn, dfnet"""
+    simulated: Count = 24
+    """scenes to simulate for training"""
+    tests: Count = 6
+    """further scenes to simulate for the scores"""
+    views: Count = 12
+    """frames of a simulated scene"""
+    size: tuple[Count, Count] = field(default=(424, 240), metadata={"size": True})
+    """image size of simulated scenes"""
+    quality: Literal["rough", "draft", "better", "fine"] = "draft"
+    """light paths per pixel of simulated scenes"""
+    steps: Count = 400
+    """optimizer steps"""
+    batch_size: Count = 16
+    """frames of a step"""
+    learning_rate: Positive = 1e-4
+    """learning rate at its highest"""
+    seed: int = 0
+    """of the first simulated scene, and of the training"""
+    machine: Machine = field(default_factory=Machine)
+    jobs: JobOptions = field(default_factory=JobOptions)
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        if self.meshes is None and self.scenes is None:
+            raise ToolkitError("needed", field="--meshes", hint="or --scenes, or both")
+
+
+@dataclass(frozen=True, kw_only=True)
 class ExportOptions:
     """Write the best weights of a training in half precision, with their SHA-256 and a model card.
 

@@ -1,0 +1,91 @@
+"""std-train mine: fine-tuning on frames that need no simulation, resumed; what it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from benchmark.cli.train import main
+from benchmark.recipes.mine import TUNINGS, fine_tune, plan_sets
+from benchmark.training.options import Machine, MineOptions
+from std_toolkit import RenderOptions, render_ground_truth
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.images import write_color
+from std_toolkit.jobs import JobOptions
+from tests.scene_on_disk import write_scene
+
+MACHINE = Machine(accelerator="cpu", readers=0, progress=False)
+SERIAL = JobOptions(engine="serial")
+
+
+@pytest.fixture
+def scenes(tmp_path: Path) -> Path:
+    """Three labelled scenes with ground truth, of different images."""
+    for i, name in enumerate("abc", 1):
+        scene = write_scene(tmp_path / "scenes" / name, frames=2)
+        for frame in scene.frames:
+            write_color(scene.color_path(frame), scene.read_color(frame) // np.uint8(i))
+        render_ground_truth(scene, RenderOptions(renderer="raycast")).raise_if_failed()
+    return tmp_path / "scenes"
+
+
+def options(scenes: Path, out: Path, **changes: object) -> MineOptions:
+    given = {"method": "dfnet", "steps": 2, "batch_size": 2, "machine": MACHINE, "jobs": SERIAL}
+    return MineOptions(scenes=scenes, out=out, **{**given, **changes})  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_weights_are_tuned_and_scored_on_other_scenes(scenes: Path, tmp_path: Path) -> None:
+    torch.set_num_threads(1)
+    report = fine_tune(options(scenes, tmp_path / "out"))
+    assert report.problems == {}
+    assert report.weights.is_file()
+    assert report.trained.scenes == 1  # of two: the other one chooses the best weights
+    score = report.scores["scenes"]
+    assert score.frames == 2
+    assert score.before > 0 and score.after > 0 and score.before != score.after
+    assert {p.name for p in (tmp_path / "out/scenes/test").iterdir()} == {"c"}
+    # The same command again does nothing anew.
+    before = report.weights.stat().st_mtime_ns
+    again = fine_tune(options(scenes, tmp_path / "out"))
+    found = again.scores["scenes"]
+    assert (found.before, found.after) == (score.before, score.after)
+    assert report.weights.stat().st_mtime_ns == before
+
+
+def test_simulated_scenes_that_are_scored_are_others(tmp_path: Path) -> None:
+    (tmp_path / "meshes").mkdir()
+    given = MineOptions(meshes=tmp_path / "meshes", out=tmp_path / "out", simulated=30, tests=5)
+    training, tests = plan_sets(given)
+    assert len(training) == 1 and len(training[0].seeds) == 30
+    scored = tests["simulated"]
+    assert len(scored.seeds) == 5
+    assert not set(training[0].seeds) & set(scored.seeds)
+    assert training[0].root != scored.root
+    assert scored.options is not None and scored.options.split == "all"
+
+
+def test_what_cannot_be_used_is_named(
+    scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(ToolkitError, match="swindrnet"):
+        fine_tune(options(scenes, tmp_path / "out", method="lidf"))
+    (scenes / "c").rename(tmp_path / "c")
+    with pytest.raises(ToolkitError, match="at least 3 labelled scenes"):
+        fine_tune(options(scenes, tmp_path / "out"))
+    assert main(["mine", "--out", str(tmp_path / "out")]) == 2
+    assert "--meshes" in capsys.readouterr().err
+
+
+def test_a_tuning_is_that_of_the_card() -> None:
+    """Fine-tuning goes on with the settings and the loss of the shipped weights."""
+    cards = Path(__file__).resolve().parents[3] / "benchmark/weights"
+    for method, tuning in TUNINGS.items():
+        card = (cards / f"{method}-compact.md").read_text(encoding="utf-8")
+        for field, values in (("settings", tuning.settings), ("loss", tuning.loss)):
+            if values:
+                row = ", ".join(f"{name}={value}" for name, value in values.items())
+                assert f"| {field} | {row} |" in card, method
