@@ -133,7 +133,7 @@ def measure_parts(scene: Scene, renderer_name: str, repeats: int, out: Path) -> 
         parts: dict[str, Callable[[], None]] = {
             "depth": lambda drawn=drawn: ground_truth.write_depth(out / "d.exr", drawn.depth),
             "mask": lambda mask=mask: ground_truth.write_mask(out / "m.png", mask),
-            "nocs": lambda nocs=nocs: ground_truth.write_nocs(out / "n.png", nocs),
+            "nocs": lambda n=nocs, m=mask: ground_truth.write_nocs(out / "n.png", n, m),
             "normals": lambda n=normals, m=mask: ground_truth.write_normals(out / "v.png", n, m),
         }
         for name, write in parts.items():

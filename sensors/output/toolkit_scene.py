@@ -90,7 +90,7 @@ class ToolkitSceneWriter:
         paths = map_paths(folder, frame.index)
         ground_truth.write_depth(paths["depth"], np.where(seen, frame.depth_exact, 0))
         ground_truth.write_mask(paths["mask"], frame.mask)
-        ground_truth.write_nocs(paths["nocs"], frame.nocs)
+        ground_truth.write_nocs(paths["nocs"], frame.nocs, frame.mask)
         ground_truth.write_normals(paths["normals"], frame.normals, frame.mask)
         self._rows[frame.index] = rows
 

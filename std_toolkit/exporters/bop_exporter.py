@@ -105,7 +105,7 @@ class BopExporter:
         stem = f"{frame.id:06d}"
         folder = target.root / self.folder(target)
         outputs = [f"rgb/{stem}.png"]
-        write_png(folder / outputs[0], read_color(scene, frame), compression=3)
+        write_png(folder / outputs[0], read_color(scene, frame))
         depth = depth_units(scene, frame)
         if depth is not None:
             outputs.append(f"depth/{stem}.png")

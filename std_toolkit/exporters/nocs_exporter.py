@@ -87,7 +87,7 @@ class NocsExporter:
         stem = f"{frame.id:04d}"
         folder = target.root / self.folder(target)
         mask_ids = {i: target.rank(i) for i in target.object_ids}
-        write_png(folder / f"{stem}_color.png", read_color(scene, frame), compression=3)
+        write_png(folder / f"{stem}_color.png", read_color(scene, frame))
         sensor = read_sensor_depth(scene, frame)
         if sensor is None:
             sensor = np.zeros((camera.height, camera.width), np.float32)

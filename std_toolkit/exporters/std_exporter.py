@@ -122,7 +122,7 @@ class StdExporter:
         prefix = f"{self.folder(target)}/{stem}"
         mask_ids = {i: target.rank(i) for i in target.object_ids}
 
-        images.write_png(folder / f"{stem}_color.png", read_color(scene, frame), compression=3)
+        images.write_png(folder / f"{stem}_color.png", read_color(scene, frame))
         sensor = read_sensor_depth(scene, frame)
         if sensor is None:
             sensor = np.zeros((camera.height, camera.width), np.float32)

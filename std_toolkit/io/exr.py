@@ -23,7 +23,7 @@ from std_toolkit.io.atomic import atomic_path
 from std_toolkit.io.image_header import check_plausible_size, open_regular
 
 # "zips" compresses single scan lines; with level 1 it is as fast as no compression on sparse maps.
-COMPRESSIONS = ("none", "zips", "zip", "piz")
+COMPRESSIONS = ("none", "rle", "zips", "zip", "piz")
 
 _DTYPES = (np.float16, np.float32, np.uint32)
 
@@ -176,6 +176,7 @@ def write_exr(
 
     kinds = {
         "none": OpenEXR.NO_COMPRESSION,
+        "rle": OpenEXR.RLE_COMPRESSION,
         "zips": OpenEXR.ZIPS_COMPRESSION,
         "zip": OpenEXR.ZIP_COMPRESSION,
         "piz": OpenEXR.PIZ_COMPRESSION,

@@ -21,6 +21,12 @@ COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 _LIBJPEG = (b"Corrupt JPEG data", b"Premature end of JPEG", b"Invalid SOS", b"Inconsistent progr")
 _DECODING = threading.Lock()
 
+# Photographs and depth: half the time and the size of OpenCV's level 3.
+_PNG_PARAMETERS = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+if hasattr(cv2, "IMWRITE_PNG_FILTER"):
+    _PNG_PARAMETERS += [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_PAETH]
+_PNG_PARAMETERS += [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
+
 
 def image_size(path: Path | str) -> tuple[int, int]:
     """(width, height) from the file's header, without decoding the pixels.
@@ -157,7 +163,7 @@ def read_png(path: Path | str, *, size: tuple[int, int] | None = None) -> NDArra
     return image if image.ndim == 2 else np.ascontiguousarray(image[..., 2::-1])
 
 
-def write_png(path: Path | str, image: NDArray[np.generic], *, compression: int = 1) -> None:
+def write_png(path: Path | str, image: NDArray[np.generic]) -> None:
     """Write (H, W) or RGB (H, W, 3), uint8 or uint16, losslessly and byte-deterministically."""
     if image.dtype not in (np.uint8, np.uint16) or image.shape[2:] not in ((), (3,)):
         raise ToolkitError(
@@ -166,7 +172,7 @@ def write_png(path: Path | str, image: NDArray[np.generic], *, compression: int 
             value=f"{image.dtype} {image.shape}",
         )
     pixels = image if image.ndim == 2 else np.ascontiguousarray(image[..., ::-1])
-    _encode(path, pixels, [cv2.IMWRITE_PNG_COMPRESSION, compression])
+    _encode(path, pixels, _PNG_PARAMETERS)
 
 
 def _png_header(path: Path, requirement: str) -> image_header.ImageHeader:

@@ -108,7 +108,7 @@ def render_frame(frame_id: int, *, job: FrameJob, force: bool) -> Literal["done"
     paths = map_paths(scene.root, frame_id)
     ground_truth.write_depth(paths["depth"], composition.depth)
     ground_truth.write_mask(paths["mask"], mask)
-    ground_truth.write_nocs(paths["nocs"], nocs)
+    ground_truth.write_nocs(paths["nocs"], nocs, mask)
     ground_truth.write_normals(paths["normals"], normals, mask)
     write_document(
         info,

@@ -8,7 +8,7 @@ Encoding of the maps (data_spec.md is normative):
 ==========  ============================  =====================================================
 map         file                          encoding
 ==========  ============================  =====================================================
-depth       gt/depth/NNNNNN.exr           one float32 channel `Z`, metres, ZIP: lossless
+depth       gt/depth/NNNNNN.exr           one float32 channel `Z`, metres, RLE: lossless
 mask        gt/mask/NNNNNN.png            8 bit, object id, 0 = background
 NOCS        gt/nocs/NNNNNN.png            3 x 16 bit RGB = XYZ, round(65535 n), background 0 0 0
 normals     gt/normals/NNNNNN.png         3 x 16 bit RGB = XYZ, round(65535 (n + 1) / 2),
@@ -19,12 +19,13 @@ normals     gt/normals/NNNNNN.png         3 x 16 bit RGB = XYZ, round(65535 (n +
 value of either: a NOCS point is within 0.5 of the centre of the cube, and (-1, -1, -1) is not a
 unit vector.
 
-Time and size per map, measured on 2 cores with a 1280x720 frame of six objects (155,000 object
-pixels):
+Processor time and size per map, measured with a 1280x720 frame of six objects (155,000 object
+pixels; `perf/render.py`):
 
-- float32 EXR: 15 ms and 0.6 MB for depth, 44 ms and 1.9 MB for normals;
+- float32 EXR of depth: 14 ms and 0.62 MB with ZIP, 8 ms and 0.70 MB with RLE;
 - 16-bit PNG with OpenCV's defaults: 60 ms and 0.75 MB;
-- 16-bit PNG with the filter "up" and run-length matching: 18 ms and 0.72 MB.
+- 16-bit PNG with the filter "up" and run-length matching: 18 ms and 0.68 MB;
+- 16-bit PNG of `sparse_png`, which stores the objects and deflates the background: 6 ms and 0.97 MB.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ import numpy as np
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io import atomic, documents, exr, images
+from std_toolkit.io.sparse_png import sparse_png
 from std_toolkit.scene.model import Count, Document, ObjectId, Pose16, pose_from_list
 from std_toolkit.scene.scene import Scene
 
@@ -52,6 +54,9 @@ _FILES = {"depth": "exr", "mask": "png", "nocs": "png", "normals": "png"}
 # The filter "up" turns flat background and smooth ramps into runs, which run-length matching
 # compresses. Trying every filter per row takes three times as long and saves 5 %.
 _PNG_PARAMETERS = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+
+# Above this share of covered pixels a map is compressed as a whole.
+_SPARSE = 0.5
 
 
 class ObjectTruth(Document, frozen=True, kw_only=True):
@@ -222,7 +227,7 @@ _PNG_PARAMETERS += [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
 
 def write_depth(path: Path, depth: np.ndarray) -> None:
     """Write (H,W) float32 z-depth in metres, 0 = background, lossless."""
-    exr.write_exr(path, {"Z": np.ascontiguousarray(depth, np.float32)}, compression="zip")
+    exr.write_exr(path, {"Z": np.ascontiguousarray(depth, np.float32)}, compression="rle")
 
 
 def write_mask(path: Path, mask: np.ndarray) -> None:
@@ -230,17 +235,14 @@ def write_mask(path: Path, mask: np.ndarray) -> None:
     _write_png(path, np.ascontiguousarray(mask, np.uint8))
 
 
-def write_nocs(path: Path, nocs: np.ndarray) -> None:
-    """Write (H,W,3) float32 NOCS coordinates in 0..1, 0 0 0 in the background."""
-    _write_png(path, (np.clip(nocs, 0, 1) * np.float32(65535) + np.float32(0.5)).astype(np.uint16))
+def write_nocs(path: Path, nocs: np.ndarray, mask: np.ndarray) -> None:
+    """Write (H,W,3) float32 NOCS coordinates in 0..1 of the pixels where `mask` is not 0."""
+    _write_triples(path, _scaled(nocs, 65535.0, 0.0), mask)
 
 
 def write_normals(path: Path, normals: np.ndarray, mask: np.ndarray) -> None:
     """Write (H,W,3) float32 unit normals of the pixels where `mask` is not 0."""
-    half = np.float32(32767.5)
-    stored = (np.clip(normals, -1, 1) * half + (half + np.float32(0.5))).astype(np.uint16)
-    stored[mask == 0] = 0
-    _write_png(path, stored)
+    _write_triples(path, _scaled(normals, 32767.5, 32767.5), mask)
 
 
 def load_depth(path: Path, size: tuple[int, int]) -> np.ndarray:
@@ -273,6 +275,21 @@ def _load_triples(path: Path, size: tuple[int, int]) -> np.ndarray:
             "expected a 16-bit RGB image", path=path, value=f"{image.dtype} {image.shape}"
         )
     return image
+
+
+def _scaled(values: np.ndarray, factor: float, offset: float) -> np.ndarray:
+    """round(factor x + offset) within 0..65535, as uint16."""
+    values = np.ascontiguousarray(values, np.float32)
+    return np.asarray(cv2.addWeighted(values, factor, values, 0, offset, dtype=cv2.CV_16U))
+
+
+def _write_triples(path: Path, stored: np.ndarray, mask: np.ndarray) -> None:
+    covered = np.ascontiguousarray(mask != 0, np.uint8)
+    stored = np.asarray(cv2.bitwise_and(stored, stored, mask=covered))
+    if cv2.countNonZero(covered) > _SPARSE * covered.size:
+        _write_png(path, stored)
+    else:
+        atomic.write_bytes_atomic(path, sparse_png(stored, covered))
 
 
 def _write_png(path: Path, image: np.ndarray) -> None:

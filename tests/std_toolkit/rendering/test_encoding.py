@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -31,10 +32,26 @@ def test_nocs_keeps_five_micrometres_of_a_third_of_a_metre(
 ) -> None:
     nocs = random.uniform(0, 1, (43, 57, 3)).astype(np.float32)
     nocs[:20] = 0
-    ground_truth.write_nocs(tmp_path / "n.png", nocs)
+    mask = np.ones((43, 57), np.uint8)
+    mask[:20] = 0
+    ground_truth.write_nocs(tmp_path / "n.png", nocs, mask)
     back = ground_truth.load_nocs(tmp_path / "n.png", SIZE)
     assert np.abs(back - nocs).max() <= 0.5 / 65535 + 1e-7
     assert not back[:20].any()
+
+
+@pytest.mark.parametrize("covered_rows", [0, 3, 43])
+def test_values_are_rounded_to_the_nearest_step(tmp_path: Path, covered_rows: int) -> None:
+    steps = np.linspace(0, 65535, 43 * 57 * 3).reshape(43, 57, 3)
+    mask = np.zeros((43, 57), np.uint8)
+    mask[:covered_rows] = 7
+    ground_truth.write_nocs(tmp_path / "n.png", (steps / 65535).astype(np.float32), mask)
+    normals = (2 * steps / 65535 - 1).astype(np.float32)
+    ground_truth.write_normals(tmp_path / "v.png", normals, mask)
+    expected = np.where(mask[..., None], steps, 0)
+    for name in ("n.png", "v.png"):
+        stored = cv2.imread(str(tmp_path / name), cv2.IMREAD_UNCHANGED)[..., ::-1]
+        assert np.abs(stored - expected).max() <= 0.51
 
 
 def test_normals_keep_a_thousandth_of_a_degree(tmp_path: Path, random: np.random.Generator) -> None:
