@@ -75,7 +75,7 @@ class RenderOptions:
 # The direct light of the dots is exact at any number of paths.
 DRAFT_INFRARED = RenderOptions(samples=4, chunk=1, ambient_samples=2, fast_denoiser=True)
 FINE_INFRARED = RenderOptions(samples=64, chunk=1, ambient_samples=16)
-# Denoised fast, 8 paths are 41.0 and 45.9 dB in two views, 16 paths 42.5 and 47.3 dB, relative to 128
+# Denoised, 8 paths are 41.0 and 45.9 dB in two views, 16 paths 42.5 and 47.3 dB, relative to 128
 # paths; the camera's own noise is at 40 to 45 dB.
 DRAFT_COLOR = RenderOptions(samples=8, chunk=0, fast_denoiser=True)
 
