@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from sensors.render.sim_scene import SceneObject
     from std_toolkit.geometry import SE3, Camera
 
-_FEATURE_SAMPLES = 4
+_FEATURE_SAMPLES, _FAST_FEATURE_SAMPLES = 4, 2
 # This share of the pixels is darker than the brightest dots, mirrored ones aside.
 _DOT_QUANTILE = 0.995
 _CLIP_FACTOR = 2.0
@@ -191,23 +191,33 @@ class MitsubaScene:
         options: RenderOptions,
         seed: int,
     ) -> NDArray[np.float32]:
-        """(N, H, W) the projector's light, and the environment's, denoised."""
+        """(N, H, W) the projector's direct light, and all other light, denoised."""
         views = len(T_world_cams)
-        dots = replace(options, chunk=1)
+        # A path ends at the first diffuse surface: light scattered by one forms no dots.
+        dots = replace(options, chunk=1, diffuse_bounces=1)
         paths = self._radiance(
             camera, T_world_cams, projector, ambient=0.0, options=dots, seed=seed, grey=True
         )
         projected = np.stack([bounded_mean(p[..., 0]) for p in np.split(paths, views)])
         rest = replace(options, samples=options.ambient_samples, chunk=0)
         paths = self._radiance(
-            camera, T_world_cams, None, ambient=ambient, options=rest, seed=seed, grey=True
+            camera,
+            T_world_cams,
+            projector,
+            ambient=ambient,
+            options=rest,
+            seed=seed,
+            grey=True,
+            indirect=True,
         )
         albedo, normal = self._tracer(infrared=True).features(
-            camera, T_world_cams, samples=_FEATURE_SAMPLES, seed=seed
+            camera, T_world_cams, samples=_feature_samples(options), seed=seed
         )
         # Both views as one image, side by side, would mix at the border: one after the other.
         parts = [
-            clean(np.repeat(clipped_mean(p), 3, axis=-1), a, n).mean(axis=-1)
+            clean(np.repeat(clipped_mean(p), 3, axis=-1), a, n, fast=options.fast_denoiser).mean(
+                axis=-1
+            )
             for p, a, n in zip(*(np.split(x, views) for x in (paths, albedo, normal)), strict=True)
         ]
         return np.asarray(projected + np.maximum(np.stack(parts), 0), np.float32)
@@ -229,7 +239,7 @@ class MitsubaScene:
         if self._variant.startswith("scalar"):
             return ColorLight(radiance)
         features = self._tracer(infrared=False).features(
-            camera, T_world_cam, samples=_FEATURE_SAMPLES, seed=seed
+            camera, T_world_cam, samples=_feature_samples(options), seed=seed
         )
         return ColorLight(radiance, *features)
 
@@ -247,6 +257,10 @@ class MitsubaScene:
         check_no_distortion("mitsuba", camera)
         self._mi.set_variant(self._variant)
         return self._tracer(infrared=keywords["grey"]).radiance(camera, *args, **keywords)
+
+
+def _feature_samples(options: RenderOptions) -> int:
+    return _FAST_FEATURE_SAMPLES if options.fast_denoiser else _FEATURE_SAMPLES
 
 
 def bounded_mean(paths: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -99,10 +99,12 @@ class PathTracer:
         options: sim_renderer.RenderOptions,
         seed: int,
         grey: bool,
+        indirect: bool = False,
     ) -> NDArray[np.float32]:
         """(N H, W, n, c) float32: mean of every chunk of every pixel; c is 1 where `grey`.
 
-        The images of N cameras are one below the other, rendered in one launch.
+        The images of N cameras are one below the other, rendered in one launch. `indirect` leaves
+        out the projector's light that was not scattered by a diffuse surface: all dots.
         """
         # Without ambient light, dots at the same places in every pixel are less noisy.
         regular = projector is not None and ambient == 0
@@ -122,6 +124,7 @@ class PathTracer:
             options.max_depth,
             options.diffuse_bounces,
             options.roulette_depth,
+            indirect,
         )
         chunk = options.chunk or options.samples
         parts = [(light.x + light.y + light.z) / 3] if grey else [light.x, light.y, light.z]
@@ -302,9 +305,23 @@ def _unblocked(opaque, clear, table, si, target, active):  # type: ignore[no-unt
 
 @dr.syntax
 def _trace(  # type: ignore[no-untyped-def]
-    shapes, table, sky, far, sampler, ray_in, beam, ambient, max_depth, diffuse_bounces, roulette
+    shapes,
+    table,
+    sky,
+    far,
+    sampler,
+    ray_in,
+    beam,
+    ambient,
+    max_depth,
+    diffuse_bounces,
+    roulette,
+    indirect,
 ):
-    """Radiance along rays; depths and the existence of beam and sky are compile-time constants."""
+    """Radiance along rays.
+
+    Depths, `indirect` and the existence of beam and sky are compile-time constants.
+    """
     context = mi.BSDFContext()
     ray = mi.Ray3f(ray_in)
     throughput = mi.Spectrum(1)
@@ -333,7 +350,7 @@ def _trace(  # type: ignore[no-untyped-def]
         if dr.hint(beam is not None, mode="scalar"):
             # Directly visible surfaces sample both lights, indirectly visible ones sample one of
             # them: this choice causes most of the noise.
-            asks_beam = smooth | hazy
+            asks_beam = smooth & (diffuse > 0) if indirect else smooth | hazy
             chance = mi.Float(1)
             if dr.hint(sky is not None, mode="scalar"):
                 both = diffuse == 0

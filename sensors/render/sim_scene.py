@@ -12,7 +12,7 @@ from sensors.lighting.environment import EnvironmentMap
 from sensors.materials.material_draw import DrawnMaterial
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
-from std_toolkit.rendering.maps import compose, mask_of, surface_maps
+from std_toolkit.rendering.maps import Composition, compose, mask_of, surface_maps
 from std_toolkit.rendering.mesh import RenderMesh
 from std_toolkit.rendering.raycast import RaycastRenderer
 from std_toolkit.rendering.renderer import PlacedMesh
@@ -209,13 +209,29 @@ class TruthCaster:
 
     def maps(self, camera: Camera, T_world_cam: SE3) -> TruthMaps:
         """Exact maps of a view; lens distortion is supported."""
+        placed, composition, mask = self._seen(camera, T_world_cam)
+        nocs, normals = surface_maps(camera, placed, composition)
+        nocs[mask == 0] = 0
+        return TruthMaps(composition.depth, mask, nocs, normals)
+
+    def depth_and_mask(
+        self, camera: Camera, T_world_cam: SE3
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """The depth and the mask of `maps` alone."""
+        _, composition, mask = self._seen(camera, T_world_cam)
+        return composition.depth, mask
+
+    def _seen(
+        self, camera: Camera, T_world_cam: SE3
+    ) -> tuple[list[PlacedMesh], Composition, NDArray[np.uint8]]:
         T_cam_world = T_world_cam.inverse()
         placed = [
             PlacedMesh(o.instance_id, o.mesh.prepared, T_cam_world @ o.T_world_obj)
             for o in self._objects
         ]
         composition = compose(self._renderer, camera, placed)
-        nocs, normals = surface_maps(camera, placed, composition)
-        mask = mask_of(composition.index, [o.instance_id for o in self._objects])
-        nocs[mask == 0] = 0
-        return TruthMaps(composition.depth, mask, nocs, normals)
+        return (
+            placed,
+            composition,
+            mask_of(composition.index, [o.instance_id for o in self._objects]),
+        )

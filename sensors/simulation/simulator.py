@@ -212,7 +212,7 @@ class Simulator:
         part = self.stopwatch.part
         with part("exact maps"):
             exact = truth.maps(self._label_camera, view.T_world_cam)
-            exact_ir = truth.maps(self._infrared_camera, view.T_world_ir)
+            depth_exact_ir, mask_ir = truth.depth_and_mask(self._infrared_camera, view.T_world_ir)
         with part("images"):
             left, right, _ = infrared_image.expose_pair(
                 view.left,
@@ -221,7 +221,8 @@ class Simulator:
                 response=infrared_image.InfraredResponse(noise=self.options.infrared_noise),
             )
         with part("denoise"):
-            clean = color_image.denoise(view.color, threads=self._threads)
+            fast = self._quality.color.fast_denoiser
+            clean = color_image.denoise(view.color, threads=self._threads, fast=fast)
         with part("images"):
             responses = world.draw.color
             color, _ = color_image.develop(
@@ -230,7 +231,7 @@ class Simulator:
                 response=responses[view.index] if responses else None,
             )
         if self.options.depth == "cut":
-            depth_ir = self._cut(world, exact_ir.depth, exact_ir.mask)
+            depth_ir = self._cut(world, depth_exact_ir, mask_ir)
             aligned = self._cut(world, exact.depth, exact.mask)
         else:
             with part("matching"):
@@ -248,8 +249,8 @@ class Simulator:
             infrared_left=left,
             infrared_right=right,
             depth_sensor=depth_ir,
-            depth_exact_infrared=exact_ir.depth,
-            mask_infrared=exact_ir.mask,
+            depth_exact_infrared=depth_exact_ir,
+            mask_infrared=mask_ir,
             depth_aligned=aligned,
             depth_exact=exact.depth,
             mask=exact.mask,

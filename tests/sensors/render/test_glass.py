@@ -102,7 +102,7 @@ def test_an_object_divides_into_its_parts() -> None:
 
 @pytest.mark.slow
 def test_a_changed_scene_is_that_of_a_new_one(compiled) -> None:
-    """Light and floor are swapped: the image is the same to the bit."""
+    """Light and floor are swapped: the images agree, but for rounding."""
     renderer = MitsubaRenderer(variant=compiled, check=False)
     scene = smallest_scene()
     floor = replace(scene.objects[0], material=draw_material(np.random.default_rng(5), "diffuse"))

@@ -12,6 +12,7 @@ import pytest
 from sensors.assets import open_source
 from sensors.lighting.environment_sources import environment_source
 from sensors.render.sim_renderer import QUALITIES
+from sensors.simulation import world_builder
 from sensors.simulation.options import PRESETS, PresetName, QualityName, SimulationOptions
 from sensors.simulation.scene_draw import (
     ALWAYS,
@@ -125,6 +126,38 @@ def test_a_factor_can_be_fixed_alone(factor: str, fields: tuple[str, ...]) -> No
     assert [o.asset for o in one.objects] == [o.asset for o in drawn(5, free).objects]
     if factor == "lighting":
         assert len({x.rotation_rad for x in one.light}) == 1
+
+
+@pytest.mark.slow
+def test_fixed_objects_lie_alike_in_all_scenes(monkeypatch) -> None:
+    """Shapes, sizes and poses are shared; materials, light, floor and cameras are not."""
+    # Convex hulls serve here, and take no time.
+    monkeypatch.setattr(
+        world_builder, "convex_parts", lambda asset, cache: (np.asarray(asset.vertices),)
+    )
+    options = msgspec.structs.replace(
+        OPTIONS, views=1, fix=("objects",), min_objects=3, max_objects=3
+    )
+
+    def world(seed: int, options: SimulationOptions = options) -> world_builder.World:
+        draw, assets, maps = draw_scene(
+            seed, options, open_source("procedural"), environment_source()
+        )
+        return world_builder.build_world("x", draw, assets, maps, options, sensor="d415")
+
+    one, other = world(5), world(6)
+    for a, b in zip(one.record.objects, other.record.objects, strict=True):
+        assert (a.asset_id, a.scale_m) == (b.asset_id, b.scale_m)
+        assert np.array_equal(a.T_world_obj.matrix(), b.T_world_obj.matrix())
+    assert one.draw.spread_m == other.draw.spread_m
+    for name in ("light", "floors", "color", "pattern_seed"):
+        assert getattr(one.draw, name) != getattr(other.draw, name)
+    assert [o.material for o in one.draw.objects] != [o.material for o in other.draw.objects]
+    assert not np.allclose(one.T_world_cam[0].matrix(), other.T_world_cam[0].matrix())
+    # What is not fixed is that of the scene without the option.
+    free = msgspec.structs.replace(options, fix=())
+    assert one.draw.light == drawn(5, free).light
+    assert [o.asset for o in drawn(5, free).objects] != [o.asset for o in drawn(6, free).objects]
 
 
 def test_light_and_floor_differ_between_views() -> None:
