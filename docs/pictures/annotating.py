@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from sensors.output.recording_writer import Truth, read_truth
 from sensors.synthetic import RecordingOptions, make_recording
+from sensors.synthetic.recording import printed_meshes
 from std_toolkit.cli.main import main as curate
 from std_toolkit.geometry import SE3
 from std_toolkit.io.images import write_color
@@ -35,7 +36,11 @@ QUALITY = 82
 # A person does not hit the middle of an object exactly: standard deviation in pixels.
 AIM_PX = 8.0
 MATERIALS = {"glass": "transparent", "steel_bowl": "specular"}
+OPTIONS = RecordingOptions(frames=24, width=1280, height=720, arc_degrees=100.0)
 ROUND = ("bottle", "soup_can", "glass", "steel_bowl")
+# Radius of a numbered disc, px, and the differences of colour that an empty place has.
+_DISC = 14
+_FLAT = 12
 Image = NDArray[np.uint8]
 
 
@@ -43,8 +48,7 @@ def record(work: Path) -> Truth:
     """A recording and a scene with camera poses, in metres from the sensor depth."""
     recording, scene = work / "recording", work / "scene"
     if not (recording / "truth.json").is_file():
-        options = RecordingOptions(frames=24, width=1280, height=720, arc_degrees=100.0)
-        make_recording(recording, options)
+        make_recording(recording, OPTIONS)
     if not (work / "posed").is_dir():
         folders = ["--color", str(recording / "color"), "--depth", str(recording / "depth")]
         numbers = ["--depth-scale", "0.001", "--intrinsics", str(recording / "intrinsics.json")]
@@ -84,7 +88,16 @@ def label(work: Path, truth: Truth) -> None:
 
 def place(hand: Hands, recording: Path, truth: Truth) -> None:
     """The meshes, all at once, and each onto its image."""
-    hand.drop_files([recording / item.mesh for item in truth.objects])
+    printed = printed_meshes(OPTIONS)
+    files = []
+    for item in truth.objects:
+        path = recording / item.mesh
+        if item.name not in MATERIALS:
+            path = recording / "printed" / f"{item.name}.glb"
+            path.parent.mkdir(exist_ok=True)
+            printed[item.name].export(path)
+        files.append(path)
+    hand.drop_files(files)
     c = hand.controller
     hand.wait(lambda: len(c.session.state.models) == len(truth.objects))
     hand.wait(lambda: c.table is not None)
@@ -228,17 +241,12 @@ def parts(hand: Hands) -> list[QWidget]:
 
 
 def numbered(picture: Image, widgets: list[QWidget]) -> Image:
-    """White numbers on discs at the upper left corners of parts of the window."""
-    from PySide6.QtCore import QPoint
-
+    """White numbers on discs, each on an empty place of its part of the window."""
     image = np.ascontiguousarray(picture)
     for number, widget in enumerate(widgets, 1):
-        corner = widget.mapTo(widget.window(), QPoint(0, 0))
-        flat = widget.height() < 60
-        x = corner.x() + (widget.width() * 2 // 3 if flat else 24)
-        y = corner.y() + (widget.height() // 2 if flat else 44)
-        cv2.circle(image, (x, y), 14, (255, 255, 255), -1, cv2.LINE_AA)
-        cv2.circle(image, (x, y), 12, (200, 60, 30), -1, cv2.LINE_AA)
+        x, y = _empty_place(picture, widget)
+        cv2.circle(image, (x, y), _DISC, (255, 255, 255), -1, cv2.LINE_AA)
+        cv2.circle(image, (x, y), _DISC - 2, (200, 60, 30), -1, cv2.LINE_AA)
         text = str(number)
         (w, h), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.55, 2)
         place = (x - w // 2, y + h // 2)
@@ -246,6 +254,22 @@ def numbered(picture: Image, widgets: list[QWidget]) -> Image:
             image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.55, (255, 255, 255), 2, cv2.LINE_AA
         )
     return image
+
+
+def _empty_place(picture: Image, widget: QWidget) -> tuple[int, int]:
+    """The pixel nearest to a widget's upper left corner around which a disc covers nothing."""
+    from PySide6.QtCore import QPoint
+
+    corner = widget.mapTo(widget.window(), QPoint(0, 0))
+    left, top = max(corner.x(), 0), max(corner.y(), 0)
+    part = picture[top : corner.y() + widget.height(), left : corner.x() + widget.width()]
+    around = np.ones((2 * _DISC + 1, 2 * _DISC + 1), np.uint8)
+    spread = (cv2.dilate(part, around).astype(int) - cv2.erode(part, around)).sum(axis=2)
+    inside = np.full(spread.shape, 1e6)
+    inside[_DISC:-_DISC, _DISC:-_DISC] = spread[_DISC:-_DISC, _DISC:-_DISC]
+    y, x = np.nonzero(inside <= max(_FLAT, inside.min()))
+    nearest = np.argmin(x.astype(int) + y)
+    return left + int(x[nearest]), top + int(y[nearest])
 
 
 def _save(name: str, picture: Image) -> None:
