@@ -15,12 +15,12 @@ from std_toolkit.cli.command_options import words_of
 if TYPE_CHECKING:
     from sensors.simulation.options import SimulationOptions
 
-# Processor seconds of a frame of 640x360 at draft quality: `perf/simulate.py`.
-_INFRARED_S, _COLOR_S, _DENOISING_S, _REST_S = 4.62, 2.13, 0.48, 0.77
+# Processor seconds of a frame of 640x360 at draft quality: docs/simulation.md.
+_INFRARED_S, _COLOR_S, _DENOISING_S, _REST_S = 3.14, 1.56, 0.34, 0.74
 
 _MEASURED_PIXELS = 640 * 360
 
-_DRAFT_SAMPLES = 16
+_DRAFT_SAMPLES = 8
 
 # A shape's convex parts, found once; so many shapes are drawn from on one side of the split.
 _SHAPE_S, _SHAPES = 1.6, 8 * 250

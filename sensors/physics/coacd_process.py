@@ -1,15 +1,16 @@
-"""CoACD in a separate process: `python -m sensors.physics.coacd_process IN OUT`.
+"""CoACD in a separate process: `python -m sensors.physics.coacd_process IN OUT SECONDS`.
 
 CoACD is native code that may abort on a mesh, run for minutes or print to the terminal; a separate
 process isolates the caller from this. IN contains `vertices`, `faces`, `preprocess`, `threshold`.
 OUT receives the corners of all parts, concatenated, as `vertices`, and the number of corners of
-each part as `sizes`. If standard input closes earlier, the caller died: the process then ends and
-removes the folder of OUT.
+each part as `sizes`. After SECONDS of processor time the process is killed. If standard input
+closes earlier, the caller died: the process then ends and removes the folder of OUT.
 """
 
 from __future__ import annotations
 
 import os
+import resource
 import shutil
 import sys
 import threading
@@ -54,6 +55,9 @@ def _end_with_caller(folder: Path) -> None:
 if __name__ == "__main__":
     # numpy appends this suffix to a file name without it.
     assert Path(sys.argv[2]).suffix == ".npz"
+    seconds = int(sys.argv[3])
+    # A soft limit sends SIGXCPU, by which the caller knows the reason.
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
     folder = Path(sys.argv[2]).parent
     threading.Thread(target=_end_with_caller, args=(folder,), daemon=True).start()
     main(sys.argv[1], sys.argv[2])

@@ -184,8 +184,8 @@ def test_the_command_of_a_training_means_that_training(tmp_path):
 def test_costs_follow_pixels_and_light_paths():
     plain = SimulationOptions()
     hundred = simulation_s(plain, 100) - simulation_s(plain, 100) % 1
-    # perf/simulate.py: 7.99 s a frame, and the shapes once.
-    assert hundred == pytest.approx(100 * 30 * 8.0 + 1.6 * 800, rel=0.01)
+    # docs/simulation.md: 5.78 s a frame, and the shapes once.
+    assert hundred == pytest.approx(100 * 30 * 5.78 + 1.6 * 800, rel=0.01)
     small = SimulationOptions(width=320, height=180)
     assert simulation_s(small, 100) - 1.6 * 800 == pytest.approx((hundred - 1280) / 4, rel=0.01)
     assert simulation_s(SimulationOptions(quality="better"), 100) > 2 * hundred

@@ -129,6 +129,24 @@ def test_dots_and_ambient_light_apart_add_up(mixed, compiled) -> None:
     assert apart[0][floor].std() == pytest.approx(many[floor].std(), rel=0.05)
 
 
+@pytest.mark.slow
+def test_what_is_denoised_has_no_dots(square, chalk, compiled) -> None:
+    """Light of the projector is in it only after a diffuse surface has scattered it."""
+    floor = SceneObject(0, square, SE3.identity(), chalk)
+    wall = SceneObject(1, square, SE3.exp([0, 0.2, 0, np.pi / 2, 0, 0]), chalk)
+    options = RenderOptions(samples=16, chunk=0)
+
+    def lit(*objects: SceneObject, **how: object) -> float:
+        scene = SimScene(objects, studio_map(0, height=16))
+        tracer = MitsubaRenderer(variant=compiled, check=False).load(scene)._tracer(infrared=True)
+        keywords = {"ambient": 1e-9, "options": options, "seed": 0, "grey": True, **how}
+        return float(tracer.radiance(CAMERA, VIEW, LAMP, **keywords).mean())
+
+    dots = lit(floor)
+    assert lit(floor, indirect=True) < 1e-6 * dots
+    assert 0.005 * dots < lit(floor, wall, indirect=True) < 0.3 * dots
+
+
 def test_only_paths_brighter_than_dots_are_bounded() -> None:
     rng = np.random.default_rng(0)
     # Edges of dots: the paths of a pixel differ fully.
