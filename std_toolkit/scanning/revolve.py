@@ -41,9 +41,13 @@ _BEND_M = 1.5e-4
 # Deviation of the axis from the vertical: the object stands on the table.
 _TILT_RAD = np.deg2rad(0.4)
 
-# Share of the outline that may be a handle before the object is none of revolution.
-_LARGEST_OUTSIDE = 0.25
+# Share of the outline that may be left out, and root mean square distance of the rest, before the
+# object is none of revolution.
+_LARGEST_OUTSIDE, _LARGEST_PX = 0.1, 3.0
 _FEWEST_VIEWS = 4
+
+# The last of a profile that is looked at for the cone of `_without_cone`, and its slope.
+_CONE_M, _CONE = 0.003, 1.2
 
 SECTIONS = 128
 
@@ -150,14 +154,18 @@ def fit_revolution(views: Sequence[OutlineView], *, wall_m: float | None = None)
         state = _lowest_top(rays, state, sigma)
         for _ in range(_ROUNDS // 2):
             state, sigma = _improved(rays, state, sigma)
+    state = _without_cone(state)
     gap = _gaps(rays, state)
     pixels = gap.distance * rays.px_per_m
     outside = float((np.abs(pixels) > _OUTSIDE * sigma).mean())
     kept = np.abs(pixels) <= _OUTSIDE * sigma
-    if outside > _LARGEST_OUTSIDE:
+    rms = float(np.sqrt((pixels[kept] ** 2).mean()))
+    if outside > _LARGEST_OUTSIDE or rms > _LARGEST_PX:
         raise ToolkitError(
-            f"{100 * outside:.0f} % of the outline does not belong to a surface of revolution",
-            hint="a handle or a spout? spray the object and scan it without --revolve",
+            f"the object is no surface of revolution: its outline is {rms:.1f} px off, and "
+            f"{100 * outside:.0f} % of it far off",
+            hint="a handle, a spout, or wrong masks? Correct the masks, or spray the object and "
+            "scan it without --revolve",
         )
     deviation, seen = _deviation(rays, state, sigma)
     found = RevolvedSurface(
@@ -168,7 +176,7 @@ def fit_revolution(views: Sequence[OutlineView], *, wall_m: float | None = None)
         seen=seen,
         wall_m=wall_m or _GUESSED_WALL_M,
         wall_seen=False,
-        outline_px=float(np.sqrt((pixels[kept] ** 2).mean())),
+        outline_px=rms,
         outside=outside,
     )
     if wall_m is None:
@@ -233,14 +241,14 @@ class _Gaps:
         index: (N,) number of the height below the nearest point.
         share: (N,) weight of the height above it.
         slope: (N,) derivative of the distance by a radius at that height.
-        above: (N,) derivative of the distance by the height of the rim, where the ray passes over.
+        along: (N,) where along the ray, metres.
     """
 
     distance: Array
     index: NDArray[np.int64]
     share: Array
     slope: Array
-    above: Array
+    along: Array
 
 
 def _outline_rays(views: Sequence[OutlineView]) -> _Rays:
@@ -304,17 +312,16 @@ def _start(views: Sequence[OutlineView], rays: _Rays) -> tuple[Array, float]:
     return centre, float(np.clip(np.percentile(height, 99.8), 0.01, 2.0))
 
 
-def _local(rays: _Rays, state: _State) -> tuple[Array, Array]:
-    """(N, S) height and radius of samples along the rays, near the axis."""
+def _samples(rays: _Rays, state: _State) -> Array:
+    """(N, S) distances along the rays, near the axis."""
     T = state.T_world_axis.inverse()
     o, d = T @ rays.origin, rays.direction @ T.R.T
     flat = np.maximum((d[:, :2] ** 2).sum(axis=1), 1e-9)
     nearest = -(o[:, :2] * d[:, :2]).sum(axis=1) / flat
     reach = 1.2 * max(float(state.radii.max(initial=0.0)), 0.25 * state.top, 0.02)
-    t = nearest[:, None] + np.linspace(-1, 1, _SAMPLES) * (reach / np.sqrt(flat))[:, None]
-    height = o[:, 2:3] + t * d[:, 2:3]
-    x, y = (o[:, k : k + 1] + t * d[:, k : k + 1] for k in (0, 1))
-    return height, np.hypot(x, y)
+    return np.asarray(
+        nearest[:, None] + np.linspace(-1, 1, _SAMPLES) * (reach / np.sqrt(flat))[:, None]
+    )
 
 
 def _first_profile(rays: _Rays, state: _State) -> _State:
@@ -330,34 +337,39 @@ def _first_profile(rays: _Rays, state: _State) -> _State:
     return _State(np.maximum(low, 1e-4), state.top, state.axis)
 
 
-def _gaps(rays: _Rays, state: _State) -> _Gaps:
-    height, radius = _local(rays, state)
+def _gap_at(
+    rays: _Rays, state: _State, along: Array
+) -> tuple[Array, NDArray[np.int64], Array, Array]:
+    """Signed distances (N, S) of points along the rays; index, share and slope as in `_Gaps`."""
+    T = state.T_world_axis.inverse()
+    o, d = T @ rays.origin, rays.direction @ T.R.T
+    x, y, height = (o[:, k : k + 1] + along * d[:, k : k + 1] for k in range(3))
+    radius = np.sqrt(x * x + y * y)
     count = len(state.radii)
     step = state.top / (count - 1)
-    slope = np.gradient(state.radii, step)
-    # Distance along the normal of the profile; steeper than 4:1 is a disc seen from above.
-    cosine = 1 / np.sqrt(1 + np.clip(slope, -4, 4) ** 2)
     place = np.clip(height / step, 0, count - 1.000001)
     index = place.astype(np.int64)
     share = place - index
     wall = (1 - share) * state.radii[index] + share * state.radii[index + 1]
+    # Distance along the normal of the profile; steeper than 4:1 is a disc seen from above.
+    cosine = 1 / np.sqrt(1 + np.clip(np.gradient(state.radii, step), -4, 4) ** 2)
     factor = (1 - share) * cosine[index] + share * cosine[index + 1]
     gap = (radius - wall) * factor
-    over, under = height - state.top, -height
-    beyond = np.maximum(over, under)
+    slope = -factor
+    beyond = np.maximum(height - state.top, -height)
     outside = beyond > 0
-    corner = np.hypot(np.maximum(radius - wall, 0), np.maximum(beyond, 0))
-    gap = np.where(outside, np.maximum(corner, np.where(radius < wall, beyond, 0)), gap)
-    best = gap.argmin(axis=1)
-    rows = np.arange(len(gap))
-    at = (rows, best)
-    distance = gap[at]
-    length = np.maximum(corner[at], 1e-9)
-    away = np.maximum(radius[at] - wall[at], 0)
-    slope_r = np.where(outside[at], -away / length, -factor[at])
-    above = np.where(over[at] > 0, -np.maximum(over[at], 0) / length, 0.0)
-    # At the rim itself, radius and height of the corner share the distance by the ray's slope.
-    return _Gaps(distance, index[at], share[at], slope_r, above)
+    over = np.maximum(radius[outside] - wall[outside], 0)
+    corner = np.sqrt(over**2 + beyond[outside] ** 2)
+    gap[outside] = corner
+    slope[outside] = -over / np.maximum(corner, 1e-9)
+    return gap, index, share, slope
+
+
+def _gaps(rays: _Rays, state: _State) -> _Gaps:
+    along = _samples(rays, state)
+    gap, index, share, slope = _gap_at(rays, state, along)
+    at = (np.arange(len(gap)), gap.argmin(axis=1))
+    return _Gaps(gap[at], index[at], share[at], slope[at], along[at])
 
 
 def _noise(rays: _Rays, state: _State) -> float:
@@ -385,9 +397,22 @@ def _lowest_top(rays: _Rays, state: _State, sigma: float) -> _State:
             high = middle
         else:
             low = middle
+    # The rim itself is higher by what was allowed, but for the slope of the rays.
+    high = min(high + 0.3 * far / float(np.median(rays.px_per_m)), state.top)
     count = int(np.clip(high / _STEP_M, _LEAST_HEIGHTS, _MOST_HEIGHTS))
     radii = np.interp(np.linspace(0, high, count), state.heights, state.radii)
     return _State(radii, high, state.axis)
+
+
+def _without_cone(state: _State) -> _State:
+    """Without what rays over the rim leave above it: a cone that closes as steeply as they fall."""
+    slope = np.gradient(state.radii, state.heights)
+    cone = np.flatnonzero((state.heights > state.top - _CONE_M) & (slope < -_CONE))
+    if not len(cone):
+        return state
+    top = float(state.heights[max(cone[0] - 1, 1)])
+    heights = np.linspace(0, top, len(state.radii))
+    return replace(state, radii=np.interp(heights, state.heights, state.radii), top=top)
 
 
 def _system(rays: _Rays, state: _State, sigma: float) -> tuple[Array, Array, Array]:
@@ -412,7 +437,8 @@ def _system(rays: _Rays, state: _State, sigma: float) -> tuple[Array, Array, Arr
                 axis = state.axis.copy()
                 axis[k - 1] += sign * small
                 moved = replace(state, axis=axis)
-            ends.append(_gaps(rays, moved).distance)
+            # The nearest point moves along the ray, which does not change the distance.
+            ends.append(_gap_at(rays, moved, gap.along[:, None])[0][:, 0])
         J[:, count + k] = (ends[0] - ends[1]) / (2 * small)
     J *= scale[:, None]
     A = (J * weight[:, None]).T @ J
