@@ -155,10 +155,12 @@ def fit_revolution(views: Sequence[OutlineView], *, wall_m: float | None = None)
         for _ in range(_ROUNDS // 2):
             state, sigma = _improved(rays, state, sigma)
     state = _without_cone(state)
+    for _ in range(_ROUNDS // 2):
+        state, sigma = _improved(rays, state, sigma)
     gap = _gaps(rays, state)
     pixels = gap.distance * rays.px_per_m
-    outside = float((np.abs(pixels) > _OUTSIDE * sigma).mean())
-    kept = np.abs(pixels) <= _OUTSIDE * sigma
+    kept = np.abs(pixels) <= max(_OUTSIDE * sigma, _LARGEST_PX)
+    outside = float((~kept).mean())
     rms = float(np.sqrt((pixels[kept] ** 2).mean()))
     if outside > _LARGEST_OUTSIDE or rms > _LARGEST_PX:
         raise ToolkitError(
