@@ -1,17 +1,32 @@
 """Vessels of glass from unsprayed photos: deviation of the fitted surface of revolution.
 
-    python perf/revolve.py [--folder DIR] [--views N] [--photos] [--only NAME]
+    python perf/revolve.py [--folder DIR] [--views N] [--photos] [--only NAME ...]
 
 Prints for each vessel the median and 95th percentile of the distance from the fitted mesh to the
-true one on what cameras can see, with exact outlines and with noise of 1 px, and with outlines
-found in the photos by their edges (--photos, which renders them first: about 10 s a photo).
+true one, on what cameras can see, with exact outlines and with outlines that wander by 1 px. With
+`--photos`, `std-sim turntable` photographs the vessels (glass, refraction, no spray) and the wall
+comes from the rim in the photos; without it, the wall is a guess.
 """
 
 from __future__ import annotations
 
+import argparse
+import tempfile
+import time
+from pathlib import Path
+
+import cv2
 import numpy as np
 import trimesh
 from scipy.interpolate import PchipInterpolator
+
+from sensors.simulation.options import TurntableOptions
+from sensors.simulation.turntable import make_turntable, read_turntable_truth, write_truth
+from std_toolkit.geometry import SE3, Camera
+from std_toolkit.geometry.mesh import load_mesh
+from std_toolkit.geometry.ray_caster import RayCaster
+from std_toolkit.io.images import read_color
+from std_toolkit.scanning.revolve import OutlineView, fit_revolution
 
 # Outer and inner profiles, (radius, height) in millimetres, bottom first; a thousandth of a
 # millimetre on the axis closes the surface.
@@ -118,3 +133,82 @@ def vessel_mesh(name: str) -> trimesh.Trimesh:
     mesh = trimesh.creation.revolve(line, sections=SECTIONS)
     mesh.merge_vertices()
     return mesh
+
+
+def seen_from(camera: Camera, pose: SE3, caster: RayCaster, step: int) -> tuple[np.ndarray, ...]:
+    """Rays (h, w, 6) of every `step`-th pixel and their hits (h, w), metres."""
+    row, column = np.mgrid[: camera.height : step, : camera.width : step]
+    d = camera.unproject(np.stack([column, row], axis=-1)) @ pose.R.T
+    rays = np.concatenate([np.broadcast_to(pose.t, d.shape), d], axis=-1)
+    return rays, caster.cast(rays).distance
+
+
+def wandering(mask: np.ndarray, rng: np.random.Generator, px: float) -> np.ndarray:
+    """The mask with its outline moved by a smooth random field of this standard deviation."""
+    if not px:
+        return mask
+    inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
+    outside = cv2.distanceTransform(1 - mask.astype(np.uint8), cv2.DIST_L2, 5)
+    field = cv2.GaussianBlur(rng.normal(size=mask.shape).astype(np.float32), (0, 0), 4)
+    return np.asarray(inside - outside + px * field / field.std() > 0)
+
+
+def measure(name: str, folder: Path, views: int, *, photos: bool) -> None:
+    """Print the figures of one vessel."""
+    file = folder / f"{name}.ply"
+    vessel_mesh(name).export(file)
+    options = TurntableOptions(
+        mesh=file, out=folder / f"{name}_{views}", material="glass", views=views
+    )
+    (make_turntable if photos else write_truth)(options)
+    truth = read_turntable_truth(options.out)
+    mesh = load_mesh(options.out / "truth/mesh.ply")
+    vertices = SE3.from_matrix(truth.T_world_obj) @ np.asarray(mesh.vertices)
+    true = RayCaster(vertices, mesh.faces)
+    camera = truth.camera.camera()
+    poses = [truth.pose(i) for i in range(views)]
+    masks = [np.isfinite(seen_from(camera, p, true, 1)[1]) for p in poses]
+    images = [read_color(options.out / "photos" / n) if photos else None for n in truth.photos]
+    for px in (0.0, 1.0):
+        rng = np.random.default_rng(1)
+        given = [
+            OutlineView(camera, pose, wandering(mask, rng, px), image)
+            for pose, mask, image in zip(poses, masks, images, strict=True)
+        ]
+        start = time.process_time()
+        found = fit_revolution(given)
+        seconds = time.process_time() - start
+        fitted, faces = found.mesh()
+        closed = trimesh.Trimesh(fitted, faces, process=False).is_watertight
+        caster = RayCaster(fitted, faces)
+        points = []
+        for pose in poses:
+            rays, distance = seen_from(camera, pose, caster, 7)
+            hit = np.isfinite(distance)
+            points.append(rays[hit][:, :3] + rays[hit][:, 3:] * distance[hit][:, None])
+        apart = 1000 * true.distance(np.concatenate(points))
+        wall = f"{1000 * found.wall_m:.2f}" + ("" if found.wall_seen else " (guess)")
+        print(
+            f"{name:12s} {px:4.1f} px  median {np.median(apart):.3f}  p95 "
+            f"{np.percentile(apart, 95):.2f} mm  outline {found.outline_px:.2f} px  wall {wall} mm"
+            f"  {'closed' if closed else 'NOT CLOSED'}  {seconds:.0f} s",
+            flush=True,
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--folder", type=Path)
+    parser.add_argument("--views", type=int, default=20)
+    parser.add_argument("--photos", action="store_true")
+    parser.add_argument("--only", nargs="*", default=list(VESSELS))
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = options.folder or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in options.only:
+            measure(name, folder, options.views, photos=options.photos)
+
+
+if __name__ == "__main__":
+    main()

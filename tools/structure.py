@@ -34,6 +34,7 @@ ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
         ("poses", "rendering"),
         ("importers",),
         ("exporters", "labels"),
+        ("scanning",),
         ("checks",),
         ("cli",),
     ),

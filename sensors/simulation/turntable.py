@@ -98,8 +98,7 @@ def make_turntable(options: TurntableOptions) -> tuple[int, float]:
     Raises:
         ToolkitError: an unusable mesh or map, a folder with other options, or no renderer.
     """
-    _begin(options)
-    table = _Turntable(options)
+    table = write_truth(options)
     missing = [i for i in range(options.views) if not table.photo(i).exists()]
     start = time.monotonic()
     if missing:
@@ -114,11 +113,21 @@ def make_turntable(options: TurntableOptions) -> tuple[int, float]:
     return len(missing), time.monotonic() - start
 
 
-def _photograph(table: _Turntable, index: int) -> None:
+def write_truth(options: TurntableOptions) -> Turntable:
+    """Write all but photos and masks: board.json and the truth on cameras and mesh.
+
+    Raises:
+        ToolkitError: see `make_turntable`.
+    """
+    _begin(options)
+    return Turntable(options)
+
+
+def _photograph(table: Turntable, index: int) -> None:
     table.photograph(index)
 
 
-class _Turntable:
+class Turntable:
     """Object, board, cameras and light of one folder."""
 
     def __init__(self, options: TurntableOptions) -> None:

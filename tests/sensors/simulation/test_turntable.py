@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from sensors.simulation.options import TurntableOptions
-from sensors.simulation.turntable import _Turntable, make_turntable, read_turntable_truth
+from sensors.simulation.turntable import make_turntable, read_turntable_truth, write_truth
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.poses.board_scale import Board, detect_board
@@ -28,7 +28,7 @@ def mesh_file(tmp_path: Path) -> Path:
 def test_object_stands_in_the_middle_of_every_view(mesh_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     options = TurntableOptions(mesh=mesh_file, out=out, up="y", views=9)
-    table = _Turntable(options)
+    table = write_truth(options)
     truth = read_turntable_truth(out)
     mesh = load_mesh(out / "truth/mesh.ply")
     from std_toolkit.geometry import SE3

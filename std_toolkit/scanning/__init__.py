@@ -1,0 +1,1 @@
+"""Metric, watertight, textured CAD models from photos of an object."""

@@ -1,0 +1,553 @@
+"""A surface of revolution from the outlines of an object: vessels of glass need no depth.
+
+A ray through the outline touches the surface. In the half-plane of height and radius, a ray is a
+hyperbola that touches the profile from outside, whatever the azimuth: the gap between both is one
+residual per ray, and axis and profile follow by least squares. Outlines alone do not tell a flat
+top from a lid below the line of sight; the lowest top that explains them is taken. The inner wall
+comes from the inner edge of the rim where photos show it. Handles and spouts are out of reach:
+their outline is left out and its share reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3, Camera, so3_exp
+
+Array = NDArray[np.float64]
+
+# Rays that are used, samples along each, heights of the profile.
+_MOST_RAYS, _SAMPLES = 4000, 97
+_STEP_M, _LEAST_HEIGHTS, _MOST_HEIGHTS = 0.001, 40, 260
+
+_ROUNDS = 12
+
+# A lower rim explains the outlines if no larger share of them gets farther than this, in
+# deviations and at least in pixels. The fit then finds the rim itself.
+_FAR, _FAR_PX, _EXPLAINED = 5.0, 2.0, 0.005
+
+# Residuals beyond this many deviations count less; those beyond the last are no outline of it.
+_HUBER, _OUTSIDE = 2.0, 6.0
+
+# The profile bends by this much over a step, as a deviation; corners are kept by a robust weight.
+_BEND_M = 1.5e-4
+
+# Deviation of the axis from the vertical: the object stands on the table.
+_TILT_RAD = np.deg2rad(0.4)
+
+# Share of the outline that may be left out, and root mean square distance of the rest, before the
+# object is none of revolution.
+_LARGEST_OUTSIDE, _LARGEST_PX = 0.1, 3.0
+_FEWEST_VIEWS = 4
+
+# The last of a profile that is looked at for the cone of `_without_cone`, and its slope.
+_CONE_M, _CONE = 0.003, 1.2
+
+SECTIONS = 128
+
+# A wall that no photo shows is taken as this.
+_GUESSED_WALL_M = 0.0025
+_LEAST_WALL_M, _MOST_WALL_M = 0.0008, 0.012
+
+
+@dataclass(frozen=True, eq=False)
+class OutlineView:
+    """One photo of the object.
+
+    Attributes:
+        camera: intrinsics without distortion.
+        T_world_cam: pose; the world is z up, in metres, with the table at z = 0.
+        mask: (H, W) bool pixels that show the object.
+        image: (H, W, 3) uint8 RGB, for the rim; or None.
+    """
+
+    camera: Camera
+    T_world_cam: SE3
+    mask: NDArray[np.bool_]
+    image: NDArray[np.uint8] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class RevolvedSurface:
+    """An axis and a profile with deviations.
+
+    Attributes:
+        T_world_axis: frame whose z axis is the axis; its origin is where the axis meets the table.
+        heights: (K,) metres along the axis, from 0 to the rim.
+        radii: (K,) of the outer wall, metres.
+        deviation_m: (K,) standard deviation of the radii.
+        seen: (K,) whether an outline touches the surface there; elsewhere it is interpolated.
+        wall_m: thickness of the wall at the rim.
+        wall_seen: whether photos show the rim's inner edge; otherwise the wall is a guess.
+        outline_px: root mean square distance of the outline, without what is left out.
+        outside: share of the outline that is left out.
+        warnings: sentences on what is a guess or out of reach.
+    """
+
+    T_world_axis: SE3
+    heights: Array
+    radii: Array
+    deviation_m: Array
+    seen: NDArray[np.bool_]
+    wall_m: float
+    wall_seen: bool
+    outline_px: float
+    outside: float
+    warnings: tuple[str, ...] = ()
+
+    def mesh(self, *, hollow: bool = True) -> tuple[Array, NDArray[np.int64]]:
+        """Watertight triangles in the world frame: vertices (V, 3) in metres, faces (F, 3).
+
+        Args:
+            hollow: with the inner wall, open at the top; False: filled up to the rim.
+        """
+        outer = np.stack([self.radii, self.heights], axis=1)
+        line = [outer, self._inner() if hollow else np.zeros((0, 2))]
+        profile = np.vstack([[[0.0, 0.0]], *line])
+        if not hollow:
+            profile = np.vstack([profile, [[0.0, self.heights[-1]]]])
+        vertices, faces = _turned(profile)
+        return self.T_world_axis @ vertices, faces
+
+    def _inner(self) -> Array:
+        """(N, 2) inner wall, rim first, ending on the axis above the base."""
+        wall, top = self.wall_m, float(self.heights[-1])
+        slope = np.gradient(self.radii, self.heights)
+        across = wall * np.sqrt(1 + np.minimum(slope**2, 4.0))
+        inner = self.radii - across
+        base = max(2 * wall, 0.003)
+        # The cavity ends where it is too narrow, such as above the stem of a glass.
+        closed = np.flatnonzero((inner < wall) & (self.heights < 0.95 * top))
+        low = float(self.heights[closed[-1]]) if len(closed) else 0.0
+        kept = (self.heights > low + base) & (inner > 0)
+        points = np.stack([inner, self.heights], axis=1)[kept][::-1]
+        if not len(points):
+            return np.array([[0.0, top]])
+        return np.vstack([points, [[0.0, points[-1, 1]]]])
+
+
+def fit_revolution(views: Sequence[OutlineView], *, wall_m: float | None = None) -> RevolvedSurface:
+    """Fit an axis and a profile to the outlines of an object in all views.
+
+    Args:
+        views: at least four, from about all sides and two heights.
+        wall_m: thickness of the wall, if known; None takes it from the rim.
+
+    Raises:
+        ToolkitError: too few views with an outline, or an outline that is not that of a surface of
+            revolution.
+    """
+    rays = _outline_rays(views)
+    centre, top = _start(views, rays)
+    state = _State(np.zeros(0), top, np.array([*centre, 0.0, 0.0]))
+    state = _first_profile(rays, state)
+    sigma = _noise(rays, state)
+    for _ in range(_ROUNDS // 2):
+        state, sigma = _improved(rays, state, sigma)
+    for _ in range(2):
+        state = _lowest_top(rays, state, sigma)
+        for _ in range(_ROUNDS // 2):
+            state, sigma = _improved(rays, state, sigma)
+    state = _without_cone(state)
+    for _ in range(_ROUNDS // 2):
+        state, sigma = _improved(rays, state, sigma)
+    gap = _gaps(rays, state)
+    pixels = gap.distance * rays.px_per_m
+    kept = np.abs(pixels) <= max(_OUTSIDE * sigma, _LARGEST_PX)
+    outside = float((~kept).mean())
+    rms = float(np.sqrt((pixels[kept] ** 2).mean()))
+    if outside > _LARGEST_OUTSIDE or rms > _LARGEST_PX:
+        raise ToolkitError(
+            f"the object is no surface of revolution: its outline is {rms:.1f} px off, and "
+            f"{100 * outside:.0f} % of it far off",
+            hint="a handle, a spout, or wrong masks? Correct the masks, or spray the object and "
+            "scan it without --revolve",
+        )
+    deviation, seen = _deviation(rays, state, sigma)
+    found = RevolvedSurface(
+        T_world_axis=state.T_world_axis,
+        heights=state.heights,
+        radii=state.radii,
+        deviation_m=deviation,
+        seen=seen,
+        wall_m=wall_m or _GUESSED_WALL_M,
+        wall_seen=False,
+        outline_px=rms,
+        outside=outside,
+    )
+    if wall_m is None:
+        shown = _wall_at_rim(views, found)
+        if shown is not None:
+            found = replace(found, wall_m=shown, wall_seen=True)
+    return replace(found, warnings=tuple(_warnings(found, known_wall=wall_m is not None)))
+
+
+def _warnings(found: RevolvedSurface, *, known_wall: bool) -> list[str]:
+    sentences = []
+    if found.outside > 0.02:
+        sentences.append(
+            f"{100 * found.outside:.0f} % of the outline is not of the surface of revolution: "
+            "handles and spouts are not modelled"
+        )
+    if not (found.wall_seen or known_wall):
+        sentences.append(
+            f"no photo shows the inner edge of the rim: a wall of {1000 * found.wall_m:.1f} mm is "
+            "a guess; photograph the rim from above, or measure the wall"
+        )
+    sentences.append("the thickness of the base is a guess")
+    if not found.seen.all():
+        hidden = 1000 * float((~found.seen).mean() * found.heights[-1])
+        sentences.append(f"no outline touches {hidden:.0f} mm of the profile: interpolated")
+    return sentences
+
+
+@dataclass(frozen=True, eq=False)
+class _Rays:
+    """Rays through outlines, world frame, and pixels per metre at their nearest point."""
+
+    origin: Array
+    direction: Array
+    px_per_m: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Radii at equal steps of height; height of the rim; axis: x, y at the table, two tilts."""
+
+    radii: Array
+    top: float
+    axis: Array
+
+    @property
+    def heights(self) -> Array:
+        return np.linspace(0.0, self.top, len(self.radii))
+
+    @property
+    def T_world_axis(self) -> SE3:
+        x, y, a, b = self.axis
+        return SE3(so3_exp(np.array([a, b, 0.0])), np.array([x, y, 0.0]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Gaps:
+    """Of each ray: signed distance from the surface, and where: lower height, weight of the next.
+
+    Attributes:
+        distance: (N,) metres, negative where the ray enters the surface.
+        index: (N,) number of the height below the nearest point.
+        share: (N,) weight of the height above it.
+        slope: (N,) derivative of the distance by a radius at that height.
+        along: (N,) where along the ray, metres.
+    """
+
+    distance: Array
+    index: NDArray[np.int64]
+    share: Array
+    slope: Array
+    along: Array
+
+
+def _outline_rays(views: Sequence[OutlineView]) -> _Rays:
+    rng = np.random.default_rng(0)
+    origins, directions, scales = [], [], []
+    each = max(100, _MOST_RAYS // max(len(views), 1))
+    for view in views:
+        uv = _outline(view.mask)
+        if len(uv) < 20:
+            continue
+        if len(uv) > each:
+            uv = uv[np.sort(rng.choice(len(uv), each, replace=False))]
+        d = view.camera.unproject(uv)
+        length = np.linalg.norm(d, axis=1)
+        origins.append(np.broadcast_to(view.T_world_cam.t, d.shape))
+        directions.append((d / length[:, None]) @ view.T_world_cam.R.T)
+        scales.append(np.sqrt(view.camera.fx * view.camera.fy) / length)
+    if len(origins) < _FEWEST_VIEWS:
+        raise ToolkitError(
+            f"{len(origins)} photos show the outline of the object, {_FEWEST_VIEWS} are needed",
+            hint="photograph it from all sides and from two heights",
+        )
+    origin, direction = np.concatenate(origins), np.concatenate(directions)
+    return _Rays(origin, direction, np.concatenate(scales) / np.linalg.norm(origin, axis=1))
+
+
+def _outline(mask: NDArray[np.bool_]) -> Array:
+    """(N, 2) points half way between pixels of the mask and their neighbours outside it."""
+    parts = []
+    for axis in (0, 1):
+        first, second = (mask[:-1], mask[1:]) if axis == 0 else (mask[:, :-1], mask[:, 1:])
+        row, column = np.nonzero(first != second)
+        half = (0.0, 0.5) if axis == 0 else (0.5, 0.0)
+        parts.append(np.stack([column, row], axis=1) + half)
+    return np.concatenate(parts)
+
+
+def _start(views: Sequence[OutlineView], rays: _Rays) -> tuple[Array, float]:
+    """Where the axis meets the table, and a height above the object.
+
+    The middles of the outlines' left and right ends lie in planes through the axis.
+    """
+    A, b = [], []
+    for view in views:
+        rows, columns = np.nonzero(view.mask)
+        if not len(rows):
+            continue
+        ends = np.array([[columns.min(), 0.0], [columns.max(), 0.0]])
+        ends[:, 1] = rows.mean()
+        left, right = (v / np.linalg.norm(v) for v in view.camera.unproject(ends))
+        middle = view.T_world_cam.R @ (left + right)
+        across = np.cross(middle, [0.0, 0.0, 1.0])[:2]
+        across /= max(float(np.linalg.norm(across)), 1e-9)
+        A.append(across)
+        b.append(across @ view.T_world_cam.t[:2])
+    centre = np.linalg.lstsq(np.array(A), np.array(b), rcond=None)[0]
+    # Height of the rays where they pass the axis: none touches the object above all of them.
+    o, d = rays.origin[:, :2] - centre, rays.direction
+    t = -(o * d[:, :2]).sum(axis=1) / np.maximum((d[:, :2] ** 2).sum(axis=1), 1e-9)
+    height = rays.origin[:, 2] + t * d[:, 2]
+    return centre, float(np.clip(np.percentile(height, 99.8), 0.01, 2.0))
+
+
+def _samples(rays: _Rays, state: _State) -> Array:
+    """(N, S) distances along the rays, near the axis."""
+    T = state.T_world_axis.inverse()
+    o, d = T @ rays.origin, rays.direction @ T.R.T
+    flat = np.maximum((d[:, :2] ** 2).sum(axis=1), 1e-9)
+    nearest = -(o[:, :2] * d[:, :2]).sum(axis=1) / flat
+    reach = 1.2 * max(float(state.radii.max(initial=0.0)), 0.25 * state.top, 0.02)
+    return np.asarray(
+        nearest[:, None] + np.linspace(-1, 1, _SAMPLES) * (reach / np.sqrt(flat))[:, None]
+    )
+
+
+def _first_profile(rays: _Rays, state: _State) -> _State:
+    """The largest surface of revolution within the outlines, but for a small share of them."""
+    count = int(np.clip(state.top / _STEP_M, _LEAST_HEIGHTS, _MOST_HEIGHTS))
+    heights = np.linspace(0, state.top, count)
+    T = state.T_world_axis.inverse()
+    o, d = T @ rays.origin, rays.direction @ T.R.T
+    steep = np.where(np.abs(d[:, 2]) < 1e-6, 1e-6, d[:, 2])
+    t = (heights[:, None] - o[None, :, 2]) / steep
+    radius = np.hypot(o[:, 0] + t * d[:, 0], o[:, 1] + t * d[:, 1])
+    low = np.partition(radius, 8, axis=1)[:, 8]
+    return _State(np.maximum(low, 1e-4), state.top, state.axis)
+
+
+def _gap_at(
+    rays: _Rays, state: _State, along: Array
+) -> tuple[Array, NDArray[np.int64], Array, Array]:
+    """Signed distances (N, S) of points along the rays; index, share and slope as in `_Gaps`."""
+    T = state.T_world_axis.inverse()
+    o, d = T @ rays.origin, rays.direction @ T.R.T
+    x, y, height = (o[:, k : k + 1] + along * d[:, k : k + 1] for k in range(3))
+    radius = np.sqrt(x * x + y * y)
+    count = len(state.radii)
+    step = state.top / (count - 1)
+    place = np.clip(height / step, 0, count - 1.000001)
+    index = place.astype(np.int64)
+    share = place - index
+    wall = (1 - share) * state.radii[index] + share * state.radii[index + 1]
+    # Distance along the normal of the profile; steeper than 4:1 is a disc seen from above.
+    cosine = 1 / np.sqrt(1 + np.clip(np.gradient(state.radii, step), -4, 4) ** 2)
+    factor = (1 - share) * cosine[index] + share * cosine[index + 1]
+    gap = (radius - wall) * factor
+    slope = -factor
+    beyond = np.maximum(height - state.top, -height)
+    outside = beyond > 0
+    over = np.maximum(radius[outside] - wall[outside], 0)
+    corner = np.sqrt(over**2 + beyond[outside] ** 2)
+    gap[outside] = corner
+    slope[outside] = -over / np.maximum(corner, 1e-9)
+    return gap, index, share, slope
+
+
+def _gaps(rays: _Rays, state: _State) -> _Gaps:
+    along = _samples(rays, state)
+    gap, index, share, slope = _gap_at(rays, state, along)
+    at = (np.arange(len(gap)), gap.argmin(axis=1))
+    return _Gaps(gap[at], index[at], share[at], slope[at], along[at])
+
+
+def _noise(rays: _Rays, state: _State) -> float:
+    """Robust standard deviation of the outline, pixels, at least that of whole pixels."""
+    pixels = _gaps(rays, state).distance * rays.px_per_m
+    return max(1.4826 * float(np.median(np.abs(pixels - np.median(pixels)))), 0.29)
+
+
+def _lowest_top(rays: _Rays, state: _State, sigma: float) -> _State:
+    """The lowest rim with which the outlines are still explained."""
+
+    far = max(_FAR * sigma, _FAR_PX)
+
+    def cost(top: float) -> float:
+        count = max(_LEAST_HEIGHTS, round(len(state.radii) * top / state.top))
+        cut = np.interp(np.linspace(0, top, count), state.heights, state.radii)
+        pixels = _gaps(rays, _State(cut, top, state.axis)).distance * rays.px_per_m
+        return float((pixels > far).mean())
+
+    plateau = cost(state.top)
+    low, high = 0.3 * state.top, state.top
+    for _ in range(14):
+        middle = (low + high) / 2
+        if cost(middle) <= plateau + _EXPLAINED:
+            high = middle
+        else:
+            low = middle
+    # The rim itself is higher by what was allowed, but for the slope of the rays.
+    high = min(high + 0.3 * far / float(np.median(rays.px_per_m)), state.top)
+    count = int(np.clip(high / _STEP_M, _LEAST_HEIGHTS, _MOST_HEIGHTS))
+    radii = np.interp(np.linspace(0, high, count), state.heights, state.radii)
+    return _State(radii, high, state.axis)
+
+
+def _without_cone(state: _State) -> _State:
+    """Without what rays over the rim leave above it: a cone that closes as steeply as they fall."""
+    slope = np.gradient(state.radii, state.heights)
+    cone = np.flatnonzero((state.heights > state.top - _CONE_M) & (slope < -_CONE))
+    if not len(cone):
+        return state
+    top = float(state.heights[max(cone[0] - 1, 1)])
+    heights = np.linspace(0, top, len(state.radii))
+    return replace(state, radii=np.interp(heights, state.heights, state.radii), top=top)
+
+
+def _system(rays: _Rays, state: _State, sigma: float) -> tuple[Array, Array, Array]:
+    """Normal equations A x = b of a step in radii, rim and axis; and the weights of the rays."""
+    count = len(state.radii)
+    gap = _gaps(rays, state)
+    scale = rays.px_per_m / sigma
+    residual = gap.distance * scale
+    weight = np.where(
+        np.abs(residual) < _HUBER, 1.0, _HUBER / np.maximum(np.abs(residual), 1e-9)
+    ) * (np.abs(residual) < 4 * _OUTSIDE)
+    J = np.zeros((len(residual), count + 5))
+    rows = np.arange(len(residual))
+    J[rows, gap.index] += (1 - gap.share) * gap.slope
+    J[rows, gap.index + 1] += gap.share * gap.slope
+    for k, small in enumerate((1e-5, 1e-5, 1e-5, 1e-4, 1e-4)):
+        ends = []
+        for sign in (1, -1):
+            if k == 0:
+                moved = replace(state, top=state.top + sign * small)
+            else:
+                axis = state.axis.copy()
+                axis[k - 1] += sign * small
+                moved = replace(state, axis=axis)
+            # The nearest point moves along the ray, which does not change the distance.
+            ends.append(_gap_at(rays, moved, gap.along[:, None])[0][:, 0])
+        J[:, count + k] = (ends[0] - ends[1]) / (2 * small)
+    J *= scale[:, None]
+    A = (J * weight[:, None]).T @ J
+    b = -(J * weight[:, None]).T @ residual
+    bend = np.diff(state.radii, 2) / _BEND_M
+    stiff = 1 / (1 + (bend / 2) ** 2)
+    D = np.zeros((count - 2, count + 5))
+    row = np.arange(count - 2)
+    D[row, row], D[row, row + 1], D[row, row + 2] = 1, -2, 1
+    D /= _BEND_M
+    A += (D * stiff[:, None]).T @ D
+    b -= (D * stiff[:, None]).T @ bend
+    for k in (3, 4):
+        A[count + k, count + k] += 1 / _TILT_RAD**2
+        b[count + k] -= state.axis[k - 1] / _TILT_RAD**2
+    A[np.diag_indices(len(A))] += 1e-6 * np.diag(A) + 1e-9
+    return A, b, weight
+
+
+def _improved(rays: _Rays, state: _State, sigma: float) -> tuple[_State, float]:
+    """One step, and the noise of the outline after it."""
+    count = len(state.radii)
+    A, b, _ = _system(rays, state, sigma)
+    step = np.linalg.solve(A, b)
+    step[:count] = np.clip(step[:count], -0.004, 0.004)
+    step[count] = np.clip(step[count], -0.002, 0.002)
+    state = _State(
+        np.maximum(state.radii + step[:count], 1e-4),
+        state.top + float(step[count]),
+        state.axis + step[count + 1 :],
+    )
+    return state, _noise(rays, state)
+
+
+def _deviation(rays: _Rays, state: _State, sigma: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Standard deviation of the radii, and where outlines touch the surface."""
+    A, _, weight = _system(rays, state, sigma)
+    count = len(state.radii)
+    gap = _gaps(rays, state)
+    touched = np.zeros(count)
+    np.add.at(touched, gap.index, weight)
+    near = np.convolve(touched, np.ones(5), mode="same")
+    variance = np.diag(np.linalg.inv(A))[:count]
+    return np.sqrt(variance), near >= 3
+
+
+def _wall_at_rim(views: Sequence[OutlineView], found: RevolvedSurface) -> float | None:
+    """Thickness of the wall from the rim's inner edge; None if no photo shows it."""
+    top, radius = float(found.heights[-1]), float(found.radii[-1])
+    wall = np.arange(0.0, min(_MOST_WALL_M, 0.6 * radius), 1.5e-4)
+    angle = np.linspace(0, 2 * np.pi, 120, endpoint=False)
+    score, used = np.zeros(len(wall)), 0
+    for view in views:
+        T = found.T_world_axis.inverse() @ view.T_world_cam
+        if view.image is None or T.t[2] < top + 0.3 * np.hypot(*T.t[:2]):
+            continue
+        grey = cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY).astype(np.float32)
+        grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), 0.8), np.float32)
+        rings = (radius - wall)[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        circle = np.concatenate([rings, np.full((*rings.shape[:2], 1), top)], axis=2)
+        uv = view.camera.project(T.inverse() @ circle.reshape(-1, 3)).reshape(rings.shape)
+        value = cv2.remap(
+            grey,
+            uv[..., 0].astype(np.float32),
+            uv[..., 1].astype(np.float32),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        change = np.abs(np.gradient(value, axis=0))
+        # Where the ring is seen edge-on, walls of any thickness look the same.
+        wide = np.linalg.norm(uv[0] - uv[-1], axis=1)
+        clear = wide > 0.6 * wide.max()
+        score += np.median(change[:, clear] / (change[:, clear].mean(axis=0) + 1.0), axis=1)
+        used += 1
+    if not used:
+        return None
+    score /= used
+    inner = np.flatnonzero(wall >= _LEAST_WALL_M)
+    peaks = [
+        i
+        for i in inner[:-1]
+        if score[i] >= score[i - 1] and score[i] > score[i + 1] and score[i] > 2 * np.median(score)
+    ]
+    return float(wall[max(peaks, key=lambda i: score[i])]) if peaks else None
+
+
+def _turned(profile: Array) -> tuple[Array, NDArray[np.int64]]:
+    """A closed surface from (radius, height) points that begin and end on the axis."""
+    keep = np.concatenate([[True], np.linalg.norm(np.diff(profile, axis=0), axis=1) > 1e-7])
+    profile = profile[keep]
+    angle = np.linspace(0, 2 * np.pi, SECTIONS, endpoint=False)
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    inner = profile[1:-1]
+    body = np.concatenate(
+        [
+            np.column_stack([r * ring, np.full(SECTIONS, h)])
+            for r, h in np.maximum(inner, [1e-6, -np.inf])
+        ]
+    )
+    vertices = np.vstack([[0, 0, profile[0, 1]], body, [0, 0, profile[-1, 1]]])
+    here = np.arange(SECTIONS)
+    following = (here + 1) % SECTIONS
+    faces = [np.stack([np.zeros(SECTIONS, int), following + 1, here + 1], axis=1)]
+    for k in range(len(inner) - 1):
+        a, b = 1 + k * SECTIONS, 1 + (k + 1) * SECTIONS
+        faces.append(np.stack([a + here, a + following, b + following], axis=1))
+        faces.append(np.stack([a + here, b + following, b + here], axis=1))
+    last, end = 1 + (len(inner) - 1) * SECTIONS, len(vertices) - 1
+    faces.append(np.stack([last + here, last + following, np.full(SECTIONS, end)], axis=1))
+    return vertices, np.concatenate(faces).astype(np.int64)

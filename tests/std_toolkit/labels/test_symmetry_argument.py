@@ -1,0 +1,33 @@
+"""Symmetries found in a mesh, and declared ones that it does not have."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.labels.symmetry_argument import (
+    parse_symmetry,
+    symmetry_doubt,
+    symmetry_proposal,
+)
+
+
+@pytest.mark.slow
+def test_auto_proposal_and_doubt() -> None:
+    box = trimesh.creation.box((0.05, 0.08, 0.12))
+    auto = parse_symmetry(["auto"], centre=(0, 0, 0), mesh=box)
+    assert len(auto.discrete) == 3 and not auto.continuous
+    proposal = symmetry_proposal(box)
+    assert proposal is not None
+    assert all(f"half a turn about {axis}" in proposal for axis in "xyz")
+    assert symmetry_doubt(box, auto) is None
+    quarter = parse_symmetry(["fold:z:4"], centre=(0, 0, 0))
+    doubt = symmetry_doubt(box, quarter)
+    assert doubt is not None and "turn of 90 deg" in doubt
+
+
+def test_auto_stands_alone() -> None:
+    with pytest.raises(ToolkitError, match="'auto' contradicts"):
+        parse_symmetry(["auto", "axis:z"], centre=np.zeros(3).tolist())

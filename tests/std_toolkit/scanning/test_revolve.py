@@ -1,0 +1,90 @@
+"""Surfaces of revolution from outlines: a tumbler with exact and with wandering outlines."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3, Camera
+from std_toolkit.geometry.ray_caster import RayCaster
+from std_toolkit.scanning.revolve import OutlineView, RevolvedSurface, fit_revolution
+
+CAMERA = Camera(fx=420.0, fy=420.0, cx=159.5, cy=119.5, width=320, height=240)
+# Radius and height in metres, outside then inside: a tumbler with a waist.
+PROFILE = [(0, 0), (0.026, 0), (0.022, 0.03), (0.03, 0.09), (0.028, 0.09), (0.02, 0.03), (0, 0.01)]
+CENTRE = np.array([0.012, -0.02, 0.0])
+
+
+def tumbler() -> trimesh.Trimesh:
+    """z up, beside the origin of the world."""
+    return trimesh.creation.revolve(np.array(PROFILE), sections=96).apply_translation(CENTRE)
+
+
+def views_of(mesh: trimesh.Trimesh, count: int = 6) -> list[OutlineView]:
+    caster = RayCaster(mesh.vertices, mesh.faces)
+    row, column = np.mgrid[: CAMERA.height, : CAMERA.width]
+    rays = CAMERA.unproject(np.stack([column, row], axis=-1))
+    views = []
+    for k in range(count):
+        azimuth, elevation = 2 * np.pi * k / count, np.deg2rad((20, 50)[k % 2])
+        away = np.array(
+            [
+                np.cos(elevation) * np.cos(azimuth),
+                np.cos(elevation) * np.sin(azimuth),
+                np.sin(elevation),
+            ]
+        )
+        target = CENTRE + np.array([0.004, 0.003, 0.045])
+        right = np.cross(-away, [0, 0, 1.0])
+        right /= np.linalg.norm(right)
+        pose = SE3(np.stack([right, np.cross(-away, right), -away], axis=1), target + 0.28 * away)
+        d = rays @ pose.R.T
+        hits = caster.cast(np.concatenate([np.broadcast_to(pose.t, d.shape), d], axis=-1))
+        views.append(OutlineView(CAMERA, pose, np.isfinite(hits.distance)))
+    return views
+
+
+@pytest.fixture(scope="module")
+def fitted() -> RevolvedSurface:
+    return fit_revolution(views_of(tumbler()), wall_m=0.002)
+
+
+@pytest.mark.slow
+def test_profile_and_axis_of_a_tumbler(fitted: RevolvedSurface) -> None:
+    assert np.abs(fitted.T_world_axis.t[:2] - CENTRE[:2]).max() < 2e-4
+    assert fitted.heights[-1] == pytest.approx(0.09, abs=7e-4)  # a pixel is 0.67 mm
+    side = (fitted.heights > 0.004) & (fitted.heights < 0.085)
+    true = np.interp(fitted.heights, [0, 0.03, 0.09], [0.026, 0.022, 0.03])
+    apart = np.abs(fitted.radii - true)[side]
+    assert np.median(apart) < 1.5e-4
+    assert apart.max() < 1e-3
+    assert fitted.outside < 0.01
+    assert np.median(fitted.deviation_m) < 5e-4
+
+
+@pytest.mark.slow
+def test_mesh_is_watertight_and_lies_on_the_vessel(fitted: RevolvedSurface) -> None:
+    truth = RayCaster(tumbler().vertices, tumbler().faces)
+    for hollow in (True, False):
+        vertices, faces = fitted.mesh(hollow=hollow)
+        mesh = trimesh.Trimesh(vertices, faces)
+        assert mesh.is_watertight and mesh.volume > 0
+        if hollow:
+            assert np.median(truth.distance(vertices)) < 5e-4
+    assert any("base is a guess" in line for line in fitted.warnings)
+
+
+@pytest.mark.slow
+def test_handle_is_no_surface_of_revolution() -> None:
+    handle = trimesh.creation.annulus(0.018, 0.024, 0.01)
+    handle.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
+    handle.apply_translation(CENTRE + np.array([0.03, 0, 0.05]))
+    with pytest.raises(ToolkitError, match="no surface of revolution"):
+        fit_revolution(views_of(trimesh.util.concatenate([tumbler(), handle]), 6))
+
+
+def test_few_views() -> None:
+    with pytest.raises(ToolkitError, match="3 photos show the outline"):
+        fit_revolution(views_of(tumbler(), 3))
