@@ -238,8 +238,8 @@ def _killed(
     if how == signal.SIGKILL:
         return True
     tally.slowest_s = max(tally.slowest_s, took)
-    if process.returncode in (0, 1) and took < 1:
-        return True  # it was done anyway
+    if process.returncode in (0, 1, -how) and took < 1:
+        return True  # before it began, or at its end: Python loads or unloads its modules
     if took > LIMIT_S:
         tally.faults.append(f"{how.name} after {limit:.1f} s: ended after {took:.1f} s")
     if not any(line.startswith("interrupted; ") for line in lines):
