@@ -259,6 +259,8 @@ class Task:
 def run_task(run: TaskRun[Any, Any], jobs: JobOptions | None = None) -> pd.DataFrame:
     """Process the remaining work items of a run, with its folder locked.
 
+    If another process works on the run, this one waits for it, and processes what it left.
+
     Work items are numbered by their position in the data. The final table is therefore the same if
     the run is interrupted, killed or spread over machines.
 
@@ -267,8 +269,8 @@ def run_task(run: TaskRun[Any, Any], jobs: JobOptions | None = None) -> pd.DataF
 
     Raises:
         UnusableMethod: the methods cannot be created.
-        ToolkitError: data cannot be used, a work item failed, the folder has a different run, or
-            another process writes to it. Finished work is kept.
+        ToolkitError: data cannot be used, a work item failed, or the folder has a different run.
+            Finished work is kept.
     """
     jobs = jobs or JobOptions()
     data = run.open()
@@ -285,7 +287,7 @@ def run_task(run: TaskRun[Any, Any], jobs: JobOptions | None = None) -> pd.DataF
     del methods
     folder, table = run.folder, run.table_name
     folder.mkdir(parents=True, exist_ok=True)
-    with hold_lock(folder, "lock", doing="writing to"):
+    with hold_lock(folder, "lock", doing="writing to", wait=True):
         begin(folder, manifest, run.manifest_name, run.beside)
         sweep_temporaries(folder)
         # Joined before parts are added: they may have the names of earlier ones.

@@ -28,7 +28,7 @@ CURVES = {
     Subpixel.NONE: numba_kernels.NONE,
 }
 
-Rows = Callable[[int, int, NDArray[np.uint16]], None]
+Rows = Callable[[int, int, NDArray[np.unsignedinteger]], None]
 
 
 def match(left: Image, right: Image, options: LocalMatcherOptions, threads: int) -> Disparity:
@@ -39,14 +39,18 @@ def match(left: Image, right: Image, options: LocalMatcherOptions, threads: int)
         cost_rows = _cost_rows(left, right, options, pool, bands)
         found = np.zeros((height, width), dtype=np.float32)
         radius = options.aggregation_px // 2
+        # 48 bits differ at most, in 21x21 pixels: the sums of a census fit 16 bits.
+        is_census = options.cost is Cost.CENSUS
+        cost_type = np.uint8 if is_census else np.uint16
+        sum_of = np.empty(0, np.uint16 if is_census else np.int32)
 
         def band_winners(band: tuple[int, int]) -> None:
             y0, y1 = band
             top, bottom = max(0, y0 - radius), min(height, y1 + radius)
-            costs = np.empty((bottom - top, width, options.count), dtype=np.uint16)
+            costs = np.empty((bottom - top, width, options.count), dtype=cost_type)
             cost_rows(top, bottom, costs)
             numba_kernels.winners(
-                costs, top, y0, y1, height, radius, options.min_disparity,
+                costs, sum_of, top, y0, y1, height, radius, options.min_disparity,
                 options.uniqueness_percent,
                 -1 if options.left_right_px is None else options.left_right_px,
                 CURVES[options.curve],
@@ -101,6 +105,24 @@ def _census(
 
 
 @compiled
+def _median_of_nine(a):  # type: ignore[no-untyped-def]
+    """The least value and the median of a 3x3 array, by sorting its columns and diagonals."""
+    low0, mid0, top0 = _sorted(a[0, 0], a[1, 0], a[2, 0])
+    low1, mid1, top1 = _sorted(a[0, 1], a[1, 1], a[2, 1])
+    low2, mid2, top2 = _sorted(a[0, 2], a[1, 2], a[2, 2])
+    least = min(low0, min(low1, low2))
+    _, middle, _ = _sorted(mid0, mid1, mid2)
+    _, middle, _ = _sorted(max(low0, max(low1, low2)), middle, min(top0, min(top1, top2)))
+    return least, middle
+
+
+@compiled
+def _sorted(a, b, c):  # type: ignore[no-untyped-def]
+    low, high = min(a, b), max(a, b)
+    return min(low, c), max(low, min(high, c)), max(high, c)
+
+
+@compiled
 def median_rows(disparity, side, y0, y1, out):  # type: ignore[no-untyped-def]
     """Rows y0..y1: the (lower) median of the valid pixels around each valid pixel.
 
@@ -114,6 +136,12 @@ def median_rows(disparity, side, y0, y1, out):  # type: ignore[no-untyped-def]
             if disparity[y, x] == 0:
                 out[y, x] = 0
                 continue
+            if side == 3 and 0 < y < height - 1 and 0 < x < width - 1:
+                around = disparity[y - 1 : y + 2, x - 1 : x + 2]
+                least, middle = _median_of_nine(around)
+                if least > 0:
+                    out[y, x] = middle
+                    continue
             count = 0
             for v in range(max(0, y - radius), min(height, y + radius + 1)):
                 for u in range(max(0, x - radius), min(width, x + radius + 1)):

@@ -21,7 +21,7 @@ CENSUS_RADIUS = 3
 
 @compiled
 def winners(  # type: ignore[no-untyped-def]
-    costs, top, y0, y1, height, radius, d0, uniqueness, left_right, curve, plateau, out
+    costs, sum_of, top, y0, y1, height, radius, d0, uniqueness, left_right, curve, plateau, out
 ):
     """Disparities of rows y0..y1.
 
@@ -30,7 +30,8 @@ def winners(  # type: ignore[no-untyped-def]
     equal costs the smaller disparity.
 
     Args:
-        costs: (rows, W, D) uint16 of rows top, top + 1, ...
+        costs: (rows, W, D) uint8 or uint16 of rows top, top + 1, ...
+        sum_of: empty array whose type holds the sum of a window: the smaller, the faster.
         radius: of the aggregation.
         uniqueness: percent.
         left_right: pixels, -1 = not checked.
@@ -41,9 +42,9 @@ def winners(  # type: ignore[no-untyped-def]
     width, count = costs.shape[1], costs.shape[2]
     side = 2 * radius + 1
     full = np.int32(side * side)
-    columns = np.zeros((width, count), dtype=np.int32)
-    sums = np.zeros((width, count), dtype=np.int32)
-    window = np.empty(count, dtype=np.int32)
+    columns = np.zeros((width, count), dtype=sum_of.dtype)
+    sums = np.zeros((width, count), dtype=sum_of.dtype)
+    window = np.empty(count, dtype=sum_of.dtype)
     right_key = np.empty(width, dtype=np.int32)
     left_key = np.empty(width, dtype=np.int32)
     for y in range(max(0, y0 - radius), min(height, y0 + radius)):
@@ -60,31 +61,41 @@ def winners(  # type: ignore[no-untyped-def]
             for d in range(count):
                 window[d] += columns[x, d]
         for x in range(width):
-            if x + radius < width:
+            if x + radius < width and x - radius - 1 >= 0:
+                for d in range(count):
+                    window[d] += columns[x + radius, d] - columns[x - radius - 1, d]
+            elif x + radius < width:
                 for d in range(count):
                     window[d] += columns[x + radius, d]
-            if x - radius - 1 >= 0:
+            elif x - radius - 1 >= 0:
                 for d in range(count):
                     window[d] -= columns[x - radius - 1, d]
             reach = max(0, min(count, x - d0 + 1))
             here = sums[x]
             last = min(x + radius, width - 1)
-            if rows == side and last == x + radius and x - radius >= d0 + count - 1:
-                for d in range(reach):
+            # Right pixels of small disparities are inside for the whole window.
+            inside = min(reach, max(0, x - radius - d0 + 1))
+            if rows == side and last == x + radius:
+                for d in range(inside):
                     here[d] = window[d]
             else:
-                for d in range(reach):
-                    pixels = rows * np.int32(last + 1 - max(x - radius, d0 + d))
-                    here[d] = (window[d] * full + pixels // 2) // pixels
+                pixels = rows * np.int32(last + 1 - max(x - radius, d0))
+                for d in range(inside):
+                    here[d] = (np.int32(window[d]) * full + pixels // 2) // pixels
+            for d in range(inside, reach):
+                pixels = rows * np.int32(last + 1 - max(x - radius, d0 + d))
+                here[d] = (np.int32(window[d]) * full + pixels // 2) // pixels
             best = _NEVER
             for d in range(reach):
-                best = min(best, here[d] * np.int32(DISPARITIES) + np.int32(d))
+                best = min(best, np.int32(here[d]) * np.int32(DISPARITIES) + np.int32(d))
             left_key[x] = best
             # The right image's keys are mirrored, so that both run upwards with the disparity.
+            # As a part of the array: from 0 on, the compiler uses vectors.
             first = width - 1 - x + d0
+            keys = right_key[first : first + reach]
             for d in range(reach):
-                key = here[d] * np.int32(DISPARITIES) + np.int32(d)
-                right_key[first + d] = min(right_key[first + d], key)
+                key = np.int32(here[d]) * np.int32(DISPARITIES) + np.int32(d)
+                keys[d] = min(keys[d], key)
         for x in range(width):
             reach = max(0, min(count, x - d0 + 1))
             out[y, x] = _checked(
@@ -103,9 +114,14 @@ def winners(  # type: ignore[no-untyped-def]
 
 @compiled
 def _add(columns, costs, sign):  # type: ignore[no-untyped-def]
-    for x in range(columns.shape[0]):
-        for d in range(columns.shape[1]):
-            columns[x, d] += np.int32(sign) * np.int32(costs[x, d])
+    if sign > 0:
+        for x in range(columns.shape[0]):
+            for d in range(columns.shape[1]):
+                columns[x, d] += costs[x, d]
+    else:
+        for x in range(columns.shape[0]):
+            for d in range(columns.shape[1]):
+                columns[x, d] -= costs[x, d]
 
 
 @compiled
@@ -116,19 +132,21 @@ def _checked(  # type: ignore[no-untyped-def]
     best = key % DISPARITIES
     if key == _NEVER or best == 0 or best + 1 >= reach:
         return np.float32(0)
-    least = costs[best]
+    least = np.int32(costs[best])
     second = _NEVER
+    above = costs[best + 2 : reach]
     for d in range(best - 1):
-        second = min(second, costs[d])
-    for d in range(best + 2, reach):
-        second = min(second, costs[d])
+        second = min(second, np.int32(costs[d]))
+    for d in range(above.size):
+        second = min(second, np.int32(above[d]))
     if second != _NEVER and np.int64(least) * 100 >= np.int64(second) * (100 - uniqueness):
         return np.float32(0)
     if left_right >= 0:
         mirrored = right_key.size - 1 - x + d0 + best
         if abs(right_key[mirrored] % DISPARITIES - best) > left_right:
             return np.float32(0)
-    offset = _offset(costs[best - 1], least, costs[best + 1], curve, plateau)
+    before, after = np.int32(costs[best - 1]), np.int32(costs[best + 1])
+    offset = _offset(before, least, after, curve, plateau)
     return np.float32(d0 + best) + offset
 
 
@@ -185,7 +203,7 @@ def _ones(word):  # type: ignore[no-untyped-def]
         (word >> np.uint64(2)) & np.uint64(0x3333333333333333)
     )
     word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    return np.uint16((word * np.uint64(0x0101010101010101)) >> np.uint64(56))
+    return np.uint8((word * np.uint64(0x0101010101010101)) >> np.uint64(56))
 
 
 @compiled
@@ -194,7 +212,7 @@ def census_rows(left, right, d0, y0, y1, out):  # type: ignore[no-untyped-def]
 
     Args:
         left, right: (H, W) uint64 of `census`.
-        out: (>= y1 - y0, W, D) uint16; 0 where the right pixel is outside.
+        out: (>= y1 - y0, W, D) uint8; 0 where the right pixel is outside.
     """
     width, count = left.shape[1], out.shape[2]
     mirrored = np.empty(width, dtype=np.uint64)

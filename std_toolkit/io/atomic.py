@@ -18,6 +18,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.log import logger
 
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{12}\.tmp(\.[A-Za-z0-9]+)?")
 
@@ -263,13 +264,16 @@ def scene_lock(root: Path) -> Iterator[None]:
 
 
 @contextmanager
-def hold_lock(root: Path, name: str, *, doing: str, note: str = "") -> Iterator[None]:
+def hold_lock(
+    root: Path, name: str, *, doing: str, note: str = "", wait: bool = False
+) -> Iterator[None]:
     """Hold one of the locks of a scene; it is released when its process ends.
 
     Args:
         name: name of the lock file in `.std`.
         doing: what the holder does to the scene, for the error message: "writing to".
         note: more about the holder, for the same message.
+        wait: wait until another process releases it, and log whom it waits for.
 
     Raises:
         ToolkitError: another process holds it (the message names the owner), or the folder is
@@ -288,11 +292,15 @@ def hold_lock(root: Path, name: str, *, doing: str, note: str = "") -> Iterator[
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             owner = os.pread(descriptor, 200, 0).decode(errors="replace").strip()
-            raise ToolkitError(
-                f"another process is {doing} this scene: {owner or 'unknown owner'}",
-                path=root,
-                hint="wait for it or end it",
-            ) from error
+            owner = owner or "unknown owner"
+            if not wait:
+                raise ToolkitError(
+                    f"another process is {doing} this scene: {owner}",
+                    path=root,
+                    hint="wait for it or end it",
+                ) from error
+            logger.info("%s: waiting for another process: %s", root, owner)
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
         except OSError as error:
             raise ToolkitError(
                 f"cannot lock the scene: {error.strerror}",

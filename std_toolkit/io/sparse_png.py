@@ -1,7 +1,8 @@
 """16-bit RGB PNG files of maps that are mostly background, written in a fifth of zlib's time.
 
 The pixels of objects are stored: their low bytes are noise, and deflate's Huffman codes would save
-a quarter of their size for most of the time. The background between them is deflated as runs. Any reader of PNG reads the files: deflate mixes both.
+a quarter of their size for most of the time. The background between them is deflated as runs. Any
+reader of PNG reads the files: deflate mixes both.
 
 Source: RFC 1950 (zlib), RFC 1951 (deflate), "Portable Network Graphics Specification", w3.org.
 """

@@ -25,7 +25,7 @@ pixels; `perf/render.py`):
 - float32 EXR of depth: 14 ms and 0.62 MB with ZIP, 8 ms and 0.70 MB with RLE;
 - 16-bit PNG with OpenCV's defaults: 60 ms and 0.75 MB;
 - 16-bit PNG with the filter "up" and run-length matching: 18 ms and 0.68 MB;
-- 16-bit PNG of `sparse_png`, which stores the objects and deflates the background: 6 ms and 0.97 MB.
+- 16-bit PNG of `sparse_png`, which stores objects and deflates the background: 6 ms and 0.97 MB.
 """
 
 from __future__ import annotations

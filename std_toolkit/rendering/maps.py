@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
@@ -135,7 +136,9 @@ def compose(
 
 def mask_of(index: np.ndarray, ids: Sequence[int]) -> np.ndarray:
     """Return the (H,W) uint8 mask of object ids from indices into `ids`, 0 for index -1."""
-    return np.array([*ids, 0], np.uint8)[index]
+    table = np.zeros(256, np.uint8)
+    table[: len(ids)] = ids
+    return np.asarray(cv2.LUT(index.astype(np.uint8), table))  # -1 is 255
 
 
 def surface_maps(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +12,7 @@ import msgspec
 import pandas as pd
 import pytest
 
-from benchmark.evaluation.engine import TaskRun, run_task
+from benchmark.evaluation.engine import Campaign, TaskRun, run_all, run_task
 from benchmark.evaluation.manifest import MANIFEST, begin
 from benchmark.evaluation.results import (
     ERROR,
@@ -115,3 +117,47 @@ def test_of_two_equal_outcomes_the_later_counts_and_a_success_mends(
     table = go_on(tmp_path, after, 0.2)
     assert len(table) == 4
     assert (table[ERROR] == after).all() and (table["rmse"] == 0.2).all()
+
+
+@pytest.mark.slow
+def test_two_runs_into_one_folder_both_finish(tmp_path: Path) -> None:
+    """The second waits, and has nothing left to do; neither loses a method."""
+    begun = threading.Event()
+    scored: list[str] = []
+
+    @dataclass(frozen=True)
+    class Slow(ARun):
+        name: str = ""
+
+        @property
+        def folder(self) -> Path:
+            return self.out / self.name
+
+        def work(self, data: None, methods: None, item: int) -> int:
+            begun.set()
+            time.sleep(0.3)
+            scored.append(self.name)
+            return super().work(data, methods, item)
+
+        def items(self, data: None, done: set[int], workers: int) -> list[int]:  # noqa: ARG002
+            return [] if done else [0]
+
+        def check_data(self) -> None: ...
+
+        def read(self) -> None: ...
+
+    runs = [Slow(tmp_path, "", 0.1, name) for name in ("a", "b", "c")]
+    reports: list[Campaign[Slow]] = []
+
+    def run() -> None:
+        reports.append(run_all(runs, SERIAL))
+
+    threads = [threading.Thread(target=run) for _ in range(2)]
+    threads[0].start()
+    assert begun.wait(20)
+    threads[1].start()
+    for thread in threads:
+        thread.join(60)
+    assert sorted(scored) == ["a", "b", "c"]
+    assert [len(report.finished) for report in reports] == [3, 3]
+    assert [report.failed for report in reports] == [{}, {}]

@@ -1,0 +1,278 @@
+"""Kill commands at random moments, run them again, and compare what they make byte by byte.
+
+    python tools/kills.py [COMMAND ...] [--kills 50] [--seed 0] [--work DIR]
+
+Commands: curate (`std-curate run`), bench, restore, sim, train; all by default. A third of the
+kills each are SIGKILL, SIGTERM and SIGINT. The latter two must end the command within 5 s, with a
+line that says how to resume. Prints a line per kill and a table; exits with 1 after a fault.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+LIMIT_S = 5.0
+LONGEST_S = 1800.0
+RECORDING = ("--frames", "12", "--size", "320", "240", "--arc", "33")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A command on prepared inputs.
+
+    Attributes:
+        words: the command, given the folder to write to.
+        begin: puts what the command begins with into that folder.
+        products: parts of paths that are compared; empty for all files.
+        leave_out: parts of paths that differ between two undisturbed runs.
+    """
+
+    words: Callable[[Path], list[str]]
+    begin: Callable[[Path], None] = lambda out: None  # noqa: ARG005
+    products: tuple[str, ...] = ()
+    leave_out: tuple[str, ...] = ()
+
+    def contents(self, out: Path) -> dict[str, str]:
+        found = {}
+        for path in sorted(p for p in out.rglob("*") if p.is_file()):
+            name = path.relative_to(out).as_posix()
+            chosen = not self.products or any(part in name for part in self.products)
+            if chosen and not any(part in name for part in self.leave_out):
+                found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+        return found
+
+
+@dataclass
+class Tally:
+    """Counts of a case."""
+
+    kills: int = 0
+    chains: int = 0
+    slowest_s: float = 0.0
+    faults: list[str] = field(default_factory=list)
+
+
+def module(name: str, *words: object) -> list[str]:
+    """Command line of a console script of this tree."""
+    return [sys.executable, "-m", name, *map(str, words)]
+
+
+def run(words: list[str]) -> None:
+    """Run a command to its end; a failed gate is no error."""
+    done = subprocess.run(words, capture_output=True, text=True)
+    if done.returncode not in (0, 1) or "error:" in done.stderr:
+        sys.exit(f"{' '.join(words)}\n{done.stdout}{done.stderr}")
+
+
+def cases(top: Path) -> dict[str, Case]:
+    """The commands on a synthetic recording, its labelled scene, and its packed frames."""
+    recording, labelled, solved = top / "recording", top / "labelled", top / "data" / "solved"
+    if not (recording / "truth.json").exists():
+        run(module("sensors.synthetic", "record", recording, *RECORDING))
+    if not labelled.exists():
+        _label(recording, labelled)
+    options = ("--seed", 1, "--threads", 1, "--renderer", "raycast", "--workers", 2)
+    if not solved.exists():
+        solved.parent.mkdir(exist_ok=True)
+        shutil.copytree(labelled, solved)
+        run(module("std_toolkit.cli.main", "--quiet", "run", solved, *options))
+    pack = top / "pack"
+    if not pack.exists():
+        run(
+            module(
+                "benchmark.cli.train", "pack", pack, "--split", "scenes", "--data", top / "data",
+                "--engine", "serial", "--size", 64, 64,
+            )
+        )  # fmt: skip
+    shapes = top / "shapes"
+    if not shapes.exists():
+        import trimesh
+
+        for name, mesh in (
+            ("box", trimesh.creation.box((0.1, 0.06, 0.08))),
+            ("ball", trimesh.creation.icosphere(3, 0.05)),
+        ):
+            (shapes / name).mkdir(parents=True)
+            mesh.export(shapes / name / "model.obj")
+    bench = ("--data", top / "data", "--split", "scenes", "--no-speed", "--workers", 2)
+    tiny = ("--preset", "tiny", "--width", 160, "--height", 90, "--views", 2)
+    return {
+        "curate": Case(
+            lambda out: module("std_toolkit.cli.main", "--quiet", "run", out, *options),
+            lambda out: shutil.copytree(labelled, out, dirs_exist_ok=True),  # type: ignore[arg-type, return-value]
+            leave_out=(".std/poses/", ".std/work/", ".std/lock"),
+        ),
+        "bench": Case(
+            lambda out: module(
+                "benchmark.cli.bench", "depth", "--method", "raw", "nearest", "planes", *bench,
+                "--out", out,
+            ),
+            leave_out=(".std/", ".devices/"),
+        ),
+        "restore": Case(
+            lambda out: module(
+                "benchmark.cli.restore", solved, "--out", out, "--method", "planes", "--workers", 2
+            ),
+            products=("depth/", "confidence/", "changed/"),
+        ),
+        "sim": Case(
+            lambda out: module(
+                "sensors.simulation.cli", "--out", out, "--assets", "folder", "--assets-root",
+                shapes, *tiny, "--scenes", 2, "--engine", "serial",
+            ),
+            products=("DREDS-CatKnown/",),
+        ),
+        "train": Case(
+            lambda out: module(
+                "benchmark.cli.train", "train", "--method", "dfnet", "--data", pack,
+                "--set", "channels=8", "--steps", 24, "--batch-size", 2, "--hold-out", 0.3,
+                "--checkpoint-every", 4, "--validate-every", 12, "--readers", 0,
+                "--accelerator", "cpu", "--out", out,
+            ),
+            products=("best.safetensors", "last.safetensors", "best.json", "validation.csv"),
+        ),
+    }  # fmt: skip
+
+
+def _label(recording: Path, labelled: Path) -> None:
+    import numpy as np
+
+    from sensors.synthetic import annotate_first_frame, read_truth
+    from std_toolkit.geometry.mesh import load_mesh
+
+    curate = "std_toolkit.cli.main"
+    run(
+        module(
+            curate, "--quiet", "import", "--color", recording / "color", "--depth",
+            recording / "depth", "--intrinsics", recording / "intrinsics.json", "--out", labelled,
+        )
+    )  # fmt: skip
+    truth = read_truth(recording)
+    extents = {o.name: float(max(load_mesh(recording / o.mesh).extents)) for o in truth.objects}
+    annotated = annotate_first_frame(truth, extents_m=extents)
+    for item in truth.objects[:2]:
+        pose = recording / f"{item.name}.txt"
+        np.savetxt(pose, annotated[item.name].matrix(), fmt="%.9f")
+        run(
+            module(
+                curate, "--quiet", "label", labelled, "--object", item.name, "--mesh",
+                recording / item.mesh, "--material", item.material, "--frame", 0, "--pose", pose,
+            )
+        )  # fmt: skip
+
+
+def attack(name: str, case: Case, top: Path, kills: int, moments: random.Random) -> Tally:
+    """Kill the command until `kills` kills are done; every chain of runs ends undisturbed."""
+    tally, whole = Tally(), top / f"{name}-whole"
+    shutil.rmtree(whole, ignore_errors=True)
+    whole.mkdir()
+    case.begin(whole)
+    began = time.monotonic()
+    run(case.words(whole))
+    seconds = time.monotonic() - began
+    expected = case.contents(whole)
+    print(f"{name}: {len(expected)} files in {seconds:.1f} s undisturbed", flush=True)
+    while tally.kills < kills:
+        tally.chains += 1
+        out = top / f"{name}-killed"
+        shutil.rmtree(out, ignore_errors=True)
+        out.mkdir()
+        case.begin(out)
+        reach = 0.6
+        while True:
+            wanted = tally.kills < kills
+            how = SIGNALS[tally.kills % len(SIGNALS)] if wanted else None
+            limit = moments.uniform(0.02, reach) * seconds if wanted else LONGEST_S
+            if not _killed(name, case.words(out), how, limit, tally):
+                break
+            reach = min(1.2 * reach, 1.5)  # a run that is always killed early never ends
+        found = case.contents(out)
+        different = sorted(n for n in {*found, *expected} if found.get(n) != expected.get(n))
+        if different:
+            tally.faults.append(f"chain {tally.chains}: differs: {', '.join(different[:5])}")
+        left = [p.name for p in out.rglob("*") if ".tmp" in p.name]
+        if left:
+            tally.faults.append(f"chain {tally.chains}: left behind: {', '.join(left[:5])}")
+    return tally
+
+
+def _killed(
+    name: str, words: list[str], how: signal.Signals | None, limit: float, tally: Tally
+) -> bool:
+    """Run the command; True if it was killed before its end."""
+    process = subprocess.Popen(
+        words,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    try:
+        process.communicate(timeout=limit)
+        if process.returncode not in (0, 1):
+            tally.faults.append(f"ended by itself with {process.returncode}")
+        return False
+    except subprocess.TimeoutExpired:
+        assert how is not None, "an undisturbed run hangs"
+    process.send_signal(how)
+    began = time.monotonic()
+    _, errors = process.communicate(timeout=LONGEST_S)
+    took = time.monotonic() - began
+    tally.kills += 1
+    lines = [line for line in errors.splitlines() if line.strip()]
+    told = f"{how.name} after {limit:.1f} s, ended in {took:.1f} s"
+    print(f"{name}: {told}: {lines[-1:]}", flush=True)
+    if how == signal.SIGKILL:
+        return True
+    tally.slowest_s = max(tally.slowest_s, took)
+    if process.returncode in (0, 1, -how) and took < 1:
+        return True  # before it began, or at its end: Python loads or unloads its modules
+    if took > LIMIT_S:
+        tally.faults.append(f"{how.name} after {limit:.1f} s: ended after {took:.1f} s")
+    if not any(line.startswith("interrupted; ") for line in lines):
+        tally.faults.append(f"{how.name} after {limit:.1f} s: no line on how to resume")
+    return True
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("commands", nargs="*", metavar="COMMAND")
+    parser.add_argument("--kills", type=int, default=50, help="of each command (50)")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--work", type=Path, help="folder for inputs, kept for the next call")
+    args = parser.parse_args()
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    with tempfile.TemporaryDirectory() as folder:
+        top = args.work or Path(folder)
+        top.mkdir(parents=True, exist_ok=True)
+        known = cases(top)
+        tallies = {
+            name: attack(name, known[name], top, args.kills, random.Random(args.seed))
+            for name in args.commands or known
+        }
+    print("\ncommand   kills  chains  slowest end  faults")
+    for name, tally in tallies.items():
+        print(
+            f"{name:8}  {tally.kills:5}  {tally.chains:6}  {tally.slowest_s:9.1f} s  "
+            f"{len(tally.faults):6}"
+        )
+        for fault in tally.faults:
+            print(f"  {fault}")
+    return int(any(tally.faults for tally in tallies.values()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
